@@ -1,0 +1,349 @@
+"""Plain numbers of a plenoptic camera, and all that follows from them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from .errors import InputError, require_count, require_number
+
+LENS_MODELS = ("ideal", "parabolic")
+
+
+@dataclass(frozen=True, init=False)
+class PlenopticCamera:
+    r"""A main lens, a microlens array behind it, and a detector behind that.
+
+    Lengths are scene units, taken as millimetres. Without arguments this is the camera of the paper
+    "Wave-Optical Reconstruction of Plenoptic Camera Images": 128 x 128 lenses of 32 x 32 pixels.
+
+    Parameters
+    ----------
+    focal_length : float
+        Focal length :math:`f_1` of the main lens.
+    aperture_radius : float
+        Radius :math:`D_1/2` of the main lens.
+    mla_distance : float, optional
+        Distance :math:`b` from the main lens to the microlens array (MLA). Default 120 unless
+        `focus_distance` is given.
+    focus_distance : float, optional
+        Distance of the object plane that is in focus on the MLA; an alternative to `mla_distance`,
+        :math:`1/g + 1/b = 1/f_1`. May be infinite.
+    mla_focal_length : float
+        Focal length :math:`f_2` of a microlens.
+    mla_pitch : float
+        Pitch :math:`D_2` of the square microlens lattice; a lens fills its cell.
+    detector_distance : float, optional
+        Distance :math:`z` from the MLA to the detector. Default: `mla_focal_length`.
+    detector_width : float
+        Width :math:`W` of the full detector; pixels are square.
+    resolution : (int, int)
+        Columns and rows of the full detector.
+    crop_offset : (int, int)
+        Column and row of the first recorded pixel.
+    crop_size : (int, int), optional
+        Columns and rows that are recorded. Default: all from `crop_offset` on.
+    lens_model : {"ideal", "parabolic"}
+        How rays refract: stigmatic thin lenses (slopes), or thin parabolic phase elements (direction cosines).
+
+    Raises
+    ------
+    InputError
+        If a value is not a number, not finite, not positive, or the crop window leaves the detector.
+    """
+
+    focal_length: float
+    aperture_radius: float
+    mla_distance: float
+    mla_focal_length: float
+    mla_pitch: float
+    detector_distance: float
+    detector_width: float
+    resolution: tuple[int, int]
+    crop_offset: tuple[int, int]
+    crop_size: tuple[int, int]
+    lens_model: str
+
+    def __init__(
+        self,
+        *,
+        focal_length: float = 80.0,
+        aperture_radius: float = 5.0,
+        mla_distance: float | None = None,
+        focus_distance: float | None = None,
+        mla_focal_length: float = 0.512,
+        mla_pitch: float = 0.064,
+        detector_distance: float | None = None,
+        detector_width: float = 8.192,
+        resolution: tuple[int, int] = (4096, 4096),
+        crop_offset: tuple[int, int] = (0, 0),
+        crop_size: tuple[int, int] | None = None,
+        lens_model: str = "ideal",
+    ) -> None:
+        def put(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        put("focal_length", require_number("focal_length", focal_length, positive=True))
+        put("aperture_radius", require_number("aperture_radius", aperture_radius, positive=True))
+        if mla_distance is not None and focus_distance is not None:
+            raise InputError(
+                f"mla_distance = {mla_distance!r} and focus_distance = {focus_distance!r}: give one of the two"
+            )
+        if focus_distance is not None:
+            mla_distance = image_distance(
+                self.focal_length,
+                require_number("focus_distance", focus_distance, positive=True, finite=False),
+                name="focus_distance",
+            )
+        put("mla_distance", require_number("mla_distance", 120.0 if mla_distance is None
+                                           else mla_distance, positive=True))
+        put("mla_focal_length", require_number("mla_focal_length", mla_focal_length, positive=True))
+        put("mla_pitch", require_number("mla_pitch", mla_pitch, positive=True))
+        if detector_distance is None:
+            detector_distance = self.mla_focal_length
+        put("detector_distance", require_number("detector_distance", detector_distance, positive=True))
+        put("detector_width", require_number("detector_width", detector_width, positive=True))
+        put("resolution", _pair("resolution", resolution, minimum=1))
+        put("crop_offset", _pair("crop_offset", crop_offset, minimum=0))
+        if crop_size is None:
+            crop_size = (
+                self.resolution[0] - self.crop_offset[0],
+                self.resolution[1] - self.crop_offset[1],
+            )
+        put("crop_size", _pair("crop_size", crop_size, minimum=1))
+        for axis in (0, 1):
+            if self.crop_offset[axis] + self.crop_size[axis] > self.resolution[axis]:
+                raise InputError(
+                    f"crop_offset = {self.crop_offset} with crop_size = {self.crop_size}: the window must lie "
+                    f"within the resolution {self.resolution}"
+                )
+        if lens_model not in LENS_MODELS:
+            raise InputError(f"lens_model = {lens_model!r}: it must be one of {', '.join(LENS_MODELS)}")
+        put("lens_model", lens_model)
+
+    # -- to and from other forms ---------------------------------------------------------------------
+
+    @classmethod
+    def from_sensor(cls, sensor: Any) -> PlenopticCamera:
+        """Take the camera of a Mitsuba sensor of type ``plenoptic``.
+
+        Raises
+        ------
+        InputError
+            If the sensor is of another type.
+        """
+        camera = getattr(sensor, "camera", None)
+        if not isinstance(camera, cls):
+            kind = getattr(sensor, "class_name", lambda: type(sensor).__name__)()
+            raise InputError(f"sensor of type {kind}: a plenoptic camera needs a sensor of type 'plenoptic'")
+        return camera
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> PlenopticCamera:
+        """Build a camera from what `to_dict` gave, for example from a file's header.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown or missing, or a value is out of range.
+        """
+        names = set(cls.__dataclass_fields__)
+        for name in sorted(set(values) ^ names):
+            rule = "is not a camera parameter" if name in values else "is missing from the camera parameters"
+            raise InputError(f"{name}: it {rule}")
+        return cls(**values)
+
+    def to_dict(self) -> dict[str, Any]:
+        """All parameters by name, in plain numbers, strings and pairs."""
+        return asdict(self)
+
+    def replace(self, **changes: Any) -> PlenopticCamera:
+        """Return a copy of the camera with some parameters changed."""
+        values = self.to_dict() | changes
+        if "focus_distance" in changes:
+            values.pop("mla_distance") if "mla_distance" not in changes else None
+        return PlenopticCamera(**values)
+
+    # -- main lens -----------------------------------------------------------------------------------
+
+    @property
+    def aperture_diameter(self) -> float:
+        """Diameter :math:`D_1` of the main lens."""
+        return 2 * self.aperture_radius
+
+    @property
+    def f_number(self) -> float:
+        """Focal length of the main lens over its diameter."""
+        return self.focal_length / self.aperture_diameter
+
+    @property
+    def image_f_number(self) -> float:
+        """F-number of the main lens as the MLA sees it, :math:`b / D_1`."""
+        return self.mla_distance / self.aperture_diameter
+
+    @property
+    def mla_f_number(self) -> float:
+        """F-number of a microlens as the detector sees it, :math:`z / D_2`."""
+        return self.detector_distance / self.mla_pitch
+
+    @property
+    def focus_distance(self) -> float:
+        """Distance of the object plane that is in focus on the MLA.
+
+        Infinite if the MLA stands in the focal plane, negative (no real plane) if it stands before that.
+        """
+        power = 1 / self.focal_length - 1 / self.mla_distance
+        return math.inf if power == 0 else 1 / power
+
+    def defocus(self, distance: float) -> float:
+        """Diameter of the cone from an on-axis point on the MLA over that on the main lens, with its sign.
+
+        :math:`s = 1 + b/g - b/f_1`: zero in focus, positive for points nearer than that.
+        """
+        return 1 + self.mla_distance / distance - self.mla_distance / self.focal_length
+
+    def blur_diameter(self, distance: float) -> float:
+        """Diameter on the MLA of the image of a point at `distance`, by rays: :math:`D_1 |s|`."""
+        return self.aperture_diameter * abs(self.defocus(distance))
+
+    # -- detector and lattice ------------------------------------------------------------------------
+
+    @property
+    def pixel_size(self) -> float:
+        """Width of a pixel."""
+        return self.detector_width / self.resolution[0]
+
+    @property
+    def detector_height(self) -> float:
+        """Height of the full detector."""
+        return self.pixel_size * self.resolution[1]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the recorded image."""
+        return self.crop_size[1], self.crop_size[0]
+
+    @property
+    def is_cropped(self) -> bool:
+        """Whether less than the full detector is recorded."""
+        return self.crop_size != self.resolution
+
+    @property
+    def pixels_per_lens(self) -> float:
+        """Microlens pitch in pixels; need not be a whole number."""
+        return self.mla_pitch / self.pixel_size
+
+    @property
+    def lens_count(self) -> tuple[int, int]:
+        """Lenses across the full detector and down it, rounded; also the bins of a reconstruction."""
+        return (
+            max(1, round(self.detector_width / self.mla_pitch)),
+            max(1, round(self.detector_height / self.mla_pitch)),
+        )
+
+    @property
+    def micro_image_diameter(self) -> float:
+        """Diameter of the main lens's image under one microlens, :math:`D_1 z / b`."""
+        return self.aperture_diameter * self.detector_distance / self.mla_distance
+
+    @property
+    def micro_image_pitch(self) -> float:
+        """Distance of neighbouring micro-images, :math:`D_2 (b + z) / b`."""
+        return self.mla_pitch * (self.mla_distance + self.detector_distance) / self.mla_distance
+
+    @property
+    def crosstalk_lenses(self) -> int:
+        """Lenses per axis, around the one of the chief ray, that can light a pixel (odd).
+
+        A ray from the pupil's edge through a lens's edge lands at most
+        :math:`h = (D_1 + D_2 |1 + b/z - b/f_2|) / (2 D_2 (1 + b/z))` chief-ray cells from the lens's centre.
+        """
+        b, z = self.mla_distance, self.detector_distance
+        reach = (self.aperture_diameter + self.mla_pitch * abs(1 + b / z - b / self.mla_focal_length)) / (
+            2 * self.mla_pitch * (1 + b / z)
+        )
+        return 2 * max(0, math.ceil(reach - 0.5)) + 1
+
+    @property
+    def white_mean(self) -> float:
+        """Mean of an endless capture of a scene of uniform radiance 1, :math:`(\\pi/4)(D_1 z / D_2 (b + z))^2`."""
+        return math.pi / 4 * (self.micro_image_diameter / self.micro_image_pitch) ** 2
+
+    # -- object side ---------------------------------------------------------------------------------
+
+    def bin_size(self, distance: float) -> float:
+        """Width in the object plane of one bin of a reconstruction, :math:`D_2 g / b`."""
+        return self.mla_pitch * distance / self.mla_distance
+
+    @property
+    def field_of_view(self) -> float:
+        """Full horizontal field of view in degrees."""
+        return math.degrees(2 * math.atan(self.detector_width / (2 * self.mla_distance)))
+
+    def field_width(self, distance: float) -> float:
+        """Width of the field in the object plane."""
+        return self.detector_width * distance / self.mla_distance
+
+    def refocus_range(self, wavelength: float | None = None) -> tuple[float, float]:
+        """Nearest and farthest distance that refocusing brings back to one sample per lens.
+
+        The blur on the MLA may then span as many lenses as directions are told apart under each (Ng 2006,
+        "Digital Light Field Photography", section 3.4). The far end may be infinite.
+        """
+        slack = self.direction_count(wavelength) * self.mla_pitch / self.aperture_diameter
+        base = self.mla_distance / self.focal_length - 1
+        near, far = base + slack, base - slack
+        return (
+            self.mla_distance / near if near > 0 else math.inf,
+            self.mla_distance / far if far > 0 else math.inf,
+        )
+
+    # -- diffraction ---------------------------------------------------------------------------------
+
+    def spot_size(self, wavelength: float) -> float:
+        """Half width of a microlens's focal spot (centre to first zero), :math:`\\lambda z / D_2`.
+
+        Parameters
+        ----------
+        wavelength : float
+            Wavelength in nanometres.
+        """
+        return wavelength * 1e-6 * self.detector_distance / self.mla_pitch
+
+    def direction_count(self, wavelength: float | None = None) -> float:
+        """Directions told apart across a micro-image: its diameter over a pixel or the spot, whichever is larger.
+
+        Without a wavelength diffraction is left out.
+        """
+        spot = 0.0 if wavelength is None else self.spot_size(wavelength)
+        return self.micro_image_diameter / max(self.pixel_size, spot)
+
+    def mla_fresnel_number(self, wavelength: float) -> float:
+        """Fresnel number of a microlens seen from the detector, :math:`(D_2/2)^2 / (\\lambda z)`."""
+        return (self.mla_pitch / 2) ** 2 / (wavelength * 1e-6 * self.detector_distance)
+
+    def main_fresnel_number(self, wavelength: float) -> float:
+        """Fresnel number of the main lens seen from the MLA, :math:`(D_1/2)^2 / (\\lambda b)`."""
+        return self.aperture_radius**2 / (wavelength * 1e-6 * self.mla_distance)
+
+
+def image_distance(focal_length: float, distance: float, *, name: str = "distance") -> float:
+    """Distance behind a thin lens at which an object at `distance` is in focus.
+
+    Raises
+    ------
+    InputError
+        If the object is at or inside the focal length, where a lens forms no real image.
+    """
+    if not distance > focal_length:
+        raise InputError(f"{name} = {distance:g}: it must be greater than the focal length {focal_length:g}")
+    return 1 / (1 / focal_length - 1 / distance)
+
+
+def _pair(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
+    try:
+        first, second = value
+    except (TypeError, ValueError):
+        raise InputError(f"{name} = {value!r}: it must be a pair (columns, rows)") from None
+    return require_count(name, first, minimum=minimum), require_count(name, second, minimum=minimum)
