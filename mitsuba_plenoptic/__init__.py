@@ -1,0 +1,33 @@
+"""Plenoptic (light-field) cameras for Mitsuba 3: captures by rays and by waves, and their reconstruction.
+
+Importing the package registers its plugins for the active variant and for every one set later; it never sets a
+variant itself.
+"""
+
+# ruff: noqa: E402
+from . import _llvm
+
+# Dr.Jit takes its LLVM from the environment when it is first imported, which all of the following do.
+_llvm.choose()
+
+from . import plugins as plugins
+from .camera import PlenopticCamera
+from .capture import Capture, read_capture, write_capture
+from .errors import InputError
+from .reconstruction import Reconstruction, reconstruct
+from .rendering import load_scene, render_capture, scene_path
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Capture",
+    "InputError",
+    "PlenopticCamera",
+    "Reconstruction",
+    "load_scene",
+    "read_capture",
+    "reconstruct",
+    "render_capture",
+    "scene_path",
+    "write_capture",
+]

@@ -1,0 +1,41 @@
+"""What Mitsuba sees: the plugins, registered anew whenever a variant becomes active.
+
+A plugin's class is bound to the types of the variant that was active when it was defined, so each variant gets
+its own. Nothing here may raise: an exception in the callback would leave the variant switched all the same, so
+a variant that cannot work registers constructors that say why.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NoReturn
+
+import mitsuba as mi
+
+from .. import _llvm
+from ..errors import InputError
+from . import plenoptic
+
+
+def _refuse(name: str, reason: str) -> Callable[[Any], NoReturn]:
+    def constructor(props: Any) -> NoReturn:
+        raise InputError(f"{name}: {reason}")
+
+    return constructor
+
+
+def _register(old: str | None, new: str | None) -> None:
+    if new is None:
+        return
+    reason = None
+    if new.startswith("scalar"):
+        reason = f"variant {new}: this plugin needs an llvm_ad_* or cuda_ad_* variant"
+    elif new.startswith("llvm"):
+        reason = _llvm.problem()
+    mi.register_sensor(
+        plenoptic.NAME, _refuse(plenoptic.NAME, reason) if reason else plenoptic.make_class()
+    )
+
+
+mi.detail.add_variant_callback(_register)
+_register(None, mi.variant())

@@ -1,0 +1,112 @@
+"""Float32 OpenEXR images with one JSON attribute, written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+
+from .errors import InputError
+from .files import atomic_output
+
+ATTRIBUTE = "mitsuba_plenoptic"
+
+# Captures of 16384 x 16384 pixels fit; a header that claims more is damaged or hostile.
+_MAX_PIXELS = 2**28
+
+
+def write_exr(
+    path: str | Path,
+    image: np.ndarray,
+    attributes: dict[str, Any],
+    *,
+    offset: tuple[int, int] = (0, 0),
+    full_size: tuple[int, int] | None = None,
+) -> None:
+    """Write (rows, columns) as channel Y or (rows, columns, 3) as R, G, B.
+
+    Parameters
+    ----------
+    path : path
+        File to write.
+    image : (rows, columns[, 3]) array
+        Written as float32.
+    attributes : dict
+        Written as JSON into the header attribute ``mitsuba_plenoptic``.
+    offset, full_size : (columns, rows)
+        Place of the image in a larger one: the file's data window within its display window.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    rows, columns = image.shape[:2]
+    width, height = full_size or (columns, rows)
+    image = np.asarray(image, dtype=np.float32)
+    if image.ndim == 2:
+        channels = {"Y": np.ascontiguousarray(image)}
+    else:
+        channels = {name: np.ascontiguousarray(image[..., i]) for i, name in enumerate("RGB")}
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "dataWindow": _window(offset[0], offset[1], columns, rows),
+        "displayWindow": _window(0, 0, width, height),
+        ATTRIBUTE: json.dumps(attributes, sort_keys=True),
+    }
+    try:
+        with atomic_output(path) as temporary:
+            OpenEXR.File(header, channels).write(str(temporary))
+    except (RuntimeError, OSError) as error:
+        raise InputError(f"{path}: it cannot be written: {_one_line(error)}") from None
+
+
+def read_exr(path: str | Path) -> tuple[np.ndarray, dict[str, Any]]:
+    """Read what `write_exr` wrote: the image and the attributes.
+
+    Raises
+    ------
+    InputError
+        If the file does not exist, is no whole OpenEXR file, or was not written by this package.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file")
+    try:
+        header = OpenEXR.File(str(path), header_only=True).header()
+        text = header.get(ATTRIBUTE)
+        if text is None:
+            raise InputError(
+                f"{path}: it has no attribute '{ATTRIBUTE}' in its header, so its camera is unknown; "
+                "read the pixels yourself and give reconstruct(..., camera=...)"
+            )
+        low, high = header["dataWindow"]
+        columns, rows = (int(high[i]) - int(low[i]) + 1 for i in (0, 1))
+        if columns * rows > _MAX_PIXELS:
+            raise InputError(f"{path}: {columns} x {rows} pixels: at most {_MAX_PIXELS} are read")
+        attributes = json.loads(text)
+        if not isinstance(attributes, dict):
+            raise ValueError(f"attribute '{ATTRIBUTE}' is not a JSON object")
+        found = OpenEXR.File(str(path), separate_channels=True).channels()
+        planes = [found[name].pixels for name in ("Y", *"RGB") if name in found]
+        if len(planes) not in (1, 3):
+            raise ValueError(f"it has the channels {', '.join(found)} instead of Y or R, G, B")
+    except InputError:
+        raise
+    except Exception as error:
+        # OpenEXR tells of damage by several exception types; all mean the same to the user.
+        raise InputError(f"{path}: it cannot be read as an OpenEXR image: {_one_line(error)}") from None
+    image = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
+    return np.asarray(image, dtype=np.float32), attributes
+
+
+def _window(x: int, y: int, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.array([x, y], dtype=np.int32), np.array([x + columns - 1, y + rows - 1], dtype=np.int32)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

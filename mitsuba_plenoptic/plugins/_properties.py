@@ -1,0 +1,66 @@
+"""Reading plugin parameters with the checks that Mitsuba leaves out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..errors import InputError, require_count, require_number
+
+
+def read_number(props: Any, plugin: str, name: str, default: float | None) -> float | None:
+    """Take a positive, finite number from a plugin's properties.
+
+    Mitsuba refuses misspelled names by itself, but it takes values of any type.
+
+    Raises
+    ------
+    InputError
+        Naming plugin, parameter, value and rule.
+    """
+    if name not in props:
+        return default
+    return require_number(f"{plugin}: {name}", _plain(props[name]), positive=True, finite=name != "focus_distance")
+
+
+def read_count(props: Any, plugin: str, name: str, default: int, *, maximum: int | None = None) -> int:
+    """Take a whole number of at least 1 from a plugin's properties.
+
+    Raises
+    ------
+    InputError
+        Naming plugin, parameter, value and rule.
+    """
+    return require_count(f"{plugin}: {name}", props[name], maximum=maximum) if name in props else default
+
+
+def read_choice(props: Any, plugin: str, name: str, choices: tuple[str, ...]) -> str:
+    """Take one of several words from a plugin's properties; the first is the default.
+
+    Raises
+    ------
+    InputError
+        Naming plugin, parameter, value and rule.
+    """
+    value = props[name] if name in props else choices[0]
+    if value not in choices:
+        raise InputError(f"{plugin}: {name} = {value!r}: it must be one of {', '.join(choices)}")
+    return str(value)
+
+
+def read_flag(props: Any, plugin: str, name: str, default: bool) -> bool:
+    """Take a boolean from a plugin's properties.
+
+    Raises
+    ------
+    InputError
+        Naming plugin, parameter, value and rule.
+    """
+    value = props[name] if name in props else default
+    if not isinstance(value, bool):
+        raise InputError(f"{plugin}: {name} = {value!r}: it must be true or false")
+    return value
+
+
+def _plain(value: Any) -> Any:
+    """Turn a Dr.Jit array of one entry, as ``load_dict`` accepts it, into its entry."""
+    return value[0] if hasattr(value, "__len__") and not isinstance(value, str) and len(value) == 1 else value

@@ -1,0 +1,296 @@
+"""The sensor plugin ``plenoptic``: a plenoptic camera traced by rays."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .. import lattice, rays
+from ..camera import PlenopticCamera
+from ..errors import InputError
+from ._properties import read_number
+
+NAME = "plenoptic"
+
+# Lengths that can be changed and differentiated through `mi.traverse`, in the order of the documentation.
+LENGTHS = (
+    "focal_length",
+    "aperture_radius",
+    "mla_distance",
+    "mla_focal_length",
+    "mla_pitch",
+    "detector_distance",
+    "detector_width",
+)
+
+
+def make_class() -> type:
+    """Define the plugin's class for the active Mitsuba variant, to which its types are bound."""
+
+    class PlenopticSensor(mi.Sensor):
+        r"""Plenoptic (light-field) camera: thin main lens, square microlens array, detector.
+
+        .. pluginparameters::
+
+         * - focal_length
+           - |float|
+           - Focal length of the main lens. (Default: 80)
+           - |exposed|, |differentiable|
+         * - aperture_radius
+           - |float|
+           - Radius of the main lens, as for ``thinlens``. (Default: 5)
+           - |exposed|, |differentiable|, |discontinuous|
+         * - mla_distance
+           - |float|
+           - Distance from the main lens to the microlens array. (Default: 120)
+           - |exposed|, |differentiable|, |discontinuous|
+         * - focus_distance
+           - |float|
+           - Instead of ``mla_distance``: distance of the object plane that is in focus on the microlens array
+             (larger than ``focal_length``). It is turned into ``mla_distance`` when the scene is loaded.
+         * - mla_focal_length
+           - |float|
+           - Focal length of a microlens. (Default: 0.512)
+           - |exposed|, |differentiable|, |discontinuous|
+         * - mla_pitch
+           - |float|
+           - Pitch of the square microlens lattice, which covers the whole plane and has the corner of four
+             lenses on the axis. (Default: 0.064)
+           - |exposed|, |differentiable|, |discontinuous|
+         * - detector_distance
+           - |float|
+           - Distance from the microlens array to the detector. (Default: ``mla_focal_length``)
+           - |exposed|, |differentiable|, |discontinuous|
+         * - detector_width
+           - |float|
+           - Width that the full film's columns span, whatever its crop window. Pixels are square.
+             (Default: 8.192)
+           - |exposed|, |differentiable|, |discontinuous|
+         * - lens_model
+           - |string|
+           - ``ideal``: stigmatic thin lenses, like ``thinlens``. ``parabolic``: thin parabolic phase elements,
+             with the aberrations that go with them: the geometric twin of the wave capture. (Default: ``ideal``)
+         * - to_world
+           - |transform|
+           - Camera to world, without scale. The camera looks along +z, +x is left and +y is up.
+             (Default: identity)
+           - |exposed|, |differentiable|, |discontinuous|
+         * - shutter_open, shutter_close
+           - |float|
+           - Shutter interval, as for every sensor. (Default: 0)
+           - |exposed|
+         * - (Nested plugin)
+           - :paramtype:`film`
+           - Its size is the detector's resolution. Its filter should be ``box``: a wider one smears the
+             micro-images.
+
+        All lengths are in scene units, taken as millimetres. A ray starts at a detector point :math:`p`,
+        passes a point :math:`m` of a microlens of centre :math:`c` with slope
+        :math:`t = (m - p)/z - (m - c)/f_2`, meets the main lens in :math:`P = m + b t` and leaves it with slope
+        :math:`t - P/f_1`. Where :math:`P` is outside the main lens, nothing is traced and the weight is zero.
+        The value of a pixel is the mean radiance over its lens, so that a scene of radiance 1 reads 1 inside
+        the micro-images; there is no :math:`\cos^4` falloff. Light that crosses into a neighbour's micro-image
+        is found by drawing among all lenses that can light a pixel.
+
+        The capture has the orientation of a ``perspective`` sensor's image. Gradients flow through the ``path``
+        and ``direct`` integrators, but the pupil's moving edge contributes none: the gradient is that of the
+        light inside the micro-images.
+
+        .. tabs::
+            .. code-tab:: xml
+
+                <sensor type="plenoptic">
+                    <float name="focal_length" value="80"/>
+                    <float name="aperture_radius" value="5"/>
+                    <float name="focus_distance" value="240"/>
+                    <film type="hdrfilm">
+                        <integer name="width" value="4096"/>
+                        <integer name="height" value="4096"/>
+                        <rfilter type="box"/>
+                        <string name="component_format" value="float32"/>
+                    </film>
+                </sensor>
+
+            .. code-tab:: python
+
+                'type': 'plenoptic',
+                'focal_length': 80.0,
+                'aperture_radius': 5.0,
+                'focus_distance': 240.0,
+                'film': {
+                    'type': 'hdrfilm', 'width': 4096, 'height': 4096,
+                    'rfilter': {'type': 'box'}, 'component_format': 'float32',
+                }
+        """
+
+        def __init__(self, props: Any) -> None:
+            for name in ("near_clip", "far_clip"):
+                if name in props:
+                    raise InputError(
+                        f"{NAME}: {name} = {props[name]:g}: this camera has no clipping planes, its rays start "
+                        "at the main lens; remove the parameter"
+                    )
+            super().__init__(props)
+            film = self.film()
+            numbers = {name: read_number(props, NAME, name, None) for name in (*LENGTHS, "focus_distance")}
+            try:
+                camera = PlenopticCamera(
+                    **{name: value for name, value in numbers.items() if value is not None},  # type: ignore[arg-type]
+                    resolution=tuple(film.size()),
+                    crop_offset=tuple(film.crop_offset()),
+                    crop_size=tuple(film.crop_size()),
+                    lens_model=props.get("lens_model", "ideal"),
+                )
+            except InputError as error:
+                raise InputError(f"{NAME}: {error}") from None
+            self.lens_model = camera.lens_model
+            for name in LENGTHS:
+                setattr(self, name, mi.Float(getattr(camera, name)))
+            self.m_needs_sample_3 = True
+            self._update()
+            if not film.rfilter().is_box_filter():
+                warnings.warn(
+                    f"{NAME}: the film's filter {film.rfilter().class_name()} smears the micro-images into each "
+                    'other; use <rfilter type="box"/>',
+                    stacklevel=2,
+                )
+
+        def traverse(self, callback: Any) -> None:
+            """Expose the parameters to `mi.traverse`."""
+            super().traverse(callback)
+            differentiable, discontinuous = mi.ParamFlags.Differentiable, mi.ParamFlags.Discontinuous
+            callback.put("to_world", self.m_to_world, differentiable | discontinuous)
+            for name in LENGTHS:
+                flags = differentiable if name == "focal_length" else differentiable | discontinuous
+                callback.put(name, getattr(self, name), flags)
+
+        def parameters_changed(self, keys: list[str] | None = None) -> None:
+            """Check and take over changed parameters."""
+            super().parameters_changed(keys or [])
+            self._update()
+
+        def _update(self) -> None:
+            if dr.any(self.world_transform().has_scale()):
+                raise InputError(f"{NAME}: to_world: it must not scale; give lengths in scene units instead")
+            # Opaque values are kernel inputs, so that changing one does not compile the kernels again.
+            dr.make_opaque(*(getattr(self, name) for name in LENGTHS))
+            self._candidates = self.camera.crosstalk_lenses
+
+        @property
+        def camera(self) -> PlenopticCamera:
+            """The camera's present numbers."""
+            film = self.film()
+            return PlenopticCamera(
+                **{name: _decimal(getattr(self, name)) for name in LENGTHS},  # type: ignore[arg-type]
+                resolution=tuple(film.size()),
+                crop_offset=tuple(film.crop_offset()),
+                crop_size=tuple(film.crop_size()),
+                lens_model=self.lens_model,
+            )
+
+        def _trace(self, px: Any, py: Any, mx: Any, my: Any, cx: Any, cy: Any) -> tuple[Any, Any, Any, Any]:
+            """Pupil point and slopes behind the main lens of the ray from p through m of the lens at c."""
+            b, z, f2 = self.mla_distance, self.detector_distance, self.mla_focal_length
+            ideal = self.lens_model == "ideal"
+            if ideal:
+                tx = rays.microlens_slope(px, mx, cx, z, f2)
+                ty = rays.microlens_slope(py, my, cy, z, f2)
+            else:
+                sx, sy = rays.slopes_to_cosines((mx - px) / z, (my - py) / z)
+                tx, ty = rays.cosines_to_slopes(sx - (mx - cx) / f2, sy - (my - cy) / f2)
+            Px, Py = rays.pupil_point(mx, tx, b), rays.pupil_point(my, ty, b)
+            if ideal:
+                return Px, Py, *(rays.main_lens_slope(t, P, self.focal_length) for t, P in ((tx, Px), (ty, Py)))
+            sx, sy = rays.slopes_to_cosines(tx, ty)
+            return Px, Py, *rays.cosines_to_slopes(
+                rays.main_lens_slope(sx, Px, self.focal_length), rays.main_lens_slope(sy, Py, self.focal_length)
+            )
+
+        def _sample(
+            self, time: Any, wavelength_sample: Any, film_sample: Any, lens_sample: Any, active: Any, differential: bool
+        ) -> tuple[Any, Any]:
+            film = self.film()
+            pixel = self.detector_width / film.size()[0]
+            b, z, pitch = self.mla_distance, self.detector_distance, self.mla_pitch
+            detector, lens_point, lens_centre = [], [], []
+            for axis in (0, 1):
+                column = film_sample[axis] * film.crop_size()[axis] + film.crop_offset()[axis]
+                p = (column - 0.5 * film.size()[axis]) * pixel
+                index = lattice.cell_index(rays.chief_point(p, b, z), pitch)
+                within = mi.Float(lens_sample[axis])
+                if self._candidates > 1:
+                    scaled = within * self._candidates
+                    candidate = dr.minimum(dr.floor(scaled), self._candidates - 1)
+                    within = scaled - candidate
+                    index += candidate - self._candidates // 2
+                c = lattice.cell_centre(index, pitch)
+                detector.append(p)
+                lens_centre.append(c)
+                lens_point.append(c + (within - 0.5) * pitch)
+
+            Px, Py, tx, ty = self._trace(*detector, *lens_point, *lens_centre)
+            open_ = active & (Px * Px + Py * Py <= self.aperture_radius * self.aperture_radius)
+            wavelengths, weight = self.sample_wavelengths(
+                dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active
+            )
+            to_world = self.world_transform()
+            ray = mi.RayDifferential3f() if differential else mi.Ray3f()
+            ray.o = to_world @ mi.Point3f(Px, Py, 0)
+            ray.d = to_world @ dr.normalize(mi.Vector3f(tx, ty, 1))
+            # A ray of no length meets nothing: it is cheap, and depth or normals of dark pixels stay 0.
+            ray.maxt = dr.select(open_, dr.largest(mi.Float), 0)
+            ray.time = time
+            ray.wavelengths = wavelengths
+            if differential:
+                for name, dx, dy in (("x", pixel, 0), ("y", 0, pixel)):
+                    Px, Py, tx, ty = self._trace(detector[0] + dx, detector[1] + dy, *lens_point, *lens_centre)
+                    setattr(ray, f"o_{name}", to_world @ mi.Point3f(Px, Py, 0))
+                    setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(tx, ty, 1)))
+                ray.has_differentials = True
+            return ray, dr.select(open_, weight * self._candidates**2, 0)
+
+        def sample_ray(
+            self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
+        ) -> tuple[Any, Any]:
+            """Draw a ray and its weight; `sample2` is the place on the film's crop window, `sample3` on the lens."""
+            return self._sample(time, sample1, sample2, sample3, active, differential=False)
+
+        def sample_ray_differential(
+            self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
+        ) -> tuple[Any, Any]:
+            """Draw a ray with those from the next pixel in x and y through the same lens point."""
+            return self._sample(time, sample1, sample2, sample3, active, differential=True)
+
+        def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
+            """Refuse light tracing: a scene point sees the detector through many lenses at once."""
+            raise InputError(
+                f"{NAME}: light tracing (an integrator such as ptracer) cannot reach the detector through the "
+                "lenses; use path or direct"
+            )
+
+        def bbox(self) -> Any:
+            """Bounds of the main lens, where all rays start."""
+            to_world = self.world_transform()
+            radius = self.camera.aperture_radius
+            box = mi.ScalarBoundingBox3f()
+            for x in (-radius, radius):
+                for y in (-radius, radius):
+                    corner = to_world @ mi.Point3f(x, y, 0)
+                    box.expand(mi.ScalarPoint3f([float(corner[i][0]) for i in range(3)]))
+            return box
+
+        def to_string(self) -> str:
+            """Describe the camera."""
+            lines = [f"  {name} = {value}," for name, value in self.camera.to_dict().items()]
+            return "\n".join(["PlenopticSensor[", *lines, f"  film = {self.film().class_name()}", "]"])
+
+    return PlenopticSensor
+
+
+def _decimal(value: Any) -> float:
+    """Give the shortest decimal number of a single-precision one: 0.512, not 0.5120000243."""
+    return float(str(np.float32(dr.detach(value)[0])))

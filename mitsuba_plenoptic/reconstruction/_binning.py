@@ -1,0 +1,147 @@
+"""Sums of a detector image over separable bins within a circular pupil, in Dr.Jit.
+
+Where a pixel's light goes is separable in x and y, but whether it passes the pupil is not:
+
+    out[j, i] = sum_r sum_c  Wy[j, r] Wx[i, c] [Px[c]^2 + Py[r]^2 <= R^2] image[r, c]
+
+The sum over columns is done for each row in one pass over the image, every thread gathering the few columns of
+one bin; the sum over rows is then small. Nothing is scattered, so the result is the same bit for bit however many
+threads there are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from .._backend import array_module
+
+
+@dataclass(frozen=True)
+class AxisBins:
+    """The sparse matrix W of one axis, rows of entries by bin, and the pupil coordinate of each pixel.
+
+    Attributes
+    ----------
+    count : int
+        Number of bins.
+    start : (count + 1,) uint32 array
+        First entry of each bin.
+    pixel : (entries,) uint32 array
+        Pixel of each entry.
+    weight : (entries,) float32 array
+        Weight of each entry.
+    pupil : (pixels,) float64 array
+        Pupil coordinate of each pixel.
+    """
+
+    count: int
+    start: np.ndarray
+    pixel: np.ndarray
+    weight: np.ndarray
+    pupil: np.ndarray
+
+
+def axis_bins(low: np.ndarray, high: np.ndarray, pupil: np.ndarray, count: int, radius: float) -> AxisBins:
+    """Spread each pixel evenly over the interval from `low` to `high` of bin coordinates.
+
+    Parameters
+    ----------
+    low, high : (pixels,) arrays
+        Ends of the interval, in bins from the first bin's edge; where they are equal, the pixel goes whole into
+        the bin that holds it. What lies outside the bins is lost.
+    pupil : (pixels,) array
+        Pupil coordinate of each pixel.
+    count : int
+        Number of bins.
+    radius : float
+        Pupil radius: pixels beyond it on this axis alone are left out.
+    """
+    pixels = np.flatnonzero(np.abs(pupil) <= radius)
+    low, high = np.minimum(low, high)[pixels], np.maximum(low, high)[pixels]
+    first = np.floor(low).astype(np.int64)
+    width = high - low
+    spread = width > 1e-9
+    reach = int(np.max(np.where(spread, np.ceil(high), first + 1) - first, initial=1))
+    bins = first[:, None] + np.arange(reach)
+    overlap = np.minimum(high[:, None], bins + 1) - np.maximum(low[:, None], bins)
+    share = overlap.clip(min=0) / np.where(spread, width, 1)[:, None]
+    weight = np.where(spread[:, None], share, bins == first[:, None])
+    keep = (weight > 1e-6) & (bins >= 0) & (bins < count)
+    order = np.argsort(bins[keep], kind="stable")
+    return AxisBins(
+        count=count,
+        start=np.searchsorted(bins[keep][order], np.arange(count + 1)).astype(np.uint32),
+        pixel=np.broadcast_to(pixels[:, None], bins.shape)[keep][order].astype(np.uint32),
+        weight=weight[keep][order].astype(np.float32),
+        pupil=pupil,
+    )
+
+
+def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.ndarray:
+    """Sum an image over the bins of both axes within the pupil.
+
+    Parameters
+    ----------
+    image : (rows, columns, channels) float32 array
+        The detector image.
+    x, y : AxisBins
+        Bins of the columns and of the rows.
+    radius : float
+        Pupil radius.
+
+    Returns
+    -------
+    (y.count, x.count, channels) float32 array
+    """
+    backend = array_module()
+    rows, columns, channels = image.shape
+    values = backend.Float(np.ascontiguousarray(image).reshape(-1))
+    by_row = _sum_columns(backend, values, x, radius**2 - y.pupil**2, columns, channels)
+    return _sum_rows(backend, by_row, y, x.count * channels).numpy().reshape(y.count, x.count, channels)
+
+
+def _sum_columns(
+    backend: Any, values: Any, bins: AxisBins, limit: np.ndarray, columns: int, channels: int
+) -> Any:
+    """Sum the columns of each bin whose squared pupil coordinate is within the row's limit."""
+    Float, UInt32 = backend.Float, backend.UInt32
+    rows = limit.size
+    start, pixel, weight = UInt32(bins.start), UInt32(bins.pixel), Float(bins.weight)
+    square = Float((bins.pupil**2)[bins.pixel].astype(np.float32))
+    size = dr.opaque(UInt32, columns * channels)
+    thread = dr.arange(UInt32, rows * bins.count * channels)
+    row, rest = thread // (bins.count * channels), thread % (bins.count * channels)
+    column_bin, channel = rest // channels, rest % channels
+    bound = dr.gather(Float, Float(limit.astype(np.float32)), row)
+    base = row * size + channel
+    entry, end = dr.gather(UInt32, start, column_bin), dr.gather(UInt32, start, column_bin + 1)
+    # A row beyond the pupil's edge is dark whatever its columns.
+    end = dr.select(bound >= 0, end, entry)
+
+    def body(entry: Any, total: Any) -> tuple[Any, Any]:
+        inside = dr.gather(Float, square, entry) <= bound
+        value = dr.gather(Float, values, base + dr.gather(UInt32, pixel, entry) * channels, inside)
+        return entry + 1, dr.fma(value, dr.gather(Float, weight, entry), total)
+
+    _, total = dr.while_loop((entry, Float(0)), lambda entry, total: entry < end, body)
+    return total
+
+
+def _sum_rows(backend: Any, by_row: Any, bins: AxisBins, width: int) -> Any:
+    """Sum the rows of each bin."""
+    Float, UInt32 = backend.Float, backend.UInt32
+    start, pixel, weight = UInt32(bins.start), UInt32(bins.pixel), Float(bins.weight)
+    thread = dr.arange(UInt32, bins.count * width)
+    row_bin, offset = thread // width, thread % width
+    entry, end = dr.gather(UInt32, start, row_bin), dr.gather(UInt32, start, row_bin + 1)
+
+    def body(entry: Any, total: Any) -> tuple[Any, Any]:
+        value = dr.gather(Float, by_row, dr.gather(UInt32, pixel, entry) * width + offset)
+        return entry + 1, dr.fma(value, dr.gather(Float, weight, entry), total)
+
+    _, total = dr.while_loop((entry, Float(0)), lambda entry, total: entry < end, body)
+    return total

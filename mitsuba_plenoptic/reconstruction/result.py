@@ -1,0 +1,70 @@
+"""A reconstruction: an image refocused to one distance, on disk as OpenEXR."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .._exr import write_exr
+from ..camera import PlenopticCamera
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """An image refocused to one distance.
+
+    Attributes
+    ----------
+    image : (rows, columns[, channels]) float32 array
+        Upright; one bin per microlens of the full detector, in units of the capture. It lines up with the image
+        of Mitsuba's ``thinlens`` focused at `distance`.
+    distance : float
+        Object distance in scene units.
+    bin_size : float
+        Width of a bin in the object plane, in scene units.
+    method : str
+        How it was made.
+    options : dict
+        The method's options.
+    camera : PlenopticCamera
+        The camera of the capture.
+    """
+
+    image: np.ndarray
+    distance: float
+    bin_size: float
+    method: str
+    camera: PlenopticCamera
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+def write_reconstruction(path: str | Path, result: Reconstruction, source: dict[str, Any] | None = None) -> None:
+    """Write a reconstruction as float32 OpenEXR with camera, distance and method in the header.
+
+    Parameters
+    ----------
+    path : path
+        File to write.
+    result : Reconstruction
+        What to write.
+    source : dict, optional
+        Metadata of the capture, kept in the header.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    attributes = {
+        "kind": "reconstruction",
+        "camera": result.camera.to_dict(),
+        "distance": result.distance,
+        "bin_size": result.bin_size,
+        "method": result.method,
+        "options": result.options,
+        "source": source or {},
+    }
+    write_exr(path, result.image, attributes)

@@ -1,0 +1,188 @@
+"""From a scene file to a capture."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.resources
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from . import _llvm
+from .camera import PlenopticCamera
+from .capture import Capture
+from .errors import InputError, require_count
+
+DEFAULT_VARIANT = "llvm_ad_mono"
+
+# Rays traced at once: their random states take 16 bytes each, so that the paper's 4096 x 4096 pixels with one
+# sample each stay at 0.25 GiB beside the film.
+_RAYS_PER_PASS = 2**24
+
+
+def scene_path(name: str) -> Path:
+    """Path of a scene that comes with the package, by its name without suffix.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name; the message lists those there are.
+    """
+    folder = Path(str(importlib.resources.files("mitsuba_plenoptic.scenes")))
+    path = folder / f"{name}.xml"
+    if path.name != f"{name}.xml" or not path.is_file():
+        names = ", ".join(sorted(p.stem for p in folder.glob("*.xml")))
+        raise InputError(f"scene = {name!r}: there is no such file, nor a built-in scene of that name ({names})")
+    return path
+
+
+def load_scene(
+    scene: str | Path, *, variant: str | None = None, parameters: Mapping[str, str] | None = None
+) -> Any:
+    """Load a scene file, or a built-in scene by its name.
+
+    Parameters
+    ----------
+    scene : str or path
+        An XML file or a built-in name such as ``letters``.
+    variant : str, optional
+        Mitsuba variant to set. Default: the active one, or ``llvm_ad_mono`` if none is.
+    parameters : mapping, optional
+        Values for the scene's ``$name`` parameters.
+
+    Returns
+    -------
+    mitsuba.Scene
+
+    Raises
+    ------
+    InputError
+        If there is no such scene or variant, or Mitsuba refuses the scene: one line with the place in the file.
+    """
+    path = Path(scene) if Path(scene).is_file() else scene_path(str(scene))
+    set_variant(variant)
+    text = path.read_text(errors="replace")
+    for name in parameters or {}:
+        # Mitsuba takes a misspelled name in silence.
+        if f"${name}" not in text and "<include" not in text:
+            known = sorted(set(re.findall(r"<default\s+name=\"(\w+)\"", text)))
+            raise InputError(f"parameter {name}: the scene {path} has none of that name ({', '.join(known)})")
+    try:
+        return mi.load_file(str(path), **{name: str(value) for name, value in (parameters or {}).items()})
+    except InputError:
+        raise
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise InputError(_last_sentence(path, error)) from None
+
+
+def set_variant(variant: str | None) -> None:
+    """Set a Mitsuba variant, or the default one if none is named and none is active.
+
+    Raises
+    ------
+    InputError
+        If it does not exist or cannot work here.
+    """
+    variant = variant or mi.variant() or DEFAULT_VARIANT
+    if variant not in mi.variants():
+        raise InputError(f"variant = {variant!r}: it must be one of {', '.join(mi.variants())}")
+    if variant.startswith("llvm"):
+        _llvm.require()
+    if variant.startswith("cuda") and not dr.has_backend(dr.JitBackend.CUDA):
+        raise InputError(f"variant = {variant!r}: no usable CUDA device was found; use an llvm_ad_* variant")
+    if mi.variant() != variant:
+        mi.set_variant(variant)
+
+
+def render_capture(
+    scene: Any,
+    *,
+    model: str = "ray",
+    spp: int | None = None,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Capture:
+    """Render what the scene's first sensor, a plenoptic camera, records.
+
+    The samples are rendered in passes whose memory does not grow with their number.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        A scene with a sensor of type ``plenoptic``.
+    model : {"ray"}
+        How light is propagated.
+    spp : int, optional
+        Samples per pixel. Default: those of the sensor's sampler.
+    seed : int
+        Seed of the random numbers; the same seed gives the same capture.
+    progress : callable, optional
+        Called with the samples per pixel done and their number.
+
+    Raises
+    ------
+    InputError
+        If the scene has no plenoptic sensor or no integrator, or a number is out of range.
+    """
+    if model != "ray":
+        raise InputError(f"model = {model!r}: it must be ray")
+    if not scene.sensors():
+        raise InputError("scene: it has no sensor; add one of type 'plenoptic'")
+    sensor = scene.sensors()[0]
+    camera = PlenopticCamera.from_sensor(sensor)
+    integrator = scene.integrator()
+    if integrator is None:
+        raise InputError("scene: it has no integrator; add one, for example of type 'path'")
+    spp = require_count("spp", sensor.sampler().sample_count() if spp is None else spp)
+    seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
+
+    per_pass = min(spp, max(1, _RAYS_PER_PASS // (camera.shape[0] * camera.shape[1])))
+    passes = -(-spp // per_pass)
+    # Seeds of neighbouring runs must not share passes, or their average would be no better than either.
+    seeds = np.random.SeedSequence(seed).generate_state(passes)
+    image: np.ndarray | None = None
+    done = 0
+    for pass_seed in seeds:
+        count = min(per_pass, spp - done)
+        # `integrator.render` rather than `mi.render`, which hides the cause of an error.
+        part = np.array(integrator.render(scene, sensor, seed=int(pass_seed), spp=count, develop=True))
+        part *= count / spp
+        image = part if image is None else np.add(image, part, out=image)
+        done += count
+        if progress:
+            progress(done, spp)
+    assert image is not None
+    if image.shape[2] == 1:
+        image = image[..., 0]
+    elif image.shape[2] != 3:
+        raise InputError(
+            f"film: it has {image.shape[2]} channels; a capture needs pixel_format 'luminance' or 'rgb' and an "
+            "integrator without extra outputs"
+        )
+    return Capture(image, camera, None, model, _provenance(scene, seed=seed, spp=spp))
+
+
+def _provenance(scene: Any, **settings: Any) -> dict[str, Any]:
+    """Say what a capture was made with."""
+    packages = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy")
+    return {
+        "scene": scene.id(),
+        "variant": mi.variant(),
+        "integrator": scene.integrator().class_name(),
+        "software": {name: importlib.metadata.version(name) for name in packages},
+        **settings,
+    }
+
+
+def _last_sentence(path: Path, error: Exception) -> str:
+    """Shrink Mitsuba's report, which may hold a whole Python traceback, to the place and the last line."""
+    text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    place = re.search(r"near \"?(line \d+[^\"\n:]*)", text) or re.search(r"(line \d+, col \d+)", text)
+    last = re.sub(r"^(?:[\w.]+\.)?(?:InputError|RuntimeError|ValueError|Exception): ", "", lines[-1]) if lines else ""
+    return f"{path}{f', {place.group(1)}' if place else ''}: {last}"
