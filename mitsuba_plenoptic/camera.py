@@ -236,11 +236,14 @@ class PlenopticCamera:
 
     @property
     def lens_count(self) -> tuple[int, int]:
-        """Lenses across the full detector and down it, rounded; also the bins of a reconstruction."""
-        return (
-            max(1, round(self.detector_width / self.mla_pitch)),
-            max(1, round(self.detector_height / self.mla_pitch)),
+        """Lenses across the full detector and down it; also the bins of a reconstruction.
+
+        Rounded to even numbers: the corner of four lenses lies on the axis, so that bins and lenses line up.
+        """
+        columns, rows = (
+            2 * max(1, round(width / (2 * self.mla_pitch))) for width in (self.detector_width, self.detector_height)
         )
+        return columns, rows
 
     @property
     def micro_image_diameter(self) -> float:

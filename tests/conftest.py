@@ -1,0 +1,44 @@
+"""Shared scenes and cameras for the tests."""
+
+from __future__ import annotations
+
+import os
+
+# Two test processes share the cores; Dr.Jit's own pool would start as many threads in each.
+os.environ.setdefault("DRJIT_NUM_THREADS", "1")
+
+import pytest
+
+import mitsuba_plenoptic  # noqa: F401  (chooses LLVM before Dr.Jit loads)
+
+import mitsuba as mi  # isort: skip
+
+
+@pytest.fixture(autouse=True)
+def mono_variant():
+    """Give every test the same variant, whatever the one before it set."""
+    mi.set_variant("llvm_ad_mono")
+
+
+@pytest.fixture
+def camera_dict():
+    """Describe a small plenoptic sensor: 16 x 16 lenses of the paper's camera."""
+
+    def make(resolution=512, detector_width=1.024, film=None, **parameters):
+        return {
+            "type": "plenoptic",
+            "detector_width": detector_width,
+            "film": {
+                "type": "hdrfilm",
+                "width": resolution,
+                "height": resolution,
+                "rfilter": {"type": "box"},
+                "pixel_format": "luminance",
+                "component_format": "float32",
+                **(film or {}),
+            },
+            "sampler": {"type": "independent", "sample_count": 16},
+            **parameters,
+        }
+
+    return make

@@ -1,0 +1,109 @@
+"""The camera's numbers against the paper's and against closed forms."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, lattice, rays
+
+
+def test_the_default_is_the_papers_camera():
+    camera = PlenopticCamera()
+    assert camera.focus_distance == pytest.approx(240)
+    assert camera.f_number == 8
+    assert camera.pixel_size == pytest.approx(0.002)
+    assert camera.pixels_per_lens == pytest.approx(32)
+    assert camera.lens_count == (128, 128)
+    assert camera.bin_size(240) == pytest.approx(0.128)
+    assert camera.blur_diameter(240) == pytest.approx(0, abs=1e-12)
+    assert camera.blur_diameter(210) == pytest.approx(0.714, abs=5e-4)
+    # The rim's displacement of a micro-image: 4.096 mm times z / b.
+    shift = rays.chief_detector_point(4.096, camera.mla_distance, camera.detector_distance) - 4.096
+    assert shift == pytest.approx(0.0175, abs=1e-4)
+    assert camera.spot_size(633) == pytest.approx(5.06e-3, abs=1e-5)
+    assert camera.mla_fresnel_number(633) == pytest.approx(3.16, abs=0.01)
+    assert camera.crosstalk_lenses == 1
+    assert camera.replace(aperture_radius=10).crosstalk_lenses == 3
+
+
+def test_focus_distance_and_mla_distance_are_two_ways_to_say_the_same():
+    assert PlenopticCamera(focus_distance=240).mla_distance == pytest.approx(120)
+    assert PlenopticCamera(focus_distance=math.inf).mla_distance == pytest.approx(80)
+    assert PlenopticCamera(mla_distance=80).focus_distance == math.inf
+    assert PlenopticCamera().replace(focus_distance=300).focus_distance == pytest.approx(300)
+    with pytest.raises(InputError, match="give one of the two"):
+        PlenopticCamera(focus_distance=240, mla_distance=120)
+
+
+def test_refocus_range_is_where_the_blur_spans_as_many_lenses_as_there_are_directions():
+    camera = PlenopticCamera()
+    near, far = camera.refocus_range(633)
+    assert near < 240 < far
+    for distance in (near, far):
+        lenses = camera.blur_diameter(distance) / camera.mla_pitch
+        assert lenses == pytest.approx(camera.direction_count(633))
+
+
+def test_a_camera_survives_json():
+    camera = PlenopticCamera(crop_offset=(3, 4), crop_size=(100, 50), lens_model="parabolic")
+    assert PlenopticCamera.from_dict(json.loads(json.dumps(camera.to_dict()))) == camera
+    assert camera.shape == (50, 100)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"focal_length": -1}, "focal_length = -1: it must be greater than 0"),
+        ({"focal_length": math.nan}, "focal_length = nan: it must be finite"),
+        ({"mla_pitch": "wide"}, "mla_pitch = 'wide': it must be a number"),
+        ({"detector_width": True}, "detector_width = True: it must be a number"),
+        ({"mla_distance": math.inf}, "mla_distance = inf: it must be finite"),
+        ({"mla_distance": 0}, "mla_distance = 0: it must be greater than 0"),
+        ({"focus_distance": 80}, "focus_distance = 80: it must be greater than the focal length 80"),
+        ({"resolution": (0, 5)}, "resolution = 0: it must be at least 1"),
+        ({"resolution": 4096}, "resolution = 4096: it must be a pair"),
+        ({"resolution": (10.5, 3)}, "resolution = 10.5: it must be a whole number"),
+        ({"crop_offset": (4000, 0), "crop_size": (100, 100)}, "the window must lie within"),
+        ({"lens_model": "thick"}, "lens_model = 'thick': it must be one of ideal, parabolic"),
+    ],
+)
+def test_impossible_cameras_are_refused(parameters, message):
+    with pytest.raises(InputError, match=message.replace("(", r"\(")):
+        PlenopticCamera(**parameters)
+
+
+def test_a_camera_from_unknown_or_missing_names_is_refused():
+    values = PlenopticCamera().to_dict()
+    with pytest.raises(InputError, match="zoom: it is not a camera parameter"):
+        PlenopticCamera.from_dict(values | {"zoom": 2})
+    del values["mla_pitch"]
+    with pytest.raises(InputError, match="mla_pitch: it is missing"):
+        PlenopticCamera.from_dict(values)
+
+
+def test_a_ray_through_both_lenses_obeys_the_lens_equation():
+    camera = PlenopticCamera()
+    b, f1 = camera.mla_distance, camera.focal_length
+    for distance, X, P in ((210.0, 1.0, -3.0), (280.0, -2.0, 4.0)):
+        q = rays.mla_point(X, P, distance, b, f1)
+        t = (P - q) / b
+        assert rays.object_point(P, rays.main_lens_slope(t, P, f1), distance) == pytest.approx(X)
+    # In focus every pupil point leads to the same place.
+    assert rays.mla_point(1.0, 5.0, 240.0, b, f1) == pytest.approx(rays.conjugate_coordinate(1.0, 240.0, b))
+
+
+def test_a_microlens_sends_its_pixel_to_one_direction():
+    slopes = [rays.microlens_slope(0.01, m, 0.032, 0.512, 0.512) for m in (0.0, 0.03, 0.06)]
+    np.testing.assert_allclose(slopes, (0.032 - 0.01) / 0.512)
+
+
+def test_lattice_cells_hold_their_centres():
+    index = np.arange(-5, 5).astype(float)
+    centre = lattice.cell_centre(index, 0.064)
+    np.testing.assert_array_equal(lattice.cell_index(centre, 0.064), index)
+    assert lattice.cell_index(0.0639, 0.064) == 0
+    assert lattice.cell_index(-0.0001, 0.064) == -1

@@ -1,0 +1,103 @@
+"""Captures on disk."""
+
+from __future__ import annotations
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, read_capture, reconstruct, write_capture
+from mitsuba_plenoptic.reconstruction import write_reconstruction
+
+
+@pytest.fixture
+def camera():
+    return PlenopticCamera(
+        detector_width=0.128, resolution=(64, 48), crop_offset=(8, 4), crop_size=(40, 32), lens_model="parabolic"
+    )
+
+
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_a_capture_survives_the_disk(tmp_path, camera, channels):
+    image = np.random.default_rng(1).random((32, 40, *channels), dtype=np.float32)
+    wavelength = (610.0, 550.0, 465.0) if channels else 633.0
+    path = tmp_path / "raw.exr"
+    write_capture(path, Capture(image, camera, wavelength, "wave", {"seed": 3, "scene": "ä \"quoted\""}))
+    read = read_capture(path)
+    np.testing.assert_array_equal(read.image, image)
+    assert (read.camera, read.wavelength, read.model) == (camera, wavelength, "wave")
+    assert read.metadata == {"seed": 3, "scene": "ä \"quoted\""}
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_any_viewer_sees_the_window_and_the_pixels(tmp_path, camera):
+    write_capture(tmp_path / "raw.exr", Capture(np.ones((32, 40)), camera))
+    with OpenEXR.File(str(tmp_path / "raw.exr")) as file:
+        header = file.header()
+        assert [tuple(corner) for corner in header["dataWindow"]] == [(8, 4), (47, 35)]
+        assert [tuple(corner) for corner in header["displayWindow"]] == [(0, 0), (63, 47)]
+        assert file.channels()["Y"].pixels.dtype == np.float32
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"image": np.ones((40, 32))}, "the camera records 32 rows and 40 columns"),
+        ({"image": np.ones((32, 40), dtype=complex)}, "it must hold real numbers"),
+        ({"model": "magic"}, "model = 'magic': it must be one of ray, wave"),
+        ({"wavelength": -5.0}, "wavelength = -5: it must be greater than 0"),
+        ({"camera": None}, "camera = None: it must be a PlenopticCamera"),
+    ],
+)
+def test_impossible_captures_are_refused(camera, arguments, message):
+    with pytest.raises(InputError, match=message):
+        Capture(**{"image": np.ones((32, 40)), "camera": camera, **arguments})
+
+
+def test_bad_files_are_refused_in_one_line(tmp_path, camera):
+    good = tmp_path / "good.exr"
+    write_capture(good, Capture(np.random.default_rng(0).random((32, 40)), camera))
+    truncated = tmp_path / "truncated.exr"
+    truncated.write_bytes(good.read_bytes()[:-500])
+    text = tmp_path / "text.exr"
+    text.write_text("no image at all")
+    foreign = tmp_path / "foreign.exr"
+    OpenEXR.File({}, {"Y": np.zeros((4, 4), dtype=np.float32)}).write(str(foreign))
+    refocused = tmp_path / "refocused.exr"
+    write_reconstruction(refocused, reconstruct(read_capture(good), 240.0))
+    for path, message in (
+        (tmp_path / "missing.exr", "there is no such file"),
+        (truncated, "it cannot be read as an OpenEXR image"),
+        (text, "it cannot be read as an OpenEXR image"),
+        (foreign, "its camera is unknown"),
+        (refocused, "it holds a 'reconstruction', not a capture"),
+    ):
+        with pytest.raises(InputError, match=message) as caught:
+            read_capture(path)
+        assert str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path, camera, monkeypatch):
+    path = tmp_path / "raw.exr"
+    write_capture(path, Capture(np.ones((32, 40)), camera))
+    before = path.read_bytes()
+
+    def fail(self, name):
+        with open(name, "wb") as file:
+            file.write(b"half")
+        raise RuntimeError("disk full")
+
+    monkeypatch.setattr(OpenEXR.File, "write", fail)
+    with pytest.raises(InputError, match="disk full"):
+        write_capture(path, Capture(np.zeros((32, 40)), camera))
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_output_that_cannot_be_written_is_refused(tmp_path, camera):
+    capture = Capture(np.ones((32, 40)), camera)
+    with pytest.raises(InputError, match="does not exist"):
+        write_capture(tmp_path / "nowhere" / "raw.exr", capture)
+    with pytest.raises(InputError, match="it is a folder"):
+        write_capture(tmp_path, capture)

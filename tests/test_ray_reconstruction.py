@@ -1,0 +1,142 @@
+"""Ray refocusing against a slow direct sum, geometry and closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct
+from mitsuba_plenoptic.reconstruction._binning import axis_bins, bin_image
+
+
+def by_single_rays(image, camera, distance):
+    """Refocus with the textbook's loop: each pixel's ray, written out, into a histogram."""
+    b, z, f1, pitch = camera.mla_distance, camera.detector_distance, camera.focal_length, camera.mla_pitch
+    rows, columns = np.indices(image.shape)
+    px = (columns + camera.crop_offset[0] + 0.5 - camera.resolution[0] / 2) * camera.pixel_size
+    py = (rows + camera.crop_offset[1] + 0.5 - camera.resolution[1] / 2) * camera.pixel_size
+    cx, cy = ((np.floor(p * b / (b + z) / pitch) + 0.5) * pitch for p in (px, py))
+    tx, ty = (cx - px) / z, (cy - py) / z
+    Px, Py = cx + b * tx, cy + b * ty
+    X, Y = Px + distance * (tx - Px / f1), Py + distance * (ty - Py / f1)
+    size = pitch * distance / b
+    inside = Px**2 + Py**2 <= camera.aperture_radius**2
+    nx, ny = camera.lens_count
+    edges = [(np.arange(n + 1) - n / 2) * size for n in (ny, nx)]
+    total, _, _ = np.histogram2d(-Y[inside], -X[inside], bins=edges, weights=image[inside])
+    return total / (math.pi / 4 * (camera.micro_image_diameter / camera.pixel_size) ** 2)
+
+
+@pytest.mark.parametrize("distance", [210.0, 240.0, 283.0])
+@pytest.mark.parametrize(
+    "camera",
+    [
+        PlenopticCamera(detector_width=1.024, resolution=(512, 512)),
+        PlenopticCamera(detector_width=1.024, resolution=(500, 300), crop_offset=(33, 7), crop_size=(420, 260)),
+        PlenopticCamera(detector_width=1.1, resolution=(512, 512), detector_distance=0.6, aperture_radius=7),
+    ],
+    ids=["paper", "crop", "other"],
+)
+def test_point_version_is_the_direct_sum(camera, distance):
+    image = np.random.default_rng(0).random(camera.shape)
+    ours = reconstruct(image, distance, camera=camera, footprint="point").image
+    theirs = by_single_rays(image, camera, distance)
+    # A pixel whose ray meets a bin's edge to within rounding may go to either side.
+    assert np.abs(ours - theirs).sum() <= 1e-3 * theirs.sum()
+    assert ours.sum() == pytest.approx(theirs.sum(), rel=1e-5)
+
+
+def test_footprint_version_is_the_mean_of_rays_through_the_whole_lens():
+    camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
+    image = np.zeros(camera.shape)
+    image[150, 140] = 1.0
+    ours = reconstruct(image, 280.0, camera=camera, footprint="lens").image
+    # Many rays through the lens of this one pixel.
+    b, z, f1 = camera.mla_distance, camera.detector_distance, camera.focal_length
+    p = (np.array([140, 150]) + 0.5 - 128) * camera.pixel_size
+    m = (np.floor(p * b / (b + z) / 0.064)[:, None] + (np.arange(2000) + 0.5) / 2000) * 0.064
+    c = (np.floor(p * b / (b + z) / 0.064)[:, None] + 0.5) * 0.064
+    t = (m - p[:, None]) / z - (m - c) / camera.mla_focal_length
+    P = m + b * t
+    u = -(P + 280 * (t - P / f1)) * b / 280 / 0.064 + 4
+    x, y = (np.histogram(axis, bins=np.arange(9))[0] / 2000 for axis in u)
+    expected = np.outer(y, x) / (math.pi / 4 * (camera.micro_image_diameter / camera.pixel_size) ** 2)
+    np.testing.assert_allclose(ours, expected, atol=2e-3 * expected.max())
+    assert np.count_nonzero(expected) >= 2
+
+
+def test_a_lit_pixel_goes_where_geometry_says():
+    camera = PlenopticCamera(detector_width=2.048, resolution=(1024, 1024))
+    for column, row in ((512 + 16, 512 + 16), (300 + 5, 700 - 3)):
+        image = np.zeros(camera.shape)
+        image[row, column] = 1
+        for distance in (210.0, 240.0, 280.0):
+            total = reconstruct(image, distance, camera=camera).image
+            bins = np.arange(32) + 0.5 - 16
+            found = [(total.sum(axis) * bins).sum() / total.sum() for axis in (0, 1)]
+            p = (np.array([column, row]) + 0.5 - 512) * 0.002
+            c = (np.floor(p * 120 / 120.512 / 0.064) + 0.5) * 0.064
+            P = c + 120 * (c - p) / 0.512
+            expected = (c - P * camera.defocus(distance)) / 0.064
+            np.testing.assert_allclose(found, expected, atol=0.05)
+
+
+def test_energy_of_what_passes_the_pupil_is_kept():
+    camera = PlenopticCamera(detector_width=1.024, resolution=(512, 512))
+    image = np.zeros(camera.shape, dtype=np.float32)
+    image[200:312, 200:312] = np.random.default_rng(3).random((112, 112))
+    sums = [reconstruct(image, g, camera=camera, footprint=f).image.sum() for g in (215, 240) for f in ("lens", "point")]
+    np.testing.assert_allclose(sums, sums[0], rtol=1e-4)
+
+
+def test_channels_are_refocused_alike_and_many_distances_at_once():
+    camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
+    image = np.random.default_rng(0).random((256, 256, 3), dtype=np.float32)
+    results = reconstruct(Capture(image, camera), [210, 240])
+    assert [r.distance for r in results] == [210, 240]
+    assert results[0].image.shape == (8, 8, 3)
+    for channel in range(3):
+        single = reconstruct(image[..., channel], 210.0, camera=camera)
+        np.testing.assert_allclose(results[0].image[..., channel], single.image, rtol=1e-5)
+        assert single.bin_size == pytest.approx(0.112)
+
+
+def test_the_same_bits_every_time():
+    camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
+    image = np.random.default_rng(0).random((256, 256), dtype=np.float32)
+    first = reconstruct(image, 250, camera=camera).image
+    assert all(np.array_equal(first, reconstruct(image, 250, camera=camera).image) for _ in range(3))
+
+
+def test_binning_spreads_and_loses_what_it_should():
+    low, high = np.array([0.25, 1.0, 1.5, -0.5]), np.array([1.25, 1.0, 3.5, 0.5])
+    bins = axis_bins(low, high, np.zeros(4), 3, 1.0)
+    dense = np.zeros((3, 4))
+    for i in range(3):
+        for entry in range(bins.start[i], bins.start[i + 1]):
+            dense[i, bins.pixel[entry]] += bins.weight[entry]
+    np.testing.assert_allclose(dense, [[0.75, 0, 0, 0.5], [0.25, 1, 0.25, 0], [0, 0, 0.5, 0]])
+    image = np.arange(16, dtype=np.float32).reshape(4, 4, 1)
+    np.testing.assert_allclose(bin_image(image, bins, bins, 1.0)[..., 0], dense @ image[..., 0] @ dense.T, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"distance": 80.0}, "distance = 80: it must be greater than the focal length 80"),
+        ({"distance": [240.0, math.nan]}, "distance = nan: it must be finite"),
+        ({"distance": "far"}, "distance = 'far': it must be a number"),
+        ({"method": "magic"}, "method = 'magic'"),
+        ({"footprint": "round"}, "footprint = 'round'"),
+        ({"camera": None}, "a plain array needs the camera"),
+        ({"capture": np.ones((3, 3))}, "the camera records 64 rows"),
+        ({"capture": np.full((64, 64), np.nan)}, "4096 of its pixels are NaN"),
+    ],
+)
+def test_bad_arguments_are_refused(arguments, message):
+    camera = PlenopticCamera(detector_width=0.128, resolution=(64, 64))
+    arguments = {"capture": np.ones((64, 64)), "distance": 240.0, "camera": camera} | arguments
+    with pytest.raises(InputError, match=message):
+        reconstruct(arguments.pop("capture"), arguments.pop("distance"), **arguments)
