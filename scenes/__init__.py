@@ -1,0 +1,1 @@
+"""The built-in scenes: Mitsuba XML files with their meshes and textures."""

@@ -39,7 +39,17 @@ def reconstruct_ray(image: np.ndarray, camera: PlenopticCamera, distance: float,
     x = _axis(camera, distance, 0, columns, footprint)
     y = _axis(camera, distance, 1, rows, footprint)
     pixels = math.pi / 4 * (camera.micro_image_diameter / camera.pixel_size) ** 2
-    return bin_image(image, x, y, camera.aperture_radius) / np.float32(pixels)
+    return bin_image(image, x, y, _pupil_radius(camera)) / np.float32(pixels)
+
+
+def _pupil_radius(camera: PlenopticCamera) -> float:
+    """Radius within which a pixel's central ray must pass: half a pixel more than the pupil's.
+
+    A pixel at a micro-image's rim is lit in part though its centre may look past the pupil; leaving such pixels out
+    would lose 3 % of the paper's light.
+    """
+    half_pixel = camera.pixel_size / 2 * camera.mla_distance / camera.detector_distance
+    return camera.aperture_radius + half_pixel
 
 
 def _axis(camera: PlenopticCamera, distance: float, axis: int, count: int, footprint: str) -> AxisBins:
@@ -58,6 +68,6 @@ def _axis(camera: PlenopticCamera, distance: float, axis: int, count: int, footp
 
     pupil, centre = pupil_and_bin(c)
     if footprint == "point":
-        return axis_bins(centre, centre, pupil, count, camera.aperture_radius)
+        return axis_bins(centre, centre, pupil, count, _pupil_radius(camera))
     half = camera.mla_pitch / 2
-    return axis_bins(pupil_and_bin(c - half)[1], pupil_and_bin(c + half)[1], pupil, count, camera.aperture_radius)
+    return axis_bins(pupil_and_bin(c - half)[1], pupil_and_bin(c + half)[1], pupil, count, _pupil_radius(camera))

@@ -1,0 +1,1 @@
+"""Meshes of the built-in scenes, written by ``tools/make_meshes.py``."""

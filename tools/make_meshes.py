@@ -1,0 +1,610 @@
+"""Write the meshes and textures of the built-in scenes.
+
+Usage: ``python tools/make_meshes.py [-o DIRECTORY]``; without a directory, the files in ``scenes/`` are
+replaced.
+
+Everything is defined by the geometry below and comes out the same, byte for byte, wherever it runs:
+coordinates are rounded to a nanometre before they become float32, and textures are stored without
+compression, because compressors differ between builds of zlib.
+
+Lengths are millimetres. Flat figures (letters, chart) are drawn in *picture coordinates*, u to the right and
+v up as the camera sees them, and stored as (x, y, z) = (-u, v, 0) with normals along -z: the camera looks
+along +z with +x to its left, so they are upright, unmirrored, and their radiating side faces the camera.
+Their triangles never overlap, so that the area of a mesh is the area of the figure. Solid objects stand on
+the plane y = 0, y up.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import struct
+import zlib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+SCENES = Path(__file__).resolve().parent.parent / "scenes"
+
+Point = tuple[float, float]
+Array = NDArray[np.float64]
+
+LETTER_HEIGHT = 4.0
+
+
+# ------------------------------------------------------------------------------------------------------------
+# Files
+# ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Mesh:
+    """Triangles with optional vertex normals and texture coordinates.
+
+    Attributes
+    ----------
+    vertices : ndarray, (n, 3)
+        Positions.
+    faces : ndarray of int, (m, 3)
+        Vertex indices, counter-clockwise seen from outside.
+    normals : ndarray, (n, 3), optional
+        Unit vertex normals, for smooth surfaces.
+    texcoords : ndarray, (n, 2), optional
+        Texture coordinates u, v.
+    """
+
+    vertices: Array
+    faces: NDArray[np.int64]
+    normals: Array | None = None
+    texcoords: Array | None = None
+
+    def write_ply(self, path: Path) -> None:
+        """Write a binary little-endian PLY file with the property names that Mitsuba reads."""
+        names = ["x", "y", "z"]
+        columns = [self.vertices]
+        if self.normals is not None:
+            names += ["nx", "ny", "nz"]
+            columns.append(self.normals)
+        if self.texcoords is not None:
+            names += ["u", "v"]
+            columns.append(self.texcoords)
+        header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(self.vertices)}"]
+        header += [f"property float {name}" for name in names]
+        header += [f"element face {len(self.faces)}", "property list uchar int vertex_indices", "end_header"]
+        # Rounding hides last-digit differences between maths libraries; adding 0 turns -0 into 0.
+        rows = (np.round(np.hstack(columns), 6) + 0.0).astype("<f4")
+        faces = np.empty(len(self.faces), dtype=[("count", "u1"), ("indices", "<i4", 3)])
+        faces["count"] = 3
+        faces["indices"] = self.faces
+        path.write_bytes("\n".join([*header, ""]).encode("ascii") + rows.tobytes() + faces.tobytes())
+
+
+def write_png(path: Path, indices: NDArray[np.uint8], palette: Sequence[tuple[int, int, int]]) -> None:
+    """Write a PNG of 4 bits per pixel with a palette of up to 16 sRGB colours, uncompressed."""
+    rows, columns = indices.shape
+    packed = (indices[:, 0::2] << 4) | indices[:, 1::2]
+    raw = np.hstack([np.zeros((rows, 1), np.uint8), packed.astype(np.uint8)]).tobytes()
+    stored = [raw[i : i + 65535] for i in range(0, len(raw), 65535)]
+    stream = b"\x78\x01"
+    for number, block in enumerate(stored):
+        last = number == len(stored) - 1
+        stream += struct.pack("<BHH", last, len(block), len(block) ^ 0xFFFF) + block
+    stream += struct.pack(">I", zlib.adler32(raw))
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", struct.pack(">IIBBBBB", columns, rows, 4, 3, 0, 0, 0))
+        + chunk(b"PLTE", bytes(value for colour in palette for value in colour))
+        + chunk(b"IDAT", stream)
+        + chunk(b"IEND", b"")
+    )
+
+
+# ------------------------------------------------------------------------------------------------------------
+# Flat figures, in picture coordinates
+# ------------------------------------------------------------------------------------------------------------
+
+
+def flat_mesh(pieces: Iterable[Sequence[Point]]) -> Mesh:
+    """Make a mesh that faces the camera.
+
+    The pieces are convex, counter-clockwise, disjoint polygons in picture coordinates.
+    """
+    vertices: list[tuple[float, float, float]] = []
+    faces: list[tuple[int, int, int]] = []
+    for piece in pieces:
+        first = len(vertices)
+        vertices += [(-u, v, 0.0) for u, v in piece]
+        faces += [(first, first + i, first + i + 1) for i in range(1, len(piece) - 1)]
+    return Mesh(np.array(vertices), np.array(faces))
+
+
+def rectangle(left: float, right: float, bottom: float, top: float) -> list[Point]:
+    """Corners of an upright rectangle."""
+    return [(left, bottom), (right, bottom), (right, top), (left, top)]
+
+
+def clipped_ring(centre: Point, outer: Point, inner: Point, level: float, segments: int) -> list[list[Point]]:
+    """Quadrilaterals of an elliptical ring, cut off at a level that lies between hole and rim.
+
+    Parameters
+    ----------
+    centre, outer, inner : (float, float)
+        Centre and the semi-axes of rim and hole.
+    level : float
+        The ring is cut at v = `level`; its centre's side is kept.
+    segments : int
+        Number of quadrilaterals around an uncut ring.
+    """
+    sine = (level - centre[1]) / outer[1]
+    corner = math.asin(sine)
+    step = 2 * math.pi / segments
+    # The corners where the rim meets the cut must be among the angles, or they would be cut off.
+    angles = sorted(
+        {*(i * step for i in range(segments)), corner % (2 * math.pi), (math.pi - corner) % (2 * math.pi)}
+    )
+    side = 1.0 if level < centre[1] else -1.0
+
+    def ends(angle: float) -> tuple[Point, Point]:
+        c, s = math.cos(angle), math.sin(angle)
+        hole = (centre[0] + inner[0] * c, centre[1] + inner[1] * s)
+        rim = (centre[0] + outer[0] * c, centre[1] + outer[1] * s)
+        if side * (rim[1] - level) < 0:
+            t = (level - hole[1]) / (rim[1] - hole[1])
+            rim = (hole[0] + t * (rim[0] - hole[0]), level)
+        return hole, rim
+
+    quads = []
+    for a, b in zip(angles, [*angles[1:], angles[0]], strict=True):
+        (hole_a, rim_a), (hole_b, rim_b) = ends(a), ends(b)
+        quads.append([hole_a, rim_a, rim_b, hole_b])
+    return quads
+
+
+def letter_eight() -> list[list[Point]]:
+    """Return the '8': two elliptical rings that share a stroke at the waist, each cut at the waist line."""
+    stroke, waist, half_width, top = 0.56, 0.12, 1.1, LETTER_HEIGHT / 2
+    lower = (half_width, (waist + stroke / 2 + top) / 2)
+    lower_centre = (0.0, lower[1] - top)
+    upper_height = (top - waist + stroke / 2) / 2
+    upper_centre = (0.0, top - upper_height)
+    # The upper rim is as wide as makes both rims meet at the waist line.
+    meet = lower[0] * math.sqrt(1 - ((waist - lower_centre[1]) / lower[1]) ** 2)
+    upper = (meet / math.sqrt(1 - ((waist - upper_centre[1]) / upper_height) ** 2), upper_height)
+    pieces = []
+    for centre, outer in ((upper_centre, upper), (lower_centre, lower)):
+        pieces += clipped_ring(centre, outer, (outer[0] - stroke, outer[1] - stroke), waist, 64)
+    return pieces
+
+
+def letter_f() -> list[list[Point]]:
+    """Return the 'F': a stem and two bars that touch it."""
+    half, top, stroke = 1.05, LETTER_HEIGHT / 2, 0.6
+    return [
+        rectangle(-half, -half + stroke, -top, top),
+        rectangle(-half + stroke, half, top - stroke, top),
+        rectangle(-half + stroke, half - 0.3, -0.2, -0.2 + stroke),
+    ]
+
+
+def letter_hash() -> list[list[Point]]:
+    """Return the '#': two slanted bars whole, and two level ones in pieces between and beside them."""
+    half, top, stroke, slant = 1.4, LETTER_HEIGHT / 2, 0.44, 0.16
+    stems = [(-0.55 - stroke / 2, -0.55 + stroke / 2), (0.55 - stroke / 2, 0.55 + stroke / 2)]
+
+    def at(u: float, v: float) -> Point:
+        return (u + slant * v, v)
+
+    pieces = [[at(a, -top), at(b, -top), at(b, top), at(a, top)] for a, b in stems]
+    for middle in (-0.68, 0.68):
+        low, high = middle - stroke / 2, middle + stroke / 2
+        # The free ends are upright at the mean slant of the bar's height.
+        left, right = -half + slant * middle, half + slant * middle
+        (a0, a1), (b0, b1) = stems
+        pieces += [
+            [(left, low), at(a0, low), at(a0, high), (left, high)],
+            [at(a1, low), at(b0, low), at(b0, high), at(a1, high)],
+            [at(b1, low), (right, low), (right, high), at(b1, high)],
+        ]
+    return pieces
+
+
+def siemens_star(cycles: int, inner_radius: float, outer_radius: float, arc_steps: int) -> list[list[Point]]:
+    """Spokes of a Siemens star: `cycles` bright sectors, each half a period wide.
+
+    The frequency at radius r is cycles / (2 pi r). Arcs are polygons of `arc_steps` sides per spoke.
+    """
+    pieces = []
+    for spoke in range(cycles):
+        for step in range(arc_steps):
+            a, b = (math.pi / cycles * (2 * spoke + (step + k) / arc_steps) for k in (0, 1))
+            pieces.append(
+                [
+                    (inner_radius * math.cos(a), inner_radius * math.sin(a)),
+                    (outer_radius * math.cos(a), outer_radius * math.sin(a)),
+                    (outer_radius * math.cos(b), outer_radius * math.sin(b)),
+                    (inner_radius * math.cos(b), inner_radius * math.sin(b)),
+                ]
+            )
+    return pieces
+
+
+def bar_group(frequency: float, left: float, top: float, gap: float) -> tuple[list[list[Point]], float]:
+    """Three upright and three level bars of `frequency` line pairs per mm, the upright ones at the left.
+
+    Returns
+    -------
+    pieces : list of polygons
+        The bars; each is as wide as the dark space between two, and five times as long.
+    right : float
+        Where the group ends.
+    """
+    width = 0.5 / frequency
+    size = 5 * width
+    second = left + size + gap
+    upright = [rectangle(left + i * width, left + (i + 1) * width, top - size, top) for i in (0, 2, 4)]
+    level = [rectangle(second, second + size, top - (i + 1) * width, top - i * width) for i in (0, 2, 4)]
+    return upright + level, second + size
+
+
+def chart_bars() -> list[list[Point]]:
+    """Bar groups of 1.5; 2 and 6; 3 and 4 line pairs per mm in three rows, the finest at the right."""
+    pieces: list[list[Point]] = []
+    top = 2.1
+    for row in ((1.5,), (2.0, 6.0), (3.0, 4.0)):
+        left = -1.95
+        for frequency in row:
+            group, right = bar_group(frequency, left, top, gap=0.15)
+            pieces += group
+            left = right + 0.24
+        top -= 2.5 / row[0] + 0.3
+    return pieces
+
+
+def slanted_square(side: float, degrees: float) -> list[list[Point]]:
+    """Return a square turned by a few degrees: slanted edges along both axes, as ISO 12233 wants them."""
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    h = side / 2
+    return [[(c * u - s * v, s * u + c * v) for u, v in rectangle(-h, h, -h, h)]]
+
+
+# ------------------------------------------------------------------------------------------------------------
+# Solid objects of the still life
+# ------------------------------------------------------------------------------------------------------------
+
+
+def grid_faces(
+    rows: int, columns: int, *, wrap_rows: bool = False, wrap_columns: bool = False
+) -> NDArray[np.int64]:
+    """Triangles of a grid of rows x columns vertices, optionally closed along an axis."""
+    i, j = np.meshgrid(
+        np.arange(rows if wrap_rows else rows - 1),
+        np.arange(columns if wrap_columns else columns - 1),
+        indexing="ij",
+    )
+    i1, j1 = (i + 1) % rows, (j + 1) % columns
+    a, b, c, d = (p * columns + q for p, q in ((i, j), (i, j1), (i1, j1), (i1, j)))
+    return np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], -2).reshape(-1, 3)
+
+
+def smooth_profile(points: Sequence[Point], samples: int) -> Array:
+    """Catmull-Rom curve through points; a point given twice in a row makes a sharp corner."""
+    p = np.array(points)
+    p = np.vstack([2 * p[0] - p[1], p, 2 * p[-1] - p[-2]])
+    curve = []
+    for k in range(1, len(p) - 2):
+        p0, p1, p2, p3 = p[k - 1 : k + 3]
+        if np.array_equal(p1, p2):
+            continue
+        # Corners take no slope from beyond them.
+        p0 = 2 * p1 - p2 if np.array_equal(p0, p1) else p0
+        p3 = 2 * p2 - p1 if np.array_equal(p2, p3) else p3
+        for t in np.linspace(0, 1, samples, endpoint=False):
+            curve.append(
+                0.5
+                * (
+                    2 * p1
+                    + (p2 - p0) * t
+                    + (2 * p0 - 5 * p1 + 4 * p2 - p3) * t**2
+                    + (3 * p1 - p0 - 3 * p2 + p3) * t**3
+                )
+            )
+    curve.append(p[-2])
+    return np.array(curve)
+
+
+def lathe(profile: Array, segments: int) -> Mesh:
+    """Turn a profile of (radius, height), bottom to top, about the y axis; edges are shaded smoothly."""
+    tangent = np.gradient(profile, axis=0)
+    angle = np.arange(segments) * (2 * math.pi / segments)
+    c, s = np.cos(angle)[None, :], np.sin(angle)[None, :]
+    radius, height = profile[:, :1], profile[:, 1:]
+    vertices = np.stack([radius * c, np.broadcast_to(height, (len(profile), segments)), radius * s], -1)
+    normal = np.stack(
+        [tangent[:, 1:] * c, np.broadcast_to(-tangent[:, :1], vertices.shape[:2]), tangent[:, 1:] * s], -1
+    )
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+    faces = grid_faces(len(profile), segments, wrap_columns=True)[:, ::-1]
+    return drop_empty_faces(Mesh(vertices.reshape(-1, 3), faces, normal.reshape(-1, 3)))
+
+
+def drop_empty_faces(mesh: Mesh) -> Mesh:
+    """Remove triangles without area (at the poles of a turned object)."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    mesh.faces = mesh.faces[area > 1e-9]
+    return mesh
+
+
+def pawn() -> Mesh:
+    """Return a chess pawn, 5.2 mm tall on a foot of 1.45 mm radius."""
+    foot = [(0.0, 0.0), (1.38, 0.0), (1.38, 0.0), (1.45, 0.1), (1.45, 0.38), (1.3, 0.55), (1.12, 0.66)]
+    body = [(1.12, 0.66), (1.16, 0.82), (1.04, 0.98), (0.78, 1.3), (0.57, 1.9), (0.47, 2.6), (0.46, 3.0)]
+    collar = [(0.46, 3.0), (0.62, 3.1), (0.86, 3.2), (0.88, 3.3), (0.7, 3.42), (0.46, 3.5)]
+    # A ball of radius 0.9 whose equator is at 4.3; the profile runs up its meridian.
+    start = math.asin((3.5 - 4.3) / 0.92)
+    ball = [(0.92 * math.cos(t), 4.3 + 0.92 * math.sin(t)) for t in np.linspace(start, math.pi / 2, 9)[1:]]
+    return lathe(smooth_profile([*foot, *body, *collar, (0.46, 3.5), *ball], 3), 48)
+
+
+def rounded_die(size: float, radius: float, steps: int) -> Mesh:
+    """Return a cube with rounded edges; its six faces share one texture, a 3 x 2 grid of pictures.
+
+    Face k, in the order +x, -x, +y, -y, +z, -z, uses the picture in column k % 3 and row k // 3.
+    """
+    half, flat = size / 2, size / 2 - radius
+    # More lines where the edge bends: its arc in `steps` equal angles, the flat part in one.
+    arc = flat + radius * np.tan(np.linspace(0, math.pi / 4, steps + 1))
+    line = np.concatenate([-arc[::-1], arc])
+    a, b = np.meshgrid(line, line, indexing="ij")
+    vertices, normals, texcoords, faces = [], [], [], []
+    for k in range(6):
+        axis, sign = k // 2, 1.0 if k % 2 == 0 else -1.0
+        point = np.empty((*a.shape, 3))
+        # (first, second, axis) is right-handed for +, so that faces turn outwards.
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        point[..., first], point[..., second], point[..., axis] = sign * a, b, sign * half
+        core = np.clip(point, -flat, flat)
+        normal = point - core
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        surface = core + radius * normal
+        u, v = (a / half + 1) / 2, (b / half + 1) / 2
+        texcoords.append(np.stack([(k % 3 + u) / 3, (k // 3 + v) / 2], -1).reshape(-1, 2))
+        faces.append(grid_faces(*a.shape)[:, ::-1] + k * a.size)
+        vertices.append((surface + np.array([0, half, 0])).reshape(-1, 3))
+        normals.append(normal.reshape(-1, 3))
+    return Mesh(np.vstack(vertices), np.vstack(faces), np.vstack(normals), np.vstack(texcoords))
+
+
+def torus_knot(radius: float, tube: float, rows: int, columns: int) -> Mesh:
+    """Return a trefoil knot of round section, its axis along z, standing on y = 0."""
+
+    def curve(t: Array) -> Array:
+        return np.stack(
+            [
+                (2 + np.cos(3 * t)) * np.cos(2 * t),
+                (2 + np.cos(3 * t)) * np.sin(2 * t),
+                np.sin(3 * t),
+            ],
+            -1,
+        ) * (radius / 3)
+
+    def unit(x: Array) -> Array:
+        return x / np.linalg.norm(x, axis=-1, keepdims=True)
+
+    t = np.arange(rows) * (2 * math.pi / rows)
+    h = 1e-3
+    centre = curve(t)
+    tangent = unit(curve(t + h) - curve(t - h))
+    # The frame leans on the torus's own direction, which never runs along the curve.
+    spine = np.stack([2 * np.cos(2 * t), 2 * np.sin(2 * t), np.zeros(rows)], -1) * (radius / 3)
+    outward = centre - spine
+    side = unit(np.cross(tangent, outward))
+    up = np.cross(side, tangent)
+    angle = np.arange(columns) * (2 * math.pi / columns)
+    normal = up[:, None, :] * np.cos(angle)[None, :, None] + side[:, None, :] * np.sin(angle)[None, :, None]
+    vertices = (centre[:, None, :] + tube * normal).reshape(-1, 3)
+    vertices[:, 1] -= vertices[:, 1].min()
+    faces = grid_faces(rows, columns, wrap_rows=True, wrap_columns=True)
+    return Mesh(vertices, faces, normal.reshape(-1, 3))
+
+
+def solid_lambda(height: float, depth: float) -> Mesh:
+    """Return the letter lambda, cut from a plate of the given depth, standing on y = 0."""
+    h = height
+    stroke = 0.2 * h
+    # Outline in picture coordinates, counter-clockwise: short leg, long leg, head.
+    foot_right, head = 0.36 * h, -0.22 * h
+
+    def long_leg(v: float) -> float:
+        """Left edge of the long leg."""
+        return head + (foot_right - head) * (1 - v / h)
+
+    join_high, join_low = 0.66 * h, 0.41 * h
+    left_foot = -0.46 * h
+    long_piece = [
+        (long_leg(0), 0.0),
+        (long_leg(0) + stroke, 0.0),
+        (long_leg(h) + stroke, h),
+        (long_leg(h), h),
+    ]
+    short_piece = [
+        (left_foot, 0.0),
+        (left_foot + stroke, 0.0),
+        (long_leg(join_low), join_low),
+        (long_leg(join_high), join_high),
+    ]
+    outline = [
+        short_piece[0],
+        short_piece[1],
+        short_piece[2],
+        *long_piece,
+        short_piece[3],
+    ]
+    front = flat_mesh([short_piece, long_piece])
+    front.vertices[:, 2] = -depth / 2
+    back = Mesh(front.vertices * [1, 1, -1], front.faces[:, ::-1])
+    vertices, faces = [front.vertices, back.vertices], [front.faces, back.faces + len(front.vertices)]
+    count = 2 * len(front.vertices)
+    for (u0, v0), (u1, v1) in zip(outline, [*outline[1:], outline[0]], strict=True):
+        z = depth / 2
+        vertices.append(np.array([(-u0, v0, -z), (-u0, v0, z), (-u1, v1, z), (-u1, v1, -z)]))
+        faces.append(np.array([(0, 1, 2), (0, 2, 3)]) + count)
+        count += 4
+    return Mesh(np.vstack(vertices), np.vstack(faces))
+
+
+# ------------------------------------------------------------------------------------------------------------
+# Textures
+# ------------------------------------------------------------------------------------------------------------
+
+
+def ramp(dark: tuple[int, int, int], light: tuple[int, int, int]) -> list[tuple[int, int, int]]:
+    """Sixteen colours from dark to light."""
+    red, green, blue = (
+        [round(a + (b - a) * i / 15) for i in range(16)] for a, b in zip(dark, light, strict=True)
+    )
+    return list(zip(red, green, blue, strict=True))
+
+
+def supersample(
+    rows: int, columns: int, shade: Callable[[Array, Array], Array], factor: int = 4
+) -> NDArray[np.uint8]:
+    """Average a function of (u, v) in [0, 1) over each pixel and return 4-bit levels.
+
+    The first row of the picture is at v = 0, as Mitsuba reads bitmaps.
+    """
+    v, u = np.meshgrid(
+        (np.arange(rows * factor) + 0.5) / (rows * factor),
+        (np.arange(columns * factor) + 0.5) / (columns * factor),
+        indexing="ij",
+    )
+    image = shade(u, v).reshape(rows, factor, columns, factor).mean(axis=(1, 3))
+    # The small offset keeps exact halves from rounding differently.
+    return np.floor(np.clip(image, 0, 1) * 15 + 0.500001).astype(np.uint8)
+
+
+def waves_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
+    """One period of the Japanese wave pattern: overlapping discs of concentric rings, in rows."""
+
+    def shade(u: Array, v: Array) -> Array:
+        # Discs of radius 1/2, one apart; rows 1/4 apart, every other one shifted by 1/2.
+        value = np.zeros_like(u)
+        # Rows from the top down: each disc hides those of the row above it.
+        for row in range(5, -3, -1):
+            for column in range(-1, 3):
+                r = np.hypot(u - (column + 0.5 * (row % 2)), v - 0.25 * row)
+                ring = np.where((r * 10) % 2 < 1, 0.0, 1.0)
+                value = np.where(r < 0.5, ring, value)
+        return value
+
+    return supersample(256, 256, shade), ramp((54, 88, 138), (240, 234, 216))
+
+
+def wood_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
+    """Planks along v, with grain made of a few sines, each plank its own."""
+    planks = 6
+
+    def shade(u: Array, v: Array) -> Array:
+        plank = np.floor(u * planks)
+        across = u * planks - plank
+        phase = 2.399 * plank + 0.7 * plank**2
+        bend = 0.35 * np.sin(2 * math.pi * v * 2 + phase) + 0.18 * np.sin(2 * math.pi * v * 5 + 2.3 * phase)
+        grain = across * 5 + bend + 1.5 * np.sin(phase)
+        rings = 0.5 + 0.5 * np.sin(2 * math.pi * grain + 1.2 * np.sin(2 * math.pi * grain * 0.37 + phase))
+        fine = 0.5 + 0.5 * np.sin(2 * math.pi * (grain * 4.3 + 3 * np.sin(2 * math.pi * v * 3 + phase)))
+        tone = 0.55 + 0.2 * np.sin(1.9 * plank + 0.4)
+        value = tone + 0.28 * (rings - 0.5) + 0.1 * (fine - 0.5)
+        gap = (across < 0.018) | (across > 0.982)
+        return np.where(gap, 0.0, value)
+
+    return supersample(384, 384, shade), ramp((72, 42, 26), (238, 194, 138))
+
+
+def die_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
+    """Return the six faces of a die, 3 x 2; opposite faces add up to seven."""
+    near, far, middle = 0.27, 0.73, 0.5
+    diagonal = [(near, far), (far, near)]
+    corners = [*diagonal, (near, near), (far, far)]
+    faces = {
+        1: [(middle, middle)],
+        2: diagonal,
+        3: [*diagonal, (middle, middle)],
+        4: corners,
+        5: [*corners, (middle, middle)],
+        6: [*corners, (near, middle), (far, middle)],
+    }
+    order = (5, 2, 6, 1, 3, 4)
+
+    def shade(u: Array, v: Array) -> Array:
+        value = np.ones_like(u)
+        for k, count in enumerate(order):
+            for x, y in faces[count]:
+                value[np.hypot(u * 3 - k % 3 - x, v * 2 - k // 3 - y) < 0.105] = 0.0
+        return value
+
+    return supersample(192, 288, shade), ramp((26, 20, 24), (240, 236, 226))
+
+
+def stripes_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
+    """Twisted stripes and two plain caps, for a glazed ball (u around, v from pole to pole)."""
+
+    def shade(u: Array, v: Array) -> Array:
+        swirl = u * 8 + 1.4 * np.sin(2 * math.pi * (v - 0.5))
+        value = np.where(swirl % 1 < 0.5, 1.0, 0.0)
+        return np.where((v < 0.1) | (v > 0.9), 1.0, value)
+
+    return supersample(128, 256, shade), ramp((164, 38, 34), (242, 230, 208))
+
+
+# ------------------------------------------------------------------------------------------------------------
+
+
+def write_all(directory: Path) -> list[Path]:
+    """Write every mesh and texture below a directory and return the paths."""
+    meshes = {
+        "eight": flat_mesh(letter_eight()),
+        "f": flat_mesh(letter_f()),
+        "hash": flat_mesh(letter_hash()),
+        "star": flat_mesh(siemens_star(24, 0.1, 2.0, 6)),
+        "bars": flat_mesh(chart_bars()),
+        "edge": flat_mesh(slanted_square(3.0, 5.0)),
+        "pawn": pawn(),
+        "die": rounded_die(3.4, 0.42, 4),
+        "knot": torus_knot(2.3, 0.42, 128, 20),
+        "lambda": solid_lambda(4.2, 1.0),
+    }
+    textures = {
+        "waves": waves_texture(),
+        "wood": wood_texture(),
+        "die": die_texture(),
+        "stripes": stripes_texture(),
+    }
+    folder = directory / "meshes"
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for name, mesh in meshes.items():
+        paths.append(folder / f"{name}.ply")
+        mesh.write_ply(paths[-1])
+    for name, (indices, palette) in textures.items():
+        paths.append(directory / f"{name}.png")
+        write_png(paths[-1], indices, palette)
+    return paths
+
+
+def main() -> None:
+    """Write the files and say what was written."""
+    parser = argparse.ArgumentParser(description="Write the meshes and textures of the built-in scenes.")
+    parser.add_argument("-o", "--output", type=Path, default=SCENES, help="the folder (default: scenes/)")
+    for path in write_all(parser.parse_args().output):
+        print(f"{path}  {path.stat().st_size} bytes")
+
+
+if __name__ == "__main__":
+    main()
