@@ -22,7 +22,8 @@ def by_single_rays(image, camera, distance):
     Px, Py = cx + b * tx, cy + b * ty
     X, Y = Px + distance * (tx - Px / f1), Py + distance * (ty - Py / f1)
     size = pitch * distance / b
-    inside = Px**2 + Py**2 <= camera.aperture_radius**2
+    # Half a pixel more than the pupil, so that pixels lit in part count.
+    inside = np.hypot(Px, Py) <= camera.aperture_radius + camera.pixel_size / 2 * b / z
     nx, ny = camera.lens_count
     edges = [(np.arange(n + 1) - n / 2) * size for n in (ny, nx)]
     total, _, _ = np.histogram2d(-Y[inside], -X[inside], bins=edges, weights=image[inside])
