@@ -99,7 +99,7 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, dict[str, Any]]:
         raise
     except Exception as error:
         # OpenEXR tells of damage by several exception types; all mean the same to the user.
-        raise InputError(f"{path}: it cannot be read as an OpenEXR image: {_one_line(error)}") from None
+        raise InputError(f"{path}: it cannot be read as an OpenEXR image, or is damaged: {_one_line(error)}") from None
     image = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
     return np.asarray(image, dtype=np.float32), attributes
 

@@ -1,9 +1,9 @@
 """Choose and check the LLVM library that Dr.Jit compiles with.
 
-Dr.Jit loads LLVM when it is first imported, from where ``DRJIT_LIBLLVM_PATH`` says or else from a few folders that
-it searches itself, and it takes what it finds: with LLVM 15 and 16 the process aborts at the first kernel that needs
-a minimum or maximum, and 14 is refused. So `choose` looks in more places and names a usable library before Dr.Jit
-loads, and `require` tells a user what to do where there is none, before any kernel is compiled.
+Dr.Jit loads LLVM when it is first imported, from where ``DRJIT_LIBLLVM_PATH`` says or else from a few folders
+that it searches itself, and it takes what it finds: 14 is refused, and with 15 and 16 the process aborts at
+the first kernel that needs a minimum or maximum. So `choose` looks in more places and names a usable library
+before Dr.Jit loads, and `require` tells a user what to do where there is none, before a kernel is compiled.
 
 Only the standard library is imported here, so that ``tools/ensure_llvm.py`` can load this file on its own.
 """
@@ -138,7 +138,7 @@ def explain(loaded: str | None, named: str | None, found: list[Library]) -> str:
     elif loaded:
         fault = f"Dr.Jit loaded {loaded}, but the llvm variants need LLVM {MINIMUM} or newer"
     else:
-        fault = f"no LLVM was found, and the llvm variants need LLVM {MINIMUM} or newer"
+        fault = f"no LLVM {MINIMUM} or newer was found, which the llvm variants need"
     if best is None:
         command = install_command()
         remedy = f"run: {command}" if command else "install one with your package manager"
@@ -169,7 +169,10 @@ def install_command() -> str | None:
 def newest_apt_package() -> str | None:
     """Name the newest usable ``libllvmNN`` that apt knows of."""
     listing = subprocess.run(
-        ["apt-cache", "search", "--names-only", "^libllvm[0-9]+(t64)?$"], capture_output=True, text=True, check=False
+        ["apt-cache", "search", "--names-only", "^libllvm[0-9]+(t64)?$"],
+        capture_output=True,
+        text=True,
+        check=False,
     ).stdout
     packages = re.findall(r"^(libllvm(\d+)(?:t64)?) ", listing, flags=re.MULTILINE)
     usable = [(int(number), name) for name, number in packages if int(number) >= MINIMUM]

@@ -96,8 +96,10 @@ class PlenopticCamera:
                 require_number("focus_distance", focus_distance, positive=True, finite=False),
                 name="focus_distance",
             )
-        put("mla_distance", require_number("mla_distance", 120.0 if mla_distance is None
-                                           else mla_distance, positive=True))
+        put(
+            "mla_distance",
+            require_number("mla_distance", 120.0 if mla_distance is None else mla_distance, positive=True),
+        )
         put("mla_focal_length", require_number("mla_focal_length", mla_focal_length, positive=True))
         put("mla_pitch", require_number("mla_pitch", mla_pitch, positive=True))
         if detector_distance is None:
@@ -270,7 +272,7 @@ class PlenopticCamera:
 
     @property
     def white_mean(self) -> float:
-        """Mean of an endless capture of a scene of uniform radiance 1, :math:`(\\pi/4)(D_1 z / D_2 (b + z))^2`."""
+        r"""Mean of an endless capture of a scene of uniform radiance 1, :math:`(\pi/4)(D_1 z / D_2 (b + z))^2`."""
         return math.pi / 4 * (self.micro_image_diameter / self.micro_image_pitch) ** 2
 
     # -- object side ---------------------------------------------------------------------------------
@@ -305,7 +307,7 @@ class PlenopticCamera:
     # -- diffraction ---------------------------------------------------------------------------------
 
     def spot_size(self, wavelength: float) -> float:
-        """Half width of a microlens's focal spot (centre to first zero), :math:`\\lambda z / D_2`.
+        r"""Half width of a microlens's focal spot (centre to first zero), :math:`\lambda z / D_2`.
 
         Parameters
         ----------
@@ -323,11 +325,11 @@ class PlenopticCamera:
         return self.micro_image_diameter / max(self.pixel_size, spot)
 
     def mla_fresnel_number(self, wavelength: float) -> float:
-        """Fresnel number of a microlens seen from the detector, :math:`(D_2/2)^2 / (\\lambda z)`."""
+        r"""Fresnel number of a microlens seen from the detector, :math:`(D_2/2)^2 / (\lambda z)`."""
         return (self.mla_pitch / 2) ** 2 / (wavelength * 1e-6 * self.detector_distance)
 
     def main_fresnel_number(self, wavelength: float) -> float:
-        """Fresnel number of the main lens seen from the MLA, :math:`(D_1/2)^2 / (\\lambda b)`."""
+        r"""Fresnel number of the main lens seen from the MLA, :math:`(D_1/2)^2 / (\lambda b)`."""
         return self.aperture_radius**2 / (wavelength * 1e-6 * self.mla_distance)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from . import _llvm
 from .camera import PlenopticCamera
-from .capture import Capture
+from .capture import MODELS, Capture
 from .errors import InputError, require_count
 
 DEFAULT_VARIANT = "llvm_ad_mono"
@@ -41,9 +41,7 @@ def scene_path(name: str) -> Path:
     return path
 
 
-def load_scene(
-    scene: str | Path, *, variant: str | None = None, parameters: Mapping[str, str] | None = None
-) -> Any:
+def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Mapping[str, str] | None = None) -> Any:
     """Load a scene file, or a built-in scene by its name.
 
     Parameters
@@ -73,11 +71,14 @@ def load_scene(
             known = sorted(set(re.findall(r"<default\s+name=\"(\w+)\"", text)))
             raise InputError(f"parameter {name}: the scene {path} has none of that name ({', '.join(known)})")
     try:
-        return mi.load_file(str(path), **{name: str(value) for name, value in (parameters or {}).items()})
+        loaded = mi.load_file(str(path), **{name: str(value) for name, value in (parameters or {}).items()})
     except InputError:
         raise
     except (RuntimeError, ValueError, TypeError) as error:
         raise InputError(_last_sentence(path, error)) from None
+    # The name that captures carry in their metadata.
+    loaded.set_id(path.name)
+    return loaded
 
 
 def set_variant(variant: str | None) -> None:
@@ -102,61 +103,49 @@ def set_variant(variant: str | None) -> None:
 def render_capture(
     scene: Any,
     *,
-    model: str = "ray",
+    model: str | None = None,
     spp: int | None = None,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
+    **wave: Any,
 ) -> Capture:
     """Render what the scene's first sensor, a plenoptic camera, records.
-
-    The samples are rendered in passes whose memory does not grow with their number.
 
     Parameters
     ----------
     scene : mitsuba.Scene
         A scene with a sensor of type ``plenoptic``.
-    model : {"ray"}
-        How light is propagated.
+    model : {"ray", "wave"}, optional
+        How light is propagated through the camera: ``wave`` makes the scene's integrator the child of a
+        ``plenoptic_wave``, ``ray`` takes it out of one. Default: as the scene's integrator has it.
     spp : int, optional
-        Samples per pixel. Default: those of the sensor's sampler.
+        Samples per pixel, or by waves light paths per radiator. Default: those of the sensor's sampler.
     seed : int
         Seed of the random numbers; the same seed gives the same capture.
     progress : callable, optional
-        Called with the samples per pixel done and their number.
+        Called with what is done and how much there is: samples per pixel or, by waves, radiators.
+    **wave
+        Parameters of ``plenoptic_wave``: ``wavelength``, ``radiators_per_lens``, ``passes``, ``method``,
+        ``occlusion``.
 
     Raises
     ------
     InputError
-        If the scene has no plenoptic sensor or no integrator, or a number is out of range.
+        If the scene has no plenoptic sensor or no integrator, or a parameter is out of range.
     """
-    if model != "ray":
-        raise InputError(f"model = {model!r}: it must be ray")
     if not scene.sensors():
         raise InputError("scene: it has no sensor; add one of type 'plenoptic'")
     sensor = scene.sensors()[0]
     camera = PlenopticCamera.from_sensor(sensor)
-    integrator = scene.integrator()
-    if integrator is None:
-        raise InputError("scene: it has no integrator; add one, for example of type 'path'")
+    integrator = _integrator(scene, model, wave)
     spp = require_count("spp", sensor.sampler().sample_count() if spp is None else spp)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
-
-    per_pass = min(spp, max(1, _RAYS_PER_PASS // (camera.shape[0] * camera.shape[1])))
-    passes = -(-spp // per_pass)
-    # Seeds of neighbouring runs must not share passes, or their average would be no better than either.
-    seeds = np.random.SeedSequence(seed).generate_state(passes)
-    image: np.ndarray | None = None
-    done = 0
-    for pass_seed in seeds:
-        count = min(per_pass, spp - done)
-        # `integrator.render` rather than `mi.render`, which hides the cause of an error.
-        part = np.array(integrator.render(scene, sensor, seed=int(pass_seed), spp=count, develop=True))
-        part *= count / spp
-        image = part if image is None else np.add(image, part, out=image)
-        done += count
-        if progress:
-            progress(done, spp)
-    assert image is not None
+    wavelengths = getattr(integrator, "wavelengths", None)
+    if wavelengths is None:
+        image = _render_passes(scene, sensor, integrator, camera, spp, seed, progress)
+    else:
+        integrator.progress = progress
+        image = np.array(integrator.render(scene, sensor, seed=seed, spp=spp))
     if image.shape[2] == 1:
         image = image[..., 0]
     elif image.shape[2] != 3:
@@ -164,25 +153,80 @@ def render_capture(
             f"film: it has {image.shape[2]} channels; a capture needs pixel_format 'luminance' or 'rgb' and an "
             "integrator without extra outputs"
         )
-    return Capture(image, camera, None, model, _provenance(scene, seed=seed, spp=spp))
+    metadata = _provenance(scene, integrator, seed=seed, spp=spp)
+    if wavelengths is None:
+        return Capture(image, camera, None, "ray", metadata)
+    return Capture(image, camera, wavelengths if len(wavelengths) > 1 else wavelengths[0], "wave", metadata)
 
 
-def _provenance(scene: Any, **settings: Any) -> dict[str, Any]:
+def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
+    """Give the scene's integrator, wrapped into a wave integrator or taken out of one."""
+    integrator = scene.integrator()
+    if integrator is None:
+        raise InputError("scene: it has no integrator; add one, for example of type 'path'")
+    if model is not None and model not in MODELS:
+        raise InputError(f"model = {model!r}: it must be one of {', '.join(MODELS)}")
+    is_wave = hasattr(integrator, "wavelengths")
+    if not is_wave and model != "wave":
+        if wave:
+            raise InputError(f"{', '.join(wave)}: of use for model 'wave' only")
+        return integrator
+    if model == "ray":
+        return integrator.child
+    if is_wave and not wave:
+        return integrator
+    own = integrator.parameters() if is_wave else {}
+    child = integrator.child if is_wave else integrator
+    return mi.load_dict({"type": "plenoptic_wave", **own, **wave, "child": child})
+
+
+def _render_passes(
+    scene: Any,
+    sensor: Any,
+    integrator: Any,
+    camera: PlenopticCamera,
+    spp: int,
+    seed: int,
+    progress: Callable[[int, int], None] | None,
+) -> np.ndarray:
+    """Render in passes whose memory does not grow with the number of samples."""
+    per_pass = min(spp, max(1, _RAYS_PER_PASS // (camera.shape[0] * camera.shape[1])))
+    # Seeds of neighbouring runs must not share passes, or their average would be no better than either.
+    seeds = np.random.SeedSequence(seed).generate_state(-(-spp // per_pass))
+    image = np.zeros(())
+    for index, pass_seed in enumerate(seeds):
+        count = min(per_pass, spp - index * per_pass)
+        # `integrator.render` rather than `mi.render`, which hides the cause of an error.
+        part = np.array(integrator.render(scene, sensor, seed=int(pass_seed), spp=count, develop=True))
+        part *= count / spp
+        image = np.add(image, part, out=image) if index else part
+        if progress:
+            progress(min((index + 1) * per_pass, spp), spp)
+    return image
+
+
+def _provenance(scene: Any, integrator: Any, **settings: Any) -> dict[str, Any]:
     """Say what a capture was made with."""
     packages = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy")
     return {
         "scene": scene.id(),
         "variant": mi.variant(),
-        "integrator": scene.integrator().class_name(),
+        "integrator": integrator.class_name(),
+        **(integrator.parameters() if hasattr(integrator, "parameters") else {}),
         "software": {name: importlib.metadata.version(name) for name in packages},
         **settings,
     }
 
 
 def _last_sentence(path: Path, error: Exception) -> str:
-    """Shrink Mitsuba's report, which may hold a whole Python traceback, to the place and the last line."""
+    """Shrink Mitsuba's report, which may hold a whole Python traceback, to the place and what is wrong there."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
+    place = re.search(r"\b(line \d+(?:, col(?:umn)? \d+)?)", text)
     lines = [line.strip() for line in text.splitlines() if line.strip()]
-    place = re.search(r"near \"?(line \d+[^\"\n:]*)", text) or re.search(r"(line \d+, col \d+)", text)
-    last = re.sub(r"^(?:[\w.]+\.)?(?:InputError|RuntimeError|ValueError|Exception): ", "", lines[-1]) if lines else ""
+    # A list of misspelled parameters stands below the sentence that says so.
+    start = max((i for i, line in enumerate(lines) if not line.startswith("- ")), default=0)
+    last = " ".join(lines[start:])
+    last = re.sub(r"^\[[\w.]+:\d+\] ", "", last)
+    last = re.sub(r"^(?:At|While loading|Error while loading) [^:]*?\([^)]*\): ", "", last)
+    last = re.sub(r"^(?:[\w.]+\.)?(?:InputError|RuntimeError|ValueError|TypeError|Exception): ", "", last)
     return f"{path}{f', {place.group(1)}' if place else ''}: {last}"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import OpenEXR
 import pytest
@@ -22,11 +24,11 @@ def test_a_capture_survives_the_disk(tmp_path, camera, channels):
     image = np.random.default_rng(1).random((32, 40, *channels), dtype=np.float32)
     wavelength = (610.0, 550.0, 465.0) if channels else 633.0
     path = tmp_path / "raw.exr"
-    write_capture(path, Capture(image, camera, wavelength, "wave", {"seed": 3, "scene": "ä \"quoted\""}))
+    write_capture(path, Capture(image, camera, wavelength, "wave", {"seed": 3, "scene": 'ä "quoted"'}))
     read = read_capture(path)
     np.testing.assert_array_equal(read.image, image)
     assert (read.camera, read.wavelength, read.model) == (camera, wavelength, "wave")
-    assert read.metadata == {"seed": 3, "scene": "ä \"quoted\""}
+    assert read.metadata == {"seed": 3, "scene": 'ä "quoted"'}
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -84,8 +86,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, camera, monkeypatch):
     before = path.read_bytes()
 
     def fail(self, name):
-        with open(name, "wb") as file:
-            file.write(b"half")
+        Path(name).write_bytes(b"half")
         raise RuntimeError("disk full")
 
     monkeypatch.setattr(OpenEXR.File, "write", fail)

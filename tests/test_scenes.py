@@ -143,9 +143,7 @@ def test_letters_read_from_left_to_right(make_meshes):
         letter = image[:, run]
         # First and second moments tell the letters apart, and each from its mirror images.
         w, (y, x) = letter.sum(), np.meshgrid(v, u[run] - 8.192 - place, indexing="ij")
-        seen = np.array(
-            [w * pixel**2, (letter * x).sum() / w, (letter * y).sum() / w, (letter * x * y).sum() / w]
-        )
+        seen = np.array([w * pixel**2, (letter * x).sum() / w, (letter * y).sum() / w, (letter * x * y).sum() / w])
         points = np.array([polygon_moments(piece) for piece in outline]).sum(axis=0)
         scale = 240 / distance
         area, mx, my, mxy = points
@@ -278,13 +276,8 @@ def test_solid_meshes_are_closed_and_turned_outwards(make_meshes):
 def test_meshes_and_textures_come_out_the_same(make_meshes, tmp_path):
     made = {path.relative_to(tmp_path) for path in make_meshes.write_all(tmp_path)}
     scenes = ROOT / "scenes"
-    committed = {
-        path.relative_to(scenes) for pattern in ("*.png", "meshes/*.ply") for path in scenes.glob(pattern)
-    }
+    committed = {path.relative_to(scenes) for pattern in ("*.png", "meshes/*.ply") for path in scenes.glob(pattern)}
     assert made == committed
     for path in made:
         assert (tmp_path / path).read_bytes() == (scenes / path).read_bytes(), path
-    assert (
-        sum(path.stat().st_size for path in scenes.rglob("*") if path.suffix in (".png", ".ply", ".xml"))
-        < 2**20
-    )
+    assert sum(path.stat().st_size for path in scenes.rglob("*") if path.suffix in (".png", ".ply", ".xml")) < 2**20

@@ -13,7 +13,9 @@ from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
 from mitsuba_plenoptic.rays import chief_detector_point
 
 VARIANTS = [
-    name for name in mi.variants() if name.startswith(("llvm", "cuda" if dr.has_backend(dr.JitBackend.CUDA) else "llvm"))
+    name
+    for name in mi.variants()
+    if name.startswith(("llvm", "cuda" if dr.has_backend(dr.JitBackend.CUDA) else "llvm"))
 ]
 
 
@@ -90,9 +92,7 @@ def test_a_point_lights_the_lenses_that_its_blur_covers(camera_dict):
         "to_world": mi.ScalarTransform4f().translate([0.2, -0.15, 210]).rotate([0, 1, 0], 180).scale(0.02),
         "emitter": {"type": "area", "radiance": 1.0},
     }
-    scene = mi.load_dict(
-        {"type": "scene", "integrator": {"type": "path"}, "camera": camera_dict(), "source": patch}
-    )
+    scene = mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "camera": camera_dict(), "source": patch})
     capture = render_capture(scene, spp=64)
     camera = capture.camera
     _, centre = pupil_of_pixels(camera)

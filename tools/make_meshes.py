@@ -146,9 +146,7 @@ def clipped_ring(centre: Point, outer: Point, inner: Point, level: float, segmen
     corner = math.asin(sine)
     step = 2 * math.pi / segments
     # The corners where the rim meets the cut must be among the angles, or they would be cut off.
-    angles = sorted(
-        {*(i * step for i in range(segments)), corner % (2 * math.pi), (math.pi - corner) % (2 * math.pi)}
-    )
+    angles = sorted({*(i * step for i in range(segments)), corner % (2 * math.pi), (math.pi - corner) % (2 * math.pi)})
     side = 1.0 if level < centre[1] else -1.0
 
     def ends(angle: float) -> tuple[Point, Point]:
@@ -279,9 +277,7 @@ def slanted_square(side: float, degrees: float) -> list[list[Point]]:
 # ------------------------------------------------------------------------------------------------------------
 
 
-def grid_faces(
-    rows: int, columns: int, *, wrap_rows: bool = False, wrap_columns: bool = False
-) -> NDArray[np.int64]:
+def grid_faces(rows: int, columns: int, *, wrap_rows: bool = False, wrap_columns: bool = False) -> NDArray[np.int64]:
     """Triangles of a grid of rows x columns vertices, optionally closed along an axis."""
     i, j = np.meshgrid(
         np.arange(rows if wrap_rows else rows - 1),
@@ -308,12 +304,7 @@ def smooth_profile(points: Sequence[Point], samples: int) -> Array:
         for t in np.linspace(0, 1, samples, endpoint=False):
             curve.append(
                 0.5
-                * (
-                    2 * p1
-                    + (p2 - p0) * t
-                    + (2 * p0 - 5 * p1 + 4 * p2 - p3) * t**2
-                    + (3 * p1 - p0 - 3 * p2 + p3) * t**3
-                )
+                * (2 * p1 + (p2 - p0) * t + (2 * p0 - 5 * p1 + 4 * p2 - p3) * t**2 + (3 * p1 - p0 - 3 * p2 + p3) * t**3)
             )
     curve.append(p[-2])
     return np.array(curve)
@@ -467,15 +458,11 @@ def solid_lambda(height: float, depth: float) -> Mesh:
 
 def ramp(dark: tuple[int, int, int], light: tuple[int, int, int]) -> list[tuple[int, int, int]]:
     """Sixteen colours from dark to light."""
-    red, green, blue = (
-        [round(a + (b - a) * i / 15) for i in range(16)] for a, b in zip(dark, light, strict=True)
-    )
+    red, green, blue = ([round(a + (b - a) * i / 15) for i in range(16)] for a, b in zip(dark, light, strict=True))
     return list(zip(red, green, blue, strict=True))
 
 
-def supersample(
-    rows: int, columns: int, shade: Callable[[Array, Array], Array], factor: int = 4
-) -> NDArray[np.uint8]:
+def supersample(rows: int, columns: int, shade: Callable[[Array, Array], Array], factor: int = 4) -> NDArray[np.uint8]:
     """Average a function of (u, v) in [0, 1) over each pixel and return 4-bit levels.
 
     The first row of the picture is at v = 0, as Mitsuba reads bitmaps.

@@ -38,13 +38,9 @@ def main() -> None:
         capture = render_capture(scene, spp=arguments.spp)
         references = [thin_lens_image(scene, capture.camera, g, arguments.referee_spp) for g in distances]
         for footprint in ("point", "lens"):
-            images = [
-                r.image.astype(np.float64) for r in reconstruct(capture, distances, footprint=footprint)
-            ]
+            images = [r.image.astype(np.float64) for r in reconstruct(capture, distances, footprint=footprint)]
             scale, scores = agreement(images, references)
-            for g, image, reference, (psnr, correlation) in zip(
-                distances, images, references, scores, strict=True
-            ):
+            for g, image, reference, (psnr, correlation) in zip(distances, images, references, scores, strict=True):
                 rows.append(
                     {
                         "scene": name,
@@ -56,11 +52,16 @@ def main() -> None:
                         "best_shift": best_shift(image, reference),
                     }
                 )
-                tile = np.concatenate([scale * image, reference, 0.5 * reference.max() + (scale * image - reference)], 1)
+                tile = np.concatenate(
+                    [scale * image, reference, 0.5 * reference.max() + (scale * image - reference)], 1
+                )
                 write_png(arguments.output / f"{name}_{g:g}_{footprint}.png", tile, peak=float(reference.max()))
 
     (arguments.output / "ray_accuracy.json").write_text(json.dumps(rows, indent=1))
-    lines = ["| scene | g (mm) | version | PSNR (dB) | correlation | scale | best shift |", "|---|---|---|---|---|---|---|"]
+    lines = [
+        "| scene | g (mm) | version | PSNR (dB) | correlation | scale | best shift |",
+        "|---|---|---|---|---|---|---|",
+    ]
     lines += [
         f"| {r['scene']} | {r['distance']:g} | {r['footprint']} | {r['psnr_db']:.1f} | {r['correlation']:.4f} "
         f"| {r['scale']:.3f} | {r['best_shift']} |"

@@ -1,0 +1,97 @@
+"""The command ``mitsuba-plenoptic``: reads options, calls the library, prints."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import Annotated, Any
+
+import typer
+
+from ..errors import InputError
+from . import doctor, info, reconstruct, render
+
+PROGRAM = "mitsuba-plenoptic"
+
+app = typer.Typer(add_completion=False, rich_markup_mode="rich", pretty_exceptions_enable=False)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"{PROGRAM} {version(PROGRAM)}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    context: typer.Context,
+    show_version: Annotated[
+        bool,
+        typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version and exit."),
+    ] = False,
+) -> None:
+    """Simulate plenoptic (light-field) cameras in Mitsuba 3 and refocus what they record.
+
+    A [bold]capture[/bold] is the image on the camera's detector, a field of
+    micro-images; a [bold]reconstruction[/bold] is an image refocused from it.
+    Lengths are scene units, taken as millimetres; wavelengths are nanometres.
+
+    [bold]Start here:[/bold]
+
+      mitsuba-plenoptic render letters -o raw.exr --spp 4
+
+      mitsuba-plenoptic reconstruct raw.exr -o out.png --distance 240
+    """
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+app.command("render")(render.render)
+app.command("reconstruct")(reconstruct.reconstruct)
+app.command("info")(info.info)
+app.command("doctor")(doctor.doctor)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit status.
+
+    A user's mistake gives one line on standard error and status 2; an exception that is a mistake of ours
+    passes through with its traceback.
+    """
+    with warnings.catch_warnings():
+        warnings.showwarning = _print_warning
+        try:
+            # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
+            status = typer.main.get_command(app).main(
+                None if arguments is None else list(arguments), prog_name=PROGRAM, standalone_mode=False
+            )
+            return status if isinstance(status, int) else 0
+        except InputError as error:
+            return _fail(str(error))
+        except OSError as error:
+            named = f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
+            return _fail(named)
+        except (KeyboardInterrupt, typer.Abort):
+            return 130
+        except Exception as error:
+            # Typer's own usage errors; their class has no public name in all versions.
+            if not hasattr(error, "format_message"):
+                raise
+            context = getattr(error, "ctx", None)
+            command = context.command_path if context else PROGRAM
+            return _fail(f"{error.format_message().rstrip('.')} (see {command} --help)")
+
+
+def _fail(message: str) -> int:
+    _complain(f"error: {message}")
+    return 2
+
+
+def _complain(message: str) -> None:
+    print(f"{PROGRAM}: {' '.join(message.split())}", file=sys.stderr)
+
+
+def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    _complain(f"warning: {message}")

@@ -55,7 +55,7 @@ def read_flag(props: Any, plugin: str, name: str, default: bool) -> bool:
     InputError
         Naming plugin, parameter, value and rule.
     """
-    value = props[name] if name in props else default
+    value = props.get(name, default)
     if not isinstance(value, bool):
         raise InputError(f"{plugin}: {name} = {value!r}: it must be true or false")
     return value

@@ -139,7 +139,7 @@ def make_class() -> type:
             numbers = {name: read_number(props, NAME, name, None) for name in (*LENGTHS, "focus_distance")}
             try:
                 camera = PlenopticCamera(
-                    **{name: value for name, value in numbers.items() if value is not None},  # type: ignore[arg-type]
+                    **{name: value for name, value in numbers.items() if value is not None},
                     resolution=tuple(film.size()),
                     crop_offset=tuple(film.crop_offset()),
                     crop_size=tuple(film.crop_size()),
@@ -185,7 +185,7 @@ def make_class() -> type:
             """The camera's present numbers."""
             film = self.film()
             return PlenopticCamera(
-                **{name: _decimal(getattr(self, name)) for name in LENGTHS},  # type: ignore[arg-type]
+                **{name: _decimal(getattr(self, name)) for name in LENGTHS},
                 resolution=tuple(film.size()),
                 crop_offset=tuple(film.crop_offset()),
                 crop_size=tuple(film.crop_size()),
@@ -206,8 +206,12 @@ def make_class() -> type:
             if ideal:
                 return Px, Py, *(rays.main_lens_slope(t, P, self.focal_length) for t, P in ((tx, Px), (ty, Py)))
             sx, sy = rays.slopes_to_cosines(tx, ty)
-            return Px, Py, *rays.cosines_to_slopes(
-                rays.main_lens_slope(sx, Px, self.focal_length), rays.main_lens_slope(sy, Py, self.focal_length)
+            return (
+                Px,
+                Py,
+                *rays.cosines_to_slopes(
+                    rays.main_lens_slope(sx, Px, self.focal_length), rays.main_lens_slope(sy, Py, self.focal_length)
+                ),
             )
 
         def _sample(
@@ -234,9 +238,7 @@ def make_class() -> type:
 
             Px, Py, tx, ty = self._trace(*detector, *lens_point, *lens_centre)
             open_ = active & (Px * Px + Py * Py <= self.aperture_radius * self.aperture_radius)
-            wavelengths, weight = self.sample_wavelengths(
-                dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active
-            )
+            wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
             to_world = self.world_transform()
             ray = mi.RayDifferential3f() if differential else mi.Ray3f()
             ray.o = to_world @ mi.Point3f(Px, Py, 0)

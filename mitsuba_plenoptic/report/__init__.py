@@ -1,0 +1,1 @@
+"""Figures about captures and reconstructions: design sheets, pictures, comparisons."""

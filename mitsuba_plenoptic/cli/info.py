@@ -1,0 +1,91 @@
+"""``mitsuba-plenoptic info``: the design sheet of a camera."""
+
+from __future__ import annotations
+
+import json
+from itertools import groupby
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from ..camera import PlenopticCamera
+from ..capture import Capture
+from ..errors import InputError, require_number
+from ..rendering import load_scene
+from ..report.design_sheet import Row, design_sheet, design_warnings
+from ._common import Definitions, load_capture, parse_definitions
+
+
+def info(
+    source: Annotated[
+        str,
+        typer.Argument(metavar="SCENE|CAPTURE.exr", help="A Mitsuba XML file, a built-in scene's name, or a capture."),
+    ],
+    wavelength: Annotated[
+        float | None,
+        typer.Option(
+            metavar="NM",
+            show_default="the capture's",
+            help="Wavelength in nanometres at which to judge diffraction.",
+        ),
+    ] = None,
+    define: Definitions = None,
+) -> None:
+    """Print what follows from a camera's parameters, and what is poor about the design.
+
+    Nothing is rendered. A capture also tells how it was made.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic info letters --wavelength 633
+
+      mitsuba-plenoptic info raw.exr
+    """
+    if wavelength is not None:
+        wavelength = require_number("wavelength", wavelength, positive=True)
+    parameters = parse_definitions(define)
+    capture = load_capture(source) if source.lower().endswith(".exr") else None
+    if capture is None:
+        sensors = load_scene(source, parameters=parameters).sensors()
+        if not sensors:
+            raise InputError(f"{source}: it has no sensor; add one of type 'plenoptic'")
+        camera = PlenopticCamera.from_sensor(sensors[0])
+    else:
+        camera = capture.camera
+        if wavelength is None and isinstance(capture.wavelength, float):
+            wavelength = capture.wavelength
+    rows = design_sheet(camera, wavelength)
+    console = Console(highlight=False)
+    console.print(_table(rows))
+    if capture is not None:
+        console.print("[bold]Capture[/bold]")
+        for name, fact in _origin(capture).items():
+            console.print(f"  {name}: {escape(fact)}", soft_wrap=True)
+    for warning in design_warnings(camera, wavelength):
+        console.print(f"[bold]Warning:[/bold] {escape(warning)}.", soft_wrap=True)
+
+
+def _origin(capture: Capture) -> dict[str, str]:
+    """Tell how a capture was made, as far as its header says."""
+    facts = {"model": capture.model, "wavelength": capture.wavelength, **capture.metadata}
+    return {
+        name: value if isinstance(value, str) else json.dumps(value)
+        for name, value in facts.items()
+        if value not in (None, "")
+    }
+
+
+def _table(rows: list[Row]) -> Table:
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column()
+    table.add_column(justify="right", overflow="fold")
+    table.add_column()
+    table.add_column(overflow="fold")
+    for group, members in groupby(rows, key=lambda row: row.group):
+        table.add_row(f"[bold]{escape(group)}[/bold]")
+        for row in members:
+            table.add_row(f"  {row.quantity}", escape(row.value), row.unit, f"[dim]{escape(row.note)}[/dim]")
+    return table

@@ -1,0 +1,68 @@
+"""``mitsuba-plenoptic reconstruct``: from a capture to refocused images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .. import reconstruction
+from ..rendering import set_variant
+from ..report.images import reconstruction_paths, write_reconstructions
+from ._common import Variant, load_capture, progress_bar
+
+
+def reconstruct(
+    capture: Annotated[Path, typer.Argument(metavar="CAPTURE.exr", help="A file that 'render' wrote.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="File to write: float32 OpenEXR if it ends in .exr, an 8-bit picture if in .png. With "
+            "several distances each goes into a file of its own: out.exr becomes out_210.exr and so on.",
+        ),
+    ],
+    distance: Annotated[
+        list[float],
+        typer.Option(
+            metavar="MM",
+            help="Distance from the main lens to focus on, in scene units, beyond the focal length; "
+            "repeat for several.",
+        ),
+    ],
+    method: Annotated[
+        str, typer.Option(metavar="|".join(reconstruction.METHODS), help="How light is followed back.")
+    ] = "ray",
+    footprint: Annotated[
+        str,
+        typer.Option(
+            metavar="|".join(reconstruction.FOOTPRINTS),
+            help="For rays: spread a pixel over what its lens sees, or put it into one bin.",
+        ),
+    ] = "lens",
+    variant: Variant = None,
+) -> None:
+    """Refocus a capture to one or several distances.
+
+    A reconstruction has one bin per microlens and the orientation of an
+    ordinary photograph. Pictures of one run share one scale, so that their
+    brightness compares.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic reconstruct raw.exr -o out.png --distance 240
+
+      mitsuba-plenoptic reconstruct raw.exr -o out.exr --distance 210 --distance 240
+    """
+    paths = reconstruction_paths(output, distance)
+    recorded = load_capture(capture)
+    set_variant(variant)
+    with progress_bar("Refocusing") as progress:
+        results = reconstruction.reconstruct(recorded, distance, method=method, footprint=footprint, progress=progress)
+    write_reconstructions(paths, results, recorded.metadata)
+    for path, result in zip(paths, results, strict=True):
+        rows, columns = result.image.shape[:2]
+        typer.echo(f"{path}: {columns} x {rows} bins of {result.bin_size:.4g} mm at {result.distance:g} mm")

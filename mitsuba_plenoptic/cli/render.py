@@ -1,0 +1,63 @@
+"""``mitsuba-plenoptic render``: from a scene to a capture."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..capture import MODELS, write_capture
+from ..errors import InputError
+from ..files import require_writable
+from ..rendering import load_scene, render_capture
+from ._common import Definitions, Variant, parse_definitions, progress_bar
+
+
+def render(
+    scene: Annotated[str, typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.exr", help="File to write.")],
+    model: Annotated[
+        str | None,
+        typer.Option(
+            metavar="|".join(MODELS),
+            show_default="as the scene's integrator has it",
+            help="How light propagates through the camera.",
+        ),
+    ] = None,
+    spp: Annotated[
+        int | None,
+        typer.Option(metavar="N", show_default="those of the scene's sampler", help="Samples per pixel."),
+    ] = None,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the random numbers.")] = 0,
+    define: Definitions = None,
+    variant: Variant = None,
+) -> None:
+    """Render what a scene's plenoptic camera records.
+
+    The scene needs a sensor of type [bold]plenoptic[/bold]. The capture is
+    written as float32 OpenEXR, which any EXR viewer shows; its header holds
+    the camera and how it was made.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic render letters -o raw.exr --spp 16
+
+      mitsuba-plenoptic render letters -o small.exr -D resolution=1024
+
+      mitsuba-plenoptic render my_scene.xml -o colour.exr --variant llvm_ad_rgb
+    """
+    parameters = parse_definitions(define)
+    # Before the rendering, which may take long.
+    if output.suffix.lower() != ".exr":
+        raise InputError(f"{output}: a capture is written as OpenEXR; give a name that ends in .exr")
+    require_writable(output)
+    loaded = load_scene(scene, variant=variant, parameters=parameters)
+    start = time.perf_counter()
+    with progress_bar("Rendering") as progress:
+        capture = render_capture(loaded, model=model, spp=spp, seed=seed, progress=progress)
+    seconds = time.perf_counter() - start
+    write_capture(output, capture)
+    rows, columns = capture.camera.shape
+    typer.echo(f"{output}: capture of {columns} x {rows} pixels, rendered in {seconds:.1f} s")

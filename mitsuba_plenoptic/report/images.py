@@ -1,0 +1,111 @@
+"""Captures and reconstructions as files: 8-bit pictures, and names for several distances."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from ..errors import InputError
+from ..files import atomic_output, require_writable
+from ..reconstruction import Reconstruction, write_reconstruction
+
+SUFFIXES = (".exr", ".png")
+
+
+def write_png(path: str | Path, image: np.ndarray, *, peak: float | None = None) -> None:
+    """Write a linear image as an 8-bit PNG in sRGB encoding.
+
+    Parameters
+    ----------
+    path : path
+        File to write; an existing one is replaced only by a complete one.
+    image : (rows, columns[, 3]) array
+        Linear values. Negative ones and those that are not numbers become black.
+    peak : float, optional
+        Value that becomes white. Default: the image's maximum.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    values = np.nan_to_num(np.asarray(image, dtype=np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+    if peak is None:
+        peak = float(values.max())
+    # An image that is all black stays so.
+    values = np.clip(values / peak, 0, 1) if peak > 0 else np.zeros_like(values)
+    with atomic_output(path) as temporary:
+        Image.fromarray(np.round(255 * _srgb(values)).astype(np.uint8)).save(temporary, format="PNG")
+
+
+def shrink(image: np.ndarray, longest: int) -> np.ndarray:
+    """Average blocks of pixels, whole blocks only, until neither side is longer than `longest`."""
+    rows, columns = image.shape[:2]
+    factor = -(-max(rows, columns) // longest)
+    if factor == 1:
+        return image
+    # A long and narrow image keeps at least one block on its short side.
+    down, across = min(factor, rows), min(factor, columns)
+    whole = image[: rows // down * down, : columns // across * across]
+    blocks = whole.reshape(rows // down, down, columns // across, across, *image.shape[2:])
+    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32))
+
+
+def reconstruction_paths(path: str | Path, distances: Sequence[float]) -> list[Path]:
+    """Name a file for each distance, and check that all can be written.
+
+    One distance gives `path` itself, several give ``name_210.exr``, ``name_240.exr``.
+
+    Raises
+    ------
+    InputError
+        If the suffix is unknown, a distance is given twice or a file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: give a name that ends in {' or '.join(SUFFIXES)}")
+    if len(distances) == 1:
+        return [require_writable(path)]
+    names = [f"{path.stem}_{distance:.12g}{path.suffix}" for distance in distances]
+    for name, distance in zip(names, distances, strict=True):
+        if names.count(name) > 1:
+            raise InputError(f"distance = {distance:g}: it is given twice")
+    return [require_writable(path.with_name(name)) for name in names]
+
+
+def write_reconstructions(
+    paths: Sequence[Path], results: Sequence[Reconstruction], source: dict[str, Any] | None = None
+) -> None:
+    """Write each reconstruction into its file, as OpenEXR or as a picture by the suffix.
+
+    Pictures share one scale: the brightest bin of all is white.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files, as from `reconstruction_paths`.
+    results : sequence of Reconstruction
+        As many reconstructions.
+    source : dict, optional
+        Metadata of the capture, kept in the headers of OpenEXR files.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    peak = max(float(result.image.max()) for result in results)
+    for path, result in zip(paths, results, strict=True):
+        if path.suffix.lower() == ".png":
+            write_png(path, result.image, peak=peak)
+        else:
+            write_reconstruction(path, result, source)
+
+
+def _srgb(linear: np.ndarray) -> np.ndarray:
+    """Encode linear values from 0 to 1 (IEC 61966-2-1)."""
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)

@@ -1,0 +1,96 @@
+"""What a wheel would hold, and what make needs."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import tomllib
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+import mitsuba_plenoptic
+
+ROOT = Path(__file__).parent.parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+FOLDERS = PROJECT["tool"]["setuptools"]["package-dir"]
+
+
+def folder_of(package):
+    """Folder of a package as setuptools' package-dir maps it."""
+    parts = package.split(".")
+    for length in range(len(parts), 0, -1):
+        if (start := FOLDERS.get(".".join(parts[:length]))) is not None:
+            return ROOT.joinpath(start, *parts[length:])
+    return ROOT.joinpath(*parts)
+
+
+def test_every_package_is_listed():
+    listed = {folder_of(package) for package in PROJECT["tool"]["setuptools"]["packages"]}
+    found = {path.parent for top in ("mitsuba_plenoptic", "scenes") for path in (ROOT / top).rglob("__init__.py")}
+    assert listed == found
+
+
+@pytest.mark.parametrize("package", PROJECT["tool"]["setuptools"]["package-data"])
+def test_data_files_are_packed(package):
+    patterns = PROJECT["tool"]["setuptools"]["package-data"][package]
+    folder = folder_of(package)
+    packed = {path for pattern in patterns for path in folder.glob(pattern)}
+    present = {path for path in folder.iterdir() if path.is_file() and path.suffix != ".py"}
+    assert packed == present
+
+
+def test_built_in_scenes_are_found_from_anywhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert mitsuba_plenoptic.scene_path("letters").is_file()
+
+
+def test_versions_agree():
+    expected = PROJECT["project"]["version"]
+    assert mitsuba_plenoptic.__version__ == expected
+    assert version("mitsuba-plenoptic") == expected
+    assert f"version: {expected}\n" in (ROOT / "CITATION.cff").read_text()
+
+
+def test_make_help_names_every_target():
+    result = subprocess.run(["make", "help"], capture_output=True, text=True, check=True, cwd=ROOT)
+    for target in ("demo", "test", "slow", "lint", "clean"):
+        assert re.search(rf"^make {target} ", result.stdout, flags=re.MULTILINE)
+
+
+class TestFindPython:
+    """`tools/find_python.sh` with a PATH of scripts that stand for Pythons."""
+
+    def find(self, tmp_path, **programs):
+        for index, (name, text) in enumerate(programs.items()):
+            # Each in a folder of its own, in this order on PATH; the name's underscore stands for the dot.
+            folder = tmp_path / str(index)
+            folder.mkdir()
+            (folder / name.replace("_", ".")).write_text(f"#!/bin/sh\n{text}\n")
+            (folder / name.replace("_", ".")).chmod(0o755)
+        path = os.pathsep.join(str(tmp_path / str(index)) for index in range(len(programs)))
+        script = ROOT / "tools" / "find_python.sh"
+        return subprocess.run(["/bin/sh", str(script)], capture_output=True, text=True, check=False, env={"PATH": path})
+
+    def test_newest_that_runs(self, tmp_path):
+        result = self.find(tmp_path, python3="exit 0", python3_11="exit 0", python3_12="exit 0", python3_13="exit 1")
+        assert result.stdout == f"{tmp_path}/2/python3.12\n"
+
+    def test_a_shim_that_fails_does_not_hide_the_real_one(self, tmp_path):
+        (tmp_path / "1").mkdir()
+        (tmp_path / "1" / "python3").write_text("#!/bin/sh\nexit 0\n")
+        (tmp_path / "1" / "python3").chmod(0o755)
+        (tmp_path / "0").mkdir()
+        (tmp_path / "0" / "python3").write_text("#!/bin/sh\nexit 127\n")
+        (tmp_path / "0" / "python3").chmod(0o755)
+        script = ROOT / "tools" / "find_python.sh"
+        environment = {"PATH": f"{tmp_path}/0:{tmp_path}/1"}
+        result = subprocess.run(["/bin/sh", str(script)], capture_output=True, text=True, env=environment, check=True)
+        assert result.stdout == f"{tmp_path}/1/python3\n"
+
+    def test_none(self, tmp_path):
+        result = self.find(tmp_path, python3="exit 1")
+        assert (result.returncode, result.stdout) == (1, "")
+        assert "Python 3.11" in result.stderr
