@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -46,11 +47,6 @@ def write_exr(
     """
     rows, columns = image.shape[:2]
     width, height = full_size or (columns, rows)
-    image = np.asarray(image, dtype=np.float32)
-    if image.ndim == 2:
-        channels = {"Y": np.ascontiguousarray(image)}
-    else:
-        channels = {name: np.ascontiguousarray(image[..., i]) for i, name in enumerate("RGB")}
     header = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
@@ -60,9 +56,57 @@ def write_exr(
     }
     try:
         with atomic_output(path) as temporary:
-            OpenEXR.File(header, channels).write(str(temporary))
+            OpenEXR.File(header, _channels(image)).write(str(temporary))
     except (RuntimeError, OSError) as error:
         raise InputError(f"{path}: it cannot be written: {_one_line(error)}") from None
+
+
+def write_exr_parts(path: str | Path, parts: Mapping[str, np.ndarray], attributes: dict[str, Any]) -> None:
+    """Write several images as the parts of one OpenEXR file.
+
+    Parameters
+    ----------
+    path : path
+        File to write.
+    parts : mapping of names to (rows, columns[, 3]) arrays
+        Written as float32, as channel Y or R, G, B.
+    attributes : dict
+        Written as JSON into the header attribute ``mitsuba_plenoptic`` of the first part.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    text = json.dumps(attributes, sort_keys=True)
+    written = []
+    for index, (name, image) in enumerate(parts.items()):
+        rows, columns = image.shape[:2]
+        header = {
+            "compression": OpenEXR.ZIP_COMPRESSION,
+            "type": OpenEXR.scanlineimage,
+            "dataWindow": _window(0, 0, columns, rows),
+            # All parts of a file must share one display window.
+            "displayWindow": _window(0, 0, *_largest(parts)),
+            **({ATTRIBUTE: text} if index == 0 else {}),
+        }
+        written.append(OpenEXR.Part(header, _channels(image), name))
+    try:
+        with atomic_output(path) as temporary:
+            OpenEXR.File(written).write(str(temporary))
+    except (RuntimeError, OSError) as error:
+        raise InputError(f"{path}: it cannot be written: {_one_line(error)}") from None
+
+
+def _largest(parts: Mapping[str, np.ndarray]) -> tuple[int, int]:
+    return max(image.shape[1] for image in parts.values()), max(image.shape[0] for image in parts.values())
+
+
+def _channels(image: np.ndarray) -> dict[str, np.ndarray]:
+    image = np.asarray(image, dtype=np.float32)
+    if image.ndim == 2:
+        return {"Y": np.ascontiguousarray(image)}
+    return {name: np.ascontiguousarray(image[..., i]) for i, name in enumerate("RGB")}
 
 
 def read_exr(path: str | Path) -> tuple[np.ndarray, dict[str, Any]]:

@@ -211,7 +211,7 @@ def _provenance(scene: Any, integrator: Any, **settings: Any) -> dict[str, Any]:
     return {
         "scene": scene.id(),
         "variant": mi.variant(),
-        "integrator": integrator.class_name(),
+        "integrator": getattr(integrator, "child", integrator).class_name(),
         **(integrator.parameters() if hasattr(integrator, "parameters") else {}),
         "software": {name: importlib.metadata.version(name) for name in packages},
         **settings,

@@ -14,7 +14,7 @@ import mitsuba as mi
 
 from .. import _llvm
 from ..errors import InputError
-from . import plenoptic
+from . import plenoptic, plenoptic_wave
 
 
 def _refuse(name: str, reason: str) -> Callable[[Any], NoReturn]:
@@ -32,9 +32,8 @@ def _register(old: str | None, new: str | None) -> None:
         reason = f"variant {new}: this plugin needs an llvm_ad_* or cuda_ad_* variant"
     elif new.startswith("llvm"):
         reason = _llvm.problem()
-    mi.register_sensor(
-        plenoptic.NAME, _refuse(plenoptic.NAME, reason) if reason else plenoptic.make_class()
-    )
+    for plugin, register in ((plenoptic, mi.register_sensor), (plenoptic_wave, mi.register_integrator)):
+        register(plugin.NAME, _refuse(plugin.NAME, reason) if reason else plugin.make_class())
 
 
 mi.detail.add_variant_callback(_register)

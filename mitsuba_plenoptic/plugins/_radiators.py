@@ -1,0 +1,266 @@
+r"""Incoherent radiators of a scene, found by rays, for the wave capture.
+
+A ray through a point :math:`q` of the MLA plane and a point :math:`P` of the pupil meets the scene in a radiator
+:math:`X`, and a child integrator tells its radiance towards the camera. The same pairs (place of q in its lens, P)
+serve every lens, so that the capture of an even surface repeats from lens to lens, as it should, without noise.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import scipy.stats.qmc
+
+from .. import lattice, rays
+from ..camera import PlenopticCamera
+
+# Cells of the pupil's bounding square, along an axis, whose visibility is found by one shadow ray each.
+PUPIL_CELLS = 16
+
+# Child light paths or shadow rays traced at once.
+_LANES = 2**22
+
+# Where the radiator of a ray that leaves the scene is put, in focal lengths: far enough to be collimated.
+_INFINITY = 1e6
+
+
+@dataclass(frozen=True)
+class Radiators:
+    """Incoherent point sources in the camera frame, only those that shine.
+
+    Attributes
+    ----------
+    positions : (n, 3) float64 array
+        Places.
+    radiance : (n, channels) float64 array
+        Radiance towards the pupil.
+    share : (n,) float64 array
+        Share of the visible pupil whose rays from the radiator land in the sampled part of the MLA plane: those
+        are the rays that could have found it.
+    masks : (n, PUPIL_CELLS, PUPIL_CELLS) bool array, or None
+        Which cells of the pupil's bounding square each radiator sees (rows along y); None if all see all.
+    """
+
+    positions: np.ndarray
+    radiance: np.ndarray
+    share: np.ndarray
+    masks: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class LensWindow:
+    """The lenses whose cells are sampled: those of the recorded pixels and one more on each side."""
+
+    first: tuple[int, int]
+    count: tuple[int, int]
+
+    @classmethod
+    def of(cls, camera: PlenopticCamera) -> LensWindow:
+        """Find the window of a camera's recorded pixels."""
+        first, count = [], []
+        for axis in (0, 1):
+            edges = np.array([0, camera.crop_size[axis]]) + camera.crop_offset[axis] - camera.resolution[axis] / 2
+            chief = rays.chief_point(edges * camera.pixel_size, camera.mla_distance, camera.detector_distance)
+            low, high = lattice.cell_index(chief, camera.mla_pitch)
+            first.append(int(low) - 1)
+            count.append(int(high) + 2 - int(low) + 1)
+        return cls((first[0], first[1]), (count[0], count[1]))
+
+    @property
+    def lenses(self) -> int:
+        """Number of lenses."""
+        return self.count[0] * self.count[1]
+
+
+def sample_pairs(per_lens: int, shift: np.ndarray) -> np.ndarray:
+    """Low-discrepancy places in the unit 4-cube: place in the lens cell (2), place in the pupil (2).
+
+    Parameters
+    ----------
+    per_lens : int
+        Radiators per lens and axis.
+    shift : (4,) array
+        Toroidal shift of the whole set.
+
+    Returns
+    -------
+    (per_lens**2, 4) float64 array
+        The first n points of a Sobol sequence with one fixed scrambling; for powers of two the places in the lens
+        are stratified.
+    """
+    count = per_lens**2
+    # The sequence is drawn to the next power of two, where it is balanced.
+    points = scipy.stats.qmc.Sobol(4, scramble=True, rng=0).random_base2(math.ceil(math.log2(max(count, 1))))
+    return np.asarray((points[:count] + shift) % 1.0)
+
+
+def find_radiators(
+    scene: Any,
+    sensor: Any,
+    child: Any,
+    camera: PlenopticCamera,
+    pairs: np.ndarray,
+    *,
+    spp: int,
+    seed: int,
+    wavelength: float | None,
+    occlusion: bool,
+) -> Radiators:
+    """Trace the pairs of every lens into the scene and keep what shines.
+
+    Parameters
+    ----------
+    scene, sensor, child
+        Mitsuba scene, plenoptic sensor and the integrator that finds the radiance.
+    camera : PlenopticCamera
+        The sensor's numbers.
+    pairs : (n, 4) array
+        As from `sample_pairs`.
+    spp : int
+        Light paths averaged per radiator.
+    seed : int
+        Seed of the child's random numbers.
+    wavelength : float, optional
+        For spectral variants: the wavelength of all light, in nanometres.
+    occlusion : bool
+        Whether to find by shadow rays which part of the pupil each radiator sees.
+    """
+    window = LensWindow.of(camera)
+    lenses = max(1, _LANES // (len(pairs) * spp))
+    found = [
+        _trace_lenses(
+            scene, sensor, child, camera, window, pairs,
+            range(start, min(start + lenses, window.lenses)), spp, seed + start, wavelength, occlusion,
+        )
+        for start in range(0, window.lenses, lenses)
+    ]  # fmt: skip
+    positions = np.concatenate([part[0] for part in found])
+    radiance = np.concatenate([part[1] for part in found])
+    masks = np.concatenate([part[2] for part in found]) if occlusion else None
+    if masks is not None and masks.all():
+        masks = None
+    return Radiators(positions, radiance, _sampled_share(positions, masks, camera, window), masks)
+
+
+def _trace_lenses(
+    scene: Any,
+    sensor: Any,
+    child: Any,
+    camera: PlenopticCamera,
+    window: LensWindow,
+    pairs: np.ndarray,
+    lenses: range,
+    spp: int,
+    seed: int,
+    wavelength: float | None,
+    occlusion: bool,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions, radiance and masks of the shining radiators of some lenses."""
+    count = len(lenses) * len(pairs)
+    lane = dr.arange(mi.UInt32, count * spp)
+    radiator = lane // spp
+    lens, pair = radiator // len(pairs) + lenses.start, radiator % len(pairs)
+    place = [dr.gather(mi.Float, mi.Float(pairs[:, i].astype(np.float32)), pair) for i in range(4)]
+    P = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(place[2], place[3])) * camera.aperture_radius
+    index = mi.Point2f(
+        mi.Float(lens % window.count[0]) + window.first[0], mi.Float(lens // window.count[0]) + window.first[1]
+    )
+    q = (index + mi.Point2f(place[0], place[1])) * camera.mla_pitch
+    slope = rays.main_lens_slope((P - q) / camera.mla_distance, P, camera.focal_length)
+    direction = dr.normalize(mi.Vector3f(slope.x, slope.y, 1))
+
+    to_world = sensor.world_transform()
+    ray = mi.RayDifferential3f(to_world @ mi.Point3f(P.x, P.y, 0), to_world @ direction)
+    ray.time = sensor.shutter_open() + 0.5 * sensor.shutter_open_time()
+    if wavelength is not None:
+        ray.wavelengths = dr.full(type(ray.wavelengths), wavelength)
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed, count * spp)
+    # The unbound method reaches integrators written in C++ and in Python alike.
+    radiance, _, _ = mi.SamplingIntegrator.sample(child, scene, sampler, ray, None, True)
+    channels = [radiance[0]] if wavelength is not None else list(radiance)
+    means = np.stack([dr.block_sum(channel, spp).numpy() / spp for channel in channels], axis=-1)
+
+    shining = np.flatnonzero(means.max(axis=-1) > 0).astype(np.uint32)
+    if shining.size == 0:
+        return np.empty((0, 3)), np.empty((0, means.shape[1])), np.empty((0, PUPIL_CELLS, PUPIL_CELLS), bool)
+    first = mi.UInt32(shining) * spp
+    si = scene.ray_intersect(dr.gather(mi.Ray3f, mi.Ray3f(ray), first))
+    depth = (
+        dr.select(si.is_valid(), si.t * dr.gather(mi.Float, direction.z, first), _INFINITY * camera.focal_length)
+        .numpy()
+        .astype(np.float64)
+    )
+    P, slope = (dr.gather(mi.Point2f, mi.Point2f(v), first).numpy().astype(np.float64).T for v in (P, slope))
+    positions = np.column_stack([P + slope * depth[:, None], depth])
+    masks = _pupil_masks(scene, to_world, si, P, camera) if occlusion else np.empty((0, PUPIL_CELLS, PUPIL_CELLS), bool)
+    return positions, means[shining].astype(np.float64), masks
+
+
+def _cell_centres() -> np.ndarray:
+    """Centres of the pupil cells along an axis, for a pupil of radius one."""
+    return (np.arange(PUPIL_CELLS) + 0.5) * 2 / PUPIL_CELLS - 1
+
+
+def _pupil_masks(scene: Any, to_world: Any, si: Any, P: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
+    """Find by one shadow ray a cell which cells of the pupil each hit sees.
+
+    A cell whose centre lies beyond the pupil's edge is tested at the nearest point within. The cell that holds the
+    ray which found the hit is open.
+    """
+    x, y = (axis.ravel() for axis in np.meshgrid(_cell_centres(), _cell_centres()))
+    inward = np.minimum(1, 0.999 / np.hypot(x, y)) * camera.aperture_radius
+    targets = to_world @ mi.Point3f(mi.Float(x * inward), mi.Float(y * inward), 0)
+    hits = dr.width(si)
+    cells = PUPIL_CELLS**2
+    masks = np.empty((hits, cells), dtype=bool)
+    batch = _LANES // cells
+    for start in range(0, hits, batch):
+        lane = dr.arange(mi.UInt32, min(batch, hits - start) * cells)
+        hit = lane // cells + start
+        point = dr.zeros(mi.SurfaceInteraction3f, dr.width(lane))
+        point.p, point.n = dr.gather(mi.Point3f, si.p, hit), dr.gather(mi.Normal3f, si.n, hit)
+        blocked = scene.ray_test(point.spawn_ray_to(dr.gather(mi.Point3f, targets, lane % cells)))
+        # What is at infinity has no place to send shadow rays from, and is hidden by nothing here.
+        blocked &= dr.gather(mi.Bool, si.is_valid(), hit)
+        masks[start : start + batch] = ~blocked.numpy().reshape(-1, cells)
+    column, row = (
+        np.clip(((axis / camera.aperture_radius + 1) / 2 * PUPIL_CELLS).astype(int), 0, PUPIL_CELLS - 1) for axis in P.T
+    )
+    masks[np.arange(hits), row * PUPIL_CELLS + column] = True
+    return masks.reshape(hits, PUPIL_CELLS, PUPIL_CELLS)
+
+
+def _sampled_share(
+    positions: np.ndarray, masks: np.ndarray | None, camera: PlenopticCamera, window: LensWindow
+) -> np.ndarray:
+    """Share of the visible pupil that sends a radiator's light into the sampled lenses."""
+    low = np.array(window.first) * camera.mla_pitch
+    high = low + np.array(window.count) * camera.mla_pitch
+    b, f1 = camera.mla_distance, camera.focal_length
+    X, g = positions[:, :2], positions[:, 2:]
+    centre = rays.mla_point(X, 0.0, g, b, f1)
+    blur = np.abs(rays.mla_point(0.0, camera.aperture_radius, g, b, f1))
+    share = np.ones(len(positions))
+    # Only where the blur leaves the sampled lenses is there anything to count.
+    partial = np.flatnonzero(((centre - blur < low) | (centre + blur > high)).any(axis=1))
+
+    fine = (np.arange(4 * PUPIL_CELLS) + 0.5) / (2 * PUPIL_CELLS) - 1
+    x, y = (axis.ravel() for axis in np.meshgrid(fine, fine))
+    inside = np.hypot(x, y) <= 1
+    x, y = x[inside], y[inside]
+    cell = ((y + 1) / 2 * PUPIL_CELLS).astype(int) * PUPIL_CELLS + ((x + 1) / 2 * PUPIL_CELLS).astype(int)
+    for some in np.array_split(partial, max(1, partial.size * x.size // 2**24)):
+        landed = np.ones((some.size, x.size), dtype=bool)
+        for axis, pupil in ((0, x), (1, y)):
+            q = rays.mla_point(X[some, axis, None], pupil * camera.aperture_radius, g[some], b, f1)
+            landed &= (q >= low[axis]) & (q <= high[axis])
+        seen = np.ones_like(landed) if masks is None else masks.reshape(len(masks), -1)[some][:, cell]
+        # The ray that found the radiator landed, so the share is never nothing.
+        share[some] = np.maximum((landed & seen).sum(axis=1), 1) / np.maximum(seen.sum(axis=1), 1)
+    return share

@@ -1,0 +1,172 @@
+"""Where the light of a scene point goes in a camera, and how finely and widely its field must be sampled.
+
+Directions are direction cosines, as the angular spectrum has them; the lenses are thin parabolic phase elements.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import InputError, require_number
+
+MEMORY_LIMIT = 4 * 2**30
+"""Bytes that one propagation may take."""
+
+_MM_PER_NM = 1e-6
+_RIM_ANGLES = 32
+_RIM_RADII = (0.0, 0.4, 0.7, 1.0)
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """Geometric images of scene points on the MLA, and the directions in which their light arrives there.
+
+    Every array has shape (n, 2): x and y.
+    """
+
+    centre: NDArray[np.float64]
+    half_width: NDArray[np.float64]
+    cosine: NDArray[np.float64]
+    half_cosine: NDArray[np.float64]
+
+
+def footprint(camera: PlenopticCamera, positions: NDArray[np.float64]) -> Footprint:
+    """Trace rays from each scene point through the pupil to the MLA.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    positions : float64 array (n, 3)
+        Scene points in the camera frame.
+
+    Returns
+    -------
+    Footprint
+        Bounding boxes of the places and of the direction cosines, by their centres and half widths.
+
+    Raises
+    ------
+    InputError
+        If a ray leaves the main lens at a right angle or steeper, so that it never reaches the MLA.
+    """
+    angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
+    circle = np.stack([np.cos(angle), np.sin(angle)], -1)
+    P = camera.aperture_radius * np.concatenate([radius * circle for radius in _RIM_RADII])
+    path = P[None] - positions[:, None, :2]
+    length = np.sqrt((path**2).sum(-1) + positions[:, None, 2] ** 2)
+    cosine = path / length[..., None] - P / camera.focal_length
+    square = (cosine**2).sum(-1)
+    if np.any(square >= 1):
+        worst = positions[np.argmax(square.max(1))]
+        raise InputError(f"position = {tuple(worst.tolist())}: its light leaves the main lens too steeply")
+    place = P + camera.mla_distance * cosine / np.sqrt(1 - square)[..., None]
+    low, high = place.min(1), place.max(1)
+    first, last = cosine.min(1), cosine.max(1)
+    return Footprint((low + high) / 2, (high - low) / 2, (first + last) / 2, (last - first) / 2)
+
+
+def pupil_turns(
+    camera: PlenopticCamera, Px: Any, Py: Any, X: Any, Y: Any, g: Any, wavelength: Any
+) -> tuple[Any, Any]:
+    r"""Phase behind the main lens of the light of a scene point, in turns, up to that of the axis.
+
+    .. math:: \left(|P - X| - |X| - P^2 / 2 f_1\right) / \lambda
+
+    with the difference of the two paths formed without cancellation.
+
+    Parameters
+    ----------
+    Px, Py : float64 array of Dr.Jit
+        Pupil point.
+    X, Y, g : float64 array of Dr.Jit
+        Scene point.
+    wavelength : float
+        Wavelength in millimetres.
+
+    Returns
+    -------
+    turns, length : float64 arrays of Dr.Jit
+        The phase, and the path :math:`|P - X|`.
+    """
+    square = Px * Px + Py * Py
+    axis = dr.sqrt(X * X + Y * Y + g * g)
+    length = dr.sqrt((Px - X) * (Px - X) + (Py - Y) * (Py - Y) + g * g)
+    difference = (square - 2 * (Px * X + Py * Y)) / (length + axis)
+    return (difference - square * (0.5 / camera.focal_length)) * (1 / wavelength), length
+
+
+def mla_cosine(camera: PlenopticCamera) -> float:
+    """Largest change of direction cosine by a microlens, along an axis, :math:`D_2 / 2 f_2`."""
+    return camera.mla_pitch / (2 * camera.mla_focal_length)
+
+
+def in_millimetres(wavelength: float) -> float:
+    """Wavelength in millimetres, from nanometres."""
+    return wavelength * _MM_PER_NM
+
+
+def fast_length(minimum: float, multiple: int = 1) -> int:
+    """Smallest length that an FFT does quickly, at least `minimum` and a multiple of `multiple`."""
+    return multiple * int(scipy.fft.next_fast_len(math.ceil(minimum / multiple), real=True))
+
+
+def check_positions(positions: Any) -> NDArray[np.float64]:
+    """Return scene points as a float64 array (n, 3).
+
+    Raises
+    ------
+    InputError
+        If the shape is another, a coordinate is not finite, or a point does not lie before the main lens.
+    """
+    try:
+        points = np.asarray(positions, np.float64)
+    except (TypeError, ValueError):
+        raise InputError("position: it must be numbers (X, Y, g)") from None
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"positions of shape {points.shape}: it must be (n, 3), for X, Y and g")
+    for bad, rule in ((~np.isfinite(points).all(1), "its coordinates must be finite"),):
+        if bad.any():
+            raise InputError(f"position = {_format(points[bad][0])}: {rule}")
+    behind = points[:, 2] <= 0
+    if behind.any():
+        raise InputError(f"position = {_format(points[behind][0])}: its distance g must be greater than 0")
+    return points
+
+
+def check_wavelength(wavelength: Any) -> float:
+    """Return a wavelength in nanometres as a float.
+
+    Raises
+    ------
+    InputError
+        If it is not a positive finite number.
+    """
+    return require_number("wavelength", wavelength, positive=True)
+
+
+def check_memory(bytes_needed: float, what: str) -> None:
+    """Refuse work that needs more than `MEMORY_LIMIT`.
+
+    Raises
+    ------
+    InputError
+        With the estimate.
+    """
+    if bytes_needed > MEMORY_LIMIT:
+        raise InputError(
+            f"{what}: it would need {bytes_needed / 2**30:.1f} GiB of memory, at most "
+            f"{MEMORY_LIMIT / 2**30:.0f} GiB are allowed"
+        )
+
+
+def _format(point: NDArray[np.float64]) -> str:
+    return "(" + ", ".join(f"{coordinate:g}" for coordinate in point) + ")"
