@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 
 from ..camera import PlenopticCamera, image_distance
 from ..capture import Capture
-from ..errors import InputError, require_number
+from ..errors import InputError, require_count, require_number
 from .ray import reconstruct_ray
 from .result import Reconstruction, write_reconstruction
+from .wave import reconstruct_wave
 
-__all__ = ["METHODS", "Reconstruction", "reconstruct", "write_reconstruction"]
+__all__ = ["FOOTPRINTS", "METHODS", "Reconstruction", "reconstruct", "write_reconstruction"]
 
-METHODS = ("ray",)
+METHODS = ("ray", "coherent", "partial")
 FOOTPRINTS = ("lens", "point")
+
+_PROGRESS_STEPS = 100
 
 
 @overload
@@ -26,7 +29,11 @@ def reconstruct(
     *,
     method: str = ...,
     camera: PlenopticCamera | None = ...,
+    wavelength: float | Sequence[float] | None = ...,
+    interleave: int | str = ...,
     footprint: str = ...,
+    relay: bool = ...,
+    oversample: int = ...,
     progress: Callable[[int, int], None] | None = ...,
 ) -> Reconstruction: ...
 @overload
@@ -36,7 +43,11 @@ def reconstruct(
     *,
     method: str = ...,
     camera: PlenopticCamera | None = ...,
+    wavelength: float | Sequence[float] | None = ...,
+    interleave: int | str = ...,
     footprint: str = ...,
+    relay: bool = ...,
+    oversample: int = ...,
     progress: Callable[[int, int], None] | None = ...,
 ) -> list[Reconstruction]: ...
 def reconstruct(
@@ -45,25 +56,43 @@ def reconstruct(
     *,
     method: str = "ray",
     camera: PlenopticCamera | None = None,
+    wavelength: float | Sequence[float] | None = None,
+    interleave: int | str = 2,
     footprint: str = "lens",
+    relay: bool = True,
+    oversample: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Reconstruction | list[Reconstruction]:
     """Refocus a capture to one or several object distances.
+
+    Images are in units of radiance, whatever the method: a capture of a white scene gives about 1.
 
     Parameters
     ----------
     capture : Capture or (rows, columns[, channels]) array
         What the detector recorded. A plain array needs `camera`.
     distance : float or sequence of floats
-        Object distances in scene units, beyond the focal length.
-    method : {"ray"}
-        How light is followed back.
+        Object distances in scene units, beyond the focal length. Several share the way up to the main lens.
+    method : {"ray", "coherent", "partial"}
+        How light is followed back: by one ray a pixel; as one coherent wave, whose amplitude is the square root of
+        the capture; or as one such wave for each interleaved subset of lenses, whose intensities are added. Waves
+        pass the camera's lenses as thin parabolic phase elements.
     camera : PlenopticCamera, optional
         The camera of a plain array, or another one than the capture's.
+    wavelength : float or three floats, optional
+        For waves: wavelength in nanometres, or one for each of three channels. Default: the capture's own.
+    interleave : int or "auto"
+        For ``partial``: a subset is every `interleave`-th lens along both axes. 2 makes four waves; 1 is ``coherent``;
+        ``"auto"`` is the limit of large periods, where no two lenses interfere.
     footprint : {"lens", "point"}
         For rays: whether a pixel spreads over what its whole lens sees, or goes to one bin.
+    relay : bool
+        For waves: whether the microlenses act a second time, in the MLA plane. Without it, which is the literal reading
+        of the paper, planes out of focus stay blurred: see `mitsuba_plenoptic.reconstruction.coherent`.
+    oversample : int
+        Bins per lens along each axis.
     progress : callable, optional
-        Called with the distances done and their number.
+        Called with the steps done and their number.
 
     Returns
     -------
@@ -73,46 +102,115 @@ def reconstruct(
     Raises
     ------
     InputError
-        If there is no camera, the array does not fit it or holds NaN or infinity, or an option is out of range.
+        If there is no camera, or no wavelength for a wave method; if the array does not fit the camera or holds NaN or
+        infinity, or negative pixels for a wave method; or if an option is out of range.
     """
-    if isinstance(capture, Capture):
-        if camera is not None:
-            capture = Capture(capture.image, camera, capture.wavelength, capture.model, capture.metadata)
-    elif camera is None:
-        raise InputError("camera = None: a plain array needs the camera that recorded it, reconstruct(..., camera=...)")
-    else:
-        capture = Capture(np.asarray(capture), camera)
+    capture = _as_capture(capture, camera)
+    camera = capture.camera
     if method not in METHODS:
         raise InputError(f"method = {method!r}: it must be one of {', '.join(METHODS)}")
     if footprint not in FOOTPRINTS:
         raise InputError(f"footprint = {footprint!r}: it must be one of {', '.join(FOOTPRINTS)}")
+    if interleave != "auto":
+        interleave = _require_interleave(interleave, camera)
+    oversample = require_count("oversample", oversample)
     single = np.ndim(distance) == 0
     distances = [require_number("distance", value) for value in ([distance] if single else distance)]  # type: ignore[union-attr]
     for value in distances:
-        image_distance(capture.camera.focal_length, value)
-    image = capture.image
+        image_distance(camera.focal_length, value)
+    _require_pixels(capture.image, negative=method == "ray")
+    planes = capture.image if capture.image.ndim == 3 else capture.image[..., None]
+
+    options: dict[str, Any] = {"oversample": oversample}
+    if method == "ray":
+        options |= {"footprint": footprint}
+        images = []
+        for done, value in enumerate(distances):
+            _report(progress, done, len(distances))
+            images.append(reconstruct_ray(planes, camera, value, footprint=footprint, oversample=oversample))
+        _report(progress, len(distances), len(distances))
+    else:
+        wavelengths = _wavelengths(capture, wavelength, planes.shape[2])
+        interleave = 1 if method == "coherent" else interleave
+        options |= {"interleave": interleave, "relay": bool(relay), "wavelength": wavelengths}
+        channels = []
+        for channel, value in enumerate(wavelengths):
+
+            def step(share: float, channel: int = channel) -> None:
+                total = _PROGRESS_STEPS * len(wavelengths)
+                _report(progress, round((channel + share) * _PROGRESS_STEPS), total)
+
+            step(0)
+            channels.append(
+                reconstruct_wave(
+                    planes[..., channel],
+                    camera,
+                    distances,
+                    value,
+                    interleave=interleave,
+                    relay=relay,
+                    oversample=oversample,
+                    progress=step,
+                )
+            )
+        images = [np.stack(planes, axis=-1) for planes in zip(*channels, strict=True)]
+
+    results = [
+        Reconstruction(
+            image=image if capture.image.ndim == 3 else image[..., 0],
+            distance=value,
+            bin_size=camera.bin_size(value) / oversample,
+            method=method,
+            camera=camera,
+            options=options,
+        )
+        for value, image in zip(distances, images, strict=True)
+    ]
+    return results[0] if single else results
+
+
+def _as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) -> Capture:
+    if isinstance(capture, Capture):
+        if camera is None:
+            return capture
+        return Capture(capture.image, camera, capture.wavelength, capture.model, capture.metadata)
+    if camera is None:
+        raise InputError("camera = None: a plain array needs the camera that recorded it, reconstruct(..., camera=...)")
+    return Capture(np.asarray(capture), camera)
+
+
+def _require_interleave(interleave: Any, camera: PlenopticCamera) -> int:
+    try:
+        return require_count("interleave", interleave, maximum=max(camera.lens_count))
+    except InputError as error:
+        raise InputError(f"{error}, the lenses along an axis, or 'auto'") from None
+
+
+def _require_pixels(image: np.ndarray, *, negative: bool) -> None:
+    """Refuse pixels that are not finite and, unless allowed, those that are negative."""
     # The sum is not finite if any pixel is not, and costs far less than a test of each.
     if not np.isfinite(image.sum(dtype=np.float64 if image.size < 2**20 else np.float32)):
         bad = int(image.size - np.isfinite(image).sum())
         if bad:
             raise InputError(f"capture: {bad} of its pixels are NaN or infinite: all must be finite")
+    if not negative and image.min() < 0:
+        bad = int((image < 0).sum())
+        raise InputError(f"capture: {bad} of its pixels are negative: a wave's amplitude is their square root")
 
-    planes = image if image.ndim == 3 else image[..., None]
-    results = []
-    for done, value in enumerate(distances):
-        if progress:
-            progress(done, len(distances))
-        refocused = reconstruct_ray(planes, capture.camera, value, footprint=footprint)
-        results.append(
-            Reconstruction(
-                image=refocused if image.ndim == 3 else refocused[..., 0],
-                distance=value,
-                bin_size=capture.camera.bin_size(value),
-                method=method,
-                camera=capture.camera,
-                options={"footprint": footprint},
-            )
+
+def _wavelengths(capture: Capture, wavelength: Any, channels: int) -> list[float]:
+    """Wavelength of each channel."""
+    given: Any = capture.wavelength if wavelength is None else wavelength
+    if given is None:
+        raise InputError(
+            "wavelength = None: a wave method needs one, the capture's or reconstruct(..., wavelength=...)"
         )
+    values = [given] * channels if np.ndim(given) == 0 else list(given)
+    if len(values) != channels:
+        raise InputError(f"wavelength = {given!r}: the capture has {channels} channels; give one, or one for each")
+    return [require_number("wavelength", value, positive=True) for value in values]
+
+
+def _report(progress: Callable[[int, int], None] | None, done: int, total: int) -> None:
     if progress:
-        progress(len(distances), len(distances))
-    return results[0] if single else results
+        progress(done, total)

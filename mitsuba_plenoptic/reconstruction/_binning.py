@@ -98,15 +98,13 @@ def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.
     (y.count, x.count, channels) float32 array
     """
     backend = array_module()
-    rows, columns, channels = image.shape
+    _, columns, channels = image.shape
     values = backend.Float(np.ascontiguousarray(image).reshape(-1))
     by_row = _sum_columns(backend, values, x, radius**2 - y.pupil**2, columns, channels)
     return _sum_rows(backend, by_row, y, x.count * channels).numpy().reshape(y.count, x.count, channels)
 
 
-def _sum_columns(
-    backend: Any, values: Any, bins: AxisBins, limit: np.ndarray, columns: int, channels: int
-) -> Any:
+def _sum_columns(backend: Any, values: Any, bins: AxisBins, limit: np.ndarray, columns: int, channels: int) -> Any:
     """Sum the columns of each bin whose squared pupil coordinate is within the row's limit."""
     Float, UInt32 = backend.Float, backend.UInt32
     rows = limit.size

@@ -11,7 +11,9 @@ from ..camera import PlenopticCamera
 from ._binning import AxisBins, axis_bins, bin_image
 
 
-def reconstruct_ray(image: np.ndarray, camera: PlenopticCamera, distance: float, *, footprint: str) -> np.ndarray:
+def reconstruct_ray(
+    image: np.ndarray, camera: PlenopticCamera, distance: float, *, footprint: str, oversample: int = 1
+) -> np.ndarray:
     r"""Follow one ray a pixel back to the object plane and add the pixel's value to the bin it meets.
 
     The ray goes from the pixel's centre through the centre of its lens. With ``footprint="point"`` the whole value
@@ -28,6 +30,8 @@ def reconstruct_ray(image: np.ndarray, camera: PlenopticCamera, distance: float,
         Object distance.
     footprint : {"lens", "point"}
         The version.
+    oversample : int
+        Bins per lens along each axis.
 
     Returns
     -------
@@ -35,11 +39,13 @@ def reconstruct_ray(image: np.ndarray, camera: PlenopticCamera, distance: float,
         Radiance: bins are divided by the number of pixels in a micro-image,
         :math:`(\pi/4) (D_1 z / b)^2` over the pixel's area.
     """
-    columns, rows = camera.lens_count
-    x = _axis(camera, distance, 0, columns, footprint)
-    y = _axis(camera, distance, 1, rows, footprint)
-    pixels = math.pi / 4 * (camera.micro_image_diameter / camera.pixel_size) ** 2
-    return bin_image(image, x, y, _pupil_radius(camera)) / np.float32(pixels)
+    x, y = (_axis(camera, distance, axis, footprint, oversample) for axis in (0, 1))
+    return bin_image(image, x, y, _pupil_radius(camera)) / np.float32(pixels_per_bin(camera, oversample))
+
+
+def pixels_per_bin(camera: PlenopticCamera, oversample: int) -> float:
+    r"""Pixels of a micro-image, :math:`(\pi/4) (D_1 z / b)^2` over the pixel's area, that go to one bin."""
+    return math.pi / 4 * (camera.micro_image_diameter / camera.pixel_size / oversample) ** 2
 
 
 def _pupil_radius(camera: PlenopticCamera) -> float:
@@ -52,8 +58,9 @@ def _pupil_radius(camera: PlenopticCamera) -> float:
     return camera.aperture_radius + half_pixel
 
 
-def _axis(camera: PlenopticCamera, distance: float, axis: int, count: int, footprint: str) -> AxisBins:
+def _axis(camera: PlenopticCamera, distance: float, axis: int, footprint: str, oversample: int) -> AxisBins:
     """Where the pixels of one axis go, in bins, and where they meet the pupil."""
+    count = camera.lens_count[axis] * oversample
     pixel = np.arange(camera.crop_size[axis]) + camera.crop_offset[axis] + 0.5
     p = (pixel - camera.resolution[axis] / 2) * camera.pixel_size
     chief = rays.chief_point(p, camera.mla_distance, camera.detector_distance)
@@ -64,7 +71,7 @@ def _axis(camera: PlenopticCamera, distance: float, axis: int, count: int, footp
         P = rays.pupil_point(m, t, camera.mla_distance)
         X = rays.object_point(P, rays.main_lens_slope(t, P, camera.focal_length), distance)
         u = rays.conjugate_coordinate(X, distance, camera.mla_distance)
-        return P, u / camera.mla_pitch + count / 2
+        return P, u * (oversample / camera.mla_pitch) + count / 2
 
     pupil, centre = pupil_and_bin(c)
     if footprint == "point":

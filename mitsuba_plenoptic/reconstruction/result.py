@@ -19,8 +19,8 @@ class Reconstruction:
     Attributes
     ----------
     image : (rows, columns[, channels]) float32 array
-        Upright; one bin per microlens of the full detector, in units of the capture. It lines up with the image
-        of Mitsuba's ``thinlens`` focused at `distance`.
+        Upright; one bin per microlens of the full detector, or as many as were asked for, in units of the capture. It
+        lines up with the image of Mitsuba's ``thinlens`` focused at `distance`.
     distance : float
         Object distance in scene units.
     bin_size : float

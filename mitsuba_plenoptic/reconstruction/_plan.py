@@ -1,0 +1,259 @@
+r"""How finely and how widely the fields of a back-propagation are sampled: plain numbers, one axis at a time.
+
+Every leg of the way goes through the angular spectrum, and its window is periodic. The rules:
+
+- *Pitch*: a grid of pitch d holds direction cosines up to :math:`\lambda / 2d`. Light between a point of one plane
+  and a point of the next has the direction that the two points give, and nothing else is needed.
+- *Window*: light leaves a grid in all directions that the grid holds. The window is wide enough that what wraps
+  round falls outside the part of the next plane that is used.
+
+A leg pads its source with zeros to the window, and cuts the spectrum to the directions that the next plane needs:
+this resamples the field exactly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import lattice, rays
+from ..camera import PlenopticCamera
+from ..errors import InputError
+from ..propagation.sampling import MEMORY_LIMIT, fast_length, in_millimetres, mla_cosine
+
+GUARD = 1.05
+"""Directions held over those that geometry needs, for the light that edges diffract."""
+
+OBJECT_MARGIN = 3.0
+"""Bins around the geometric image in which the light of one lens is kept."""
+
+
+@dataclass(frozen=True)
+class AxisLeg:
+    """One axis of one leg of the way, from samples in one plane to samples in the next.
+
+    Attributes
+    ----------
+    first, pitch : float
+        Coordinate of the first source sample and the distance between samples, in millimetres.
+    count : int
+        Source samples; the field is zero elsewhere.
+    padded : int
+        Samples across the window.
+    kept : int
+        Lowest frequencies of the window that are kept.
+    start : float
+        Coordinate of the first destination sample, in millimetres.
+    wanted : int
+        Destination samples.
+    """
+
+    first: float
+    pitch: float
+    count: int
+    padded: int
+    kept: int
+    start: float
+    wanted: int
+
+    @property
+    def window(self) -> float:
+        """Width of the window in millimetres."""
+        return self.padded * self.pitch
+
+    @property
+    def new_pitch(self) -> float:
+        """Distance between destination samples in millimetres."""
+        return self.window / self.kept
+
+    @property
+    def source(self) -> np.ndarray:
+        """Coordinates of the source samples, float64 (count,)."""
+        return self.first + self.pitch * np.arange(self.count)
+
+    @property
+    def destination(self) -> np.ndarray:
+        """Coordinates of the destination samples, float64 (wanted,)."""
+        return self.start + self.new_pitch * np.arange(self.wanted)
+
+
+@dataclass(frozen=True)
+class Leg:
+    """Both axes of one leg."""
+
+    x: AxisLeg
+    y: AxisLeg
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns at the destination."""
+        return self.y.wanted, self.x.wanted
+
+    @property
+    def transformed(self) -> int:
+        """Samples that its Fourier transforms go through."""
+        x, y = self.x, self.y
+        return y.count * x.padded + x.kept * (y.padded + y.kept) + y.wanted * x.kept
+
+    @property
+    def memory(self) -> float:
+        """Bytes of the arrays that are alive at once."""
+        x, y = self.x, self.y
+        return 8.0 * (y.count * (x.count + x.kept) + 3 * y.kept * x.kept + y.wanted * x.wanted)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The three legs: detector to MLA, MLA to main lens, and main lens to each object plane."""
+
+    subsamples: int
+    detector: Leg
+    main_lens: Leg
+    objects: tuple[Leg, ...]
+
+
+def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
+    r"""Field samples across a pixel on the detector.
+
+    The pitch must hold the converging light of a whole cell, :math:`D_2 (b + z) / 2 b z` from the chief ray, and on
+    the MLA the microlens's bend beside the light that the main lens accepts, so that what is bent beyond the grid's
+    directions does not come back among those.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    """
+    b, z = camera.mla_distance, camera.detector_distance
+    half_field = max(camera.detector_width, camera.detector_height) / 2
+    converging = half_field / b + camera.mla_pitch * (b + z) / (2 * b * z)
+    accepted = (camera.aperture_radius + half_field) / b + mla_cosine(camera)
+    return math.ceil(2 * camera.pixel_size * max(converging, accepted) / in_millimetres(wavelength))
+
+
+def plan(
+    camera: PlenopticCamera,
+    wavelength: float,
+    distances: Sequence[float],
+    lit: tuple[tuple[int, int], tuple[int, int]],
+) -> Plan:
+    """Choose the grids for one capture and some object distances.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    distances : sequence of floats
+        Object distances.
+    lit : ((int, int), (int, int))
+        First and past-the-last pixel of the full detector that may be lit, in x and in y.
+
+    Raises
+    ------
+    InputError
+        If the work would need more than 4 GiB.
+    """
+    subsamples = field_subsamples(camera, wavelength)
+    axes = [_axis_plan(camera, wavelength, distances, axis, lit[axis], subsamples) for axis in (0, 1)]
+    (x1, x2, xs), (y1, y2, ys) = axes
+    made = Plan(subsamples, Leg(x1, y1), Leg(x2, y2), tuple(Leg(x, y) for x, y in zip(xs, ys, strict=True)))
+    needed = max(leg.memory for leg in (made.detector, made.main_lens, *made.objects))
+    if needed > MEMORY_LIMIT:
+        raise InputError(
+            f"camera: its wave reconstruction would need {needed / 2**30:.1f} GiB, at most {MEMORY_LIMIT / 2**30:.0f}"
+        )
+    return made
+
+
+def _axis_plan(
+    camera: PlenopticCamera,
+    wavelength: float,
+    distances: Sequence[float],
+    axis: int,
+    lit: tuple[int, int],
+    subsamples: int,
+) -> tuple[AxisLeg, AxisLeg, list[AxisLeg]]:
+    b, z, radius = camera.mla_distance, camera.detector_distance, camera.aperture_radius
+    wave = in_millimetres(wavelength)
+
+    # Detector to MLA: every direction is kept, and the window leaves room for them on both sides. Light that leaves
+    # the cells of the lit pixels' own lenses misses the pupil.
+    pitch = camera.pixel_size / subsamples
+    count = (lit[1] - lit[0]) * subsamples
+    first = (lit[0] - camera.resolution[axis] / 2) * camera.pixel_size + pitch / 2
+    spread = math.ceil(z * wave / (2 * pitch) / pitch)
+    padded = fast_length(count + 2 * spread)
+    cells = lattice.cell_index(rays.chief_point(first + pitch * np.array([0, count - 1.0]), b, z), camera.mla_pitch)
+    low, high = cells * camera.mla_pitch + np.array([0, camera.mla_pitch])
+    wanted = math.ceil((high - low) / pitch - 1e-6)  # whole cells often are whole numbers of samples
+    start = (low + high) / 2 - (wanted - 1) / 2 * pitch
+    detector = AxisLeg(first, pitch, count, padded, padded, float(start), wanted)
+
+    # MLA to main lens.
+    half_mla = max(abs(low), abs(high))
+    ends = [_object_extent(camera, g, axis, detector) for g in distances]
+    slopes = [(radius + half_mla) / b]
+    slopes += [(radius + max(map(abs, light))) / g for g, (light, _) in zip(distances, ends, strict=True)]
+    steepest = GUARD * max(slopes)
+    main_lens = _leg(
+        detector.destination[0],
+        pitch,
+        wanted,
+        window=half_mla + b * steepest + radius,
+        new_pitch=wave / (2 * steepest),
+        destination=(-radius, radius),
+    )
+
+    # Main lens to object planes: only light aimed at the image of a lens comes through.
+    objects = []
+    for slope, (light, kept) in zip(slopes[1:], ends, strict=True):
+        objects.append(
+            _leg(
+                main_lens.start,
+                main_lens.new_pitch,
+                main_lens.wanted,
+                window=max(light[1] - kept[0], kept[1] - light[0], 2 * radius),
+                new_pitch=wave / (2 * GUARD * slope),
+                destination=kept,
+            )
+        )
+    return detector, main_lens, objects
+
+
+def _object_extent(
+    camera: PlenopticCamera, distance: float, axis: int, detector: AxisLeg
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Where the light of the lit lenses arrives in an object plane, and the part of it that lies on bins."""
+    bin_size = camera.bin_size(distance)
+    spread = camera.blur_diameter(distance) / 2 * distance / camera.mla_distance + OBJECT_MARGIN * bin_size
+    edges = detector.first + np.array([-0.5, detector.count - 0.5]) * detector.pitch
+    mla = rays.chief_point(edges, camera.mla_distance, camera.detector_distance)
+    high, low = -mla * distance / camera.mla_distance
+    light = (float(low) - spread, float(high) + spread)
+    half_field = camera.lens_count[axis] / 2 * bin_size
+    return light, (max(light[0], -half_field), min(light[1], half_field))
+
+
+def _leg(
+    first: float,
+    pitch: float,
+    count: int,
+    *,
+    window: float,
+    new_pitch: float,
+    destination: tuple[float, float],
+) -> AxisLeg:
+    """Round a window and a pitch to lengths that are transformed fast."""
+    padded = fast_length(max(window / pitch, count))
+    kept = min(fast_length(padded * pitch / new_pitch), padded)
+    new_pitch = padded * pitch / kept
+    wanted = min(math.ceil((destination[1] - destination[0]) / new_pitch) + 1, kept)
+    start = (destination[0] + destination[1]) / 2 - (wanted - 1) / 2 * new_pitch
+    return AxisLeg(float(first), pitch, count, padded, kept, start, wanted)

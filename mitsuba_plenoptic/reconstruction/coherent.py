@@ -1,0 +1,180 @@
+r"""Refocusing by coherent back-propagation of the square root of a capture.
+
+The detector has lost the phase of the light. Coherent reconstruction supplies one: under each microlens, of centre
+c, the light is taken to converge from its whole micro-image towards c,
+
+.. math:: U_0(p) = \sqrt{I(p)} \, \exp\left(-i \pi \frac{|p - c|^2}{\lambda z}\right)
+
+and goes back by the angular spectrum to the MLA, through the microlenses :math:`\exp(-i \pi |m - c|^2 / \lambda f_2)`,
+to the main lens :math:`\exp(-i \pi P^2 / \lambda f_1)` and its pupil, and to the object plane, where
+:math:`|U|^2` is summed over bins.
+
+Why the microlens acts a second time
+------------------------------------
+The converging phase undoes what the microlens did on the way in, and it is tempting to go straight on to the main
+lens. But at its focus in the MLA plane, a field that converges from z away is the Fourier transform of
+:math:`\sqrt{I}` *times* :math:`\exp(i \pi |m - c|^2 / \lambda z)` (Goodman, "Introduction to Fourier Optics", section
+5.2). If that factor stays, the light that reaches the main lens is not the micro-image enlarged but the micro-image
+after :math:`(\lambda z)^{1/2}` of Fresnel blur: 18 um of a micro-image of 43 um for the paper's camera, where a
+microlens has the Fresnel number 1.4. A blurred micro-image is a blurred pupil: every ray's direction is uncertain, and
+planes out of focus come out with doubled edges, the more the farther they are. The microlens's own phase cancels the
+factor (exactly for z = f2), and the pupil holds :math:`\sqrt{I}` itself. ``relay=False`` leaves it out, to show this.
+
+Partial coherence
+-----------------
+Light that passed different microlenses from different scene points never interferes, yet here the fields of all
+lenses do. Fields of lenses in subsets (every K-th column and row), each propagated coherently, whose intensities are
+added, interfere less; where the lenses of a subset are farther apart than their images are wide, not at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from .. import lattice, rays
+from ..camera import PlenopticCamera
+from ..propagation.fft import Field
+from ._binning import AxisBins, axis_bins, bin_image
+from ._elements import converging_phase, detector_lens, lens_phase
+from ._legs import propagate_leg
+from ._plan import AxisLeg, Leg, Plan, plan
+
+
+def reconstruct_subsets(
+    image: np.ndarray,
+    camera: PlenopticCamera,
+    distances: Sequence[float],
+    wavelength: float,
+    *,
+    interleave: int = 1,
+    relay: bool = True,
+    oversample: int = 1,
+    progress: Callable[[float], None] = lambda share: None,
+) -> list[np.ndarray]:
+    """Propagate interleaved subsets of lenses coherently and add their intensities.
+
+    Parameters
+    ----------
+    image : (rows, columns) float32 array
+        The capture, not negative.
+    camera : PlenopticCamera
+        The camera; its recorded window is the image. Lenses are thin parabolic phase elements.
+    distances : sequence of floats
+        Object distances, which share the way up to the main lens.
+    wavelength : float
+        Wavelength in nanometres.
+    interleave : int
+        Period K of a subset along each axis; 1 is one coherent field.
+    relay : bool
+        Whether the microlenses act in the MLA plane.
+    oversample : int
+        Bins per lens along each axis.
+    progress : callable
+        Called with the share of the work done.
+
+    Returns
+    -------
+    list of (rows, columns) float64 arrays
+        Power in each bin, in pixel values times pixels.
+    """
+    columns, rows = (count * oversample for count in camera.lens_count)
+    totals = [np.zeros((rows, columns)) for _ in distances]
+    lit = lit_window(image, camera)
+    if lit is None:
+        return totals
+    grids = plan(camera, wavelength, distances, lit)
+    for done, field in enumerate(_pupil_fields(image, camera, wavelength, grids, lit, interleave, relay)):
+        for total, distance, leg in zip(totals, distances, grids.objects, strict=True):
+            total += _object_image(field, camera, distance, wavelength, leg, oversample)
+        progress((done + 1) / interleave**2)
+    return totals
+
+
+def lit_window(image: np.ndarray, camera: PlenopticCamera) -> tuple[tuple[int, int], tuple[int, int]] | None:
+    """First and past-the-last column and row of the full detector that hold light; None where all is dark."""
+    window = []
+    for axis in (0, 1):
+        lit = np.flatnonzero(image.any(axis=axis))
+        if lit.size == 0:
+            return None
+        offset = camera.crop_offset[axis]
+        window.append((offset + int(lit[0]), offset + int(lit[-1]) + 1))
+    return window[0], window[1]
+
+
+def _pupil_fields(
+    image: np.ndarray,
+    camera: PlenopticCamera,
+    wavelength: float,
+    grids: Plan,
+    lit: tuple[tuple[int, int], tuple[int, int]],
+    interleave: int,
+    relay: bool,
+) -> Iterator[Field]:
+    """Field of each subset just before the main lens, zero outside the pupil."""
+    rows, columns = (
+        slice(first - offset, end - offset)
+        for (first, end), offset in zip(lit[::-1], camera.crop_offset[::-1], strict=True)
+    )
+    amplitude = np.sqrt(image[rows, columns])
+    for axis in (0, 1) if grids.subsamples > 1 else ():
+        amplitude = np.repeat(amplitude, grids.subsamples, axis)
+    element = [_microlenses(camera, wavelength, axis, relay) for axis in (grids.detector.x, grids.detector.y)]
+    pupil = _pupil(camera, grids.main_lens)
+    for j in range(interleave):
+        for i in range(interleave):
+            x = _subset_source(camera, wavelength, grids.detector.x, interleave, i)
+            y = _subset_source(camera, wavelength, grids.detector.y, interleave, j)
+            field = propagate_leg(amplitude, y, x, grids.detector, camera.detector_distance, wavelength)
+            field = propagate_leg(field, element[1], element[0], grids.main_lens, camera.mla_distance, wavelength)
+            field *= pupil
+            yield field
+
+
+def _object_image(
+    field: Field, camera: PlenopticCamera, distance: float, wavelength: float, leg: Leg, oversample: int
+) -> np.ndarray:
+    """Power in each bin of an object plane."""
+    x, y = (lens_phase(axis.source, camera.focal_length, wavelength) for axis in (leg.x, leg.y))
+    field = propagate_leg(field, y, x, leg, distance, wavelength)
+    intensity = field.real**2
+    intensity += field.imag**2
+    bin_x, bin_y = (
+        _sample_bins(camera, distance, axis, count * oversample, oversample)
+        for axis, count in zip((leg.x, leg.y), camera.lens_count, strict=True)
+    )
+    power = bin_image(intensity[..., None], bin_x, bin_y, 1.0)[..., 0]
+    return power * (leg.x.new_pitch * leg.y.new_pitch / camera.pixel_size**2)
+
+
+def _sample_bins(camera: PlenopticCamera, distance: float, axis: AxisLeg, count: int, oversample: int) -> AxisBins:
+    """Share of each object-plane sample in each bin, both taken as intervals."""
+    X = axis.destination[:, None] + np.array([-0.5, 0.5]) * axis.new_pitch
+    u = rays.conjugate_coordinate(X, distance, camera.mla_distance) * (oversample / camera.mla_pitch) + count / 2
+    return axis_bins(u[:, 0], u[:, 1], np.zeros(axis.wanted), count, 1.0)
+
+
+def _subset_source(
+    camera: PlenopticCamera, wavelength: float, axis: AxisLeg, interleave: int, subset: int
+) -> np.ndarray:
+    """Phase that makes the pixels of each lens converge to its centre; zero for lenses outside the subset."""
+    index = detector_lens(axis.source, camera)
+    phase = converging_phase(axis.source, index, camera, wavelength)
+    return np.where(np.mod(index, interleave) == subset, phase, 0)
+
+
+def _microlenses(camera: PlenopticCamera, wavelength: float, axis: AxisLeg, relay: bool) -> np.ndarray:
+    """Transmission of the microlens array along one axis of the MLA plane."""
+    m = axis.destination
+    if not relay:
+        return np.ones(m.size, np.complex64)
+    c = lattice.cell_centre(lattice.cell_index(m, camera.mla_pitch), camera.mla_pitch)
+    return lens_phase(m - c, camera.mla_focal_length, wavelength)
+
+
+def _pupil(camera: PlenopticCamera, leg: Leg) -> np.ndarray:
+    """1 within the main lens and 0 outside, float32."""
+    x, y = leg.x.destination, leg.y.destination
+    return (x**2 + y[:, None] ** 2 <= camera.aperture_radius**2).astype(np.float32)

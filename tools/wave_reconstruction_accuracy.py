@@ -1,0 +1,155 @@
+"""Wave reconstructions of the letters: against Mitsuba's thin lens, and against the limit without interference.
+
+Takes a ray and a wave capture of the letters (renders those that are not given), refocuses them by all methods, and
+writes two tables and a picture. Agreement: correlation and PSNR with a `thinlens` render of one pixel a bin, one scale
+factor per method. Interference: RMS distance from the image in which every lens is propagated alone, over the mean, in
+the letters out of focus; that limit is made with full fields at a period at which no two lenses of a subset overlap.
+
+    python tools/wave_reconstruction_accuracy.py --output out [--capture wave.exr] [--ray-capture ray.exr]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from _referee import agreement, best_shift, thin_lens_image
+
+from mitsuba_plenoptic import Capture, load_scene, read_capture, reconstruct, render_capture
+from mitsuba_plenoptic.report.images import write_png
+
+DISTANCES = (210.0, 240.0, 280.0)
+LETTERS = {"8": (210.0, 3.2), "F": (240.0, 0.0), "#": (280.0, -3.2)}  # distance, and x at 240 mm
+FOCUS = 240.0
+METHODS: dict[str, tuple[str, dict[str, Any]]] = {
+    "point rays of ray capture": ("ray", {"method": "ray", "footprint": "point"}),
+    "rays of ray capture": ("ray", {"method": "ray"}),
+    "point rays of wave capture": ("wave", {"method": "ray", "footprint": "point"}),
+    "rays of wave capture": ("wave", {"method": "ray"}),
+    "coherent of wave capture": ("wave", {"method": "coherent"}),
+    "K = 2 of wave capture": ("wave", {"method": "partial", "interleave": 2}),
+    "auto of wave capture": ("wave", {"method": "partial", "interleave": "auto"}),
+    "K = 2 without relay": ("wave", {"method": "partial", "interleave": 2, "relay": False}),
+}
+
+
+def main() -> None:
+    """Refocus, compare, and write the tables as Markdown and JSON with the picture beside them."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--output", type=Path, default=Path("out/wave_reconstruction_accuracy"))
+    parser.add_argument("--capture", type=Path, help="a wave capture of the letters")
+    parser.add_argument("--ray-capture", type=Path, help="a ray capture of the letters")
+    parser.add_argument("--referee-spp", type=int, default=4096, help="samples per pixel of the thin lens")
+    parser.add_argument("--periods", type=int, nargs="*", default=[1, 2, 4, 8])
+    parser.add_argument(
+        "--limit-period", type=int, default=16, help="period at which no two lenses of a subset overlap"
+    )
+    arguments = parser.parse_args()
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    mi.set_variant("llvm_ad_mono")
+
+    scene = load_scene("letters")
+    captures = {
+        "ray": read_capture(arguments.ray_capture) if arguments.ray_capture else render_capture(scene, spp=64),
+        "wave": read_capture(arguments.capture)
+        if arguments.capture
+        else render_capture(scene, model="wave", wavelength=633.0),
+    }
+    references = [thin_lens_image(scene, captures["wave"].camera, g, arguments.referee_spp) for g in DISTANCES]
+    table = _agreement(captures, references, arguments.output)
+    interference = _interference(captures["wave"], arguments.periods, arguments.limit_period)
+    (arguments.output / "wave_reconstruction_accuracy.json").write_text(
+        json.dumps({"agreement": table, "interference": interference}, indent=1)
+    )
+    text = _markdown(table, interference, arguments.limit_period)
+    (arguments.output / "wave_reconstruction_accuracy.md").write_text(text)
+    print(text)
+
+
+def _agreement(captures: dict[str, Capture], references: list[np.ndarray], output: Path) -> list[dict[str, Any]]:
+    rows, pictures = [], [np.concatenate(references, 1)]
+    for name, (kind, options) in METHODS.items():
+        start = time.perf_counter()
+        results = reconstruct(captures[kind], list(DISTANCES), **options)
+        seconds = time.perf_counter() - start
+        images = [result.image.astype(np.float64) for result in results]
+        scale, scores = agreement(images, references)
+        for g, image, reference, (psnr, correlation) in zip(DISTANCES, images, references, scores, strict=True):
+            rows.append(
+                {
+                    "method": name,
+                    "distance": g,
+                    "psnr_db": round(psnr, 2),
+                    "correlation": round(correlation, 5),
+                    "scale": round(scale, 4),
+                    "best_shift": best_shift(image, reference),
+                    "seconds_for_all_distances": round(seconds, 2),
+                }
+            )
+        pictures.append(scale * np.concatenate(images, 1))
+    sheet = np.repeat(np.repeat(np.concatenate(pictures, 0), 3, 0), 3, 1)
+    write_png(output / "wave_reconstructions.png", sheet, peak=max(float(r.max()) for r in references))
+    return rows
+
+
+def _interference(capture: Capture, periods: list[int], limit_period: int) -> list[dict[str, Any]]:
+    def images(interleave: int | str) -> list[np.ndarray]:
+        results = reconstruct(capture, list(DISTANCES), method="partial", interleave=interleave)
+        return [result.image.astype(np.float64) for result in results]
+
+    limits = images(limit_period)
+    rows = []
+    for interleave in (*periods, "auto"):
+        row: dict[str, Any] = {"interleave": interleave}
+        for g, image, limit in zip(DISTANCES, images(interleave), limits, strict=True):
+            for letter, (own, _) in LETTERS.items():
+                if own != g:
+                    row[f"{letter} at {g:g}"] = _distance(image, limit, _letter_bins(capture, limit, letter))
+        rows.append(row)
+    return rows
+
+
+def _letter_bins(capture: Capture, limit: np.ndarray, letter: str) -> np.ndarray:
+    """Bins in a letter's third of the picture that are lit by a fifth of the maximum or more."""
+    camera = capture.camera
+    centre = LETTERS[letter][1] / FOCUS * camera.mla_distance / camera.mla_pitch
+    third = LETTERS["8"][1] / FOCUS * camera.mla_distance / camera.mla_pitch
+    # +x is left.
+    columns = camera.lens_count[0] / 2 - (np.arange(camera.lens_count[0]) + 0.5) - centre
+    return (np.abs(columns) < third / 2) & (limit > 0.2 * limit.max())
+
+
+def _distance(image: np.ndarray, limit: np.ndarray, bins: np.ndarray) -> float:
+    return float(100 * math.sqrt(np.mean((image - limit)[bins] ** 2)) / limit[bins].mean())
+
+
+def _markdown(table: list[dict[str, Any]], interference: list[dict[str, Any]], limit_period: int) -> str:
+    lines = [
+        "| method | g (mm) | PSNR (dB) | correlation | scale | best shift | s, all distances |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {r['method']} | {r['distance']:g} | {r['psnr_db']:.1f} | {r['correlation']:.4f} | {r['scale']:.3f} "
+        f"| {r['best_shift']} | {r['seconds_for_all_distances']:.1f} |"
+        for r in table
+    ]
+    places = list(interference[0])[1:]
+    lines += [
+        "",
+        f"RMS distance from the limit without interference (full fields, K = {limit_period}) over the mean, in %:",
+        "",
+        f"| K | {' | '.join(places)} |",
+        "|---|" + "---|" * len(places),
+    ]
+    lines += [f"| {row['interleave']} | {' | '.join(f'{row[p]:.2f}' for p in places)} |" for row in interference]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main()
