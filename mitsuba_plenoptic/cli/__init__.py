@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from ..errors import InputError
-from . import doctor, info, reconstruct, render
+from . import compare, convert, depth, doctor, epi, expose, info, reconstruct, render, reproduce, stack, views
 
 PROGRAM = "mitsuba-plenoptic"
 
@@ -50,6 +50,14 @@ def _root(
 
 app.command("render")(render.render)
 app.command("reconstruct")(reconstruct.reconstruct)
+app.command("views")(views.views)
+app.command("epi")(epi.epi)
+app.command("stack")(stack.stack)
+app.command("depth")(depth.depth)
+app.command("expose")(expose.expose)
+app.command("convert")(convert.convert)
+app.command("compare")(compare.compare)
+app.command("reproduce")(reproduce.reproduce)
 app.command("info")(info.info)
 app.command("doctor")(doctor.doctor)
 

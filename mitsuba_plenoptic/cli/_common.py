@@ -44,7 +44,7 @@ def load_capture(path: str | Path) -> Capture:
     InputError
         If it cannot be read.
     """
-    with _native_output_dropped():
+    with native_output_dropped():
         return read_capture(path)
 
 
@@ -66,7 +66,7 @@ def parse_definitions(definitions: list[str] | None) -> dict[str, str]:
 
 
 @contextlib.contextmanager
-def _native_output_dropped() -> Iterator[None]:
+def native_output_dropped() -> Iterator[None]:
     """Drop what C++ code prints past Python."""
     sys.stdout.flush()
     sys.stderr.flush()

@@ -33,13 +33,18 @@ def write_png(path: str | Path, image: np.ndarray, *, peak: float | None = None)
     InputError
         If the file cannot be written.
     """
+    with atomic_output(path) as temporary:
+        Image.fromarray(to_bytes(image, peak)).save(temporary, format="PNG")
+
+
+def to_bytes(image: np.ndarray, peak: float | None = None) -> np.ndarray:
+    """Encode a linear image in 8 bits, sRGB; see `write_png` for the parameters."""
     values = np.nan_to_num(np.asarray(image, dtype=np.float32), nan=0.0, posinf=0.0, neginf=0.0)
     if peak is None:
         peak = float(values.max())
     # An image that is all black stays so.
     values = np.clip(values / peak, 0, 1) if peak > 0 else np.zeros_like(values)
-    with atomic_output(path) as temporary:
-        Image.fromarray(np.round(255 * _srgb(values)).astype(np.uint8)).save(temporary, format="PNG")
+    return np.round(255 * _srgb(values)).astype(np.uint8)
 
 
 def shrink(image: np.ndarray, longest: int) -> np.ndarray:

@@ -1,0 +1,42 @@
+"""How long computations in stages tell of themselves."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+from ..report.stages import Finished, Notify
+
+
+@contextlib.contextmanager
+def stage_lines() -> Iterator[tuple[Notify, Finished]]:
+    """Print a line for each stage that is done, and on a terminal a bar for the one under way; on standard error.
+
+    Yields
+    ------
+    notify, finished : callable
+        As `mitsuba_plenoptic.report.stages` takes them.
+    """
+    console = Console(stderr=True, highlight=False)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        tasks: dict[str, TaskID] = {}
+
+        def notify(name: str, done: int, total: int) -> None:
+            if name not in tasks:
+                tasks[name] = bar.add_task(_words(name), total=None)
+            bar.update(tasks[name], completed=done, total=total or None)
+
+        def finished(name: str, seconds: float, was_there: bool) -> None:
+            if name in tasks:
+                bar.remove_task(tasks.pop(name))
+            console.print(f"{_words(name):<28} {'kept' if was_there else f'{seconds:.1f} s'}")
+
+        yield notify, finished
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")

@@ -1,0 +1,43 @@
+"""``mitsuba-plenoptic convert``: light fields for and from other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..files import require_writable
+from ..interchange import save_light_field
+from ._light_field import Source, ViewCount, White, load_light_field
+
+
+def convert(
+    source: Source,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="File to write: .mat for LFToolbox, .eslf.png for the samples of each lens together, .png for a "
+            "16-bit mosaic of views.",
+        ),
+    ],
+    white: White = None,
+    view_count: ViewCount = None,
+) -> None:
+    """Decode a capture for other programs, or translate between their light fields.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic convert raw.exr -o lf.mat
+
+      mitsuba-plenoptic convert photo.png --white white.png -o lf.mat
+
+      mitsuba-plenoptic convert lytro.eslf.png --view-count 14 -o lf.mat
+    """
+    require_writable(output)
+    lf = load_light_field(source, white, view_count)
+    save_light_field(output, lf)
+    typer.echo(f"{output}: {lf.sizes['u']} x {lf.sizes['v']} views of {lf.sizes['s']} x {lf.sizes['t']} pixels")

@@ -1,0 +1,59 @@
+"""``mitsuba-plenoptic depth``: from a capture to a depth map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..lightfield import depth_map
+from ..report.light_fields import require_picture_path, write_depth
+from ._common import progress_bar
+from ._light_field import Source, ViewCount, White, load_light_field
+
+
+def depth(
+    source: Source,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="File to write: OpenEXR with the parts depth, disparity, confidence and image if it ends in .exr; "
+            "if in .png pictures of the all-in-focus image, the depth (near is white) and the confidence.",
+        ),
+    ],
+    near: Annotated[
+        float | None,
+        typer.Option(metavar="MM", show_default="where views differ by a lens", help="Nearest distance to search."),
+    ] = None,
+    far: Annotated[
+        float | None,
+        typer.Option(metavar="MM", show_default="where views differ by a lens", help="Farthest distance to search."),
+    ] = None,
+    planes: Annotated[int, typer.Option(metavar="N", help="Number of distances to try.")] = 64,
+    white: White = None,
+    view_count: ViewCount = None,
+) -> None:
+    """Estimate depth, and an image in focus everywhere, from how well the views agree.
+
+    Depth is measured from the main lens along the axis. The confidence tells
+    where to believe it: above half, no other depth explains the views nearly
+    as well.
+
+    [bold]Example:[/bold]
+
+      mitsuba-plenoptic depth raw.exr -o depth.exr --near 195 --far 310
+    """
+    require_picture_path(output)
+    lf = load_light_field(source, white, view_count)
+    with progress_bar("Comparing views") as progress:
+        found = depth_map(lf, near, far, planes=planes, progress=progress)
+    write_depth(output, found)
+    sure = found.confidence > 0.5
+    where = found.depth.where(sure)
+    share = f"{100 * float(sure.mean()):.0f} % of the bins with a confidence above half"
+    span = f", from {float(where.min()):.4g} to {float(where.max()):.4g} mm" if bool(sure.any()) else ""
+    typer.echo(f"{output}: {share}{span}")

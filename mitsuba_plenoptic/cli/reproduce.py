@@ -1,0 +1,44 @@
+"""``mitsuba-plenoptic reproduce``: the paper's figures, timing and conclusions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ._stages import stage_lines
+
+
+def reproduce(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder to write into; made if it is not there.")
+    ],
+    preset: Annotated[
+        str,
+        typer.Option(
+            metavar="quick|paper",
+            help="A detector of half the width with letters of half the size, or the paper's 4096 x 4096 pixels.",
+        ),
+    ] = "quick",
+) -> None:
+    """Compute the paper's figures, timing and conclusions again.
+
+    Writes figures, captures and reconstructions, all numbers and report.html,
+    which shows them in a browser. What the folder already holds and is still
+    valid is kept, so that a run that was stopped goes on where it stood.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic reproduce -o demo
+
+      mitsuba-plenoptic reproduce --preset paper -o paper
+    """
+    # Figures need libraries that take a second to load, which other commands need not wait for.
+    from ..report.reproduce import reproduce as compute
+
+    with stage_lines() as (notify, finished):
+        results = compute(output, preset=preset, notify=notify, finished=finished)
+    for claim in results["claims"]:
+        typer.echo(f"{claim['verdict']:<10} {claim['statement']}")
+    typer.echo(f"{output / 'report.html'}: open it in a browser")

@@ -1,0 +1,51 @@
+"""``mitsuba-plenoptic stack``: from a capture to a focal stack."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..lightfield import focal_stack
+from ..lightfield.refocus import METHODS
+from ..report.light_fields import require_picture_path, write_stack
+from ._common import progress_bar
+from ._light_field import Source, ViewCount, White, load_light_field
+
+
+def stack(
+    source: Source,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="File to write: OpenEXR with a part for each distance if it ends in .exr, pictures side by side if "
+            "in .png.",
+        ),
+    ],
+    distance: Annotated[
+        list[float],
+        typer.Option(metavar="MM", help="Distance from the main lens to focus on; repeat for several."),
+    ],
+    method: Annotated[
+        str, typer.Option(metavar="|".join(METHODS), help="Shift views and add, or slice the spectrum.")
+    ] = "shift",
+    white: White = None,
+    view_count: ViewCount = None,
+) -> None:
+    """Refocus to several distances from the decoded light field.
+
+    [bold]Example:[/bold]
+
+      mitsuba-plenoptic stack raw.exr -o stack.png --distance 210 --distance 240 --distance 280
+    """
+    require_picture_path(output)
+    lf = load_light_field(source, white, view_count)
+    with progress_bar("Refocusing") as progress:
+        images = focal_stack(lf, distance, method=method, progress=progress)
+    write_stack(output, images)
+    rows, columns = images.shape[1:3]
+    typer.echo(f"{output}: {len(images)} images of {columns} x {rows} bins")

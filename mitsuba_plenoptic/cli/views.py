@@ -1,0 +1,50 @@
+"""``mitsuba-plenoptic views``: from a capture to its sub-aperture views."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..lightfield import pick_views
+from ..report.light_fields import require_picture_path, write_views
+from ._light_field import Source, ViewCount, White, load_light_field
+
+
+def views(
+    source: Source,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="File to write: OpenEXR with a part for each view if it ends in .exr, a mosaic if in .png.",
+        ),
+    ],
+    count: Annotated[
+        int | None,
+        typer.Option(metavar="N", show_default="all", help="Write N x N views, evenly spread over the pupil."),
+    ] = None,
+    white: White = None,
+    view_count: ViewCount = None,
+) -> None:
+    """Show the scene from many places on the main lens.
+
+    Each view is an image with one pixel a lens, as a camera with a small
+    aperture at that place would take it. The mosaic shows the views as they
+    lie on the pupil, the upper left first, seen from behind the camera.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic views raw.exr -o views.png --count 5
+
+      mitsuba-plenoptic views raw.exr -o centre.png --count 1
+    """
+    require_picture_path(output)
+    lf = load_light_field(source, white, view_count)
+    if count is not None:
+        lf = pick_views(lf, count)
+    write_views(output, lf)
+    typer.echo(f"{output}: {lf.sizes['u']} x {lf.sizes['v']} views of {lf.sizes['s']} x {lf.sizes['t']} pixels")

@@ -1,0 +1,95 @@
+"""Rays and waves compared on any scene with a plenoptic camera."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError
+from .experiment import Settings, open_store, run_experiment
+from .figures import brightest_zoom, figure_captures, figure_grid, figure_interference
+from .html import Page, write_page
+from .measure import measure
+from .reproduce import interference_notes, likeness_notes, told_seconds
+from .stages import Finished, Notify, software, write_json
+
+
+def compare(
+    settings: Settings, output: Path, *, notify: Notify | None = None, finished: Finished | None = None
+) -> dict[str, Any]:
+    """Capture a scene by rays and by waves, refocus it in every way, and report how they differ.
+
+    The ray capture has parabolic lenses, whose aberrations are those of the wave capture's thin phases, so that
+    diffraction is the only difference.
+
+    Parameters
+    ----------
+    settings : Settings
+        Scene, distances and sampling.
+    output : Path
+        Folder to write into; what is in it already and valid is kept.
+    notify, finished : callable, optional
+        Told of the progress and of the end of each stage; see `stages`.
+
+    Returns
+    -------
+    dict
+        What ``results.json`` holds.
+
+    Raises
+    ------
+    InputError
+        If the scene or a distance is refused, or the folder cannot be written.
+    """
+    if not settings.distances:
+        raise InputError("distance: give at least one to refocus to")
+    store = open_store(output, notify, finished)
+    experiment = run_experiment(settings, store)
+    numbers = measure(experiment)
+    zooms = [brightest_zoom(experiment)]
+    plates = {
+        "captures.png": "Micro-images by rays and by waves, and their difference.",
+        "methods.png": "All methods beside the thin lens.",
+        "interference.png": "What interference between lenses adds to the image.",
+    }
+    figure_captures(output / "captures.png", experiment, zooms)
+    figure_grid(output / "methods.png", experiment, likeness_notes(numbers))
+    figure_interference(output / "interference.png", experiment, interference_notes(numbers))
+    results = {
+        "settings": settings.to_dict(),
+        "camera": experiment.camera.to_dict(),
+        "software": software(),
+        **numbers,
+        "stage_seconds": store.seconds,
+    }
+    write_json(output / "results.json", results)
+    columns, rows = experiment.camera.lens_count
+    name = Path(settings.scene).stem.replace("_", " ")
+    write_page(
+        output / "report.html",
+        Page(
+            title=f"Rays and waves: {name}",
+            lead=f"Recorded through {columns} x {rows} microlenses, once by rays and once by waves at "
+            f"{settings.wavelength:g} nm, and refocused from one capture.",
+            experiment=experiment,
+            numbers=numbers,
+            zooms=zooms,
+            plates=[(output / file, caption) for file, caption in plates.items()],
+            command=_command(settings, output),
+            seconds=told_seconds(store.seconds),
+        ),
+    )
+    return results
+
+
+def _command(settings: Settings, output: Path) -> str:
+    words = ["mitsuba-plenoptic compare", settings.scene, f"-o {output.name}"]
+    words += [f"--distance {distance:g}" for distance in settings.distances]
+    words += [f"-D {name}={value}" for name, value in settings.parameters.items()]
+    words += [
+        f"--wavelength {settings.wavelength:g}",
+        f"--radiators {settings.radiators_per_lens}",
+        f"--spp {settings.spp}",
+        f"--variant {settings.variant}",
+    ]
+    return " ".join(words)

@@ -1,0 +1,257 @@
+"""The experiment behind every report: one scene captured by rays and by waves, and refocused in every way."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..camera import PlenopticCamera
+from ..capture import Capture
+from ..errors import InputError
+from ..reconstruction import Reconstruction, reconstruct
+from ..rendering import DEFAULT_VARIANT, load_scene, render_capture, scene_path, set_variant
+from .referee import pinhole_image, thin_lens_image
+from .stages import Finished, Notify, StageStore, scene_fingerprint
+
+OBJECT_COLUMNS = 1024
+
+
+class Method(NamedTuple):
+    """A way to refocus: name, title in figures, options of `reconstruct`, and the capture it starts from."""
+
+    name: str
+    title: str
+    options: dict[str, Any]
+    source: str = "wave"
+
+
+METHODS = (
+    Method("ray_of_ray", "Rays, of the ray capture", {"method": "ray", "footprint": "lens"}, "ray"),
+    Method("ray_point", "Rays, one bin a pixel", {"method": "ray", "footprint": "point"}),
+    Method("ray", "Rays, lens footprint", {"method": "ray", "footprint": "lens"}),
+    Method("coherent", "Coherent", {"method": "coherent"}),
+    Method("partial", "Partially coherent", {"method": "partial", "interleave": 2}),
+    # The limit in which no two lenses interfere.
+    Method("limit", "One lens at a time", {"method": "partial", "interleave": "auto"}),
+)
+TITLES = {"truth": "Thin lens (truth)", **{method.name: method.title for method in METHODS}}
+
+# Those that the report's slider shows; the others differ in details only and the last one takes long.
+SLIDER_METHODS = ("ray", "coherent", "partial")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What an experiment is made with.
+
+    Attributes
+    ----------
+    scene : str
+        A scene file or a built-in name.
+    parameters : mapping
+        Values for the scene's ``$name`` parameters.
+    distances : tuple of floats
+        Distances of the figures and metrics, where all methods are used.
+    slider : tuple of floats
+        Distances of the report's slider.
+    wavelength : float
+        Nanometres.
+    radiators_per_lens : int
+        Of the wave capture.
+    spp : int
+        Samples per pixel of the ray capture.
+    paths : int
+        Light paths per radiator of the wave capture.
+    truth_spp : int
+        Samples per pixel of the thin lens.
+    variant : str
+        A variant of Mitsuba in one colour channel.
+    """
+
+    scene: str
+    distances: tuple[float, ...]
+    slider: tuple[float, ...] = ()
+    parameters: Mapping[str, str] = field(default_factory=dict)
+    wavelength: float = 633.0
+    radiators_per_lens: int = 8
+    spp: int = 16
+    paths: int = 16
+    truth_spp: int = 1024
+    variant: str = DEFAULT_VARIANT
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give the settings in plain JSON values."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What came out.
+
+    Attributes
+    ----------
+    settings : Settings
+        What it was made with.
+    camera : PlenopticCamera
+        The camera, with parabolic lenses.
+    ray, wave : Capture
+        The captures.
+    wave_file : Path
+        Where the wave capture lies.
+    wave_key : str
+        Its key in the store.
+    truths : dict
+        Thin-lens image by distance.
+    images : dict
+        Reconstruction by method and distance.
+    pinhole : array
+        The scene from the centre of the main lens.
+    boxes : dict
+        Bounding boxes of the scene's shapes in the camera's frame by id.
+    seconds : dict
+        How long each stage took.
+    """
+
+    settings: Settings
+    camera: PlenopticCamera
+    ray: Capture
+    wave: Capture
+    wave_file: Path
+    wave_key: str
+    truths: dict[float, np.ndarray]
+    images: dict[tuple[str, float], np.ndarray]
+    pinhole: np.ndarray
+    boxes: dict[str, tuple[np.ndarray, np.ndarray]]
+    seconds: dict[str, float]
+
+
+def run_experiment(settings: Settings, store: StageStore) -> Experiment:
+    """Capture and refocus, taking from the store what is already there.
+
+    Raises
+    ------
+    InputError
+        If the scene, its parameters or a distance is refused.
+    """
+    if "mono" not in settings.variant:
+        raise InputError(f"variant = {settings.variant!r}: a comparison is made in one colour; use a mono variant")
+    set_variant(settings.variant)
+    scene = load_scene(settings.scene, parameters=settings.parameters)
+    if not scene.sensors():
+        raise InputError(f"{settings.scene}: it has no sensor; add one of type 'plenoptic'")
+    sensor = scene.sensors()[0]
+    PlenopticCamera.from_sensor(sensor)
+    # The wave capture's lenses are thin parabolic phases: their geometric twin leaves diffraction as the difference.
+    sensor.lens_model = "parabolic"
+    camera = PlenopticCamera.from_sensor(sensor)
+    if camera.is_cropped:
+        raise InputError(f"{settings.scene}: a comparison needs the full detector; remove the film's crop window")
+
+    path = Path(settings.scene) if Path(settings.scene).is_file() else scene_path(settings.scene)
+    base = {
+        "scene": scene_fingerprint(path, settings.parameters),
+        "variant": settings.variant,
+        "lens_model": sensor.lens_model,
+    }
+    wave_options: dict[str, Any] = {
+        "wavelength": settings.wavelength,
+        "radiators_per_lens": settings.radiators_per_lens,
+    }
+    ray, ray_key = store.capture(
+        "capture_ray",
+        {**base, "spp": settings.spp},
+        lambda progress: _grey(render_capture(scene, model="ray", spp=settings.spp, progress=progress)),
+    )
+    wave, wave_key = store.capture(
+        "capture_wave",
+        {**base, **wave_options, "spp": settings.paths},
+        lambda progress: _grey(
+            render_capture(scene, model="wave", spp=settings.paths, progress=progress, **wave_options)
+        ),
+    )
+    pinhole, _ = store.image(
+        "object",
+        {**base, "columns": OBJECT_COLUMNS},
+        lambda _: (pinhole_image(scene, camera, OBJECT_COLUMNS, 64), {"kind": "photograph"}),
+    )
+    distances = sorted({*settings.distances, *settings.slider})
+    truths = {
+        distance: store.image(
+            f"thin_lens_{distance:g}",
+            {**base, "distance": distance, "spp": settings.truth_spp},
+            lambda _, distance=distance: (  # type: ignore[misc]
+                thin_lens_image(scene, camera, distance, settings.truth_spp),
+                {"kind": "photograph", "distance": distance},
+            ),
+        )[0]
+        for distance in distances
+    }
+    images = {}
+    sources = {"ray": (ray, ray_key), "wave": (wave, wave_key)}
+    for method in METHODS:
+        wanted = distances if method.name in SLIDER_METHODS else settings.distances
+        for distance in wanted:
+            images[method.name, distance] = _refocus(store, *sources[method.source], method, distance)
+    return Experiment(
+        settings=settings,
+        camera=camera,
+        ray=ray,
+        wave=wave,
+        wave_file=store.folder / "capture_wave.exr",
+        wave_key=wave_key,
+        truths=truths,
+        images=images,
+        pinhole=pinhole,
+        boxes=_boxes(scene),
+        seconds=store.seconds,
+    )
+
+
+def open_store(output: Path, notify: Notify | None, finished: Finished | None) -> StageStore:
+    """Make the output folder, with one in it for the data.
+
+    Raises
+    ------
+    InputError
+        If it cannot be made.
+    """
+    data = output / "data"
+    try:
+        data.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{output}: the folder cannot be made: {error.strerror}") from None
+    return StageStore(data, notify, finished)
+
+
+def _refocus(store: StageStore, capture: Capture, key: str, method: Method, distance: float) -> np.ndarray:
+    def make(_: Any) -> tuple[np.ndarray, dict[str, Any]]:
+        result: Reconstruction = reconstruct(capture, distance, **method.options)
+        facts = {"distance": distance, "bin_size": result.bin_size, "method": method.name, **method.options}
+        return result.image, {"kind": "reconstruction", "camera": capture.camera.to_dict(), **facts}
+
+    inputs = {"capture": key, "distance": distance, **method.options}
+    return store.image(f"{method.name}_{distance:g}", inputs, make)[0]
+
+
+def _grey(capture: Capture) -> Capture:
+    """Keep one channel of a film that records colours of which a mono variant has one."""
+    if capture.image.ndim == 2:
+        return capture
+    return Capture(capture.image[..., 1], capture.camera, capture.wavelength, capture.model, capture.metadata)
+
+
+def _boxes(scene: Any) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Bounding boxes of the shapes, by id, in the camera's frame."""
+    to_camera = np.linalg.inv(scene.sensors()[0].world_transform().matrix.numpy()[..., 0].astype(np.float64))
+    boxes = {}
+    # Sorted, because Mitsuba loads shapes in parallel and lists them as they come.
+    for shape in sorted(scene.shapes(), key=lambda shape: shape.id()):
+        box = shape.bbox()
+        corners = np.array([[*np.array(box.corner(i)).ravel(), 1.0] for i in range(8)])
+        inside = (corners @ to_camera.T)[:, :3]
+        boxes[shape.id()] = (inside.min(axis=0), inside.max(axis=0))
+    return boxes

@@ -1,0 +1,105 @@
+"""How far images are from each other, in numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import skimage.metrics
+
+from ..camera import PlenopticCamera
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """How like its reference an image is.
+
+    Attributes
+    ----------
+    psnr : float
+        Peak signal-to-noise ratio in dB; the peak is the reference's maximum.
+    ssim : float
+        Structural similarity over windows of 7 x 7 pixels.
+    energy : float
+        Sum over the reference's sum.
+    """
+
+    psnr: float
+    ssim: float
+    energy: float
+
+    def to_dict(self) -> dict[str, float]:
+        """Give the numbers by name, rounded to what they mean."""
+        return {name: round(value, 5) for name, value in asdict(self).items()}
+
+
+def common_scale(images: Sequence[np.ndarray], references: Sequence[np.ndarray]) -> float:
+    """Find the one factor on all images that brings them closest to their references (least squares)."""
+    products = sum(float(np.vdot(a, b)) for a, b in zip(images, references, strict=True))
+    squares = sum(float(np.vdot(a, a)) for a in images)
+    return products / squares if squares > 0 else 1.0
+
+
+def likeness(image: np.ndarray, reference: np.ndarray) -> Likeness:
+    """Compare an image with a reference of the same shape, at least 7 x 7 pixels, brightness and all."""
+    image, reference = np.asarray(image, np.float32), np.asarray(reference, np.float32)
+    peak = float(reference.max())
+    mean_square = float(np.mean((image - reference) ** 2, dtype=np.float64))
+    total = float(reference.sum(dtype=np.float64))
+    return Likeness(
+        psnr=10 * math.log10(peak**2 / mean_square) if mean_square > 0 and peak > 0 else math.inf,
+        ssim=float(skimage.metrics.structural_similarity(image, reference, data_range=peak)) if peak > 0 else 1.0,
+        energy=float(image.sum(dtype=np.float64)) / total if total > 0 else 1.0,
+    )
+
+
+def relative_error(image: np.ndarray, reference: np.ndarray) -> float:
+    """Root of the summed squared differences over that of the reference."""
+    difference = np.asarray(image, np.float64) - reference
+    return float(np.linalg.norm(difference) / np.linalg.norm(reference))
+
+
+def interference(image: np.ndarray, limit: np.ndarray, region: np.ndarray | tuple[slice, slice]) -> float:
+    """Tell how far a reconstruction is from the limit in which no two lenses interfere.
+
+    The root mean square of their difference over the limit's mean, within a region of bins. A high-pass filter would
+    not do as a measure, because it sees detail where there is any.
+    """
+    difference = np.asarray(image, np.float64)[region] - limit[region]
+    mean = float(np.mean(limit[region], dtype=np.float64))
+    return float(np.sqrt(np.mean(difference**2)) / mean) if mean > 0 else 0.0
+
+
+def lit_region(limit: np.ndarray, share: float = 0.1) -> np.ndarray:
+    """Mark the bins that are brighter than a share of the brightest."""
+    return limit > share * limit.max()
+
+
+def shape_window(camera: PlenopticCamera, low: np.ndarray, high: np.ndarray) -> tuple[slice, slice] | None:
+    """Find the bins (rows, columns) that hold a box in the scene, seen from the centre of the main lens.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    low, high : (x, y, z)
+        Corners of the box in the camera's frame. Its depth is taken as that of its middle.
+
+    Returns
+    -------
+    (slice, slice) or None
+        None if nothing of it is in view.
+    """
+    z = (low[2] + high[2]) / 2
+    spans = []
+    for axis in (1, 0):
+        count = camera.lens_count[axis]
+        # Image coordinates grow against the scene's.
+        ends = [-value * camera.mla_distance / (z * camera.mla_pitch) + count / 2 for value in (high[axis], low[axis])]
+        span = slice(max(0, math.floor(ends[0])), min(count, math.ceil(ends[1])))
+        if span.start >= span.stop:
+            return None
+        spans.append(span)
+    return spans[0], spans[1]

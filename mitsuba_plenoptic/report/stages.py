@@ -1,0 +1,195 @@
+"""Long computations in stages, each kept on disk and made again only when something it depends on has changed.
+
+A stage's key is a hash of its name, its settings, the keys of the stages before it and the software. Its file
+carries the key and appears whole or not at all, so that a run that was killed goes on where it stood.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import re
+import time
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from .._exr import read_exr, write_exr
+from ..capture import Capture, read_capture, write_capture
+from ..errors import InputError
+from ..files import atomic_output
+
+Value = TypeVar("Value")
+Progress = Callable[[int, int], None]
+# Called with a stage's name, what is done and how much there is (0 of 0: it has begun) ...
+Notify = Callable[[str, int, int], None]
+# ... and with its name, its seconds and whether it was already there.
+Finished = Callable[[str, float, bool], None]
+
+
+class StageStore:
+    """A folder of finished stages.
+
+    Parameters
+    ----------
+    folder : path
+        Where the files lie; it must exist.
+    notify : callable, optional
+        Told of the progress of a stage.
+    finished : callable, optional
+        Told when a stage is there.
+    """
+
+    def __init__(self, folder: Path, notify: Notify | None = None, finished: Finished | None = None) -> None:
+        self.folder = folder
+        self.seconds: dict[str, float] = {}
+        self._notify = notify
+        self._finished = finished
+        self._log = folder / "stages.json"
+        self._known = _read_json(self._log)
+
+    def capture(self, name: str, inputs: Any, make: Callable[[Progress], Capture]) -> tuple[Capture, str]:
+        """Give a stage that is a capture, and its key."""
+
+        def write(path: Path, value: Capture, key: str) -> None:
+            stamped = {**value.metadata, "key": key}
+            write_capture(path, Capture(value.image, value.camera, value.wavelength, value.model, stamped))
+
+        def read(path: Path) -> tuple[Capture, str]:
+            value = read_capture(path)
+            return value, value.metadata["key"]
+
+        return self._get(name, ".exr", inputs, make, write, read)
+
+    def image(
+        self, name: str, inputs: Any, make: Callable[[Progress], tuple[np.ndarray, dict[str, Any]]]
+    ) -> tuple[np.ndarray, str]:
+        """Give a stage that is an image with facts about it for the file's header, and its key."""
+
+        def write(path: Path, value: tuple[np.ndarray, dict[str, Any]], key: str) -> None:
+            write_exr(path, value[0], {**value[1], "key": key})
+
+        def read(path: Path) -> tuple[tuple[np.ndarray, dict[str, Any]], str]:
+            image, attributes = read_exr(path)
+            return (image, attributes), attributes["key"]
+
+        (image, _), key = self._get(name, ".exr", inputs, make, write, read)
+        return np.asarray(image, dtype=np.float32), key
+
+    def facts(self, name: str, inputs: Any, make: Callable[[Progress], dict[str, Any]]) -> dict[str, Any]:
+        """Give a stage that is a dictionary of plain JSON values."""
+
+        def write(path: Path, value: dict[str, Any], key: str) -> None:
+            write_json(path, {"key": key, "value": value})
+
+        def read(path: Path) -> tuple[dict[str, Any], str]:
+            content = json.loads(path.read_text())
+            return content["value"], content["key"]
+
+        return self._get(name, ".json", inputs, make, write, read)[0]
+
+    def _get(
+        self,
+        name: str,
+        suffix: str,
+        inputs: Any,
+        make: Callable[[Progress], Value],
+        write: Callable[[Path, Value, str], None],
+        read: Callable[[Path], tuple[Value, str]],
+    ) -> tuple[Value, str]:
+        key = _hash({"stage": name, "inputs": inputs, "software": software()})
+        path = self.folder / f"{name}{suffix}"
+        value = _read_kept(path, key, read)
+        was_there = value is not None
+        if value is None:
+            start = time.perf_counter()
+            self._tell(name, 0, 0)
+            value = make(lambda done, total: self._tell(name, done, total))
+            seconds = time.perf_counter() - start
+            write(path, value, key)
+            self._known[name] = {"key": key, "seconds": round(seconds, 3)}
+            write_json(self._log, self._known)
+        log = self._known.get(name, {})
+        self.seconds[name] = log.get("seconds", 0.0) if log.get("key") == key else 0.0
+        if self._finished:
+            self._finished(name, self.seconds[name], was_there)
+        return value, key
+
+    def _tell(self, name: str, done: int, total: int) -> None:
+        if self._notify:
+            self._notify(name, done, total)
+
+
+def scene_fingerprint(path: Path, parameters: Mapping[str, str]) -> str:
+    """Hash a scene file with its parameters and with the meshes, textures and scenes that it names."""
+    return _hash({"files": _content(path, dict(parameters)), "parameters": dict(parameters)})
+
+
+@cache
+def software() -> dict[str, str]:
+    """Tell the versions that results depend on, our own by its source text."""
+    package = Path(__file__).parent.parent
+    sources = sorted(
+        source
+        for source in package.rglob("*.py")
+        if not {"report", "cli"} & set(source.relative_to(package).parts[:-1])
+    )
+    versions = {name: importlib.metadata.version(name) for name in ("mitsuba", "drjit", "numpy", "scipy")}
+    text = hashlib.sha256()
+    for source in [*sources, Path(__file__).with_name("referee.py")]:
+        text.update(source.read_bytes())
+    return {**versions, "mitsuba_plenoptic": text.hexdigest()[:16]}
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write JSON to read and to compare: indented, names sorted, whole or not at all."""
+    with atomic_output(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=1, sort_keys=True) + "\n")
+
+
+def _read_kept(path: Path, key: str, read: Callable[[Path], tuple[Value, str]]) -> Value | None:
+    """Read a stage if its file is whole and has the key."""
+    if not path.is_file():
+        return None
+    try:
+        value, found = read(path)
+    except (InputError, KeyError, ValueError, OSError):
+        return None
+    return value if found == key else None
+
+
+def _content(path: Path, parameters: dict[str, str]) -> list[tuple[str, str]]:
+    """List a scene's files by name and hash; where a name holds parameters, with their values."""
+    data = path.read_bytes()
+    found = [(path.name, hashlib.sha256(data).hexdigest())]
+    if path.suffix.lower() != ".xml":
+        return found
+    try:
+        root = ElementTree.fromstring(data)
+    except ElementTree.ParseError:
+        return found
+    values = {item.get("name", ""): item.get("value", "") for item in root.iter("default")} | parameters
+    names = [item.get("value", "") for item in root.iter("string") if item.get("name") == "filename"]
+    names += [item.get("filename", "") for item in root.iter("include")]
+    for name in names:
+        filled = re.sub(r"\$(\w+)", lambda match: values.get(match.group(1), match.group(0)), name)
+        if (path.parent / filled).is_file():
+            found += _content(path.parent / filled, values)
+    return found
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _hash(content: Any) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]

@@ -1,0 +1,106 @@
+"""Metrics and the slanted edge against closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+from mitsuba_plenoptic import PlenopticCamera
+from mitsuba_plenoptic.report.metrics import (
+    common_scale,
+    interference,
+    likeness,
+    lit_region,
+    relative_error,
+    shape_window,
+)
+from mitsuba_plenoptic.report.slanted_edge import edge_sharpness, square_sharpness
+
+
+def test_likeness_of_equal_images():
+    image = np.random.default_rng(0).random((16, 16))
+    same = likeness(image, image)
+    assert same.psnr == math.inf
+    assert same.ssim == pytest.approx(1)
+    assert same.energy == pytest.approx(1)
+
+
+def test_psnr_and_energy_of_a_constant_difference():
+    reference = np.zeros((10, 10))
+    reference[2:8, 2:8] = 2.0
+    found = likeness(reference + 0.02, reference)
+    assert found.psnr == pytest.approx(20 * math.log10(2.0 / 0.02), abs=1e-3)
+    assert found.energy == pytest.approx(1 + 0.02 * 100 / (2 * 36), rel=1e-5)
+
+
+def test_a_black_reference_gives_finite_answers():
+    black = np.zeros((8, 8))
+    assert likeness(black, black).energy == 1
+
+
+def test_common_scale_serves_all_images():
+    references = [np.full((4, 4), 2.0), np.full((4, 4), 6.0)]
+    assert common_scale([0.5 * one for one in references], references) == pytest.approx(2)
+    assert common_scale([np.zeros((4, 4))], references[:1]) == 1
+
+
+def test_relative_error():
+    assert relative_error(np.array([1.0, 1.1]), np.array([1.0, 1.0])) == pytest.approx(0.1 / math.sqrt(2))
+
+
+def test_interference_is_root_mean_square_over_mean():
+    limit = np.full((8, 8), 4.0)
+    mesh = limit + 0.2 * (-1) ** np.add.outer(np.arange(8), np.arange(8))
+    assert interference(mesh, limit, lit_region(limit)) == pytest.approx(0.05)
+    assert interference(mesh, limit, (slice(0, 2), slice(0, 2))) == pytest.approx(0.05)
+
+
+def test_the_window_of_a_letter_holds_its_image():
+    # The 8 of the letters: 4 mm tall around (2.8, 0, 210); +x is left in the picture.
+    rows, columns = shape_window(PlenopticCamera(), np.array([1.7, -2, 210]), np.array([3.9, 2, 210]))
+    assert (columns.start, columns.stop) == (64 - math.ceil(3.9 / 0.112), 64 - math.floor(1.7 / 0.112))
+    assert (rows.start, rows.stop) == (64 - math.ceil(2 / 0.112), 64 + math.ceil(2 / 0.112))
+
+
+def test_a_shape_out_of_view_has_no_window():
+    assert shape_window(PlenopticCamera(), np.array([50, 0, 240]), np.array([60, 1, 240])) is None
+
+
+def square(sigma, tilt, size=48, side=26, fine=8):
+    """Pixel means of a turned square whose edges are blurred by a Gaussian."""
+    grid = (np.arange(size * fine) + 0.5) / fine - size / 2
+    x, y = np.meshgrid(grid, grid)
+    angle = math.radians(tilt)
+    u, v = x * math.cos(angle) + y * math.sin(angle), y * math.cos(angle) - x * math.sin(angle)
+
+    def box(w):
+        return 0.5 * (erf((w + side / 2) / (sigma * 2**0.5)) - erf((w - side / 2) / (sigma * 2**0.5)))
+
+    return (box(u) * box(v)).reshape(size, fine, size, fine).mean(axis=(1, 3))
+
+
+@pytest.mark.parametrize("sigma", [0.5, 0.7, 1.0])
+@pytest.mark.parametrize("tilt", [5, -5])
+def test_edge_of_known_sharpness(sigma, tilt):
+    found = square_sharpness(square(sigma, tilt), 24, 24, 26)
+    frequency = np.linspace(1e-3, 1, 5000)
+    transfer = np.exp(-2 * (math.pi * sigma * frequency) ** 2) * np.sinc(frequency)
+    assert found.mtf50 == pytest.approx(frequency[np.argmax(transfer < 0.5)], rel=0.08)
+    assert found.width == pytest.approx(2 * 1.2816 * math.hypot(sigma, 12**-0.5), rel=0.05)
+
+
+def test_an_object_near_one_edge_does_not_matter():
+    picture = square(0.7, 5)
+    clean = square_sharpness(picture, 24, 24, 26)
+    picture[4:6, 18:30] = 1
+    assert square_sharpness(picture, 24, 24, 26).width == pytest.approx(clean.width, rel=0.1)
+
+
+def test_where_there_is_no_edge():
+    with pytest.raises(ValueError, match="no edge"):
+        edge_sharpness(np.ones((16, 16)) + 1e-3 * np.random.default_rng(0).random((16, 16)))
+    with pytest.raises(ValueError, match="not in view"):
+        square_sharpness(square(0.7, 5), 4, 24, 26)

@@ -1,0 +1,254 @@
+"""When do rays suffice for a plenoptic camera's capture? A study to run again.
+
+    python tools/when_do_rays_fail.py --output out/when_do_rays_fail
+
+Cameras of several microlens f-numbers and pitches look at a Siemens star, in focus and four lenses of blur out of
+focus; otherwise they are alike: the paper's main lens, stopped down so that micro-images fill two thirds of their
+pitch, and 12 x 12 lenses. Each capture by rays is compared with the capture by waves: root of the summed squared
+differences over that of the wave capture. Averaging pixels gives larger ones, so that the pixel size needs no captures
+of its own. Beside the bare rays stands the cheap middle way: the ray capture convolved with the diffraction spot of a
+square lens, sinc^2 along each axis, which a Fourier transform does in a moment.
+
+Writes results.json, table.md and study.png.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from mitsuba_plenoptic import PlenopticCamera, render_capture, scene_path
+from mitsuba_plenoptic.report.metrics import relative_error
+
+WAVELENGTH = 633.0
+F_NUMBERS = (4.0, 8.0, 16.0)
+PITCHES = (0.016, 0.032, 0.064, 0.128)
+LENSES = 12
+FILL = 2 / 3
+MLA_DISTANCE = 120.0
+FOCAL_LENGTH = 80.0
+BLUR = 4.0
+
+# Pixels across the spot's half width (centre to first zero), before averaging, and how many are averaged.
+PIXELS_PER_SPOT = 4
+BINNING = (1, 2, 4, 8)
+
+# A larger difference counts as failure in the table.
+LIMIT = 0.1
+
+
+def main() -> None:
+    """Capture, compare, and write table and plot."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--output", type=Path, default=Path("out/when_do_rays_fail"))
+    arguments = parser.parse_args()
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    mi.set_variant("llvm_ad_mono")
+
+    rows: list[dict[str, Any]] = []
+    for f_number in F_NUMBERS:
+        for pitch in PITCHES:
+            for focus in ("in focus", "out of focus"):
+                start = time.perf_counter()
+                found = study(f_number, pitch, focus)
+                rows += found
+                half = next(row for row in found if row["binning"] == 2)
+                print(
+                    f"f/{f_number:g}, pitch {1e3 * pitch:g} um, {focus}: Fresnel number {half['fresnel']:.2f}, rays "
+                    f"{half['rays']:.3f}, convolved {half['convolved']:.3f}, noise {half['noise']:.3f} "
+                    f"({time.perf_counter() - start:.1f} s)",
+                    flush=True,
+                )
+    (arguments.output / "results.json").write_text(json.dumps(rows, indent=1) + "\n")
+    (arguments.output / "table.md").write_text(table(rows))
+    plot(arguments.output / "study.png", rows)
+
+
+def study(f_number: float, pitch: float, focus: str) -> list[dict[str, Any]]:
+    """Compare the captures of one camera, for all pixel sizes."""
+    spot = WAVELENGTH * 1e-6 * f_number
+    pixels = 2 * max(1, round(pitch / spot * PIXELS_PER_SPOT / 2))
+    diameter = FILL * MLA_DISTANCE / f_number
+    # The blur of an object at distance g has the diameter D1 (1 + b/g - b/f1) on the microlenses.
+    defocus = 0.0 if focus == "in focus" else BLUR * pitch / diameter
+    distance = MLA_DISTANCE / (MLA_DISTANCE / FOCAL_LENGTH - 1 + defocus)
+    scene = star(f_number, pitch, diameter, distance, LENSES * pixels)
+    camera = scene.sensors()[0].camera
+    # Two independent ray captures tell their noise.
+    one, two = (render_capture(scene, model="ray", spp=128, seed=seed).image.astype(np.float64) for seed in (0, 1))
+    # Radiators as close as the main lens's own spot on the microlenses.
+    radiators = min(16, max(4, math.ceil(pitch / (WAVELENGTH * 1e-6 * camera.image_f_number))))
+    wave = render_capture(scene, model="wave", wavelength=WAVELENGTH, radiators_per_lens=radiators, spp=1).image.astype(
+        np.float64
+    )
+    rays = (one + two) / 2
+    convolved = diffract(rays, camera)
+    rows = []
+    for binning in BINNING:
+        if LENSES * pixels % binning:
+            continue
+        large = average(wave, binning)
+        rows.append(
+            {
+                "f_number": f_number,
+                "pitch": pitch,
+                "focus": focus,
+                "fresnel": camera.mla_fresnel_number(WAVELENGTH),
+                "pixel": camera.pixel_size * binning,
+                "pixel_over_spot": camera.pixel_size * binning / spot,
+                "binning": binning,
+                "radiators_per_lens": radiators,
+                "rays": relative_error(average(rays, binning), large),
+                "convolved": relative_error(average(convolved, binning), large),
+                "noise": relative_error(average(one, binning), average(two, binning)) / 2,
+                "energy": float(rays.sum() / wave.sum()),
+            }
+        )
+    return rows
+
+
+def star(f_number: float, pitch: float, diameter: float, distance: float, resolution: int) -> Any:
+    """Build a Siemens star that fills four fifths of the field."""
+    width = LENSES * pitch * distance / MLA_DISTANCE
+    mesh_width = 4.0
+    size = 0.8 * width / mesh_width
+    transform = mi.ScalarTransform4f().translate([0, 0, distance]).scale([size, size, 1])
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": 1},
+            "camera": {
+                "type": "plenoptic",
+                "focal_length": FOCAL_LENGTH,
+                "aperture_radius": diameter / 2,
+                "mla_distance": MLA_DISTANCE,
+                "mla_focal_length": f_number * pitch,
+                "mla_pitch": pitch,
+                "detector_width": LENSES * pitch,
+                "lens_model": "parabolic",
+                "film": {
+                    "type": "hdrfilm",
+                    "width": resolution,
+                    "height": resolution,
+                    "rfilter": {"type": "box"},
+                    "pixel_format": "luminance",
+                    "component_format": "float32",
+                },
+                "sampler": {"type": "independent", "sample_count": 128},
+            },
+            "star": {
+                "type": "ply",
+                "filename": str(scene_path("chart").parent / "meshes" / "star.ply"),
+                "face_normals": True,
+                "to_world": transform,
+                "bsdf": {"type": "diffuse", "reflectance": {"type": "spectrum", "value": 0.0}},
+                "emitter": {"type": "area", "radiance": {"type": "spectrum", "value": 1.0}},
+            },
+        }
+    )
+
+
+def diffract(image: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
+    """Convolve a capture with the spot of a square lens, whose transfer function is a triangle along each axis."""
+    size = 2 * image.shape[0]
+    frequency = np.fft.fftfreq(size, camera.pixel_size)
+    spot = camera.spot_size(WAVELENGTH)
+    triangle = (1 - np.abs(frequency) * spot).clip(min=0)
+    spectrum = np.fft.rfft2(image, (size, size))
+    spectrum *= triangle[:, None] * triangle[: size // 2 + 1]
+    return np.fft.irfft2(spectrum, (size, size))[: image.shape[0], : image.shape[1]]
+
+
+def average(image: np.ndarray, binning: int) -> np.ndarray:
+    """Average blocks of pixels into larger ones."""
+    count = image.shape[0] // binning
+    return image.reshape(count, binning, count, binning).mean(axis=(1, 3))
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Lay the study out as Markdown, for pixels of half the spot's half width."""
+    lines = [
+        "Relative difference from the wave capture, for pixels of half the diffraction spot's half width; "
+        f"bold where it is below {LIMIT:.0%}.",
+        "",
+        "| f-number | pitch (um) | Fresnel number | in focus: rays | with sinc^2 | out of focus: rays | with sinc^2 |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    chosen = {(row["f_number"], row["pitch"], row["focus"]): row for row in rows if row["binning"] == 2}
+    for f_number, pitch, focus in chosen:
+        if focus == "in focus":
+            pair = [chosen[f_number, pitch, name] for name in ("in focus", "out of focus")]
+            cells = [_percent(row[method]) for row in pair for method in ("rays", "convolved")]
+            lines.append(f"| {f_number:g} | {1e3 * pitch:g} | {pair[0]['fresnel']:.2f} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def plot(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Draw the error over the Fresnel number, and over the pixel size."""
+    figure = Figure(figsize=(11, 4.9), dpi=160, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2, width_ratios=[1.15, 1])
+    colours = {"in focus": "#b3541e", "out of focus": "#2a5fa5"}
+    markers = dict(zip(F_NUMBERS, ("o", "s", "^"), strict=True))
+    for focus, colour in colours.items():
+        chosen = [row for row in rows if row["focus"] == focus and row["binning"] == 2]
+        for method, face in (("rays", colour), ("convolved", "white")):
+            for f_number, marker in markers.items():
+                points = [row for row in chosen if row["f_number"] == f_number]
+                left.plot(
+                    [row["fresnel"] for row in points],
+                    [100 * row[method] for row in points],
+                    marker,
+                    color=colour,
+                    markerfacecolor=face,
+                    markersize=7,
+                    label=f"{focus}, {'rays' if method == 'rays' else 'rays with sinc²'}" if marker == "o" else None,
+                )
+    left.set(xscale="log", yscale="log", xlabel="Fresnel number of a microlens, $(D_2/2)^2 / \\lambda z$")
+    left.set_ylabel("difference from the wave capture (%)")
+    left.set_title("Pixels of half the spot's half width", loc="left", size=10)
+    for f_number, marker in markers.items():
+        left.plot([], [], marker, color="#777777", label=f"microlens f/{f_number:g}")
+    left.legend(fontsize=8, frameon=False)
+
+    papers = [row for row in rows if row["f_number"] == 8 and row["pitch"] == 0.064]
+    for focus, colour in colours.items():
+        line = [row for row in papers if row["focus"] == focus]
+        sizes = [row["pixel_over_spot"] for row in line]
+        right.plot(sizes, [100 * row["rays"] for row in line], "o-", color=colour, label=f"{focus}, rays")
+        right.plot(
+            sizes,
+            [100 * row["convolved"] for row in line],
+            "o--",
+            color=colour,
+            markerfacecolor="white",
+            label=f"{focus}, rays with sinc²",
+        )
+    right.set(xscale="log", yscale="log", xlabel="pixel over the spot's half width, $p D_2 / \\lambda z$")
+    right.set_title("The paper's microlenses: f/8, 64 um", loc="left", size=10)
+    right.legend(fontsize=8, frameon=False)
+    for axes in (left, right):
+        axes.grid(which="both", color="#e4e4e4", linewidth=0.6)
+        axes.set_axisbelow(True)
+        axes.spines[["top", "right"]].set_visible(False)
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter(lambda value, _: f"{value:g}")
+            axis.set_minor_formatter("")
+    figure.savefig(path)
+
+
+def _percent(value: float) -> str:
+    return f"**{value:.1%}**" if value < LIMIT else f"{value:.1%}"
+
+
+if __name__ == "__main__":
+    main()
