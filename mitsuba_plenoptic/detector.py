@@ -1,0 +1,151 @@
+"""What an image sensor makes of a noise-free capture: photon noise, dark noise, saturation and digital numbers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from .capture import Capture
+from .errors import InputError, require_count, require_number
+
+# Rows of the image exposed at once, by their number of values.
+_CHUNK = 2**22
+
+
+@dataclass(frozen=True)
+class Detector:
+    r"""A linear image sensor after EMVA Standard 1288, Release 4.0 Linear.
+
+    In a pixel that :math:`\mu_p` photons hit on average, a Poisson-distributed number of electrons of mean
+    :math:`\mu_e = \eta \mu_p + \mu_d` is freed, at most the full well; reading adds normal noise of standard deviation
+    :math:`\sigma_d`; the digital number is :math:`y = K e` plus the black level, rounded, between 0 and
+    :math:`2^{bits} - 1`. Its variance is :math:`\sigma_y^2 = K^2 (\sigma_d^2 + \mu_e) + 1/12`.
+
+    The defaults are about those of a CMOS sensor with pixels of 2 micrometres. Every channel of a colour capture is
+    exposed as a sensor of its own; there is no colour mosaic, and no non-uniformity from pixel to pixel.
+
+    Parameters
+    ----------
+    quantum_efficiency : float
+        Share :math:`\eta` of photons that free an electron, above 0 to 1.
+    full_well : float
+        Electrons at which a pixel saturates.
+    dark_electrons : float
+        Mean number :math:`\mu_d` of electrons that come without light during the exposure.
+    read_noise : float
+        Standard deviation :math:`\sigma_d` of the dark signal of a very short exposure, in electrons.
+    bits : int
+        Bits of a digital number, 1 to 16.
+    gain : float, optional
+        Digital numbers per electron, K. Default: the full well is the largest number.
+    black_level : int, optional
+        Digital number without any electron. Default: four standard deviations of the dark noise, so that it is not
+        cut off.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    """
+
+    quantum_efficiency: float = 0.6
+    full_well: float = 8000.0
+    dark_electrons: float = 0.0
+    read_noise: float = 2.5
+    bits: int = 12
+    gain: float | None = None
+    black_level: int | None = None
+
+    def __post_init__(self) -> None:
+        def put(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        put("quantum_efficiency", require_number("quantum_efficiency", self.quantum_efficiency, positive=True))
+        if self.quantum_efficiency > 1:
+            raise InputError(f"quantum_efficiency = {self.quantum_efficiency:g}: it must be at most 1")
+        put("full_well", require_number("full_well", self.full_well, positive=True))
+        put("dark_electrons", require_number("dark_electrons", self.dark_electrons, minimum=0))
+        put("read_noise", require_number("read_noise", self.read_noise, minimum=0))
+        put("bits", require_count("bits", self.bits, maximum=16))
+        top = 2**self.bits - 1
+        if self.black_level is None:
+            noise = math.hypot(self.read_noise, math.sqrt(self.dark_electrons))
+            scale = top / self.full_well if self.gain is None else require_number("gain", self.gain, positive=True)
+            put("black_level", min(math.ceil(4 * scale * noise), top // 2))
+        put("black_level", require_count("black_level", self.black_level, minimum=0, maximum=top - 1))
+        if self.gain is None:
+            put("gain", (top - self.black_level) / self.full_well)
+        put("gain", require_number("gain", self.gain, positive=True))
+
+    def digital_numbers(self, photons: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+        """Expose pixels that so many photons hit on average.
+
+        Parameters
+        ----------
+        photons : array
+            Mean number of photons in each pixel, not negative.
+        generator : numpy.random.Generator
+            Source of the noise.
+
+        Returns
+        -------
+        uint16 array of the same shape
+        """
+        assert self.gain is not None and self.black_level is not None
+        # Far beyond saturation the number of electrons does not matter, but would overflow.
+        mean = np.minimum(self.quantum_efficiency * photons + self.dark_electrons, 100 * self.full_well + 1e4)
+        electrons = np.minimum(generator.poisson(mean), self.full_well)
+        electrons = electrons + generator.normal(0, self.read_noise, electrons.shape)
+        numbers = np.round(self.gain * electrons + self.black_level)
+        return np.clip(numbers, 0, 2**self.bits - 1).astype(np.uint16)
+
+
+def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 0) -> Capture:
+    """Record a noise-free capture with a real detector.
+
+    The result is in units of the capture again: digital numbers less black level and dark signal, over gain, quantum
+    efficiency and photons. Its mean is the capture's up to saturation, so that everything that takes a capture takes
+    it, and what noise does to it shows.
+
+    Parameters
+    ----------
+    capture : Capture
+        The capture; values below 0, which interpolation may leave, count as dark.
+    detector : Detector
+        The image sensor.
+    photons : float
+        Photons that hit a pixel of value 1 during the exposure.
+    seed : int
+        Seed of the noise; the same seed gives the same image.
+
+    Returns
+    -------
+    Capture
+        With detector, photons and seed in `metadata` under ``exposure``.
+
+    Raises
+    ------
+    InputError
+        If an argument is out of range or a pixel is not finite.
+    """
+    photons = require_number("photons", photons, positive=True)
+    seed = require_count("seed", seed, minimum=0)
+    generator = np.random.default_rng(seed)
+    image = capture.image
+    assert detector.gain is not None and detector.black_level is not None
+    result = np.empty_like(image)
+    rows = max(1, _CHUNK // (image[0].size))
+    for start in range(0, len(image), rows):
+        part = image[start : start + rows].astype(np.float64)
+        if not np.isfinite(part).all():
+            raise InputError("capture: some of its pixels are NaN or infinite: all must be finite")
+        numbers = detector.digital_numbers(photons * np.maximum(part, 0), generator)
+        electrons = (numbers.astype(np.float64) - detector.black_level) / detector.gain - detector.dark_electrons
+        result[start : start + rows] = electrons / (detector.quantum_efficiency * photons)
+    exposure = {**asdict(detector), "photons": photons, "seed": seed}
+    return Capture(
+        result, capture.camera, capture.wavelength, capture.model, {**capture.metadata, "exposure": exposure}
+    )

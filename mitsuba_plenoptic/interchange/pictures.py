@@ -1,0 +1,70 @@
+"""Pictures of 8 and 16 bits a channel, to and from linear values."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+from PIL import Image
+
+from ..errors import InputError
+from ..files import atomic_output
+
+# A Lytro Illum's picture has 41 million pixels; a header that claims far more is damaged or hostile.
+_MAX_PIXELS = 2**28
+
+
+def read_picture(path: str | Path) -> np.ndarray:
+    """Read a PNG of 8 or 16 bits a channel; its sRGB encoding is undone.
+
+    Returns
+    -------
+    (rows, columns[, 3]) float32 array
+        Linear values from 0 to 1; without a channel axis where the picture is grey. Transparency is dropped.
+
+    Raises
+    ------
+    InputError
+        If the file does not exist, is not a PNG, is damaged or too large.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file")
+    try:
+        # The header alone, before anything is allocated.
+        with Image.open(path, formats=["PNG"]) as header:
+            columns, rows = header.size
+        if columns * rows > _MAX_PIXELS:
+            raise InputError(f"{path}: {columns} x {rows} pixels: at most {_MAX_PIXELS} are read")
+        bitmap = mi.Bitmap(str(path))
+        grey = bitmap.pixel_format() in (mi.Bitmap.PixelFormat.Y, mi.Bitmap.PixelFormat.YA)
+        kind = mi.Bitmap.PixelFormat.Y if grey else mi.Bitmap.PixelFormat.RGB
+        values = np.array(bitmap.convert(kind, mi.Struct.Type.Float32, srgb_gamma=False), dtype=np.float32)
+    except InputError:
+        raise
+    except Exception as error:
+        # Damage shows as several exception types; all mean the same to the user.
+        raise InputError(f"{path}: it cannot be read as a PNG picture: {' '.join(str(error).split())}") from None
+    return values[..., 0] if values.ndim == 3 and values.shape[2] == 1 else values
+
+
+def write_picture(path: str | Path, image: np.ndarray) -> None:
+    """Write linear values from 0 to 1 as a PNG of 16 bits a channel in sRGB encoding.
+
+    Parameters
+    ----------
+    path : path
+        File to write; an existing one is replaced only by a complete one.
+    image : (rows, columns[, 3]) array
+        What lies outside 0 to 1 is clipped.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    bitmap = mi.Bitmap(np.ascontiguousarray(np.clip(image, 0, 1), dtype=np.float32))
+    encoded = bitmap.convert(bitmap.pixel_format(), mi.Struct.Type.UInt16, srgb_gamma=True)
+    with atomic_output(path) as temporary:
+        encoded.write(str(temporary))

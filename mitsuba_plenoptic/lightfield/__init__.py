@@ -1,0 +1,36 @@
+"""Four-dimensional light fields: decoding, views, refocusing and depth.
+
+A light field is an `xarray.DataArray`; `geometry` says what its axes mean.
+"""
+
+from .decode import decode
+from .depth import depth_map
+from .fourier import FourierRefocuser
+from .geometry import camera_of, depth_range, disparity, distance_of
+from .grid import LensGrid, lens_grid
+from .grid_estimation import estimate_lens_grid
+from .refocus import focal_stack, refocus, shift_and_add
+from .views import epipolar_image, lens_mosaic, pick_views, view, view_mosaic
+from .white import white_image
+
+__all__ = [
+    "FourierRefocuser",
+    "LensGrid",
+    "camera_of",
+    "decode",
+    "depth_map",
+    "depth_range",
+    "disparity",
+    "distance_of",
+    "epipolar_image",
+    "estimate_lens_grid",
+    "focal_stack",
+    "lens_grid",
+    "lens_mosaic",
+    "pick_views",
+    "refocus",
+    "shift_and_add",
+    "view",
+    "view_mosaic",
+    "white_image",
+]

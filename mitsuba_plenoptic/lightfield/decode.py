@@ -1,0 +1,194 @@
+"""From a capture to a light field: every micro-image sampled about its true centre, and vignetting removed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import scipy.sparse
+import xarray as xr
+
+from ..camera import PlenopticCamera
+from ..capture import Capture
+from ..errors import InputError
+from .geometry import light_field, pupil_step
+from .grid import LensGrid, bin_grid, lens_grid
+from .white import white_image
+
+# Samples that see less of the pupil than this are left out: dividing by so little would only raise their noise.
+MINIMUM_WEIGHT = 0.1
+
+
+def decode(
+    capture: Capture | np.ndarray,
+    *,
+    camera: PlenopticCamera | None = None,
+    white: Capture | np.ndarray | None = None,
+    grid: LensGrid | None = None,
+) -> xr.DataArray:
+    """Turn a capture into a light field with one sample a pixel across the pupil and one a lens across the field.
+
+    Micro-images are not a whole number of pixels apart. Each is resampled about its own centre by linear
+    interpolation, which for a step of one pixel is the mean over a pixel-sized square, so that no light is lost. The
+    capture and the white image are sampled alike and then divided. A lattice that is not upright and square is
+    resampled to one that is, linearly along its rows and between them.
+
+    Parameters
+    ----------
+    capture : Capture or (rows, columns[, 3]) array
+        What the detector recorded. A plain array needs `camera` or `grid`.
+    camera : PlenopticCamera, optional
+        The camera of a plain array, or another one than the capture's.
+    white : Capture or (rows, columns[, 3]) array, optional
+        A picture of something white with the same camera. Default: computed from the camera's pupil. Where there is
+        no camera it is needed, and its brightness in the middle of the micro-images counts as 1.
+    grid : LensGrid, optional
+        Micro-image centres, as `estimate_lens_grid` finds them. Default: those of the camera.
+
+    Returns
+    -------
+    xarray.DataArray
+        Dimensions ``v, u, t, s[, c]``, see `mitsuba_plenoptic.lightfield.geometry`. Values are radiance in units of
+        the capture, 0 where the coordinate `weight` (share of the sample that sees through the pupil) is 0.
+
+    Raises
+    ------
+    InputError
+        If neither camera nor grid is known, or the images do not fit each other or the camera.
+    """
+    if isinstance(capture, Capture):
+        camera = camera or capture.camera
+        capture = capture.image
+    image = _image("capture", capture)
+    if camera is None and grid is None:
+        raise InputError(
+            "camera = None: a plain array needs its camera, or the grid of its micro-images and a white image"
+        )
+    if camera is not None and image.shape[:2] != camera.shape:
+        raise InputError(f"capture of shape {image.shape[:2]}: the camera records {camera.shape}")
+    if white is None:
+        if camera is None:
+            raise InputError("white = None: without a camera the pupil is known from a white image only")
+        reference = white_image(camera, grid)[..., None]
+    else:
+        reference = _image("white", white.image if isinstance(white, Capture) else white).mean(axis=2, keepdims=True)
+        if reference.shape[:2] != image.shape[:2]:
+            raise InputError(f"white of shape {reference.shape[:2]}: the capture has the shape {image.shape[:2]}")
+    if camera is not None:
+        lenses, bins = grid or lens_grid(camera), bin_grid(camera)
+    elif grid is not None:
+        lenses, bins = grid, _upright(grid)
+    half, alone = _window(camera, lenses)
+    resampling = None if lenses == bins else _between_lenses(lenses, bins)
+
+    light = _sample(image, lenses, half, resampling, bins)
+    share = _sample(reference, lenses, half, resampling, bins)[..., 0]
+    if camera is None:
+        share /= _brightness(share[half, half])
+    share[(share < MINIMUM_WEIGHT) | ~alone[:, :, None, None]] = 0
+    np.divide(light, share[..., None], out=light, where=share[..., None] > 0)
+    light[share == 0] = 0
+    return light_field(light if light.shape[-1] == 3 else light[..., 0], np.minimum(share, 1), camera, bins, lenses)
+
+
+def _image(name: str, values: np.ndarray) -> np.ndarray:
+    image = np.asarray(values)
+    if image.dtype.kind not in "fiu" or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3)):
+        raise InputError(
+            f"{name} of type {image.dtype} and shape {image.shape}: it must be an image of 1 or 3 channels"
+        )
+    if not np.isfinite(image.sum(dtype=np.float64)):
+        raise InputError(f"{name}: some of its pixels are NaN or infinite: all must be finite")
+    return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False)
+
+
+def _brightness(middle: np.ndarray) -> np.float32:
+    """Typical value of a white image in the middle of its micro-images."""
+    lit = middle[middle > 0]
+    if not lit.size:
+        raise InputError("white: it is black in the middle of every micro-image")
+    return np.float32(np.median(lit))
+
+
+def _window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.ndarray]:
+    """How many views there are on either side of the central one, and which of them are of this lens alone.
+
+    Returns
+    -------
+    half : int
+    alone : (2 half + 1, 2 half + 1) bool array
+    """
+    reach = lenses.nearest_distance / 2
+    views = math.inf
+    if camera is not None:
+        radius = camera.aperture_radius / pupil_step(camera)
+        # Where micro-images do not touch, there is room beyond half way to the next lens.
+        reach = max(reach, lenses.nearest_distance - radius)
+        views = math.ceil(radius - 0.5)
+    # A sample mixes the pixels whose centres lie within one pixel of it.
+    reach = max(reach - 1, 0)
+    half = int(min(views, math.floor(reach)))
+    offset = np.arange(-half, half + 1)
+    return half, np.hypot(offset[:, None], offset) <= reach
+
+
+def _upright(lenses: LensGrid) -> LensGrid:
+    """Give a square upright grid of the same density that fills what the lenses cover."""
+    pitch = lenses.pitch
+    low, high = (edge(lenses.centres().reshape(-1, 2), axis=0) for edge in (np.min, np.max))
+    if lenses.rotation == 0 and lenses.shifted_rows is None and lenses.spacing[0] == lenses.spacing[1]:
+        return lenses
+    columns, rows = (max(1, round((high[axis] - low[axis]) / pitch) + 1) for axis in (0, 1))
+    middle = (low + high) / 2
+    start = (float(middle[0] - (columns - 1) / 2 * pitch), float(middle[1] - (rows - 1) / 2 * pitch))
+    return LensGrid((pitch, pitch), start, (rows, columns))
+
+
+def _between_lenses(lenses: LensGrid, bins: LensGrid) -> scipy.sparse.csr_array:
+    """Weights that interpolate from lenses to bins, (bins, lenses): linearly along the rows, and between two rows.
+
+    Lenses that would be needed beyond the grid's edge are left out, so that weights there sum to less than 1.
+    """
+    rows, columns = lenses.shape
+    dx, dy = (bins.centres().reshape(-1, 2) - lenses.offset).T
+    cosine, sine = math.cos(lenses.rotation), math.sin(lenses.rotation)
+    x, y = (cosine * dx + sine * dy) / lenses.spacing[0], (cosine * dy - sine * dx) / lenses.spacing[1]
+    entries = []
+    for row in (np.floor(y), np.floor(y) + 1):
+        along = x if lenses.shifted_rows is None else x - 0.5 * (row % 2 == lenses.shifted_rows)
+        for column in (np.floor(along), np.floor(along) + 1):
+            weight = (1 - np.abs(y - row)) * (1 - np.abs(along - column))
+            there = (row >= 0) & (row < rows) & (column >= 0) & (column < columns) & (weight > 1e-9)
+            place = (row * columns + column)[there].astype(np.int64)
+            entries.append((weight[there].astype(np.float32), np.flatnonzero(there), place))
+    weight, target, source = (np.concatenate(parts) for parts in zip(*entries, strict=True))
+    return scipy.sparse.csr_array((weight, (target, source)), shape=(dx.size, rows * columns))
+
+
+def _sample(
+    image: np.ndarray, lenses: LensGrid, half: int, resampling: scipy.sparse.csr_array | None, bins: LensGrid
+) -> np.ndarray:
+    """Sample an image at whole-pixel steps about each micro-image centre.
+
+    Returns
+    -------
+    (2 half + 1, 2 half + 1, rows, columns, channels) float32 array
+        What lies outside the image counts as 0.
+    """
+    views, channels = 2 * half + 1, image.shape[2]
+    height, width = image.shape[:2]
+    samples = np.empty((*lenses.shape, views, views, channels), dtype=np.float32)
+    for out, row in zip(samples, lenses.centres() - 0.5, strict=True):
+        base = np.floor(row).astype(np.int64)
+        across, down = (base[:, axis, None] + np.arange(-half, half + 2) for axis in (0, 1))
+        inside = ((down >= 0) & (down < height))[:, :, None] & ((across >= 0) & (across < width))[:, None, :]
+        patch = image[down.clip(0, height - 1)[:, :, None], across.clip(0, width - 1)[:, None, :]]
+        patch = patch * inside[..., None]
+        fx, fy = (((row - base)[:, axis].astype(np.float32))[:, None, None, None] for axis in (0, 1))
+        patch = patch[:, :-1] * (1 - fy) + patch[:, 1:] * fy
+        out[...] = patch[:, :, :-1] * (1 - fx) + patch[:, :, 1:] * fx
+    if resampling is not None:
+        samples = (resampling @ samples.reshape(len(samples) * samples.shape[1], -1)).reshape(
+            *bins.shape, views, views, channels
+        )
+    return np.ascontiguousarray(samples.transpose(2, 3, 0, 1, 4))

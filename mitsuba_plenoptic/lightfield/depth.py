@@ -1,0 +1,163 @@
+"""Depth from a light field, by how well the views agree."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import scipy.ndimage
+import xarray as xr
+
+from ..errors import InputError, require_count, require_number
+from .geometry import depth_range, disparity, distance_of, require_light_field, view_steps
+from .refocus import channel_planes, shift_and_add, shifted
+
+# Neighbouring bins that share their evidence: standard deviation of the Gaussian window.
+_WINDOW = 1.0
+
+# The variance over half of the pupil counts so many times: half a baseline tells wrong depths less well.
+_HALF = 2.0
+
+# Samples that see at least this much of the pupil take part. The others see it nearer to its middle than their
+# coordinate says, which would pull depths towards the plane in focus.
+_OPEN = 0.9
+
+
+def depth_map(
+    lf: xr.DataArray,
+    near: float | None = None,
+    far: float | None = None,
+    *,
+    planes: int = 64,
+    progress: Callable[[int, int], None] | None = None,
+) -> xr.Dataset:
+    r"""Estimate the depth that every bin of the central view sees.
+
+    For planes evenly spaced in disparity the views are moved so that points of the plane coincide, and the variance
+    over the views is taken, averaged over neighbouring bins. Where it is less than half of that, twice the variance
+    over the upper, lower, left or right half of the pupil counts instead: next to an occluder's edge, one half of the
+    pupil sees past it. The depth is that of the least variance, refined by a parabola through its neighbours.
+
+    The confidence is :math:`1 - V_{min} / V_2`, with V_2 the least variance among planes where the outermost views
+    move by a lens or more against the best plane: near 1 where one depth alone makes the views agree, near 0 where
+    another does as well (no texture) or none does (gloss).
+
+    Parameters
+    ----------
+    lf : xarray.DataArray
+        A light field of a camera.
+    near, far : float
+        Range of distances in millimetres to search. Default: `depth_range`, where views differ by at most a lens.
+    planes : int
+        How many planes, at least 3.
+    progress : callable, optional
+        Called with the planes done and their number.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over t, s: ``depth`` (distance from the main lens along the axis, mm), ``disparity`` (lenses per view),
+        ``confidence`` (0 to 1), and ``image``, the image in focus everywhere.
+
+    Raises
+    ------
+    InputError
+        If the light field has no camera, near is not before far, or an argument is out of range.
+    """
+    lf = require_light_field(lf)
+    nearest, farthest = depth_range(lf)
+    near = require_number("near", nearest if near is None else near)
+    far = require_number("far", farthest if far is None else far, finite=False)
+    planes = require_count("planes", planes, minimum=3, maximum=1024)
+    if not near < far:
+        raise InputError(f"near = {near:g}, far = {far:g}: near must be less than far")
+    slopes = np.linspace(disparity(lf, near), disparity(lf, far), planes)
+    cost = np.empty((planes, *lf.shape[2:4]), dtype=np.float32)
+    image = np.empty((planes, *lf.shape[2:]), dtype=np.float32)
+    for index, slope in enumerate(slopes):
+        if progress:
+            progress(index, planes)
+        parts = scipy.ndimage.gaussian_filter(view_variance(lf, slope), (0, _WINDOW, _WINDOW), mode="nearest")
+        cost[index] = np.minimum(parts[0], _HALF * parts[1:].min(axis=0))
+        image[index] = shift_and_add(lf, slope).values
+    if progress:
+        progress(planes, planes)
+
+    best = cost.argmin(axis=0)
+    place = best + _vertex(cost, best)
+    found = np.interp(place, np.arange(planes), slopes)
+    reach = max(np.abs(view_steps(lf, axis)).max() for axis in "vu")
+    apart = np.abs(slopes[:, None, None] - found) * reach >= 1
+    least, second = cost.min(axis=0), np.where(apart, cost, np.inf).min(axis=0)
+    confidence = 1 - np.divide(least, second, out=np.ones_like(least), where=(second > 0) & np.isfinite(second))
+    row, column = np.indices(best.shape)
+    sharp = image[best, row, column]
+    dims = ("t", "s")
+    return xr.Dataset(
+        {
+            "depth": (dims, distance_of(lf, found), {"units": "mm"}),
+            "disparity": (dims, found, {"units": "lenses per view"}),
+            "confidence": (dims, confidence),
+            "image": (("t", "s", "c")[: sharp.ndim], sharp),
+        },
+        coords={dim: lf[dim] for dim in ("t", "s", "c") if dim in lf.coords},
+        attrs={**lf.attrs, "near": near, "far": far, "planes": planes},
+    )
+
+
+def view_variance(lf: xr.DataArray, slope: float) -> np.ndarray:
+    """Variance over the views, moved so that points of one disparity coincide.
+
+    Parameters
+    ----------
+    lf : xarray.DataArray
+        A light field, (v, u, t, s[, c]).
+    slope : float
+        Disparity in lenses per view.
+
+    Returns
+    -------
+    (5, t, s) float32 array
+        Of the whole pupil and of its upper, lower, left and right half; samples at the pupil's edge left out, mean
+        over the channels.
+    """
+    weight = np.asarray(lf["weight"].values)
+    weight = np.where(weight >= _OPEN, weight, 0)
+    v, u = view_steps(lf, "v"), view_steps(lf, "u")
+    variance = np.zeros((5, *lf.shape[2:4]), dtype=np.float32)
+    for plane in channel_planes(lf):
+        # Sums of weight, weight x value and weight x value^2 over each quadrant of the pupil.
+        sums = np.zeros((2, 2, 3, *lf.shape[2:4]), dtype=np.float64)
+        for row, row_weight, down in zip(plane, weight, v, strict=True):
+            moved, moved_weight = shifted(row, down * slope, axis=1), shifted(row_weight, down * slope, axis=1)
+            for view, share, across in zip(moved, moved_weight, u, strict=True):
+                if not share.any():
+                    continue
+                value, part = shifted(view, across * slope, axis=1), shifted(share, across * slope, axis=1)
+                moments = np.stack([part, part * value, part * value * value])
+                # A view on a dividing line belongs to both of its sides by half.
+                for j, vertical in enumerate(_sides(down)):
+                    for i, horizontal in enumerate(_sides(across)):
+                        if vertical * horizontal:
+                            sums[j, i] += np.float32(vertical * horizontal) * moments
+        halves = (sums.sum((0, 1)), *sums.sum(1), *sums.sum(0))
+        for index, (count, total, square) in enumerate(halves):
+            seen = np.maximum(count, 1e-6)
+            variance[index] += np.maximum(square / seen - (total / seen) ** 2, 0)
+    return variance / (lf.sizes["c"] if "c" in lf.dims else 1)
+
+
+def _sides(step: float) -> tuple[float, float]:
+    """Share of a view that lies on the low and on the high side of the pupil's middle."""
+    high = float(np.clip(step + 0.5, 0, 1))
+    return 1 - high, high
+
+
+def _vertex(cost: np.ndarray, best: np.ndarray) -> np.ndarray:
+    """Place of the least value between samples, by a parabola through the best and its neighbours, -1/2 to 1/2."""
+    inner = best.clip(1, len(cost) - 2)
+    row, column = np.indices(best.shape)
+    before, at, after = (cost[inner + step, row, column].astype(np.float64) for step in (-1, 0, 1))
+    bend = before - 2 * at + after
+    place = np.divide(before - after, 2 * bend, out=np.zeros_like(bend), where=bend > 0)
+    return np.where(inner == best, place.clip(-0.5, 0.5), 0)

@@ -1,0 +1,196 @@
+"""What the axes of a light field mean, and how far a point at some distance moves from view to view.
+
+A light field is an `xarray.DataArray` with the dimensions ``v, u, t, s`` (and ``c`` where it has colour):
+
+- ``u, v``: where the ray crosses the main lens's pupil, in millimetres, ``u`` along x and ``v`` along y;
+- ``s, t``: where it crosses the object plane that is in focus, in millimetres, ``s`` along x and ``t`` along y.
+
+x and y are those of the camera frame, +x to the left and +y up. All four coordinates therefore *fall* with the
+index: index 0 is the left or the top, so that every view, mosaic and epipolar image is upright when printed as it
+is stored, and the first view is the one from the upper left of the pupil.
+
+A light field without a camera (from a file of another program, say) has coordinates in samples instead, centred
+on zero and rising with the index.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from .. import rays
+from ..camera import PlenopticCamera, image_distance
+from ..errors import InputError, require_number
+from .grid import LensGrid
+
+DIMS = ("v", "u", "t", "s")
+CHANNELS = ("R", "G", "B")
+
+
+def light_field(
+    values: np.ndarray,
+    weight: np.ndarray,
+    camera: PlenopticCamera | None = None,
+    bins: LensGrid | None = None,
+    lenses: LensGrid | None = None,
+) -> xr.DataArray:
+    """Wrap sampled values into a labelled light field.
+
+    Parameters
+    ----------
+    values : (v, u, t, s[, 3]) float32 array
+        Radiance; 0 where `weight` is 0.
+    weight : (v, u, t, s) float32 array
+        Share of the sample that sees through the pupil, 0 to 1.
+    camera : PlenopticCamera, optional
+        The camera, for physical coordinates.
+    bins : LensGrid, optional
+        Upright grid of the bins on the detector; needed with a camera.
+    lenses : LensGrid, optional
+        Grid of the micro-images that it was decoded from.
+
+    Returns
+    -------
+    xarray.DataArray
+        With the coordinate `weight`, and in `attrs` the parameters of the camera under ``camera`` and of the
+        micro-images under ``grid``, both None where unknown.
+    """
+    coordinates: dict[str, Any] = {"weight": (DIMS, weight)}
+    for axis, (angular, spatial) in enumerate((("u", "s"), ("v", "t"))):
+        views, size = values.shape[DIMS.index(angular)], values.shape[DIMS.index(spatial)]
+        steps = np.arange(views) - (views - 1) / 2
+        if camera is None or bins is None:
+            coordinates[angular] = (angular, steps, {"units": "views"})
+            coordinates[spatial] = (spatial, np.arange(size) - (size - 1) / 2, {"units": "lenses"})
+            continue
+        b, z = camera.mla_distance, camera.detector_distance
+        # A pixel one step to the right of its micro-image's centre looks one step to the left on the pupil axis.
+        coordinates[angular] = (
+            angular,
+            -steps * pupil_step(camera),
+            {"units": "mm", "long_name": f"{'xy'[axis]} on the pupil"},
+        )
+        pixel = bins.offset[axis] + bins.spacing[axis] * np.arange(size) + camera.crop_offset[axis]
+        c = rays.chief_point((pixel - camera.resolution[axis] / 2) * camera.pixel_size, b, z)
+        coordinates[spatial] = (spatial, *_object_coordinate(c, camera, "xy"[axis]))
+    dims: tuple[str, ...] = DIMS
+    if values.ndim == 5:
+        dims = (*DIMS, "c")
+        coordinates["c"] = ("c", list(CHANNELS))
+    return xr.DataArray(
+        values,
+        dims=dims,
+        coords=coordinates,
+        name="radiance",
+        attrs={
+            "camera": None if camera is None else camera.to_dict(),
+            "grid": None if lenses is None else asdict(lenses),
+        },
+    )
+
+
+def _object_coordinate(c: np.ndarray, camera: PlenopticCamera, axis: str) -> tuple[np.ndarray, dict[str, str]]:
+    """Turn lens coordinates into millimetres in the plane in focus, or into slopes if there is no such plane."""
+    distance = camera.focus_distance
+    if 0 < distance < math.inf:
+        return -c * distance / camera.mla_distance, {
+            "units": "mm",
+            "long_name": f"{axis} in the object plane at {distance:.6g} mm",
+        }
+    return -c / camera.mla_distance, {"units": "1", "long_name": f"slope in {axis}; no real plane is in focus"}
+
+
+def pupil_step(camera: PlenopticCamera) -> float:
+    """Distance on the pupil between neighbouring views: one pixel, seen through the lens centre."""
+    return camera.pixel_size * camera.mla_distance / camera.detector_distance
+
+
+def camera_of(lf: xr.DataArray) -> PlenopticCamera:
+    """Give the camera of a light field.
+
+    Raises
+    ------
+    InputError
+        If it has none.
+    """
+    values = lf.attrs.get("camera")
+    if values is None:
+        raise InputError("light field: it has no camera, so distances in millimetres mean nothing; give a disparity")
+    return PlenopticCamera.from_dict(dict(values))
+
+
+def require_light_field(lf: Any) -> xr.DataArray:
+    """Check that something is a light field.
+
+    Raises
+    ------
+    InputError
+        If it is not a DataArray with the dimensions v, u, t, s and the coordinate `weight`.
+    """
+    if not isinstance(lf, xr.DataArray):
+        raise InputError(f"light field of type {type(lf).__name__}: it must be an xarray.DataArray, as decode() gives")
+    if lf.dims[:4] != DIMS or lf.dims[4:] not in ((), ("c",)) or "weight" not in lf.coords:
+        raise InputError(
+            f"light field with dimensions {lf.dims}: they must be v, u, t, s[, c], with a coordinate weight"
+        )
+    return lf
+
+
+def view_steps(lf: xr.DataArray, axis: str) -> np.ndarray:
+    """Give the place of each view along ``u`` or ``v`` in views from the pupil's centre, rising with the index."""
+    coordinate = np.asarray(lf[axis].values, dtype=np.float64)
+    return -coordinate / pupil_step(camera_of(lf)) if lf.attrs.get("camera") else coordinate
+
+
+def depth_range(lf: xr.DataArray) -> tuple[float, float]:
+    """Nearest and farthest distance at which a point moves by at most one lens from view to view.
+
+    Beyond it the parallax is ambiguous where the scene has fine detail. The far end is infinite if points that far
+    still move less.
+    """
+    near, far = distance_of(lf, np.array([-1.0, 1.0]))
+    return float(near), float(far)
+
+
+def disparity(lf: xr.DataArray, distance: float) -> float:
+    r"""How far a point moves from one view to the next, in lenses along the index.
+
+    A scene point at distance g appears in the view from pupil point P at the lens c = u + P s(g), with u its image
+    through the pupil's centre and :math:`s = 1 + b/g - b/f_1`. Neighbouring views are
+    :math:`\Delta P = -\Delta p\, b/z` apart, so the point moves by :math:`\delta = -s\, \Delta p\, b / (z D_2)`: zero
+    in focus, negative (against the view) for nearer points.
+
+    Raises
+    ------
+    InputError
+        If the light field has no camera, or the distance is within the focal length.
+    """
+    camera = camera_of(lf)
+    distance = require_number("distance", distance, finite=False)
+    image_distance(camera.focal_length, distance)
+    return -camera.defocus(distance) * pupil_step(camera) / camera.mla_pitch
+
+
+def distance_of(lf: xr.DataArray, disparity: Any) -> Any:
+    """Invert `disparity`: the distance at which a point moves so far; infinity where there is none.
+
+    Parameters
+    ----------
+    lf : xarray.DataArray
+        A light field with a camera.
+    disparity : float or array
+        Lenses per view.
+
+    Returns
+    -------
+    float64 array of the same shape
+    """
+    camera = camera_of(lf)
+    s = -np.asarray(disparity, dtype=np.float64) * camera.mla_pitch / pupil_step(camera)
+    power = s - 1 + camera.mla_distance / camera.focal_length
+    with np.errstate(divide="ignore"):
+        return np.where(power > 0, camera.mla_distance / power, np.inf)

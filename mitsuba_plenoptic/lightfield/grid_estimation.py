@@ -1,0 +1,239 @@
+"""Finding the micro-images of a camera of which only a white image is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import scipy.ndimage
+
+from ..errors import InputError
+from .grid import LensGrid
+
+# Side of the middle part of the image whose spectrum gives the first guess.
+_CROP = 1024
+
+# Peaks of the spectrum lower than this share of the highest are not taken for the lattice's.
+_PEAK = 0.2
+
+# A lattice's highest peak stands out from the median of the spectrum by far more than that of noise, about 5.
+_CONTRAST = 20
+
+# The fit grows from this many lenses about the middle, doubling, and is then repeated until it stands still.
+_FIRST_REACH = 4
+_REPEATS = 12
+
+# Micro-images measured at once.
+_BLOCK = 2048
+
+
+def estimate_lens_grid(white: np.ndarray) -> LensGrid:
+    """Find pitch, rotation and offset of a square, rectangular or hexagonal microlens array from a white image.
+
+    The spectrum of the image's middle gives the lattice to a fraction of a pixel per lens. From there the centroids
+    of the micro-images are fitted by least squares, first about the middle, then further and further out. After
+    D. G. Dansereau, O. Pizarro and S. B. Williams, "Decoding, calibration and rectification for lenslet-based
+    plenoptic cameras" (2013), who fit a grid to the local maxima.
+
+    Parameters
+    ----------
+    white : (rows, columns[, channels]) array
+        A picture of something evenly white. Micro-images must be brighter than what lies between them.
+
+    Returns
+    -------
+    LensGrid
+        All lenses whose micro-image is centred in the image, in whole rows and columns, so that a rotated lattice
+        has some beyond it.
+
+    Raises
+    ------
+    InputError
+        If the array is not an image, or shows no lattice of at least 4 x 4 micro-images.
+    """
+    image = np.asarray(white, dtype=np.float32)
+    if image.ndim == 3:
+        image = image.mean(axis=2)
+    if image.ndim != 2 or min(image.shape) < 16 or not np.isfinite(image.sum(dtype=np.float64)):
+        raise InputError(f"white of shape {np.shape(white)}: it must be an image of finite numbers, 16 x 16 or larger")
+    vectors, origin = _guess(image)
+    vectors, shifted = _axes(vectors)
+    origin, vectors = _fit(image, origin, vectors, shifted)
+    return _grid(image.shape, origin, vectors, shifted)
+
+
+def _guess(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Read two lattice vectors (rows of a matrix, in pixels) and one centre off the spectrum of the middle."""
+    rows, columns = image.shape
+    height, width = min(rows, _CROP), min(columns, _CROP)
+    top, left = (rows - height) // 2, (columns - width) // 2
+    part = image[top : top + height, left : left + width].astype(np.float64)
+    window = np.hanning(height + 2)[1:-1, None] * np.hanning(width + 2)[1:-1]
+    part = (part - (part * window).sum() / window.sum()) * window
+    spectrum = np.abs(np.fft.fftshift(np.fft.fft2(part)))
+    middle = np.array([height // 2, width // 2])
+    down, across = (np.arange(n) - m for n, m in zip(spectrum.shape, middle, strict=True))
+    # Slow changes of brightness over the image are not the lattice.
+    spectrum[(np.abs(down)[:, None] <= 3) & (np.abs(across) <= 3)] = 0
+    peak = (spectrum == scipy.ndimage.maximum_filter(spectrum, 5)) & (spectrum > _PEAK * spectrum.max())
+    if not spectrum.max() > _CONTRAST * np.median(spectrum):
+        raise InputError("white: no regular lattice of micro-images is seen in it")
+    # One of each pair of opposite peaks, away from the border, where a parabola has no room.
+    half_plane = (down[:, None] > 0) | ((down[:, None] == 0) & (across > 0))
+    peak[[0, -1]] = peak[:, [0, -1]] = False
+    found = np.argwhere(peak & half_plane)
+    frequencies = np.array([_refined(spectrum, place) - middle for place in found]).reshape(-1, 2)
+    frequencies = frequencies[:, ::-1] / [width, height]
+    frequencies = frequencies[np.argsort((frequencies**2).sum(1))]
+    for second in frequencies[1:]:
+        first = frequencies[0]
+        if abs(first[0] * second[1] - first[1] * second[0]) > 0.5 * math.hypot(*first) * math.hypot(*second):
+            break
+    else:
+        raise InputError("white: no regular lattice of micro-images is seen in it")
+    chosen = np.stack([first, second])
+    # The phase of a wave of the lattice is zero at a centre.
+    x, y = np.arange(width) + left + 0.5, np.arange(height) + top + 0.5
+    waves = [np.exp(-2j * math.pi * f[1] * y) @ part @ np.exp(-2j * math.pi * f[0] * x) for f in chosen]
+    origin = np.linalg.solve(chosen, -np.angle(waves) / (2 * math.pi))
+    vectors = np.linalg.inv(chosen).T
+    # The centre nearest to the image's middle.
+    steps = np.round(np.linalg.solve(vectors.T, np.array([columns, rows]) / 2 - origin))
+    return vectors, origin + steps @ vectors
+
+
+def _refined(spectrum: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Place of a peak between samples, by a parabola through the logarithm."""
+    result = place.astype(np.float64)
+    for axis in (0, 1):
+        step = np.eye(2, dtype=int)[axis]
+        before, at, after = (math.log(max(spectrum[tuple(place + k * step)], 1e-300)) for k in (-1, 0, 1))
+        bend = before - 2 * at + after
+        result[axis] += 0.5 * (before - after) / bend if bend < 0 else 0
+    return result
+
+
+def _axes(vectors: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Turn two lattice vectors into the steps along and across the rows, rows nearest to level.
+
+    Returns
+    -------
+    vectors : (2, 2) array
+        Step within a row, and from row to row: at right angles.
+    shifted : bool
+        Whether every second row is shifted by half a step.
+    """
+    a, b = vectors
+    # Lagrange's reduction to the two shortest vectors.
+    while True:
+        if a @ a > b @ b:
+            a, b = b, a
+        steps = round((a @ b) / (a @ a))
+        if not steps:
+            break
+        b = b - steps * a
+    shifted = abs(a @ b) > 0.25 * (a @ a)
+    if shifted:
+        # Of the six directions of symmetry of a hexagonal lattice those 60 degrees apart go from lens to lens.
+        b = b if a @ b < 0 else -b
+        short = [a, b, a + b]
+        long = [a - b, a + 2 * b, 2 * a + b]
+        along = min(short + long, key=lambda d: abs(d[1]) / math.hypot(*d))
+        pitch = math.sqrt(sum(d @ d for d in short) / 3)
+        is_short = along @ along < 2 * pitch**2
+        sizes = (pitch, math.sqrt(0.75) * pitch) if is_short else (math.sqrt(3) * pitch, pitch / 2)
+    else:
+        along = min((a, b), key=lambda d: abs(d[1]) / math.hypot(*d))
+        other = b if along is a else a
+        sizes = (math.hypot(*along), math.hypot(*other))
+    unit = along / math.hypot(*along) * (1 if along[0] > 0 else -1)
+    return np.array([unit * sizes[0], np.array([-unit[1], unit[0]]) * sizes[1]]), shifted
+
+
+def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray, shifted: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Fit the lattice to the micro-images' centroids, about the middle first and then everywhere."""
+    size = np.array(image.shape[::-1])
+    reach = _FIRST_REACH
+    whole = math.ceil(math.hypot(*size) / min(math.hypot(*step) for step in vectors))
+    repeats = 0
+    while repeats < _REPEATS:
+        row, column = (index.ravel() for index in np.mgrid[-reach : reach + 1, -reach : reach + 1])
+        along = column + (0.5 * (row % 2) if shifted else 0)
+        centres = origin + along[:, None] * vectors[0] + row[:, None] * vectors[1]
+        radius = (
+            0.5
+            * LensGrid(
+                (math.hypot(*vectors[0]), math.hypot(*vectors[1])), (0, 0), (1, 1), shifted_rows=1 if shifted else None
+            ).nearest_distance
+        )
+        inside = ((centres > radius + 1) & (centres < size - radius - 1)).all(1)
+        if inside.sum() < 16:
+            raise InputError(f"white of shape {image.shape}: at least 4 x 4 whole micro-images are needed")
+        along, row, centres = along[inside], row[inside], centres[inside]
+        blocks = np.array_split(centres, -(-len(centres) // _BLOCK))
+        measured, light = (
+            np.concatenate(parts) for parts in zip(*(_centroids(image, block, radius) for block in blocks), strict=True)
+        )
+        kept = light > 0.1 * np.median(light)
+        moved = np.hypot(*(measured - centres).T)
+        kept &= moved < 3 * np.median(moved[kept]) + 0.5
+        origin, new = _least_squares(along[kept], row[kept], measured[kept])
+        change = np.abs(new - vectors).max() * reach
+        vectors = new
+        if reach < whole:
+            reach = min(2 * reach, whole)
+        else:
+            repeats += 1
+            if change < 1e-4:
+                break
+    if np.median(moved[kept]) > 0.2 * radius:
+        raise InputError("white: no regular lattice of micro-images is seen in it")
+    return origin, vectors
+
+
+def _centroids(image: np.ndarray, centres: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Centroid and brightness of the image within a disc about each centre, over the darkest in it."""
+    half = math.ceil(radius) + 1
+    window = np.arange(-half, half + 1)
+    base = np.floor(centres).astype(np.int64)
+    x, y = (base[:, axis, None] + window for axis in (0, 1))
+    rows, columns = image.shape
+    patch = image[y.clip(0, rows - 1)[:, :, None], x.clip(0, columns - 1)[:, None, :]].astype(np.float64)
+    dx, dy = x + 0.5 - centres[:, 0, None], y + 0.5 - centres[:, 1, None]
+    disc = (radius + 0.5 - np.hypot(dx[:, None, :], dy[:, :, None])).clip(0, 1)
+    patch -= np.where(disc > 0, patch, np.inf).min(axis=(1, 2), keepdims=True)
+    patch *= disc
+    light = patch.sum(axis=(1, 2))
+    safe = np.where(light > 0, light, 1)
+    shift = np.stack([(patch.sum(1) * dx).sum(1), (patch.sum(2) * dy).sum(1)], axis=1) / safe[:, None]
+    return centres + shift, light
+
+
+def _least_squares(along: np.ndarray, row: np.ndarray, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Fit origin, rotation and both spacings, rows at right angles to columns."""
+    matrix = np.stack([np.ones_like(along), along, row], axis=1).astype(np.float64)
+    origin, first, second = np.linalg.lstsq(matrix, measured, rcond=None)[0]
+    # Both fitted steps tell the rotation, the longer lever arm better.
+    arms = np.array([(along**2).sum() * (first @ first), (row**2).sum() * (second @ second)])
+    angles = np.array([math.atan2(first[1], first[0]), math.atan2(-second[0], second[1])])
+    angle = float(arms @ angles / arms.sum())
+    unit = np.array([math.cos(angle), math.sin(angle)])
+    normal = np.array([-unit[1], unit[0]])
+    return origin, np.array([unit * (first @ unit), normal * (second @ normal)])
+
+
+def _grid(shape: tuple[int, ...], origin: np.ndarray, vectors: np.ndarray, shifted: bool) -> LensGrid:
+    """Count the lenses from the first row and column that the image needs."""
+    corners = np.array([[0, 0], [shape[1], 0], [0, shape[0]], [shape[1], shape[0]]], dtype=np.float64)
+    index = np.linalg.solve(vectors.T, (corners - origin).T).T
+    # A shifted row may begin half a step earlier.
+    slack = np.array([0.5 if shifted else 0.0, 0.0])
+    low, high = np.ceil(index.min(0) - slack).astype(int), np.floor(index.max(0)).astype(int)
+    first = origin + low @ vectors
+    return LensGrid(
+        spacing=(math.hypot(*vectors[0]), math.hypot(*vectors[1])),
+        offset=(float(first[0]), float(first[1])),
+        shape=(int(high[1] - low[1]) + 1, int(high[0] - low[0]) + 1),
+        rotation=math.atan2(vectors[0, 1], vectors[0, 0]),
+        shifted_rows=int(1 - low[1] % 2) if shifted else None,
+    )

@@ -1,0 +1,97 @@
+"""Two-dimensional slices of a light field: views, mosaics of views, epipolar images."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from ..errors import InputError, require_count, require_number
+from .geometry import require_light_field
+
+AXES = ("horizontal", "vertical")
+
+
+def view(lf: xr.DataArray, *, u: float = 0.0, v: float = 0.0) -> xr.DataArray:
+    """Give the sub-aperture view from nearest to a point of the pupil.
+
+    Parameters
+    ----------
+    lf : xarray.DataArray
+        A light field, (v, u, t, s[, c]).
+    u, v : float
+        Point on the pupil in the light field's coordinates (millimetres where it has a camera).
+
+    Returns
+    -------
+    xarray.DataArray
+        Dimensions t, s[, c]; upright, with the scalar coordinates u and v of the view.
+    """
+    lf = require_light_field(lf)
+    return lf.sel(u=require_number("u", u), v=require_number("v", v), method="nearest")
+
+
+def pick_views(lf: xr.DataArray, count: int) -> xr.DataArray:
+    """Keep so many views along each axis: those in the middle of as many equal parts of the pupil.
+
+    Raises
+    ------
+    InputError
+        If there are fewer.
+    """
+    lf = require_light_field(lf)
+    count = require_count("count", count, maximum=min(lf.shape[:2]))
+    middles = (np.arange(count) + 0.5) / count
+    return lf.isel({axis: np.floor(middles * lf.sizes[axis]).astype(int) for axis in ("v", "u")})
+
+
+def view_mosaic(lf: xr.DataArray) -> np.ndarray:
+    """Lay the views side by side as they lie on the pupil, seen from behind the camera.
+
+    Returns
+    -------
+    (v t, u s[, 3]) array
+    """
+    values = np.asarray(require_light_field(lf).values)
+    v, u, t, s = values.shape[:4]
+    return values.swapaxes(1, 2).reshape(v * t, u * s, *values.shape[4:])
+
+
+def lens_mosaic(lf: xr.DataArray) -> np.ndarray:
+    """Lay the samples of each lens together, as on a detector with a whole number of pixels a lens.
+
+    Returns
+    -------
+    (t v, s u[, 3]) array
+    """
+    values = np.asarray(require_light_field(lf).values)
+    v, u, t, s = values.shape[:4]
+    return values.transpose(2, 0, 3, 1, *range(4, values.ndim)).reshape(t * v, s * u, *values.shape[4:])
+
+
+def epipolar_image(
+    lf: xr.DataArray, axis: str = "horizontal", *, at: float = 0.0, through: float = 0.0
+) -> xr.DataArray:
+    """Give one line of the field from every view of one line of the pupil: a point of the scene draws a slanted line.
+
+    Parameters
+    ----------
+    lf : xarray.DataArray
+        A light field, (v, u, t, s[, c]).
+    axis : {"horizontal", "vertical"}
+        Direction of both lines: along u and s, or along v and t.
+    at : float
+        Place of the line in the field: t of a horizontal, s of a vertical one. The nearest is taken.
+    through : float
+        Place of the line on the pupil: v of a horizontal, u of a vertical one. The nearest is taken.
+
+    Returns
+    -------
+    xarray.DataArray
+        Dimensions u, s[, c], or v, t[, c].
+    """
+    lf = require_light_field(lf)
+    if axis not in AXES:
+        raise InputError(f"axis = {axis!r}: it must be one of {', '.join(AXES)}")
+    field, pupil = ("t", "v") if axis == "horizontal" else ("s", "u")
+    place = {field: require_number("at", at), pupil: require_number("through", through)}
+    return lf.sel(place, method="nearest")
