@@ -6,21 +6,14 @@ BIN := $(VENV)/bin
 .PHONY: help demo test slow lint clean llvm
 
 help:
-	@echo "make demo   render the letters scene and refocus it; pictures in demo/ (a few minutes)"
+	@echo "make demo   capture and refocus the letters by rays and by waves; demo/report.html (a few minutes)"
 	@echo "make test   run the tests"
 	@echo "make slow   run the tests that take minutes"
 	@echo "make lint   check format, style and types"
 	@echo "make clean  remove what make made"
 
 demo: $(VENV)/.ready llvm
-	@mkdir -p demo
-	$(BIN)/mitsuba-plenoptic render letters -o demo/raw.exr --spp 4
-	$(BIN)/python tools/capture_picture.py demo/raw.exr demo/raw.png
-	$(BIN)/mitsuba-plenoptic reconstruct demo/raw.exr -o demo/refocused.png \
-		--distance 210 --distance 240 --distance 280
-	@echo
-	@echo "Look at demo/raw.png, the field of micro-images on the detector (demo/raw.exr in full), and at"
-	@echo "demo/refocused_210.png, demo/refocused_240.png and demo/refocused_280.png, refocused from it."
+	$(BIN)/mitsuba-plenoptic reproduce --preset quick -o demo
 
 test: $(VENV)/.ready llvm
 	$(BIN)/python -m pytest -n 2
@@ -49,6 +42,7 @@ llvm: $(VENV)/.ready
 clean:
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -not -path './$(VENV)/*' -prune -exec rm -rf {} +
-	rm -f demo/raw.exr demo/raw.png demo/refocused_210.png demo/refocused_240.png demo/refocused_280.png
+	rm -rf demo/data
+	rm -f $(addprefix demo/,report.html results.json fig2.png fig4.png methods.png interference.png captures.png)
 	if [ -d demo ]; then rmdir --ignore-fail-on-non-empty demo; fi
 	if [ -f $(VENV)/.made-by-make ]; then rm -rf $(VENV); fi

@@ -75,7 +75,8 @@ def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Map
     except InputError:
         raise
     except (RuntimeError, ValueError, TypeError) as error:
-        raise InputError(_last_sentence(path, error)) from None
+        place = re.search(r"\b(line \d+(?:, col(?:umn)? \d+)?)", str(error))
+        raise InputError(f"{path}{f', {place.group(1)}' if place else ''}: {_sentence(error)}") from None
     # The name that captures carry in their metadata.
     loaded.set_id(path.name)
     return loaded
@@ -177,7 +178,10 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
         return integrator
     own = integrator.parameters() if is_wave else {}
     child = integrator.child if is_wave else integrator
-    return mi.load_dict({"type": "plenoptic_wave", **own, **wave, "child": child})
+    try:
+        return mi.load_dict({"type": "plenoptic_wave", **own, **wave, "child": child})
+    except RuntimeError as error:
+        raise InputError(_sentence(error)) from None
 
 
 def _render_passes(
@@ -218,15 +222,13 @@ def _provenance(scene: Any, integrator: Any, **settings: Any) -> dict[str, Any]:
     }
 
 
-def _last_sentence(path: Path, error: Exception) -> str:
-    """Shrink Mitsuba's report, which may hold a whole Python traceback, to the place and what is wrong there."""
+def _sentence(error: Exception) -> str:
+    """Shrink Mitsuba's report, which may hold a whole Python traceback, to what is wrong."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
-    place = re.search(r"\b(line \d+(?:, col(?:umn)? \d+)?)", text)
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     # A list of misspelled parameters stands below the sentence that says so.
     start = max((i for i, line in enumerate(lines) if not line.startswith("- ")), default=0)
     last = " ".join(lines[start:])
     last = re.sub(r"^\[[\w.]+:\d+\] ", "", last)
-    last = re.sub(r"^(?:At|While loading|Error while loading) [^:]*?\([^)]*\): ", "", last)
-    last = re.sub(r"^(?:[\w.]+\.)?(?:InputError|RuntimeError|ValueError|TypeError|Exception): ", "", last)
-    return f"{path}{f', {place.group(1)}' if place else ''}: {last}"
+    last = re.sub(r"^(?:At|While loading|Error while loading) [^:]*?(?:\([^)]*\)|\"[^\"]*\"): ", "", last)
+    return re.sub(r"^(?:[\w.]+\.)?(?:InputError|RuntimeError|ValueError|TypeError|Exception): ", "", last)

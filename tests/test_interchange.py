@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import mitsuba as mi
 import numpy as np
 import pytest
 import scipy.io
@@ -195,6 +196,9 @@ class TestMosaics:
         Image.fromarray(np.array([[0, 188], [255, 10]], np.uint8)).save(tmp_path / "grey.png")
         # (188/255 sRGB is 0.5029 linear; 10/255 is on the straight part: / 12.92)
         np.testing.assert_allclose(read_picture(tmp_path / "grey.png"), [[0, 0.5029], [1, 10 / 255 / 12.92]], atol=1e-4)
+        np.testing.assert_allclose(
+            read_picture(tmp_path / "grey.png", linear=True), [[0, 188 / 255], [1, 10 / 255]], atol=1e-6
+        )
         Image.fromarray(np.full((2, 2, 4), 255, np.uint8)).save(tmp_path / "clear.png")
         assert read_picture(tmp_path / "clear.png").shape == (2, 2, 3)
 
@@ -271,3 +275,11 @@ class TestFiles:
     def test_unknown_suffix_for_writing(self, lf, tmp_path):
         with pytest.raises(InputError, match="ends in"):
             save_light_field(tmp_path / "a.npy", lf)
+
+    def test_linear_raw_pictures(self, tmp_path):
+        camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
+        white = white_image(camera)
+        for name, level in (("white", 60000), ("raw", 15000)):
+            mi.Bitmap(np.round(level * white).astype(np.uint16)).write(str(tmp_path / f"{name}.png"))
+        lf = open_light_field(tmp_path / "raw.png", white=tmp_path / "white.png", linear=True)
+        assert float(lf.max()) == pytest.approx(15000 / 65535, rel=1e-3)

@@ -166,3 +166,12 @@ def test_more_memory_than_allowed_is_refused_with_the_estimate(monkeypatch):
     monkeypatch.setattr("mitsuba_plenoptic.propagation.sampling.MEMORY_LIMIT", 2**20)
     with pytest.raises(InputError, match=r"1 radiators by patches.*GiB"):
         incoherent_sum(SMALL, [(0.0, 0.0, 240.0)], [1.0], wavelength=633)
+
+
+def test_many_radiators_at_infinity_are_refused():
+    """Their blur of 5 mm covers 2,500 pixels; a few are allowed."""
+    camera = PlenopticCamera()
+    x = np.random.default_rng(0).uniform(-2e5, 2e5, (100, 2))
+    positions = np.column_stack([x, np.full(100, 1e7)])
+    with pytest.raises(InputError, match=r"^100 radiators by patches.*GiB"):
+        incoherent_sum(camera, positions, np.ones(100), wavelength=633)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from typing import Annotated, Any
 
@@ -68,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     A user's mistake gives one line on standard error and status 2; an exception that is a mistake of ours
     passes through with its traceback.
     """
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), _remarks():
         warnings.showwarning = _print_warning
         try:
             # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
@@ -90,6 +92,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
             context = getattr(error, "ctx", None)
             command = context.command_path if context else PROGRAM
             return _fail(f"{error.format_message().rstrip('.')} (see {command} --help)")
+
+
+@contextlib.contextmanager
+def _remarks() -> Iterator[None]:
+    """Show the library's remarks, such as what a long rendering will take, on standard error."""
+    handler = logging.Handler()
+    handler.emit = lambda record: _complain(record.getMessage())  # type: ignore[method-assign]
+    logger = logging.getLogger(__package__.partition(".")[0])
+    level = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
+        logger.removeHandler(handler)
 
 
 def _fail(message: str) -> int:

@@ -34,8 +34,13 @@ ViewCount = Annotated[
     typer.Option(metavar="N", help="For a mosaic: how many views it has along each axis, 14 in Lytro's ESLF files."),
 ]
 
+Linear = Annotated[
+    bool,
+    typer.Option("--linear", help="PNG files hold values proportional to light, as raw data does, instead of sRGB."),
+]
 
-def load_light_field(source: Path, white: Path | None, view_count: int | None) -> xr.DataArray:
+
+def load_light_field(source: Path, white: Path | None, view_count: int | None, linear: bool) -> xr.DataArray:
     """Read or decode a light field without the remarks that OpenEXR itself prints about a damaged file.
 
     Raises
@@ -44,4 +49,4 @@ def load_light_field(source: Path, white: Path | None, view_count: int | None) -
         If it cannot be read.
     """
     with native_output_dropped():
-        return open_light_field(source, white=white, views=view_count)
+        return open_light_field(source, white=white, views=view_count, linear=linear)

@@ -9,7 +9,7 @@ import typer
 
 from ..files import require_writable
 from ..interchange import save_light_field
-from ._light_field import Source, ViewCount, White, load_light_field
+from ._light_field import Linear, Source, ViewCount, White, load_light_field
 
 
 def convert(
@@ -26,6 +26,7 @@ def convert(
     ],
     white: White = None,
     view_count: ViewCount = None,
+    linear: Linear = False,
 ) -> None:
     """Decode a capture for other programs, or translate between their light fields.
 
@@ -38,6 +39,6 @@ def convert(
       mitsuba-plenoptic convert lytro.eslf.png --view-count 14 -o lf.mat
     """
     require_writable(output)
-    lf = load_light_field(source, white, view_count)
+    lf = load_light_field(source, white, view_count, linear)
     save_light_field(output, lf)
     typer.echo(f"{output}: {lf.sizes['u']} x {lf.sizes['v']} views of {lf.sizes['s']} x {lf.sizes['t']} pixels")

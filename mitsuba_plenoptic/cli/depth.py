@@ -10,7 +10,7 @@ import typer
 from ..lightfield import depth_map
 from ..report.light_fields import require_picture_path, write_depth
 from ._common import progress_bar
-from ._light_field import Source, ViewCount, White, load_light_field
+from ._light_field import Linear, Source, ViewCount, White, load_light_field
 
 
 def depth(
@@ -36,6 +36,7 @@ def depth(
     planes: Annotated[int, typer.Option(metavar="N", help="Number of distances to try.")] = 64,
     white: White = None,
     view_count: ViewCount = None,
+    linear: Linear = False,
 ) -> None:
     """Estimate depth, and an image in focus everywhere, from how well the views agree.
 
@@ -48,7 +49,7 @@ def depth(
       mitsuba-plenoptic depth raw.exr -o depth.exr --near 195 --far 310
     """
     require_picture_path(output)
-    lf = load_light_field(source, white, view_count)
+    lf = load_light_field(source, white, view_count, linear)
     with progress_bar("Comparing views") as progress:
         found = depth_map(lf, near, far, planes=planes, progress=progress)
     write_depth(output, found)

@@ -10,7 +10,7 @@ import typer
 from ..lightfield import epipolar_image
 from ..lightfield.views import AXES
 from ..report.light_fields import require_picture_path, write_epipolar_image
-from ._light_field import Source, ViewCount, White, load_light_field
+from ._light_field import Linear, Source, ViewCount, White, load_light_field
 
 
 def epi(
@@ -32,6 +32,7 @@ def epi(
     ] = 0.0,
     white: White = None,
     view_count: ViewCount = None,
+    linear: Linear = False,
 ) -> None:
     """Show one line of the scene from every view along the same direction.
 
@@ -42,7 +43,7 @@ def epi(
       mitsuba-plenoptic epi raw.exr -o epi.png --at 2.5
     """
     require_picture_path(output)
-    image = epipolar_image(load_light_field(source, white, view_count), axis, at=at, through=through)
+    image = epipolar_image(load_light_field(source, white, view_count, linear), axis, at=at, through=through)
     write_epipolar_image(output, image)
     rows, columns = image.shape[:2]
     typer.echo(f"{output}: {rows} views of {columns} pixels")

@@ -28,9 +28,29 @@ def render(
     ] = None,
     spp: Annotated[
         int | None,
-        typer.Option(metavar="N", show_default="those of the scene's sampler", help="Samples per pixel."),
+        typer.Option(
+            metavar="N",
+            show_default="those of the scene's sampler",
+            help="Samples per pixel; by waves, light paths per radiator.",
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(metavar="N", help="Seed of the random numbers.")] = 0,
+    wavelength: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NM",
+            show_default="the scene's, else 633",
+            help="By waves: wavelength in nanometres; for a variant of three channels three, as 611,549,464.",
+        ),
+    ] = None,
+    radiators_per_lens: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            show_default="the scene's, else 8",
+            help="By waves: incoherent point sources per microlens and axis.",
+        ),
+    ] = None,
     define: Definitions = None,
     variant: Variant = None,
 ) -> None:
@@ -44,6 +64,8 @@ def render(
 
       mitsuba-plenoptic render letters -o raw.exr --spp 16
 
+      mitsuba-plenoptic render letters -o wave.exr --model wave
+
       mitsuba-plenoptic render letters -o small.exr -D resolution=1024
 
       mitsuba-plenoptic render my_scene.xml -o colour.exr --variant llvm_ad_rgb
@@ -54,9 +76,11 @@ def render(
         raise InputError(f"{output}: a capture is written as OpenEXR; give a name that ends in .exr")
     require_writable(output)
     loaded = load_scene(scene, variant=variant, parameters=parameters)
+    options = {"wavelength": wavelength, "radiators_per_lens": radiators_per_lens}
+    wave = {name: value for name, value in options.items() if value is not None}
     start = time.perf_counter()
     with progress_bar("Rendering") as progress:
-        capture = render_capture(loaded, model=model, spp=spp, seed=seed, progress=progress)
+        capture = render_capture(loaded, model=model, spp=spp, seed=seed, progress=progress, **wave)
     seconds = time.perf_counter() - start
     write_capture(output, capture)
     rows, columns = capture.camera.shape

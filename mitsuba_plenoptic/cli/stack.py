@@ -11,7 +11,7 @@ from ..lightfield import focal_stack
 from ..lightfield.refocus import METHODS
 from ..report.light_fields import require_picture_path, write_stack
 from ._common import progress_bar
-from ._light_field import Source, ViewCount, White, load_light_field
+from ._light_field import Linear, Source, ViewCount, White, load_light_field
 
 
 def stack(
@@ -35,6 +35,7 @@ def stack(
     ] = "shift",
     white: White = None,
     view_count: ViewCount = None,
+    linear: Linear = False,
 ) -> None:
     """Refocus to several distances from the decoded light field.
 
@@ -43,7 +44,7 @@ def stack(
       mitsuba-plenoptic stack raw.exr -o stack.png --distance 210 --distance 240 --distance 280
     """
     require_picture_path(output)
-    lf = load_light_field(source, white, view_count)
+    lf = load_light_field(source, white, view_count, linear)
     with progress_bar("Refocusing") as progress:
         images = focal_stack(lf, distance, method=method, progress=progress)
     write_stack(output, images)

@@ -9,7 +9,7 @@ import typer
 
 from ..lightfield import pick_views
 from ..report.light_fields import require_picture_path, write_views
-from ._light_field import Source, ViewCount, White, load_light_field
+from ._light_field import Linear, Source, ViewCount, White, load_light_field
 
 
 def views(
@@ -29,6 +29,7 @@ def views(
     ] = None,
     white: White = None,
     view_count: ViewCount = None,
+    linear: Linear = False,
 ) -> None:
     """Show the scene from many places on the main lens.
 
@@ -43,7 +44,7 @@ def views(
       mitsuba-plenoptic views raw.exr -o centre.png --count 1
     """
     require_picture_path(output)
-    lf = load_light_field(source, white, view_count)
+    lf = load_light_field(source, white, view_count, linear)
     if count is not None:
         lf = pick_views(lf, count)
     write_views(output, lf)

@@ -18,7 +18,9 @@ from .pictures import read_picture
 _LENSES = ".eslf.png"
 
 
-def open_light_field(path: str | Path, *, white: str | Path | None = None, views: int | None = None) -> xr.DataArray:
+def open_light_field(
+    path: str | Path, *, white: str | Path | None = None, views: int | None = None, linear: bool = False
+) -> xr.DataArray:
     """Read a light field, or decode one from a capture.
 
     Parameters
@@ -32,6 +34,8 @@ def open_light_field(path: str | Path, *, white: str | Path | None = None, views
         replaces the computed one; for a raw picture it tells where the micro-images are.
     views : int, optional
         Views along each axis of a mosaic.
+    linear : bool
+        Whether PNG files hold values proportional to light, as raw data does, instead of sRGB.
 
     Raises
     ------
@@ -45,17 +49,18 @@ def open_light_field(path: str | Path, *, white: str | Path | None = None, views
         raise InputError(f"{path}: a white image and a number of views exclude each other")
     if name.endswith(".exr"):
         _refuse(path, views=views)
-        return decode(read_capture(path), white=None if white is None else _white(white))
+        return decode(read_capture(path), white=None if white is None else _white(white, linear))
     if name.endswith(".mat"):
         _refuse(path, white=white, views=views)
         return read_lftoolbox(path)
     if name.endswith(".png"):
         if views is not None:
-            return read_mosaic(path, views, layout="lenses" if name.endswith(_LENSES) else "views")
+            layout = "lenses" if name.endswith(_LENSES) else "views"
+            return read_mosaic(path, views, layout=layout, linear=linear)
         if white is None:
             raise InputError(f"{path}: give the white image of a raw picture, or the number of views of a mosaic")
-        reference = _white(white)
-        return decode(read_picture(path), white=reference, grid=estimate_lens_grid(reference))
+        reference = _white(white, linear)
+        return decode(read_picture(path, linear=linear), white=reference, grid=estimate_lens_grid(reference))
     raise InputError(f"{path}: a capture or light field has a name that ends in .exr, .mat or .png")
 
 
@@ -83,8 +88,8 @@ def save_light_field(path: str | Path, lf: xr.DataArray) -> None:
         raise InputError(f"{path}: give a name that ends in .mat, .eslf.png or .png")
 
 
-def _white(path: str | Path) -> np.ndarray:
-    return read_capture(path).image if Path(path).suffix.lower() == ".exr" else read_picture(path)
+def _white(path: str | Path, linear: bool) -> np.ndarray:
+    return read_capture(path).image if Path(path).suffix.lower() == ".exr" else read_picture(path, linear=linear)
 
 
 def _refuse(path: Path, **options: object) -> None:

@@ -43,7 +43,7 @@ def write_mosaic(path: str | Path, lf: xr.DataArray, *, layout: str = "lenses") 
     write_picture(path, mosaic / peak)
 
 
-def read_mosaic(path: str | Path, views: int, *, layout: str = "lenses") -> xr.DataArray:
+def read_mosaic(path: str | Path, views: int, *, layout: str = "lenses", linear: bool = False) -> xr.DataArray:
     """Read a light field from a PNG mosaic.
 
     Parameters
@@ -54,6 +54,8 @@ def read_mosaic(path: str | Path, views: int, *, layout: str = "lenses") -> xr.D
         Views along each axis; 14 in files of Lytro's programs.
     layout : {"lenses", "views"}
         Whether the samples of a lens or of a view lie together.
+    linear : bool
+        Whether the values are proportional to light, instead of encoded in sRGB.
 
     Returns
     -------
@@ -66,7 +68,7 @@ def read_mosaic(path: str | Path, views: int, *, layout: str = "lenses") -> xr.D
         If the file cannot be read, or its sides are not whole multiples of the number of views.
     """
     _require_layout(layout)
-    image = read_picture(path)
+    image = read_picture(path, linear=linear)
     views = require_count("views", views, maximum=min(image.shape[:2]))
     rows, columns = image.shape[:2]
     if rows % views or columns % views:

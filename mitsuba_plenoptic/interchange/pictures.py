@@ -15,8 +15,15 @@ from ..files import atomic_output
 _MAX_PIXELS = 2**28
 
 
-def read_picture(path: str | Path) -> np.ndarray:
-    """Read a PNG of 8 or 16 bits a channel; its sRGB encoding is undone.
+def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
+    """Read a PNG of 8 or 16 bits a channel.
+
+    Parameters
+    ----------
+    path : path
+        File to read.
+    linear : bool
+        Whether its values are proportional to light, as in raw data, instead of encoded in sRGB.
 
     Returns
     -------
@@ -38,6 +45,7 @@ def read_picture(path: str | Path) -> np.ndarray:
         if columns * rows > _MAX_PIXELS:
             raise InputError(f"{path}: {columns} x {rows} pixels: at most {_MAX_PIXELS} are read")
         bitmap = mi.Bitmap(str(path))
+        bitmap.set_srgb_gamma(not linear)
         grey = bitmap.pixel_format() in (mi.Bitmap.PixelFormat.Y, mi.Bitmap.PixelFormat.YA)
         kind = mi.Bitmap.PixelFormat.Y if grey else mi.Bitmap.PixelFormat.RGB
         values = np.array(bitmap.convert(kind, mi.Struct.Type.Float32, srgb_gamma=False), dtype=np.float32)

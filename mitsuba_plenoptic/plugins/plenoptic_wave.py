@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable
 from typing import Any
@@ -11,11 +12,13 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_number
-from ..propagation.incoherent import METHODS, incoherent_sum
+from ..propagation.incoherent import METHODS, estimate_cost, incoherent_sum
 from ._properties import read_choice, read_count, read_flag
 from ._radiators import Radiators, find_radiators, sample_pairs
 
 NAME = "plenoptic_wave"
+
+_log = logging.getLogger(__name__)
 
 DEFAULT_WAVELENGTH = 633.0
 
@@ -158,12 +161,27 @@ def make_class() -> type:
             ]
             jobs = [(radiators, channel) for radiators in sets for channel in range(radiators.radiance.shape[1])]
             total = sum(len(radiators.positions) for radiators, _ in jobs)
+            if self.method == "patch":
+                self._estimate(camera, sets[0], len(jobs))
             image = np.zeros((*camera.shape, len(self.wavelengths)), dtype=np.float32)
             done = 0
             for radiators, channel in jobs:
                 image[..., channel] += self._sum(camera, radiators, channel, done, total)
                 done += len(radiators.positions)
             return image
+
+        def _estimate(self, camera: PlenopticCamera, radiators: Radiators, jobs: int) -> None:
+            """Tell what is to come, or refuse it if memory would not do."""
+            cost = estimate_cost(
+                camera, radiators.positions, wavelength=self.wavelengths[0], pupil_masks=radiators.masks
+            )
+            _log.info(
+                "%d radiators, %d point spreads, about %.0f s and %.1f GiB",
+                cost.radiators * jobs,
+                cost.patterns * jobs,
+                cost.seconds * jobs,
+                cost.memory / 2**30,
+            )
 
         def _sum(
             self, camera: PlenopticCamera, radiators: Radiators, channel: int, done: int, total: int

@@ -32,6 +32,9 @@ _EDGE = 8
 _CHUNK = 64
 """Radiators that are prepared together and added into one tile."""
 
+_PATCH_LIMIT = 2**26
+"""Bytes of one radiator's field above which many are refused: blurred over thousands of pixels, they take days."""
+
 _CHUNK_BYTES = 2**26
 _PLACE_BLOCK = 4096
 _TRIAL = 4
@@ -328,8 +331,15 @@ class _PatchSum:
         return Cost(len(self.factors), len(samples), seconds, memory)
 
     def _check_memory(self, memory: float) -> None:
-        largest = self.placement.samples.max(initial=0)
-        check_memory(memory, f"{self.total} radiators by patches of {largest} x {largest} samples")
+        largest, patterns = int(self.placement.samples.max(initial=0)), len(self.positions)
+        what = f"{self.total} radiators by patches of {largest} x {largest} samples"
+        check_memory(memory, what)
+        each = 8.0 * largest**2
+        if patterns > _CHUNK and each > _PATCH_LIMIT:
+            raise InputError(
+                f"{what}: {patterns} patches, the largest of {each / 2**30:.2f} GiB, {memory / 2**30:.1f} GiB at a "
+                f"time; for more than {_CHUNK} patches each may take {_PATCH_LIMIT / 2**30:.2f} GiB"
+            )
 
     def run(self, threads: int, report: Progress) -> NDArray[np.float32]:
         """Add all chunks and integrate over the pixels."""
