@@ -5,6 +5,8 @@ variant itself.
 """
 
 # ruff: noqa: E402
+import importlib.metadata
+
 from . import _llvm
 
 # Dr.Jit takes its LLVM from the environment when it is first imported, which all of the following do.
@@ -13,18 +15,25 @@ _llvm.choose()
 from . import plugins as plugins
 from .camera import PlenopticCamera
 from .capture import Capture, read_capture, write_capture
+from .detector import Detector, expose
 from .errors import InputError
+from .lightfield import decode
+from .propagation.point_spread import point_spread_function
 from .reconstruction import Reconstruction, reconstruct
 from .rendering import load_scene, render_capture, scene_path
 
-__version__ = "0.1.0"
+__version__ = importlib.metadata.version("mitsuba-plenoptic")
 
 __all__ = [
     "Capture",
+    "Detector",
     "InputError",
     "PlenopticCamera",
     "Reconstruction",
+    "decode",
+    "expose",
     "load_scene",
+    "point_spread_function",
     "read_capture",
     "reconstruct",
     "render_capture",

@@ -10,12 +10,21 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from mitsuba_plenoptic import Capture, InputError, load_scene, read_capture, scene_path
+from mitsuba_plenoptic import (
+    Capture,
+    InputError,
+    load_scene,
+    read_capture,
+    render_capture,
+    scene_path,
+    write_capture,
+)
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report import reproduce as reproductions
 from mitsuba_plenoptic.report.compare import compare
 from mitsuba_plenoptic.report.experiment import Settings
+from mitsuba_plenoptic.report.one_core import seconds_on_one_core
 from mitsuba_plenoptic.report.referee import pinhole_image, thin_lens_image
 from mitsuba_plenoptic.report.reproduce import reproduce
 from mitsuba_plenoptic.report.stages import StageStore, scene_fingerprint
@@ -52,7 +61,7 @@ def quick_waves(monkeypatch):
     monkeypatch.setattr(
         reproductions,
         "seconds_on_one_core",
-        lambda capture, distance: {"ray": 0.5, "coherent": 5.0, "partial": 15.0, "cores": 1},
+        lambda capture, distance: {"ray": 0.5, "coherent": 5.0, "partial": 15.0},
     )
     monkeypatch.setitem(reproductions.PRESETS, "quick", SETTINGS)
     return calls
@@ -212,6 +221,17 @@ def test_photographs_are_aligned_with_each_other():
     # The F, in focus at 240 mm, is the same in both.
     middle = np.s_[5:11, 7:9]
     assert lens[middle] == pytest.approx(sharp[middle], abs=0.15)
+
+
+@pytest.mark.slow
+def test_seconds_on_one_core(tmp_path):
+    capture = render_capture(load_scene("letters", parameters=TINY), spp=1)
+    write_capture(tmp_path / "raw.exr", dataclasses.replace(capture, wavelength=633.0))
+    seconds = seconds_on_one_core(tmp_path / "raw.exr", 280.0)
+    assert set(seconds) == {"ray", "coherent", "partial"}
+    assert all(0 < value < 60 for value in seconds.values())
+    with pytest.raises(InputError, match=r"nowhere\.exr: there is no such file"):
+        seconds_on_one_core(tmp_path / "nowhere.exr", 280.0)
 
 
 @pytest.fixture

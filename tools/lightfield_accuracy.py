@@ -147,9 +147,10 @@ def main() -> None:
         centre = view(lf).values
         rows.append(
             (
-                f"{name}: centre view, correlation with perspective",
+                f"{name}: centre view at {arguments.spp} samples a pixel, correlation with perspective",
                 float(np.corrcoef(centre.ravel(), reference.ravel())[0, 1]),
-                ">= 0.995",
+                # The still life's own noise limits it; see the window below.
+                ">= 0.995" if name == "letters" else "",
             )
         )
         for method in ("shift", "fourier"):

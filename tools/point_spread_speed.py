@@ -19,7 +19,7 @@ import scipy.fft
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.propagation.fft import resting_drjit, worker_count
 from mitsuba_plenoptic.propagation.incoherent import _PatchSum, incoherent_sum
-from mitsuba_plenoptic.propagation.patch import PatchBatch, Workspace, _blocks
+from mitsuba_plenoptic.propagation.patch import ACCURACIES, PatchBatch, Workspace, _blocks
 
 WAVELENGTH = 633.0
 GLYPHS = {
@@ -73,7 +73,7 @@ def measure(camera: PlenopticCamera, positions: np.ndarray, accuracy: str) -> di
     """Time the sum and the bare transforms side by side."""
     threads = worker_count()
     weights = np.ones(len(positions))
-    work = _PatchSum(camera, positions, weights[:, None], None, WAVELENGTH, accuracy)
+    work = _PatchSum(camera, positions, weights[:, None], None, WAVELENGTH, ACCURACIES[accuracy])
     batches = {}
     for chunk in work.chunks:
         batches.setdefault(int(work.placement.samples[chunk[0]]), chunk)

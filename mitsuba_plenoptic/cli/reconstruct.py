@@ -34,7 +34,12 @@ def reconstruct(
         ),
     ],
     method: Annotated[
-        str, typer.Option(metavar="|".join(reconstruction.METHODS), help="How light is followed back.")
+        str,
+        typer.Option(
+            metavar="|".join(reconstruction.METHODS),
+            help="How light is followed back: by rays, as one coherent wave, or as one wave for each interleaved "
+            "subset of lenses.",
+        ),
     ] = "ray",
     footprint: Annotated[
         str,
@@ -43,11 +48,29 @@ def reconstruct(
             help="For rays: spread a pixel over what its lens sees, or put it into one bin.",
         ),
     ] = "lens",
+    interleave: Annotated[
+        str,
+        typer.Option(
+            metavar="K|auto",
+            help="For partial: every K-th lens along both axes shares a wave; auto lets no two lenses interfere.",
+        ),
+    ] = "2",
+    wavelength: Annotated[
+        float | None,
+        typer.Option(metavar="NM", help="For waves: wavelength in nanometres.", show_default="the capture's"),
+    ] = None,
+    relay: Annotated[
+        bool,
+        typer.Option(
+            "--relay/--no-relay", help="For waves: whether the microlenses act again on the way back, as they should."
+        ),
+    ] = True,
+    oversample: Annotated[int, typer.Option(metavar="N", help="Bins per microlens along each axis.")] = 1,
     variant: Variant = None,
 ) -> None:
     """Refocus a capture to one or several distances.
 
-    A reconstruction has one bin per microlens and the orientation of an
+    A reconstruction has one bin per microlens, unless told otherwise, and the orientation of an
     ordinary photograph. Pictures of one run share one scale, so that their
     brightness compares.
 
@@ -56,12 +79,24 @@ def reconstruct(
       mitsuba-plenoptic reconstruct raw.exr -o out.png --distance 240
 
       mitsuba-plenoptic reconstruct raw.exr -o out.exr --distance 210 --distance 240
+
+      mitsuba-plenoptic reconstruct raw.exr -o out.png --method partial --distance 280
     """
     paths = reconstruction_paths(output, distance)
     recorded = load_capture(capture)
     set_variant(variant)
     with progress_bar("Refocusing") as progress:
-        results = reconstruction.reconstruct(recorded, distance, method=method, footprint=footprint, progress=progress)
+        results = reconstruction.reconstruct(
+            recorded,
+            distance,
+            method=method,
+            wavelength=wavelength,
+            interleave=int(interleave) if interleave.isdecimal() else interleave,
+            footprint=footprint,
+            relay=relay,
+            oversample=oversample,
+            progress=progress,
+        )
     write_reconstructions(paths, results, recorded.metadata)
     for path, result in zip(paths, results, strict=True):
         rows, columns = result.image.shape[:2]

@@ -40,9 +40,9 @@ def decode(
     camera : PlenopticCamera, optional
         The camera of a plain array, or another one than the capture's.
     white : Capture or (rows, columns[, 3]) array, optional
-        A picture of something white with the same camera. Default: computed from the camera's pupil by rays; diffraction
-        blurs the rim of micro-images, so that a wave capture is better served by one rendered alike. Where there is no
-        camera it is needed, and its brightness in the middle of the micro-images counts as 1.
+        A picture of something white with the same camera. Default: computed by rays from the camera's pupil;
+        diffraction blurs the rims of micro-images, so that a wave capture is better served by one rendered alike.
+        Where there is no camera it is needed, and its brightness in the middle of the micro-images counts as 1.
     grid : LensGrid, optional
         Micro-image centres, as `estimate_lens_grid` finds them. Default: those of the camera.
 

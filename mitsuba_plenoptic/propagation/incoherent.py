@@ -17,7 +17,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError
 from .fft import resting_drjit, worker_count
 from .full_field import full_field
-from .patch import ACCURACIES, Copies, Grid, PatchBatch, Placement, Tile, Workspace, place
+from .patch import ACCURACIES, Accuracy, Copies, Grid, PatchBatch, Placement, Tile, Workspace, place
 from .patterns import find_patterns
 from .pixels import integrate_pixels
 from .sampling import check_memory, check_positions, check_wavelength
@@ -28,6 +28,9 @@ Progress = Callable[[int, int], None]
 
 _EDGE = 8
 """Samples around a window that its pixels' integrals feel."""
+
+_FEW = 512
+"""Radiators up to which the accuracy is "high" unless told."""
 
 _CHUNK = 64
 """Radiators that are prepared together and added into one tile."""
@@ -47,7 +50,7 @@ def incoherent_sum(
     *,
     wavelength: float,
     method: str = "patch",
-    accuracy: str = "standard",
+    accuracy: str = "auto",
     pupil_masks: Any = None,
     progress: Progress | None = None,
     threads: int | None = None,
@@ -68,8 +71,9 @@ def incoherent_sum(
         Wavelength in nanometres.
     method : {"patch", "full_field"}
         Route, as for `point_spread_function`.
-    accuracy : {"fast", "standard", "high"}
-        Of method "patch": how much of the widely diffracted light is kept.
+    accuracy : {"auto", "fast", "standard", "high"}
+        Of method "patch": how much of the widely diffracted light is kept, and whether neighbouring lenses share
+        propagations. "auto" is "high" for few radiators, whose errors do not average out, and "standard" for many.
     pupil_masks : bool array (n, m, m), optional
         For each radiator the open cells of the square around the pupil: rows along y, columns along x. What
         passes is normalised anew, so that each point spread still sums to its weight. Method "patch" only.
@@ -94,14 +98,14 @@ def incoherent_sum(
     masks = _check_masks(pupil_masks, len(points))
     if method not in METHODS:
         raise InputError(f"method = {method!r}: it must be one of {', '.join(METHODS)}")
-    _check_accuracy(accuracy)
+    level = _choose_accuracy(accuracy, len(points))
     report = progress or (lambda done, total: None)
     if method == "full_field":
         if masks is not None:
             raise InputError("pupil_masks: method 'full_field' knows none, use 'patch'")
         image = _sum_full_fields(camera, points, factors, wavelength, report)
     else:
-        work = _PatchSum(camera, points, factors, masks, wavelength, accuracy)
+        work = _PatchSum(camera, points, factors, masks, wavelength, level)
         image = work.run(threads or worker_count(), report)
     return image[..., 0] if np.ndim(weights) == 1 else image
 
@@ -133,7 +137,7 @@ def estimate_cost(
     positions: Any,
     *,
     wavelength: float,
-    accuracy: str = "standard",
+    accuracy: str = "auto",
     pupil_masks: Any = None,
     threads: int | None = None,
 ) -> Cost:
@@ -160,15 +164,17 @@ def estimate_cost(
         np.ones((len(points), 1)),
         _check_masks(pupil_masks, len(points)),
         check_wavelength(wavelength),
-        _check_accuracy(accuracy),
+        _choose_accuracy(accuracy, len(points)),
     )
     return work.cost(threads or worker_count())
 
 
-def _check_accuracy(accuracy: str) -> str:
+def _choose_accuracy(accuracy: str, count: int) -> Accuracy:
+    if accuracy == "auto":
+        return ACCURACIES["high" if count <= _FEW else "standard"]
     if accuracy not in ACCURACIES:
-        raise InputError(f"accuracy = {accuracy!r}: it must be one of {', '.join(ACCURACIES)}")
-    return accuracy
+        raise InputError(f"accuracy = {accuracy!r}: it must be one of auto, {', '.join(ACCURACIES)}")
+    return ACCURACIES[accuracy]
 
 
 def _check_weights(weights: Any, count: int) -> NDArray[np.float64]:
@@ -245,11 +251,11 @@ class _PatchSum:
         factors: NDArray[np.float64],
         masks: NDArray[np.bool_] | None,
         wavelength: float,
-        accuracy: str,
+        accuracy: Accuracy,
     ) -> None:
         self.camera, self.total, self.masks = camera, len(points), masks
         lit = np.flatnonzero(factors.any(1))
-        self.grid = Grid.of(camera, wavelength, ACCURACIES[accuracy], points)
+        self.grid = Grid.of(camera, wavelength, accuracy, points)
         patterns = find_patterns(
             camera, points[lit], None if masks is None else masks[lit], self.grid.accuracy.zone
         )

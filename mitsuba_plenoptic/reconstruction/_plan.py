@@ -27,8 +27,8 @@ from ..propagation.sampling import MEMORY_LIMIT, fast_length, in_millimetres, ml
 GUARD = 1.05
 """Directions held over those that geometry needs, for the light that edges diffract."""
 
-OBJECT_MARGIN = 3.0
-"""Bins around the geometric image in which the light of one lens is kept."""
+OBJECT_MARGIN = 6.0
+"""Bins around the geometric image in which light is kept: the pupil's edge diffracts half a percent beyond three."""
 
 
 @dataclass(frozen=True)

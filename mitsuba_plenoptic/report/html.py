@@ -208,7 +208,7 @@ def _timing(page: Page) -> str:
         + _table(
             ["Method", "Seconds", "Paper", *(["Paper over ours"] if same else [])],
             rows,
-            f"The better of two runs.{note}",
+            f"Processor time, the shortest of three runs.{note}",
         )
     )
 
@@ -232,7 +232,8 @@ def _numbers(page: Page) -> str:
     text = _table(
         ["Focus", "Method", "PSNR (dB)", "SSIM", "Energy", "Interference"],
         rows,
-        "Reconstructions against the thin lens. PSNR and SSIM after one scale per method; energy before it. "
+        "Reconstructions against the thin lens. PSNR and SSIM after one scale per method; energy before it: light that "
+        "diffraction carries out of the aperture's image is left out of the reconstructions. "
         "Interference: distance from the limit in which no two lenses interfere, over all that is lit.",
         numbers_from=2,
         firsts=firsts,

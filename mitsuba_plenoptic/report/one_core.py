@@ -11,21 +11,20 @@ from pathlib import Path
 
 from ..capture import read_capture
 from ..errors import InputError
-from ..propagation.fft import worker_count
 from ..reconstruction import reconstruct
 from ..rendering import set_variant
 from .experiment import METHODS
 
 # The methods of the paper's comparison.
 TIMED = ("ray", "coherent", "partial")
-_REPEATS = 2
+_REPEATS = 3
 
 
 def seconds_on_one_core(capture: Path, distance: float) -> dict[str, float]:
     """Time the reconstruction of a capture by each method on one processor core.
 
-    The shortest of two runs counts, so that kernels are compiled. The system must allow holding a process to
-    one core (Linux does); elsewhere ``cores`` in the answer tells how many were used.
+    What counts is processor time, which does not grow with what else the machine does, and of several runs the
+    shortest, in which kernels are compiled. Where the system allows it (Linux does), the process is held to one core.
 
     Parameters
     ----------
@@ -37,7 +36,7 @@ def seconds_on_one_core(capture: Path, distance: float) -> dict[str, float]:
     Returns
     -------
     dict
-        Seconds by method, and ``cores``.
+        Seconds by method.
 
     Raises
     ------
@@ -65,14 +64,14 @@ def seconds_on_one_core(capture: Path, distance: float) -> dict[str, float]:
 def _main() -> None:
     set_variant(None)
     capture, distance = read_capture(sys.argv[1]), float(sys.argv[2])
-    found: dict[str, float] = {"cores": worker_count()}
+    found = {}
     for method in METHODS:
         if method.name in TIMED:
             runs = []
             for _ in range(_REPEATS):
-                start = time.perf_counter()
+                start = time.process_time()
                 reconstruct(capture, distance, **method.options)
-                runs.append(time.perf_counter() - start)
+                runs.append(time.process_time() - start)
             found[method.name] = round(min(runs), 3)
     print(json.dumps(found))
 

@@ -110,7 +110,6 @@ def run(
         "software": software(),
         **numbers,
         "timing": timing,
-        "cores": seconds["cores"],
         "claims": [claim.to_dict() for claim in claims],
         "stage_seconds": store.seconds,
     }
