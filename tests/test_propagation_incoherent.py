@@ -66,8 +66,7 @@ def test_threads_do_not_change_a_bit():
     positions = np.concatenate([random_positions(20), lattice_positions(3, 240.0)])
     weights = np.random.default_rng(2).uniform(0, 1, (len(positions), 2))
     images = [
-        incoherent_sum(SMALL, positions, weights, wavelength=633, accuracy="standard", threads=n)
-        for n in (1, 2, 3)
+        incoherent_sum(SMALL, positions, weights, wavelength=633, accuracy="standard", threads=n) for n in (1, 2, 3)
     ]
     assert np.array_equal(images[0], images[1])
     assert np.array_equal(images[0], images[2])
@@ -109,10 +108,7 @@ def test_masks_block_a_part_of_the_pupil():
     assert half[:, 256:].sum() > 0.95 * half.sum()
     rows = np.ones((1, 8, 8), bool)
     rows[:, 4:, :] = False
-    assert (
-        incoherent_sum(SMALL, position, [1.0], wavelength=633, pupil_masks=rows)[:256].sum()
-        > 0.95 * half.sum()
-    )
+    assert incoherent_sum(SMALL, position, [1.0], wavelength=633, pupil_masks=rows)[:256].sum() > 0.95 * half.sum()
     opened = incoherent_sum(SMALL, position, [1.0], wavelength=633, pupil_masks=np.ones((1, 8, 8), bool))
     assert error(opened, full) < 1e-6
 

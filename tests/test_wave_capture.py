@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import fftconvolve
 
 from mitsuba_plenoptic import load_scene, reconstruct, render_capture
-from mitsuba_plenoptic.propagation.point_spread import point_spread_function
+from mitsuba_plenoptic.propagation import point_spread_function
 from mitsuba_plenoptic.propagation.incoherent import incoherent_sum
 
 
@@ -37,8 +37,8 @@ def relative(image, reference):
 @pytest.mark.parametrize("place", [(0.3, -0.2, 210.0), (-0.1, 0.25, 240.0), (0.2, 0.4, 280.0)])
 def test_one_tiny_emitter_renders_its_point_spread(camera_dict, place):
     # So many radiators that a source of 1 um is met a few times; only those that shine cost time.
-    scene = scene_of(camera_dict(), point=disk(place, 0.001))
-    wave = render_capture(scene, model="wave", spp=1, radiators_per_lens=128)
+    scene = scene_of(camera_dict(), point=disk(place, 0.0005))
+    wave = render_capture(scene, model="wave", spp=1, radiators_per_lens=256)
     psf = point_spread_function(wave.camera, place, wavelength=633)
     scale = (wave.image * psf).sum() / (psf * psf).sum()
     assert relative(wave.image, scale * psf) <= 0.005

@@ -36,9 +36,7 @@ def letter_radiators(camera: PlenopticCamera, per_lens: int, cell: int) -> np.nd
     inside = np.stack(np.meshgrid(phase, phase), -1).reshape(-1, 2)
     found = []
     for (g, glyph), x in zip(GLYPHS.items(), (-1.6, 0.0, 1.6), strict=True):
-        bits = np.kron(
-            np.array([[sign == "#" for sign in row] for row in glyph]), np.ones((cell, cell), bool)
-        )
+        bits = np.kron(np.array([[sign == "#" for sign in row] for row in glyph]), np.ones((cell, cell), bool))
         lens = np.argwhere(bits)[:, ::-1] - np.array(bits.shape)[::-1] // 2 + [round(x / camera.mla_pitch), 0]
         image = ((lens[:, None] + inside[None]) * camera.mla_pitch).reshape(-1, 2)
         found.append(np.column_stack([-image * g / camera.mla_distance, np.full(len(image), g)]))
@@ -80,9 +78,9 @@ def measure(camera: PlenopticCamera, positions: np.ndarray, accuracy: str) -> di
     with resting_drjit():
         ready = {size: work._prepare(chunk[:4])[0] for size, chunk in batches.items()}
     before = {size: bare_time(batch) for size, batch in ready.items()}
-    start = time.perf_counter()
+    start, busy = time.perf_counter(), time.process_time()
     incoherent_sum(camera, positions, weights, wavelength=WAVELENGTH, accuracy=accuracy)
-    seconds = time.perf_counter() - start
+    seconds, busy = time.perf_counter() - start, time.process_time() - busy
     after = {size: bare_time(batch) for size, batch in ready.items()}
     bare = {size: (before[size] + after[size]) / 2 for size in ready}
     members = work.last - work.first
@@ -95,10 +93,13 @@ def measure(camera: PlenopticCamera, positions: np.ndarray, accuracy: str) -> di
         "sizes": {str(size): 1e3 * value for size, value in sorted(bare.items())},
         "threads": threads,
         "seconds": seconds,
+        "cpu_seconds": busy,
         "bare_every": every / threads,
         "bare_patterns": own / threads,
         "ratio": seconds / (every / threads),
         "ratio_patterns": seconds / (own / threads),
+        "cpu_ratio": busy / every,
+        "cpu_ratio_patterns": busy / own,
         "peak_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
     }
 
@@ -124,14 +125,17 @@ def main() -> None:
     }
     lines = [
         "| radiators | number | patterns | ms of bare FFTs by patch width | seconds | over all FFTs | over FFTs done "
+        "| CPU seconds | over all FFTs | over FFTs done "
         "| peak GiB |",
-        "|" + " --- |" * 8,
+        "|" + " --- |" * 11,
     ]
     for name, row in results.items():
         sizes = ", ".join(f"{size}: {value:.2f}" for size, value in row["sizes"].items())
         lines.append(
             f"| {name} | {row['radiators']} | {row['patterns']} | {sizes} | {row['seconds']:.1f} "
-            f"| {row['ratio']:.2f} | {row['ratio_patterns']:.2f} | {row['peak_gib']:.2f} |"
+            f"| {row['ratio']:.2f} | {row['ratio_patterns']:.2f} "
+            f"| {row['cpu_seconds']:.1f} | {row['cpu_ratio']:.2f} | {row['cpu_ratio_patterns']:.2f} "
+            f"| {row['peak_gib']:.2f} |"
         )
     (arguments.output / "point_spread_speed.md").write_text("\n".join(lines) + "\n")
     (arguments.output / "point_spread_speed.json").write_text(json.dumps(results, indent=1) + "\n")

@@ -237,15 +237,17 @@ def plot(path: Path, rows: list[dict[str, Any]]) -> None:
             label=f"{focus}, rays with sinc²",
         )
     right.set(xscale="log", yscale="log", xlabel="pixel over the spot's half width, $p D_2 / \\lambda z$")
-    right.set_title("The paper's microlenses: f/8, 64 um", loc="left", size=10)
+    right.set_title("The paper's microlenses: f/8, 64 µm", loc="left", size=10)
     right.legend(fontsize=8, frameon=False)
+    left.set_xticks([0.5, 1, 2, 5, 10], ["0.5", "1", "2", "5", "10"])
+    right.set_xticks([0.25, 0.5, 1, 2], ["0.25", "0.5", "1", "2"])
     for axes in (left, right):
         axes.grid(which="both", color="#e4e4e4", linewidth=0.6)
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
-        for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_formatter(lambda value, _: f"{value:g}")
-            axis.set_minor_formatter("")
+        axes.set_yticks([5, 10, 20, 50], ["5", "10", "20", "50"])
+        axes.set_ylim(3.5, 80)
+        axes.minorticks_off()
     figure.savefig(path)
 
 

@@ -70,9 +70,9 @@ def reconstruct(
 ) -> None:
     """Refocus a capture to one or several distances.
 
-    A reconstruction has one bin per microlens, unless told otherwise, and the orientation of an
-    ordinary photograph. Pictures of one run share one scale, so that their
-    brightness compares.
+    A reconstruction has one bin per microlens, unless told otherwise, and the
+    orientation of an ordinary photograph. Pictures of one run share one scale,
+    so that their brightness compares.
 
     [bold]Examples:[/bold]
 

@@ -22,9 +22,7 @@ from ..errors import InputError, require_number
 from .fft import Field, array_types, fft2_packed, pack, unpack
 
 
-def propagate(
-    field: Any, pitch: float, distance: float, wavelength: float, *, overwrite: bool = False
-) -> Field:
+def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, overwrite: bool = False) -> Field:
     r"""Propagate a field from one plane to a parallel one.
 
     .. math:: U_d = F^{-1}\left[\exp\left(i (k_z - k) d\right) F[U_0]\right]
@@ -177,9 +175,7 @@ def _advance(
     first, all_rows = part or (0, rows)
     sy = _cosine(types, row + dr.opaque(types.UInt32, first), all_rows, down, wavelength)
     square = sx * sx + sy * sy
-    turns = dr.opaque(types.Float64, distance / (wavelength * 1e-6)) * (
-        dr.sqrt(dr.maximum(1 - square, 0)) - 1
-    )
+    turns = dr.opaque(types.Float64, distance / (wavelength * 1e-6)) * (dr.sqrt(dr.maximum(1 - square, 0)) - 1)
     if any(shift):
         waves = [dr.opaque(types.Float64, length / (wavelength * 1e-6)) for length in shift]
         turns = turns + sy * waves[0] + sx * waves[1]

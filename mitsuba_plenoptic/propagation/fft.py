@@ -101,9 +101,7 @@ def _fft2_cuda(packed: Any, shape: tuple[int, ...], inverse: bool) -> Any:
 def pack(field: Any) -> Any:
     """Lay a Dr.Jit complex array (``Complex2f``) out as 64-bit words. Carries no gradient."""
     types = array_types(field.real)
-    real, imaginary = (
-        types.UInt64(dr.reinterpret_array(types.UInt32, part)) for part in (field.real, field.imag)
-    )
+    real, imaginary = (types.UInt64(dr.reinterpret_array(types.UInt32, part)) for part in (field.real, field.imag))
     return real | (imaginary << 32)
 
 
@@ -111,9 +109,7 @@ def unpack(packed: Any) -> Any:
     """Take 64-bit words apart into a Dr.Jit complex array (``Complex2f``). Carries no gradient."""
     types = array_types(packed)
     real, imaginary = types.UInt32(packed), types.UInt32(packed >> 32)
-    return types.Complex2f(
-        dr.reinterpret_array(types.Float, real), dr.reinterpret_array(types.Float, imaginary)
-    )
+    return types.Complex2f(dr.reinterpret_array(types.Float, real), dr.reinterpret_array(types.Float, imaginary))
 
 
 def array_types(array: Any) -> Any:

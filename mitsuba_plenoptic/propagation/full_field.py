@@ -284,9 +284,7 @@ def _interpolate(spectrum: Field, count: int, axis: int) -> Field:
     return scipy.fft.ifft(padded, axis=axis, overwrite_x=True, workers=worker_count())
 
 
-def _microlens_phases(
-    camera: PlenopticCamera, wavelength: float, grids: _Grids
-) -> tuple[NDArray[np.complex64], ...]:
+def _microlens_phases(camera: PlenopticCamera, wavelength: float, grids: _Grids) -> tuple[NDArray[np.complex64], ...]:
     """Transmission of the microlenses along x and along y; the whole is their product."""
     table = transmission_table(camera, wavelength, grids.bend)
     return tuple(

@@ -256,9 +256,7 @@ class _PatchSum:
         self.camera, self.total, self.masks = camera, len(points), masks
         lit = np.flatnonzero(factors.any(1))
         self.grid = Grid.of(camera, wavelength, accuracy, points)
-        patterns = find_patterns(
-            camera, points[lit], None if masks is None else masks[lit], self.grid.accuracy.zone
-        )
+        patterns = find_patterns(camera, points[lit], None if masks is None else masks[lit], self.grid.accuracy.zone)
         placement = _place_all(self.grid, patterns.positions)
         shifts = patterns.shift * self.grid.lens_samples
         low = placement.corner[patterns.pattern] + shifts

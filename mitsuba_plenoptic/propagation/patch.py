@@ -308,9 +308,7 @@ class PatchBatch:
         radiator, row, column = _split(types, index, size, size)
 
         def value(numbers: NDArray[Any]) -> Any:
-            return dr.gather(
-                types.Float64, types.Float64(np.ascontiguousarray(numbers, np.float64)), radiator
-            )
+            return dr.gather(types.Float64, types.Float64(np.ascontiguousarray(numbers, np.float64)), radiator)
 
         def constant(number: float) -> Any:
             return dr.opaque(types.Float64, number)
@@ -399,9 +397,7 @@ class PatchBatch:
         index = dr.arange(types.UInt32, rows * columns)
         _, row, column = _split(types, index, rows, columns)
         first = low - self.samples // 2
-        sx = (types.Float64(column) + dr.opaque(types.Float64, float(first[0]))) * dr.opaque(
-            types.Float64, step
-        )
+        sx = (types.Float64(column) + dr.opaque(types.Float64, float(first[0]))) * dr.opaque(types.Float64, step)
         sy = (types.Float64(row) + dr.opaque(types.Float64, float(first[1]))) * dr.opaque(types.Float64, step)
         square = sx * sx + sy * sy
         waves = grid.camera.detector_distance / in_millimetres(grid.wavelength)

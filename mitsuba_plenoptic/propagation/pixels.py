@@ -52,9 +52,7 @@ def integrate_pixels(
     return np.ascontiguousarray((along_x @ (along_y @ intensity).T).T)
 
 
-def _weights(
-    count: int, pixel_size: float, start: float, pitch: float, samples: int
-) -> scipy.sparse.csr_array:
+def _weights(count: int, pixel_size: float, start: float, pitch: float, samples: int) -> scipy.sparse.csr_array:
     """Weights (pixels, samples) along one axis; `start` is the first pixel's edge in samples."""
     width = pixel_size / pitch
     pieces = max(1, math.ceil(width))

@@ -74,9 +74,7 @@ def footprint(camera: PlenopticCamera, positions: NDArray[np.float64]) -> Footpr
     return Footprint((low + high) / 2, (high - low) / 2, (first + last) / 2, (last - first) / 2)
 
 
-def pupil_turns(
-    camera: PlenopticCamera, Px: Any, Py: Any, X: Any, Y: Any, g: Any, wavelength: Any
-) -> tuple[Any, Any]:
+def pupil_turns(camera: PlenopticCamera, Px: Any, Py: Any, X: Any, Y: Any, g: Any, wavelength: Any) -> tuple[Any, Any]:
     r"""Phase behind the main lens of the light of a scene point, in turns, up to that of the axis.
 
     .. math:: \left(|P - X| - |X| - P^2 / 2 f_1\right) / \lambda

@@ -180,10 +180,14 @@ def _as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) -
 
 
 def _require_interleave(interleave: Any, camera: PlenopticCamera) -> int:
+    lenses = max(camera.lens_count)
     try:
-        return require_count("interleave", interleave, maximum=max(camera.lens_count))
-    except InputError as error:
-        raise InputError(f"{error}, the lenses along an axis, or 'auto'") from None
+        return require_count("interleave", interleave, maximum=lenses)
+    except InputError:
+        raise InputError(
+            f"interleave = {interleave!r}: it must be 'auto' or a whole number from 1 to {lenses}, "
+            "the lenses along an axis"
+        ) from None
 
 
 def _require_pixels(image: np.ndarray, *, negative: bool) -> None:

@@ -51,7 +51,7 @@ def propagate_leg(
 
 
 def _to_columns(field: np.ndarray, row_factor: np.ndarray, column_factor: np.ndarray, leg: Leg) -> Field:
-    """Transform the lit rows and keep the lowest frequencies: (x.kept, y.count), turned so that columns lie together."""
+    """Transform the lit rows and keep the lowest frequencies: (x.kept, y.count), so that columns lie together."""
     x, y = leg.x, leg.y
     columns = np.zeros((x.kept, y.count), np.complex64)
     block = np.empty((_BLOCK, x.padded), np.complex64)
@@ -95,7 +95,7 @@ def _across_space(columns: Field, leg: Leg, distance: float, wavelength: float) 
 
 
 def _lit_blocks(row_factor: np.ndarray) -> Iterator[slice]:
-    """Runs of rows that are not dark, cut to blocks."""
+    """Give the runs of rows that are not dark, cut to blocks."""
     edges = np.flatnonzero(np.diff(row_factor != 0, prepend=False, append=False))
     for first, end in edges.reshape(-1, 2).tolist():
         for place in range(first, end, _BLOCK):
