@@ -88,7 +88,9 @@ def test_energy_of_what_passes_the_pupil_is_kept():
     camera = PlenopticCamera(detector_width=1.024, resolution=(512, 512))
     image = np.zeros(camera.shape, dtype=np.float32)
     image[200:312, 200:312] = np.random.default_rng(3).random((112, 112))
-    sums = [reconstruct(image, g, camera=camera, footprint=f).image.sum() for g in (215, 240) for f in ("lens", "point")]
+    sums = [
+        reconstruct(image, g, camera=camera, footprint=f).image.sum() for g in (215, 240) for f in ("lens", "point")
+    ]
     np.testing.assert_allclose(sums, sums[0], rtol=1e-4)
 
 

@@ -47,7 +47,7 @@ def quick_waves(monkeypatch):
         blurred = gaussian_filter(capture.image, 1.0)
         return Capture(blurred, capture.camera, wave["wavelength"], "wave", capture.metadata)
 
-    def reconstruct(capture, distance, *, method, footprint="lens", interleave=None):
+    def reconstruct(capture, distance, *, method, footprint="lens", interleave=None, progress=None):
         calls.append(f"{method}_{distance:g}")
         smooth = refocus(capture, distance, method="ray", footprint=footprint)
         if method == "ray" or interleave == "auto":
@@ -168,6 +168,10 @@ def test_compare_refuses_what_it_cannot_compare(tmp_path):
         compare(Settings("letters", ()), tmp_path)
     with pytest.raises(InputError, match="no such file"):
         compare(Settings("nowhere.xml", (240.0,)), tmp_path)
+    # The wall faces away from a camera behind it.
+    behind = {"resolution": "256", "detector_width": "0.512", "wall_distance": "-10"}
+    with pytest.raises(InputError, match="black"):
+        compare(Settings("white", (240.0,), parameters=behind, spp=1), tmp_path)
 
 
 def test_mistakes_on_the_command_line(tmp_path, capsys):

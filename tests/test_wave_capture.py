@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.signal import fftconvolve
 
-from mitsuba_plenoptic import load_scene, reconstruct, render_capture
+from mitsuba_plenoptic import reconstruct, render_capture, scene_path
 from mitsuba_plenoptic.propagation import point_spread_function
 from mitsuba_plenoptic.propagation.incoherent import incoherent_sum
 
@@ -34,7 +34,7 @@ def relative(image, reference):
     return np.linalg.norm(image - reference) / np.linalg.norm(reference)
 
 
-@pytest.mark.parametrize("place", [(0.3, -0.2, 210.0), (-0.1, 0.25, 240.0), (0.2, 0.4, 280.0)])
+@pytest.mark.parametrize("place", [(0.3, -0.2, 210.0), (-0.1, 0.2, 240.0), (0.2, 0.4, 280.0)])
 def test_one_tiny_emitter_renders_its_point_spread(camera_dict, place):
     # So many radiators that a source of 1 um is met a few times; only those that shine cost time.
     scene = scene_of(camera_dict(), point=disk(place, 0.0005))
@@ -56,12 +56,10 @@ def test_wave_and_ray_captures_hold_the_same_energy(camera_dict):
 def test_a_white_scene_is_the_pupil_blurred_by_the_microlens(camera_dict):
     """Disc of the pupil * sinc^2 of the square microlens * pixel, repeated from lens to lens."""
     film = {"crop_offset_x": 224, "crop_offset_y": 224, "crop_width": 64, "crop_height": 64}
-    wave = render_capture(
-        scene_of(camera_dict(film=film), wall=disk((0, 0, 240.0), 5.0)), model="wave", spp=1, radiators_per_lens=4
-    )
-    camera, fine = wave.camera, 16
+    wave = render_capture(scene_of(camera_dict(film=film), wall=disk((0, 0, 240.0), 5.0)), model="wave", spp=1)
+    camera, fine = wave.camera, 8
     step = camera.pixel_size / fine
-    x = np.arange(-128 * fine, 128 * fine + 1) * step
+    x = np.arange(-230 * fine, 230 * fine + 1) * step
     spot = np.sinc(x / camera.spot_size(633)) ** 2
     spot /= spot.sum()
     box = np.ones(fine) / fine
@@ -71,51 +69,50 @@ def test_a_white_scene_is_the_pupil_blurred_by_the_microlens(camera_dict):
     # Pixel centres seen from the nearest micro-images' centres.
     pixels = (np.arange(224, 288) + 0.5 - 256) * camera.pixel_size
     expected = np.zeros((64, 64))
-    for j in range(-3, 3):
-        for i in range(-3, 3):
+    for j in range(-6, 6):
+        for i in range(-6, 6):
             rows, columns = (
-                np.rint((pixels - (k + 0.5) * camera.micro_image_pitch) / step).astype(int) + 128 * fine for k in (j, i)
+                np.rint((pixels - (k + 0.5) * camera.micro_image_pitch) / step).astype(int) + 230 * fine for k in (j, i)
             )
             expected += blurred[np.ix_(rows, columns)]
     assert relative(wave.image, expected) <= 0.02
     assert wave.image.max() == pytest.approx(0.952, abs=0.02)
 
 
-def fence_scene(camera_dict):
-    """A far bar pattern half hidden by near slats, out of focus."""
+def test_a_fence_hides_what_it_hides_from_rays(camera_dict):
+    """A far letter behind a near fence whose slats hide half of the pupil from each of its points."""
     slats = {
         f"slat_{i}": {
             "type": "rectangle",
-            "to_world": mi.ScalarTransform4f().translate([0.8 * i, 0, 215]).scale([0.2, 3, 1]),
+            "to_world": mi.ScalarTransform4f().translate([3.0 * i + 0.75, 0, 215]).scale([0.75, 6, 1]),
             "bsdf": {"type": "diffuse", "reflectance": 0.0},
         }
-        for i in range(-4, 5)
+        for i in range(-2, 3)
     }
-    bars = {
-        f"bar_{i}": {
-            "type": "rectangle",
-            "to_world": mi.ScalarTransform4f()
-            .translate([0.1, 0.5 * i, 275])
-            .rotate([0, 1, 0], 180)
-            .scale([0.9, 0.12, 1]),
-            "emitter": {"type": "area", "radiance": 1.0},
-        }
-        for i in (-1, 0, 1)
+    letter = {
+        "type": "ply",
+        "filename": str(scene_path("letters").parent / "meshes" / "f.ply"),
+        "face_normals": True,
+        "to_world": mi.ScalarTransform4f().translate([0, 0, 275]).scale([0.75, 0.75, 1]),
+        "emitter": {"type": "area", "radiance": 1.0},
     }
-    return scene_of(camera_dict(), **slats, **bars)
+    scene = scene_of(camera_dict(resolution=1024, detector_width=2.048), letter=letter, **slats)
+    distances = [275.0, 215.0]
+    by_rays = reconstruct(render_capture(scene, spp=128), distances)
 
+    def correlations(**options):
+        capture = render_capture(scene, model="wave", spp=1, radiators_per_lens=4, **options)
+        return [
+            np.corrcoef(ours.image.ravel(), theirs.image.ravel())[0, 1]
+            for ours, theirs in zip(reconstruct(capture, distances), by_rays, strict=True)
+        ]
 
-def test_a_fence_hides_what_it_hides_from_rays(camera_dict):
-    scene = fence_scene(camera_dict)
-    ray = reconstruct(render_capture(scene, spp=256), 275.0).image
-
-    def correlation(**options):
-        capture = render_capture(scene, model="wave", spp=1, radiators_per_lens=6, **options)
-        return np.corrcoef(reconstruct(capture, 275.0).image.ravel(), ray.ravel())[0, 1]
-
-    seen, unseen = correlation(), correlation(occlusion=False)
-    assert seen >= 0.99
-    assert unseen <= seen - 0.02
+    letter_seen, fence_seen = correlations()
+    assert letter_seen >= 0.99
+    assert fence_seen >= 0.98
+    # At the letter's own distance light from all of the pupil comes together, hidden or not; the fence is gone.
+    _, fence_unseen = correlations(occlusion=False)
+    assert fence_unseen <= fence_seen - 0.02
 
 
 def test_out_of_focus_letters_are_free_of_noise(camera_dict):
@@ -128,7 +125,7 @@ def test_out_of_focus_letters_are_free_of_noise(camera_dict):
 
 
 def test_same_seed_same_bits_on_any_number_of_threads(camera_dict):
-    scene = scene_of(camera_dict(resolution=256, detector_width=0.512), near=disk((0, 0.1, 225.0), 0.3))
+    scene = scene_of(camera_dict(resolution=128, detector_width=0.256), near=disk((0, 0.05, 230.0), 0.1))
     first = render_capture(scene, model="wave", spp=2, seed=7, radiators_per_lens=4, passes=2).image
     threads = dr.thread_count()
     for count in (1, 2):
@@ -221,18 +218,15 @@ def test_a_smearing_filter_and_other_sensors_are_refused(camera_dict):
     integrator = mi.load_dict({"type": "plenoptic_wave"})
     with pytest.warns(UserWarning, match="smears"):
         scene = scene_of(camera_dict(film={"rfilter": {"type": "gaussian"}}))
-    with pytest.raises(ValueError, match="use <rfilter type=.box./>"):
+    with pytest.raises(ValueError, match="use <rfilter"):
         integrator.render(scene, scene.sensors()[0])
     scene = scene_of({"type": "perspective"})
     with pytest.raises(ValueError, match="needs a sensor of type 'plenoptic'"):
         integrator.render(scene, scene.sensors()[0])
 
 
-def test_a_background_at_infinity_is_refused_with_the_estimate():
-    scene = load_scene("letters")
-    sky = mi.load_dict(
-        {"type": "scene", "integrator": {"type": "path"}, "camera": scene.sensors()[0], "sky": {"type": "constant"}}
-    )
+def test_a_background_at_infinity_is_refused_with_the_estimate(camera_dict):
+    sky = scene_of(camera_dict(resolution=1024, detector_width=2.048), sky={"type": "constant"})
     with pytest.raises(ValueError, match=r"GiB"):
         render_capture(sky, model="wave", spp=1)
 

@@ -12,6 +12,7 @@ from mitsuba_plenoptic._exr import read_exr
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.propagation import point_spread_function
 from mitsuba_plenoptic.reconstruction import coherent
+from mitsuba_plenoptic.reconstruction._legs import Workspace
 from mitsuba_plenoptic.reconstruction._plan import plan
 from mitsuba_plenoptic.reconstruction.coherent import lit_window, reconstruct_subsets
 from mitsuba_plenoptic.reconstruction.lens_by_lens import reconstruct_lens_by_lens
@@ -141,7 +142,7 @@ def test_what_passes_the_pupil_lands_in_the_image(camera, interleave):
     distances = [0.93 * focus, focus, 1.1 * focus]
     lit = lit_window(image, camera)
     grids = plan(camera, WAVELENGTH, distances, lit)
-    fields = coherent._pupil_fields(image, camera, WAVELENGTH, grids, lit, interleave, True)
+    fields = coherent._pupil_fields(image, camera, WAVELENGTH, grids, lit, interleave, True, Workspace())
     area = grids.main_lens.x.new_pitch * grids.main_lens.y.new_pitch / camera.pixel_size**2
     passed = sum(float((np.abs(field) ** 2).sum(dtype=np.float64)) for field in fields) * area
     assert 0.05 * image.sum() < passed < image.sum()

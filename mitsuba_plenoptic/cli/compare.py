@@ -22,7 +22,7 @@ def compare(
         typer.Option(metavar="MM", help="Distance from the main lens to focus on; repeat for several."),
     ],
     wavelength: Annotated[float, typer.Option(metavar="NM", help="Wavelength in nanometres.")] = 633.0,
-    radiators: Annotated[
+    radiators_per_lens: Annotated[
         int, typer.Option(metavar="N", help="Radiators per microlens and axis; the time grows with its square.")
     ] = 8,
     spp: Annotated[
@@ -42,9 +42,10 @@ def compare(
 
     [bold]Examples:[/bold]
 
-      mitsuba-plenoptic compare still_life -o still_life --distance 215 --distance 258
-
       mitsuba-plenoptic compare chart -o chart --distance 210 --distance 240
+
+      mitsuba-plenoptic compare still_life -o still_life --distance 215
+      --distance 258 -D resolution=2048 -D detector_width=4.096
     """
     # Figures need libraries that take a second to load, which other commands need not wait for.
     from ..report.compare import compare as compute
@@ -55,7 +56,7 @@ def compare(
         distances=tuple(sorted({require_number("distance", value, positive=True) for value in distance})),
         parameters=parse_definitions(define),
         wavelength=require_number("wavelength", wavelength, positive=True),
-        radiators_per_lens=require_count("radiators", radiators),
+        radiators_per_lens=require_count("radiators_per_lens", radiators_per_lens),
         spp=require_count("spp", spp),
         paths=require_count("spp", spp),
         variant=variant,

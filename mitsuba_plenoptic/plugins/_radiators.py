@@ -22,6 +22,10 @@ from ..camera import PlenopticCamera
 # Cells of the pupil's bounding square, along an axis, whose visibility is found by one shadow ray each.
 PUPIL_CELLS = 16
 
+# Lenses beyond the recorded ones whose radiators count: diffraction at the microlenses' edges, which falls with the
+# inverse square of the distance, brings 1 % of a white scene's light from lenses farther off than the next one.
+_MARGIN = 3
+
 # Child light paths or shadow rays traced at once.
 _LANES = 2**22
 
@@ -54,7 +58,7 @@ class Radiators:
 
 @dataclass(frozen=True)
 class LensWindow:
-    """The lenses whose cells are sampled: those of the recorded pixels and one more on each side."""
+    """The lenses whose cells are sampled: those of the recorded pixels and a few more on each side."""
 
     first: tuple[int, int]
     count: tuple[int, int]
@@ -67,8 +71,8 @@ class LensWindow:
             edges = np.array([0, camera.crop_size[axis]]) + camera.crop_offset[axis] - camera.resolution[axis] / 2
             chief = rays.chief_point(edges * camera.pixel_size, camera.mla_distance, camera.detector_distance)
             low, high = lattice.cell_index(chief, camera.mla_pitch)
-            first.append(int(low) - 1)
-            count.append(int(high) + 2 - int(low) + 1)
+            first.append(int(low) - _MARGIN)
+            count.append(int(high) - int(low) + 1 + 2 * _MARGIN)
         return cls((first[0], first[1]), (count[0], count[1]))
 
     @property

@@ -18,9 +18,33 @@ from ._plan import Leg
 
 _BLOCK = 64
 
+# Columns a whole number of pages apart would fall on the same few lines of the cache when they are turned.
+_PAGE, _STAGGER = 512, 24
+
+
+class Workspace:
+    """Memory that is used again: fresh pages would cost nearly as much as the transforms on them."""
+
+    def __init__(self) -> None:
+        self._buffers: dict[str, Field] = {}
+
+    def array(self, name: str, shape: tuple[int, int]) -> Field:
+        """Give an array with any content; it holds until the same name is asked for again."""
+        size = shape[0] * shape[1]
+        if name not in self._buffers or self._buffers[name].size < size:
+            self._buffers[name] = np.empty(size, np.complex64)
+        return self._buffers[name][:size].reshape(shape)
+
 
 def propagate_leg(
-    field: np.ndarray, row_factor: np.ndarray, column_factor: np.ndarray, leg: Leg, distance: float, wavelength: float
+    field: np.ndarray,
+    row_factor: np.ndarray,
+    column_factor: np.ndarray,
+    leg: Leg,
+    distance: float,
+    wavelength: float,
+    workspace: Workspace,
+    name: str,
 ) -> Field:
     """Multiply a field by a thin element and propagate it.
 
@@ -38,23 +62,32 @@ def propagate_leg(
         Way in millimetres.
     wavelength : float
         Wavelength in nanometres.
+    workspace : Workspace
+        Where the work is done.
+    name : str
+        Which of its arrays the result is; another one than that of `field`.
 
     Returns
     -------
     complex64 array (leg.y.wanted, leg.x.wanted)
         The field at the destination samples, without the carrier.
     """
+    # Both the spectra of rows and the fields that come back lie in here, column by column.
+    width = max(leg.y.count, leg.y.wanted)
+    columns = workspace.array("columns", (leg.x.kept, width + -width % _PAGE + _STAGGER))
     with resting_drjit():
-        columns = _to_columns(field, row_factor, column_factor, leg)
-        rows = _across_space(columns, leg, distance, wavelength)
-        return _rows_back(rows, leg.x.wanted)
+        _to_columns(field, row_factor, column_factor, leg, columns, workspace)
+        _across_space(columns, leg, distance, wavelength, workspace)
+        return _from_columns(columns, leg, workspace.array(name, leg.shape), workspace)
 
 
-def _to_columns(field: np.ndarray, row_factor: np.ndarray, column_factor: np.ndarray, leg: Leg) -> Field:
-    """Transform the lit rows and keep the lowest frequencies: (x.kept, y.count), so that columns lie together."""
-    x, y = leg.x, leg.y
-    columns = np.zeros((x.kept, y.count), np.complex64)
-    block = np.empty((_BLOCK, x.padded), np.complex64)
+def _to_columns(
+    field: np.ndarray, row_factor: np.ndarray, column_factor: np.ndarray, leg: Leg, columns: Field, workspace: Workspace
+) -> None:
+    """Transform the lit rows and keep the lowest frequencies, turned into columns."""
+    x = leg.x
+    columns[:, np.flatnonzero(row_factor == 0)] = 0
+    block = workspace.array("block", (_BLOCK, x.padded))
     low, high = _lowest(x.padded, x.kept)
     for rows in _lit_blocks(row_factor):
         part = block[: rows.stop - rows.start]
@@ -64,20 +97,18 @@ def _to_columns(field: np.ndarray, row_factor: np.ndarray, column_factor: np.nda
         part = _fft(part, 1)
         columns[: low.stop, rows] = part[:, low].T
         columns[low.stop :, rows] = part[:, high].T
-    return columns
 
 
-def _across_space(columns: Field, leg: Leg, distance: float, wavelength: float) -> Field:
-    """Transform columns, multiply by the transfer function, and transform back: (y.wanted, x.kept)."""
+def _across_space(columns: Field, leg: Leg, distance: float, wavelength: float, workspace: Workspace) -> None:
+    """Transform columns, multiply by the transfer function, transform back, in place."""
     x, y = leg.x, leg.y
-    rows = np.empty((y.wanted, x.kept), np.complex64)
-    block = np.empty((_BLOCK, y.padded), np.complex64)
-    spectrum = np.empty((_BLOCK, y.kept), np.complex64)
+    block = workspace.array("block", (_BLOCK, y.padded))
+    spectrum = workspace.array("spectrum", (_BLOCK, y.kept))
     low, high = _lowest(y.padded, y.kept)
     for place in range(0, x.kept, _BLOCK):
         size = min(_BLOCK, x.kept - place)
         part = block[:size]
-        part[:, : y.count] = columns[place : place + size]
+        part[:, : y.count] = columns[place : place + size, : y.count]
         part[:, y.count :] = 0
         part = _fft(part, 1)
         spectrum[:size, : low.stop] = part[:, low]
@@ -90,8 +121,17 @@ def _across_space(columns: Field, leg: Leg, distance: float, wavelength: float) 
             shift=(x.start - x.first, y.start - y.first),
             part=(place, x.kept),
         )
-        rows[:, place : place + size] = _fft(advanced, 1, inverse=True)[:, : y.wanted].T
-    return rows
+        columns[place : place + size, : y.wanted] = _fft(advanced, 1, inverse=True)[:, : y.wanted]
+
+
+def _from_columns(columns: Field, leg: Leg, out: Field, workspace: Workspace) -> Field:
+    """Turn columns into rows, transform these back and keep their first samples."""
+    block = workspace.array("block", (_BLOCK, leg.x.kept))
+    for place in range(0, leg.y.wanted, _BLOCK):
+        part = block[: min(_BLOCK, leg.y.wanted - place)]
+        part[:] = columns[:, place : place + part.shape[0]].T
+        out[place : place + part.shape[0]] = _fft(part, 1, inverse=True)[:, : leg.x.wanted]
+    return out
 
 
 def _lit_blocks(row_factor: np.ndarray) -> Iterator[slice]:

@@ -38,7 +38,7 @@ from ..camera import PlenopticCamera
 from ..propagation.fft import Field
 from ._binning import AxisBins, axis_bins, bin_image
 from ._elements import converging_phase, detector_lens, lens_phase
-from ._legs import propagate_leg
+from ._legs import Workspace, propagate_leg
 from ._plan import AxisLeg, Leg, Plan, plan
 
 
@@ -85,9 +85,11 @@ def reconstruct_subsets(
     if lit is None:
         return totals
     grids = plan(camera, wavelength, distances, lit)
-    for done, field in enumerate(_pupil_fields(image, camera, wavelength, grids, lit, interleave, relay)):
+    workspace = Workspace()
+    fields = _pupil_fields(image, camera, wavelength, grids, lit, interleave, relay, workspace)
+    for done, field in enumerate(fields):
         for total, distance, leg in zip(totals, distances, grids.objects, strict=True):
-            total += _object_image(field, camera, distance, wavelength, leg, oversample)
+            total += _object_image(field, camera, distance, wavelength, leg, oversample, workspace)
         progress((done + 1) / interleave**2)
     return totals
 
@@ -112,8 +114,9 @@ def _pupil_fields(
     lit: tuple[tuple[int, int], tuple[int, int]],
     interleave: int,
     relay: bool,
+    workspace: Workspace,
 ) -> Iterator[Field]:
-    """Field of each subset just before the main lens, zero outside the pupil."""
+    """Field of each subset just before the main lens, zero outside the pupil, until the next one is asked for."""
     rows, columns = (
         slice(first - offset, end - offset)
         for (first, end), offset in zip(lit[::-1], camera.crop_offset[::-1], strict=True)
@@ -127,25 +130,36 @@ def _pupil_fields(
         for i in range(interleave):
             x = _subset_source(camera, wavelength, grids.detector.x, interleave, i)
             y = _subset_source(camera, wavelength, grids.detector.y, interleave, j)
-            field = propagate_leg(amplitude, y, x, grids.detector, camera.detector_distance, wavelength)
-            field = propagate_leg(field, element[1], element[0], grids.main_lens, camera.mla_distance, wavelength)
+            field = propagate_leg(
+                amplitude, y, x, grids.detector, camera.detector_distance, wavelength, workspace, "plane"
+            )
+            field = propagate_leg(
+                field, element[1], element[0], grids.main_lens, camera.mla_distance, wavelength, workspace, "pupil"
+            )
             field *= pupil
             yield field
 
 
 def _object_image(
-    field: Field, camera: PlenopticCamera, distance: float, wavelength: float, leg: Leg, oversample: int
+    field: Field,
+    camera: PlenopticCamera,
+    distance: float,
+    wavelength: float,
+    leg: Leg,
+    oversample: int,
+    workspace: Workspace,
 ) -> np.ndarray:
     """Power in each bin of an object plane."""
     x, y = (lens_phase(axis.source, camera.focal_length, wavelength) for axis in (leg.x, leg.y))
-    field = propagate_leg(field, y, x, leg, distance, wavelength)
-    intensity = field.real**2
-    intensity += field.imag**2
+    field = propagate_leg(field, y, x, leg, distance, wavelength, workspace, "plane")
+    # Real and imaginary parts are binned side by side, in the memory they have.
+    parts = field.view(np.float32).reshape(*field.shape, 2)
+    np.square(parts, out=parts)
     bin_x, bin_y = (
         _sample_bins(camera, distance, axis, count * oversample, oversample)
         for axis, count in zip((leg.x, leg.y), camera.lens_count, strict=True)
     )
-    power = bin_image(intensity[..., None], bin_x, bin_y, 1.0)[..., 0]
+    power = bin_image(parts, bin_x, bin_y, 1.0).sum(-1)
     return power * (leg.x.new_pitch * leg.y.new_pitch / camera.pixel_size**2)
 
 

@@ -336,7 +336,9 @@ def pupil_fields(
         field *= y.shift[j][:, :, None]
         field *= x.shift[i][:, None, :]
         cell = fft2(field, inverse=True)[:, : tile.cell.size, : tile.cell.size]
-        microlens = lens_phase(tile.cell, tile.camera.mla_focal_length, tile.wavelength) if relay else np.ones(1)
+        microlens = (
+            lens_phase(tile.cell, tile.camera.mla_focal_length, tile.wavelength) if relay else np.ones(1, np.complex64)
+        )
         cell = cell * (y.tilt[j] * microlens)[:, :, None]
         cell *= (x.tilt[i] * microlens)[:, None, :]
         # One product for the whole batch: many small ones would each wait for the threads of the BLAS.

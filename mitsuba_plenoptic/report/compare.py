@@ -9,9 +9,8 @@ from ..errors import InputError
 from .experiment import Settings, open_store, run_experiment
 from .figures import brightest_zoom, figure_captures, figure_grid, figure_interference
 from .html import Page, write_page
-from .measure import measure
-from .reproduce import interference_notes, likeness_notes, told_seconds
-from .stages import Finished, Notify, software, write_json
+from .measure import interference_notes, likeness_notes, measure
+from .stages import Finished, Notify, software, told_seconds, write_json
 
 
 def compare(
@@ -88,7 +87,7 @@ def _command(settings: Settings, output: Path) -> str:
     words += [f"-D {name}={value}" for name, value in settings.parameters.items()]
     words += [
         f"--wavelength {settings.wavelength:g}",
-        f"--radiators {settings.radiators_per_lens}",
+        f"--radiators-per-lens {settings.radiators_per_lens}",
         f"--spp {settings.spp}",
         f"--variant {settings.variant}",
     ]

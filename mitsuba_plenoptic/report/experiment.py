@@ -15,7 +15,7 @@ from ..errors import InputError
 from ..reconstruction import Reconstruction, reconstruct
 from ..rendering import DEFAULT_VARIANT, load_scene, render_capture, scene_path, set_variant
 from .referee import pinhole_image, thin_lens_image
-from .stages import Finished, Notify, StageStore, scene_fingerprint
+from .stages import Finished, Notify, Progress, StageStore, scene_fingerprint
 
 OBJECT_COLUMNS = 1024
 
@@ -166,6 +166,8 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
         {**base, "spp": settings.spp},
         lambda progress: _grey(render_capture(scene, model="ray", spp=settings.spp, progress=progress)),
     )
+    if not ray.image.any():
+        raise InputError(f"{settings.scene}: the capture is black: its camera sees no light")
     wave, wave_key = store.capture(
         "capture_wave",
         {**base, **wave_options, "spp": settings.paths},
@@ -228,8 +230,8 @@ def open_store(output: Path, notify: Notify | None, finished: Finished | None) -
 
 
 def _refocus(store: StageStore, capture: Capture, key: str, method: Method, distance: float) -> np.ndarray:
-    def make(_: Any) -> tuple[np.ndarray, dict[str, Any]]:
-        result: Reconstruction = reconstruct(capture, distance, **method.options)
+    def make(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
+        result: Reconstruction = reconstruct(capture, distance, progress=progress, **method.options)
         facts = {"distance": distance, "bin_size": result.bin_size, "method": method.name, **method.options}
         return result.image, {"kind": "reconstruction", "camera": capture.camera.to_dict(), **facts}
 

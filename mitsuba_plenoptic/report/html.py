@@ -24,7 +24,7 @@ from .experiment import SLIDER_METHODS, TITLES, Experiment
 from .figures import Window, Zoom, common_peak, lit_window
 from .images import to_bytes
 
-_PAGE = Path(__file__).with_name("page")
+_FOLDER = Path(__file__).parent
 
 # Bytes for one capture, so that the file stays below 12 MB; each step is tried until one fits.
 _CAPTURE_BYTES = 3_500_000

@@ -47,6 +47,24 @@ def find(rows: list[dict[str, Any]], **wanted: Any) -> dict[str, Any]:
     return next(row for row in rows if all(row[name] == value for name, value in wanted.items()))
 
 
+def likeness_notes(numbers: dict[str, Any]) -> dict[tuple[str, float], str]:
+    """Tell under each reconstruction how like the thin lens's image it is."""
+    return {
+        (row["method"], row["distance"]): f"{row['psnr']:.1f} dB, SSIM {row['ssim']:.3f}"
+        for row in numbers["reconstructions"]
+    }
+
+
+def interference_notes(numbers: dict[str, Any]) -> dict[tuple[str, float], str]:
+    """Tell under each reconstruction how far it is from the one-lens limit."""
+    rows = numbers["reconstructions"]
+    return {
+        (row["method"], row["distance"]): f"{row['interference']:.1%} of the mean"
+        for row in rows
+        if "interference" in row
+    }
+
+
 def _reconstructions(experiment: Experiment) -> list[dict[str, Any]]:
     rows = []
     distances = experiment.settings.distances

@@ -11,9 +11,9 @@ from .claims import check_claims, timing_table
 from .experiment import Settings, open_store, run_experiment
 from .figures import figure_2, figure_4, figure_captures, figure_grid, figure_interference, letter_zooms
 from .html import Page, write_page
-from .measure import measure
+from .measure import interference_notes, likeness_notes, measure
 from .one_core import seconds_on_one_core
-from .stages import Finished, Notify, software, write_json
+from .stages import Finished, Notify, software, told_seconds, write_json
 
 _LETTERS = {"eight": "the 8 (210 mm)", "f": "the F (240 mm)", "hash": "the # (280 mm)"}
 
@@ -65,13 +65,7 @@ def reproduce(
     """
     if preset not in PRESETS:
         raise InputError(f"preset = {preset!r}: it must be one of {', '.join(PRESETS)}")
-    return run(PRESETS[preset], output, f"mitsuba-plenoptic reproduce --preset {preset}", notify, finished)
-
-
-def run(
-    settings: Settings, output: Path, command: str, notify: Notify | None = None, finished: Finished | None = None
-) -> dict[str, Any]:
-    """Do what `reproduce` does with any settings of the letters' scene."""
+    settings, command = PRESETS[preset], f"mitsuba-plenoptic reproduce --preset {preset}"
     store = open_store(output, notify, finished)
     experiment = run_experiment(settings, store)
     numbers = measure(experiment)
@@ -134,28 +128,3 @@ def run(
         ),
     )
     return results
-
-
-def likeness_notes(numbers: dict[str, Any]) -> dict[tuple[str, float], str]:
-    """Tell under each reconstruction how like the thin lens's image it is."""
-    return {
-        (row["method"], row["distance"]): f"{row['psnr']:.1f} dB, SSIM {row['ssim']:.3f}"
-        for row in numbers["reconstructions"]
-    }
-
-
-def interference_notes(numbers: dict[str, Any]) -> dict[tuple[str, float], str]:
-    """Tell under each reconstruction how far it is from the one-lens limit."""
-    rows = numbers["reconstructions"]
-    return {
-        (row["method"], row["distance"]): f"{row['interference']:.1%} of the mean"
-        for row in rows
-        if "interference" in row
-    }
-
-
-def told_seconds(seconds: dict[str, float]) -> str:
-    """Tell how long the longest parts took."""
-    total = sum(seconds.values())
-    longest = max(seconds, key=lambda name: seconds[name])
-    return f"{total:.0f} s, of which {seconds[longest]:.0f} s for {longest.replace('_', ' ')}"

@@ -146,6 +146,13 @@ def software() -> dict[str, str]:
     return {**versions, "mitsuba_plenoptic": text.hexdigest()[:16]}
 
 
+def told_seconds(seconds: dict[str, float]) -> str:
+    """Tell how long the longest parts took."""
+    total = sum(seconds.values())
+    longest = max(seconds, key=lambda name: seconds[name])
+    return f"{total:.0f} s, of which {seconds[longest]:.0f} s for {longest.replace('_', ' ')}"
+
+
 def write_json(path: Path, content: Any) -> None:
     """Write JSON to read and to compare: indented, names sorted, whole or not at all."""
     with atomic_output(path) as temporary:
