@@ -167,7 +167,7 @@ def clipped_ring(centre: Point, outer: Point, inner: Point, level: float, segmen
 
 def letter_eight() -> list[list[Point]]:
     """Return the '8': two elliptical rings that share a stroke at the waist, each cut at the waist line."""
-    stroke, waist, half_width, top = 0.56, 0.12, 1.1, LETTER_HEIGHT / 2
+    stroke, waist, half_width, top = 0.74, 0.12, 1.1, LETTER_HEIGHT / 2
     lower = (half_width, (waist + stroke / 2 + top) / 2)
     lower_centre = (0.0, lower[1] - top)
     upper_height = (top - waist + stroke / 2) / 2
@@ -183,7 +183,7 @@ def letter_eight() -> list[list[Point]]:
 
 def letter_f() -> list[list[Point]]:
     """Return the 'F': a stem and two bars that touch it."""
-    half, top, stroke = 1.05, LETTER_HEIGHT / 2, 0.6
+    half, top, stroke = 1.05, LETTER_HEIGHT / 2, 0.72
     return [
         rectangle(-half, -half + stroke, -top, top),
         rectangle(-half + stroke, half, top - stroke, top),
@@ -193,7 +193,7 @@ def letter_f() -> list[list[Point]]:
 
 def letter_hash() -> list[list[Point]]:
     """Return the '#': two slanted bars whole, and two level ones in pieces between and beside them."""
-    half, top, stroke, slant = 1.4, LETTER_HEIGHT / 2, 0.44, 0.16
+    half, top, stroke, slant = 1.4, LETTER_HEIGHT / 2, 0.62, 0.16
     stems = [(-0.55 - stroke / 2, -0.55 + stroke / 2), (0.55 - stroke / 2, 0.55 + stroke / 2)]
 
     def at(u: float, v: float) -> Point:

@@ -88,7 +88,7 @@ def write_page(path: Path, page: Page) -> None:
         ("camera", "The camera", _camera(page)),
         ("again", "Make it again", _again(page)),
     ]
-    template = Template((_PAGE / "report.html").read_text())
+    template = Template((_FOLDER / "page.html").read_text())
     content = template.substitute(
         title=_text(page.title),
         lead=_text(page.lead),
@@ -101,8 +101,8 @@ def write_page(path: Path, page: Page) -> None:
         footer=_text(
             "Scalar waves and thin elements; objects do not diffract. Lengths in millimetres. Pictures are sRGB."
         ),
-        style=(_PAGE / "report.css").read_text(),
-        script=(_PAGE / "report.js").read_text(),
+        style=(_FOLDER / "page.css").read_text(),
+        script=(_FOLDER / "page.js").read_text(),
         # Within a script element only this could end it.
         data=json.dumps(_data(page)).replace("</", "<\\/"),
     )
