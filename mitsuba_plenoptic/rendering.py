@@ -127,7 +127,7 @@ def render_capture(
         Called with what is done and how much there is: samples per pixel or, by waves, radiators.
     **wave
         Parameters of ``plenoptic_wave``: ``wavelength``, ``radiators_per_lens``, ``passes``, ``method``,
-        ``occlusion``.
+        ``occlusion``, ``accuracy``.
 
     Raises
     ------

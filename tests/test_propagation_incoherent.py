@@ -36,17 +36,17 @@ def test_is_the_sum_of_point_spreads():
         weight * point_spread_function(SMALL, position, wavelength=633)
         for position, weight in zip(positions, weights, strict=True)
     )
-    high = incoherent_sum(SMALL, positions, weights, wavelength=633, accuracy="high")
+    high = incoherent_sum(SMALL, positions, weights, wavelength=633, accuracy=0)
     assert error(high, expected) < 2e-3
     assert error(incoherent_sum(SMALL, positions, weights, wavelength=633), expected) < 2e-3
-    standard = incoherent_sum(SMALL, positions, weights, wavelength=633, accuracy="standard")
+    standard = incoherent_sum(SMALL, positions, weights, wavelength=633, accuracy=0.01)
     assert error(standard, expected) < 0.02
 
 
 def test_full_field_method():
     positions = random_positions(2)
     image = incoherent_sum(SMALL, positions, [1.0, 2.0], wavelength=633, method="full_field")
-    expected = incoherent_sum(SMALL, positions, [1.0, 2.0], wavelength=633, accuracy="high")
+    expected = incoherent_sum(SMALL, positions, [1.0, 2.0], wavelength=633, accuracy=0)
     assert error(expected, image) < 0.005
 
 
@@ -55,10 +55,10 @@ def test_shared_patterns_stay_true(distance):
     """One pattern for a zone of lenses, against a propagation of every radiator."""
     positions = lattice_positions(5, distance)
     weights = np.random.default_rng(1).uniform(0, 1, len(positions))
-    shared = incoherent_sum(SMALL, positions, weights, wavelength=633, accuracy="standard")
-    assert estimate_cost(SMALL, positions, wavelength=633, accuracy="standard").patterns < len(positions) / 3
-    every = incoherent_sum(SMALL, positions, weights, wavelength=633, accuracy="high")
-    assert estimate_cost(SMALL, positions, wavelength=633, accuracy="high").patterns == len(positions)
+    shared = incoherent_sum(SMALL, positions, weights, wavelength=633, accuracy=0.01)
+    assert estimate_cost(SMALL, positions, wavelength=633, accuracy=0.01).patterns < len(positions) / 3
+    every = incoherent_sum(SMALL, positions, weights, wavelength=633, accuracy=0)
+    assert estimate_cost(SMALL, positions, wavelength=633, accuracy=0).patterns == len(positions)
     assert error(shared, every) < 0.006
 
 
@@ -66,7 +66,7 @@ def test_threads_do_not_change_a_bit():
     positions = np.concatenate([random_positions(20), lattice_positions(3, 240.0)])
     weights = np.random.default_rng(2).uniform(0, 1, (len(positions), 2))
     images = [
-        incoherent_sum(SMALL, positions, weights, wavelength=633, accuracy="standard", threads=n) for n in (1, 2, 3)
+        incoherent_sum(SMALL, positions, weights, wavelength=633, accuracy=0.01, threads=n) for n in (1, 2, 3)
     ]
     assert np.array_equal(images[0], images[1])
     assert np.array_equal(images[0], images[2])
@@ -76,10 +76,10 @@ def test_channels_are_separate_sums():
     positions = np.concatenate([random_positions(4), lattice_positions(2, 240.0)])
     weights = np.random.default_rng(3).uniform(0, 1, (len(positions), 3))
     weights[::2, 1] = 0
-    image = incoherent_sum(SMALL, positions, weights, wavelength=633, accuracy="standard")
+    image = incoherent_sum(SMALL, positions, weights, wavelength=633, accuracy=0.01)
     assert image.shape == (512, 512, 3)
     for channel in range(3):
-        alone = incoherent_sum(SMALL, positions, weights[:, channel], wavelength=633, accuracy="standard")
+        alone = incoherent_sum(SMALL, positions, weights[:, channel], wavelength=633, accuracy=0.01)
         assert error(image[..., channel], alone) < 3e-3
 
 
@@ -152,6 +152,8 @@ def test_the_estimate_is_of_the_right_size():
         ({"wavelength": 0}, "wavelength"),
         ({"method": "rays"}, "method"),
         ({"accuracy": "best"}, "accuracy"),
+        ({"accuracy": -0.1}, "accuracy.*from 0"),
+        ({"accuracy": 1}, "accuracy.*below 1"),
         ({"pupil_masks": np.ones((2, 4, 5), bool)}, "pupil_masks"),
         ({"pupil_masks": np.ones((2, 4, 4))}, "pupil_masks"),
         ({"pupil_masks": np.ones((2, 4, 4), bool), "method": "full_field"}, "pupil_masks"),

@@ -7,6 +7,11 @@ from typing import Any
 from ..errors import InputError, require_count, require_number
 
 
+def read_plain(props: Any, name: str, default: Any) -> Any:
+    """Take a value from a plugin's properties, to be checked by whom it is for."""
+    return _plain(props[name]) if name in props else default
+
+
 def read_number(props: Any, plugin: str, name: str, default: float | None) -> float | None:
     """Take a positive, finite number from a plugin's properties.
 

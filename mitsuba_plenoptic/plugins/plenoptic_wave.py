@@ -12,8 +12,9 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_number
+from ..propagation.accuracy import DEFAULT_ACCURACY, check_accuracy
 from ..propagation.incoherent import METHODS, estimate_cost, incoherent_sum
-from ._properties import read_choice, read_count, read_flag
+from ._properties import read_choice, read_count, read_flag, read_plain
 from ._radiators import Radiators, find_radiators, sample_pairs
 
 NAME = "plenoptic_wave"
@@ -54,6 +55,11 @@ def make_class() -> type:
          * - occlusion
            - |bool|
            - Whether objects before a radiator hide a part of the pupil from it. (Default: true)
+         * - accuracy
+           - |float|
+           - Error of the capture (relative, L2) that ``patch`` may make for speed, by sharing point spreads among
+             radiators of nearly the same wavefront and by cutting light that diffracts far. 0: nothing is shared.
+             (Default: 0.01)
          * - (Nested plugin)
            - :paramtype:`integrator`
            - Finds the radiance of the radiators, like ``path`` or ``direct``. (Default: ``path``)
@@ -100,6 +106,7 @@ def make_class() -> type:
             self.passes = read_count(props, NAME, "passes", 1)
             self.method = read_choice(props, NAME, "method", METHODS)
             self.occlusion = read_flag(props, NAME, "occlusion", True)
+            self.accuracy = check_accuracy(read_plain(props, "accuracy", DEFAULT_ACCURACY), f"{NAME}: accuracy")
             nested = [value for _, value in props.objects()]
             if len(nested) > 1:
                 raise InputError(f"{NAME}: {len(nested)} nested plugins: it takes one integrator")
@@ -173,7 +180,11 @@ def make_class() -> type:
         def _estimate(self, camera: PlenopticCamera, radiators: Radiators, jobs: int) -> None:
             """Tell what is to come, or refuse it if memory would not do."""
             cost = estimate_cost(
-                camera, radiators.positions, wavelength=self.wavelengths[0], pupil_masks=radiators.masks
+                camera,
+                radiators.positions,
+                wavelength=self.wavelengths[0],
+                accuracy=self.accuracy,
+                pupil_masks=radiators.masks,
             )
             _log.info(
                 "%d radiators, %d point spreads, about %.0f s and %.1f GiB",
@@ -198,6 +209,7 @@ def make_class() -> type:
                 scale * radiators.radiance[:, channel] / radiators.share,
                 wavelength=self.wavelengths[channel],
                 method=self.method,
+                accuracy=self.accuracy,
                 pupil_masks=radiators.masks,
                 progress=progress and (lambda some, _: progress(done + some, total)),
             )
@@ -210,6 +222,7 @@ def make_class() -> type:
                 "passes": self.passes,
                 "method": self.method,
                 "occlusion": self.occlusion,
+                "accuracy": self.accuracy,
             }
 
         def to_string(self) -> str:

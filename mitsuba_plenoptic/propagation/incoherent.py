@@ -17,8 +17,9 @@ from ..camera import PlenopticCamera
 from ..errors import InputError
 from .fft import resting_drjit, worker_count
 from .full_field import full_field
-from .patch import ACCURACIES, Accuracy, Copies, Grid, PatchBatch, Placement, Tile, Workspace, place
-from .patterns import find_patterns
+from .accuracy import DEFAULT_ACCURACY, band_for, check_accuracy, wavefront_step
+from .patch import Copies, Grid, PatchBatch, Placement, Tile, Workspace, place
+from .patterns import LARGEST_ZONE, find_patterns
 from .pixels import integrate_pixels
 from .sampling import check_memory, check_positions, check_wavelength
 
@@ -28,9 +29,6 @@ Progress = Callable[[int, int], None]
 
 _EDGE = 8
 """Samples around a window that its pixels' integrals feel."""
-
-_FEW = 512
-"""Radiators up to which the accuracy is "high" unless told."""
 
 _CHUNK = 64
 """Radiators that are prepared together and added into one tile."""
@@ -50,7 +48,7 @@ def incoherent_sum(
     *,
     wavelength: float,
     method: str = "patch",
-    accuracy: str = "auto",
+    accuracy: float = DEFAULT_ACCURACY,
     pupil_masks: Any = None,
     progress: Progress | None = None,
     threads: int | None = None,
@@ -71,9 +69,10 @@ def incoherent_sum(
         Wavelength in nanometres.
     method : {"patch", "full_field"}
         Route, as for `point_spread_function`.
-    accuracy : {"auto", "fast", "standard", "high"}
-        Of method "patch": how much of the widely diffracted light is kept, and whether neighbouring lenses share
-        propagations. "auto" is "high" for few radiators, whose errors do not average out, and "standard" for many.
+    accuracy : float
+        Of method "patch": relative error (L2, over the image) that is allowed for speed, below 1. Radiators of nearly
+        the same wavefront at neighbouring lenses then share a point spread, which the allowed error rules. 0: every
+        radiator has its own, and the most of the diffracted light is kept.
     pupil_masks : bool array (n, m, m), optional
         For each radiator the open cells of the square around the pupil: rows along y, columns along x. What
         passes is normalised anew, so that each point spread still sums to its weight. Method "patch" only.
@@ -98,14 +97,14 @@ def incoherent_sum(
     masks = _check_masks(pupil_masks, len(points))
     if method not in METHODS:
         raise InputError(f"method = {method!r}: it must be one of {', '.join(METHODS)}")
-    level = _choose_accuracy(accuracy, len(points))
+    accuracy = check_accuracy(accuracy)
     report = progress or (lambda done, total: None)
     if method == "full_field":
         if masks is not None:
             raise InputError("pupil_masks: method 'full_field' knows none, use 'patch'")
         image = _sum_full_fields(camera, points, factors, wavelength, report)
     else:
-        work = _PatchSum(camera, points, factors, masks, wavelength, level)
+        work = _PatchSum(camera, points, factors, masks, wavelength, accuracy)
         image = work.run(threads or worker_count(), report)
     return image[..., 0] if np.ndim(weights) == 1 else image
 
@@ -137,7 +136,7 @@ def estimate_cost(
     positions: Any,
     *,
     wavelength: float,
-    accuracy: str = "auto",
+    accuracy: float = DEFAULT_ACCURACY,
     pupil_masks: Any = None,
     threads: int | None = None,
 ) -> Cost:
@@ -164,17 +163,9 @@ def estimate_cost(
         np.ones((len(points), 1)),
         _check_masks(pupil_masks, len(points)),
         check_wavelength(wavelength),
-        _choose_accuracy(accuracy, len(points)),
+        check_accuracy(accuracy),
     )
     return work.cost(threads or worker_count())
-
-
-def _choose_accuracy(accuracy: str, count: int) -> Accuracy:
-    if accuracy == "auto":
-        return ACCURACIES["high" if count <= _FEW else "standard"]
-    if accuracy not in ACCURACIES:
-        raise InputError(f"accuracy = {accuracy!r}: it must be one of auto, {', '.join(ACCURACIES)}")
-    return ACCURACIES[accuracy]
 
 
 def _check_weights(weights: Any, count: int) -> NDArray[np.float64]:
@@ -251,12 +242,13 @@ class _PatchSum:
         factors: NDArray[np.float64],
         masks: NDArray[np.bool_] | None,
         wavelength: float,
-        accuracy: Accuracy,
+        accuracy: float,
     ) -> None:
         self.camera, self.total, self.masks = camera, len(points), masks
         lit = np.flatnonzero(factors.any(1))
-        self.grid = Grid.of(camera, wavelength, accuracy, points)
-        patterns = find_patterns(camera, points[lit], None if masks is None else masks[lit], self.grid.accuracy.zone)
+        self.grid = Grid.of(camera, wavelength, band_for(accuracy, len(points)), points)
+        step = wavefront_step(accuracy, camera, points[lit])
+        patterns = find_patterns(camera, points[lit], None if masks is None else masks[lit], wavelength, step)
         placement = _place_all(self.grid, patterns.positions)
         shifts = patterns.shift * self.grid.lens_samples
         low = placement.corner[patterns.pattern] + shifts
@@ -314,7 +306,7 @@ class _PatchSum:
         channels, box = self.factors.shape[1], self.window.samples
         image = 4.0 * channels * (box.rows * box.columns + 2 * math.prod(self.camera.shape))
         samples = float(self.placement.samples.max(initial=0))
-        tile = samples * 4 / 3 + self.grid.accuracy.zone * self.grid.lens_samples
+        tile = samples * 4 / 3 + LARGEST_ZONE * self.grid.lens_samples
         return image + (threads + 1) * (4 * channels * tile**2 + 10 * samples**2 + 2 * _CHUNK_BYTES)
 
     def cost(self, threads: int) -> Cost:

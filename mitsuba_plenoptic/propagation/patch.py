@@ -46,25 +46,19 @@ _RIM_ANGLES = 16
 
 
 @dataclass(frozen=True)
-class Accuracy:
+class Band:
     r"""How much of the diffracted light a patch keeps.
 
     Attributes
     ----------
-    band : float
+    cone : float
         Directions that are kept on the detector over those of the geometric cone, pupil plus microlens.
     margin : float
         Width of the patch of a point in focus, in units of :math:`\lambda b / D_1`, the scale of its Airy pattern.
-    zone : int
-        Lenses along an axis over which radiators at the same place of their lenses share one pattern.
     """
 
-    band: float
+    cone: float
     margin: float
-    zone: int
-
-
-ACCURACIES = {"fast": Accuracy(1.5, 45, 8), "standard": Accuracy(1.8, 60, 4), "high": Accuracy(2.5, 110, 1)}
 
 
 @dataclass(frozen=True)
@@ -83,7 +77,7 @@ class Grid:
 
     camera: PlenopticCamera
     wavelength: float
-    accuracy: Accuracy
+    band: Band
     cosine: float
     pitch: float
     origin: tuple[float, float]
@@ -98,7 +92,7 @@ class Grid:
         cls,
         camera: PlenopticCamera,
         wavelength: float,
-        accuracy: Accuracy,
+        band: Band,
         positions: NDArray[np.float64],
     ) -> Grid:
         """Lay the grid of a camera for some scene points.
@@ -107,11 +101,11 @@ class Grid:
         """
         powers = np.abs(1 / camera.focal_length - 1 / positions[:, 2])
         cosine = camera.aperture_radius * float(powers.max(initial=1 / camera.mla_distance))
-        half_band = accuracy.band * (cosine + mla_cosine(camera))
+        half_band = band.cone * (cosine + mla_cosine(camera))
         largest = in_millimetres(wavelength) / (2 * half_band)
         pitch = camera.micro_image_pitch / math.ceil(camera.micro_image_pitch / largest)
         origin = (-camera.detector_width / 2, -camera.detector_height / 2)
-        return cls(camera, wavelength, accuracy, cosine, pitch, origin)
+        return cls(camera, wavelength, band, cosine, pitch, origin)
 
 
 @dataclass(frozen=True)
@@ -146,7 +140,7 @@ def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
     walk = camera.detector_distance * image.centre / b
     airy = lam * b / camera.aperture_diameter
     blur = 2 * image.half_width.max(1)
-    spread = grid.accuracy.margin * airy
+    spread = grid.band.margin * airy
     width = np.maximum(_WIDTH_PER_BLUR * blur + spread / 3, spread) + np.abs(walk).max(1)
     samples = _ladder(width / grid.pitch)
     corner = np.rint((image.centre + walk / 2 - np.array(grid.origin)) / grid.pitch).astype(np.int64)

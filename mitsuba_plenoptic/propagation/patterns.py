@@ -1,8 +1,14 @@
 r"""Radiators that share one pattern by the symmetry of the microlens lattice.
 
 Move a scene point so that its image on the MLA moves by one lens: the pattern on the detector stays the same but
-for the slightly other tilt of the light, and moves by one micro-image, :math:`D_2 (b + z) / b`. So radiators at the
-same distance and at the same place of their lenses need one propagation for a zone of neighbouring lenses.
+for the aberrations of a thin lens far from the axis, and moves by one micro-image, :math:`D_2 (b + z) / b`. So
+radiators of the same wavefront at the same place of their lenses need one propagation for a zone of lenses.
+
+"The same" is a matter of what one microlens sees. Out of focus it sees a part of the pupil only, one of
+:math:`n = 2 a |\Delta b| / b D_2` across, and of a changed wavefront the changed tilt of this part, which moves its
+spot: for a change by :math:`\delta` waves at the pupil's edge :math:`4 \delta / n` waves across a lens, for an image
+that moves by :math:`\mu` :math:`\mu D_1 / \lambda b n`. So the farther from focus, the wider the steps of place and
+distance within which radiators share.
 """
 
 from __future__ import annotations
@@ -14,12 +20,16 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..rays import conjugate_coordinate
+from .sampling import in_millimetres
 
-_PLACE_STEP = 2e-3
-"""Places in a lens, in lens pitches, that count as the same."""
+LARGEST_ZONE = 16
+"""Lenses along an axis over which patterns are shared at most; a power of two."""
 
-_DISTANCE_STEP = 1e-5
-"""Distances, as logarithms, that count as the same."""
+_LENS_PER_WAVE = 2.5
+"""Largest step of place, in lens pitches, over the allowed step of the wavefront in waves: the blur has an edge."""
+
+_ZONE_PER_WAVE = 0.6
+"""Width of a zone in steps of the wavefront from lens to lens, over the allowed one."""
 
 _OFF_LATTICE = 0.38196601
 """Fraction of a step by which the bounds between steps are moved off the places that regular samples take."""
@@ -34,7 +44,7 @@ class Patterns:
     positions : float64 array (patterns, 3)
         The scene point that each is computed for.
     zone : int array (patterns, 2)
-        Zone of lenses, along x and y.
+        First lens, along x and y, of the zone.
     pattern : int array (n,)
         For each radiator its pattern.
     shift : int array (n, 2)
@@ -48,7 +58,11 @@ class Patterns:
 
 
 def find_patterns(
-    camera: PlenopticCamera, positions: NDArray[np.float64], masks: NDArray[np.bool_] | None, zone: int
+    camera: PlenopticCamera,
+    positions: NDArray[np.float64],
+    masks: NDArray[np.bool_] | None,
+    wavelength: float,
+    step: float,
 ) -> Patterns:
     """Find radiators that share patterns.
 
@@ -60,31 +74,73 @@ def find_patterns(
         Scene points in the camera frame.
     masks : bool array (n, m, m), optional
         Visible cells of the pupil; only equal ones share.
-    zone : int
-        Lenses along an axis within which patterns are shared.
+    wavelength : float
+        Wavelength in nanometres.
+    step : float
+        By how much wavefronts that count as the same may differ across a microlens, in waves; 0: nothing is shared.
 
     Returns
     -------
     Patterns
     """
-    X, g = positions[:, :2], positions[:, 2:]
-    image = conjugate_coordinate(X, g, camera.mla_distance) / camera.mla_pitch
-    lens = np.floor(image + _OFF_LATTICE).astype(np.int64)
-    part = np.floor((image - lens) / _PLACE_STEP + _OFF_LATTICE).astype(np.int64)
-    distance = np.floor(np.log(g) / _DISTANCE_STEP + _OFF_LATTICE).astype(np.int64)
-    zones = lens // zone
-    keys = [zones, part, distance]
+    g = positions[:, 2]
+    image = conjugate_coordinate(positions[:, :2], positions[:, 2:], camera.mla_distance) / camera.mla_pitch
+    if step == 0:
+        alone = np.zeros((len(positions), 2), np.int64)
+        return Patterns(positions, np.floor(image).astype(np.int64), np.arange(len(positions)), alone)
+    depth, parts = _depth_steps(camera, g, wavelength, step)
+    fine = np.floor(image * parts[:, None] + _OFF_LATTICE).astype(np.int64)
+    lens = fine // parts[:, None]
+    zone, size = _zones(camera, lens, wavelength, step)
+    keys = [zone, size[:, None], depth[:, None], fine - lens * parts[:, None]]
     if masks is not None:
         packed = np.packbits(masks.reshape(len(masks), -1), axis=1)
         keys.append(np.unique(packed, axis=0, return_inverse=True)[1].reshape(-1, 1))
     _, first, pattern = np.unique(np.hstack(keys), axis=0, return_index=True, return_inverse=True)
     pattern = pattern.reshape(-1)
-    # A pattern of several lenses is computed for the zone's middle, a lonely one for its own place.
-    lenses = [np.zeros((len(first), 2), np.int64) for _ in range(2)]
-    lenses[0][:], lenses[1][:] = np.iinfo(np.int64).max, np.iinfo(np.int64).min
-    np.minimum.at(lenses[0], pattern, lens)
-    np.maximum.at(lenses[1], pattern, lens)
-    middle = (lenses[0] + lenses[1]) // 2
-    moved = positions[first]
-    moved[:, :2] += (lens[first] - middle) * camera.mla_pitch * moved[:, 2:] / camera.mla_distance
-    return Patterns(moved, zones[first], pattern, lens - middle[pattern])
+    # A pattern is computed for the mean of its radiators, in the middle lens of those that have it.
+    low, high = np.full((2, len(first), 2), np.iinfo(np.int64).max)
+    high = -high
+    np.minimum.at(low, pattern, lens)
+    np.maximum.at(high, pattern, lens)
+    middle = (low + high) // 2
+    count = np.bincount(pattern)
+    place = np.column_stack([np.bincount(pattern, part) for part in (image - lens).T]) / count[:, None] + middle
+    distance = count / np.bincount(pattern, 1 / g)
+    scale = -camera.mla_pitch * distance / camera.mla_distance
+    return Patterns(np.column_stack([place * scale[:, None], distance]), zone[first], pattern, lens - middle[pattern])
+
+
+def _depth_steps(
+    camera: PlenopticCamera, g: NDArray[np.float64], wavelength: float, step: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Number of each distance's step, and into how many parts a lens is cut along an axis there."""
+    a, b, lam = camera.aperture_radius, camera.mla_distance, in_millimetres(wavelength)
+    defocus = a * a / (2 * lam) * (1 / camera.focal_length - 1 / g - 1 / b)
+    lenses_per_wave = 4 * b * lam / (a * camera.mla_pitch)
+    lenses = np.maximum(1, lenses_per_wave * np.abs(defocus))
+    # even where the blur is below one lens, logarithmic beyond
+    scale = np.where(lenses > 1, np.sign(defocus) * (1 + np.log(lenses)) / lenses_per_wave, defocus)
+    depth = np.floor(4 * scale / step + _OFF_LATTICE)
+    middle = np.abs(depth + 0.5 - _OFF_LATTICE) * step / 4 * lenses_per_wave
+    lenses = np.exp(np.maximum(0, middle - 1))
+    width = np.minimum(step * lam * b / (2 * a) * lenses / camera.mla_pitch, _LENS_PER_WAVE * step)
+    return depth.astype(np.int64), np.ceil(1 / width).astype(np.int64)
+
+
+def _zones(
+    camera: PlenopticCamera, lens: NDArray[np.int64], wavelength: float, step: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First lens and size of each lens's zone: squares, halved until the wavefront changes little enough in them.
+
+    From lens to lens the path from a pupil of radius a to an image at r changes by some a (a^2 + 3 r^2) D2 / 2 b^3.
+    """
+    a, b, pitch = camera.aperture_radius, camera.mla_distance, camera.mla_pitch
+    size = np.ones(len(lens), np.int64)
+    width = 2
+    while width <= LARGEST_ZONE:
+        farthest = np.maximum(np.abs(lens // width * width), np.abs(lens // width * width + width)) * pitch
+        waves = a * (a * a + 3 * (farthest**2).sum(1)) * pitch / (2 * b**3 * in_millimetres(wavelength))
+        size[width * waves <= _ZONE_PER_WAVE * step] = width
+        width *= 2
+    return lens // size[:, None] * size[:, None], size

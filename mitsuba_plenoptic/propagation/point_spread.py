@@ -44,7 +44,7 @@ def point_spread_function(
     """
     point, wavelength = _check(position), check_wavelength(wavelength)
     if method == "patch":
-        return incoherent_sum(camera, point[None], [1.0], wavelength=wavelength, accuracy="high", threads=1)
+        return incoherent_sum(camera, point[None], [1.0], wavelength=wavelength, accuracy=0, threads=1)
     if method == "full_field":
         return full_field.full_field(camera, point, wavelength)
     raise InputError(f"method = {method!r}: it must be one of {', '.join(METHODS)}")
