@@ -17,7 +17,6 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import scipy.ndimage
-from _referee import thin_lens_image
 
 from mitsuba_plenoptic import load_scene, read_capture, reconstruct, render_capture, write_capture
 
@@ -47,22 +46,17 @@ def energy(name: str, parameters: dict[str, str], keep: Path | None = None) -> R
 
 
 def letter_noise(capture_path: Path) -> list[Row]:
-    """Compute the RMS over the mean inside each refocused letter, two bins from its edge."""
-    scene = load_scene("letters")
+    """Compare refocused letters with those of four times as many radiators, where the image is smooth."""
     capture = read_capture(capture_path)
+    finer = render_capture(load_scene("letters"), model="wave", radiators_per_lens=16)
     rows = []
-    for result in reconstruct(capture, list(DISTANCES)):
-        truth = thin_lens_image(scene, capture.camera, result.distance, 256)
-        # Where the thin lens sees an even patch, so does the plenoptic camera: what varies there is noise.
-        even = scipy.ndimage.maximum_filter(truth, 9) - scipy.ndimage.minimum_filter(truth, 9) < 0.01 * truth.max()
-        inside = even & (truth > 0.2 * truth.max())
-        if inside.sum() < 10:
-            rows.append({"what": f"noise at {result.distance:g} mm", "value": None, "limit": "no even patch"})
-            continue
-        values = result.image[inside] / truth[inside]
+    for coarse, fine in zip(reconstruct(capture, DISTANCES), reconstruct(finer, DISTANCES), strict=True):
+        low, high = scipy.ndimage.minimum_filter(fine.image, 3), scipy.ndimage.maximum_filter(fine.image, 3)
+        inside = (low > 0.3 * fine.image.max()) & (high < 1.1 * low)
+        noise = float((coarse.image - fine.image)[inside].std() / fine.image[inside].mean())
         rows.append(
-            {"what": f"noise in even patches at {result.distance:g} mm, %", "value": 100 * values.std() / values.mean(),
-             "limit": "1 %"}
+            {"what": f"noise inside the letters at {coarse.distance:g} mm ({inside.sum()} bins), %",
+             "value": 100 * noise, "limit": "1"}
         )  # fmt: skip
     return rows
 
