@@ -62,12 +62,31 @@ def test_shared_patterns_stay_true(distance):
     assert error(shared, every) < 0.006
 
 
+def test_a_tilted_surface_shares_within_the_allowed_error():
+    """Radiators of which no two are at one distance or at one place of their lenses."""
+    positions = lattice_positions(6, 262.0, per_lens=6)
+    slope = 1 + 0.004 * positions[:, 0] + 0.002 * positions[:, 1]
+    positions = positions * slope[:, None]
+    weights = np.random.default_rng(1).uniform(0.5, 1, len(positions))
+    cost = estimate_cost(SMALL, positions, wavelength=633)
+    assert cost.patterns < len(positions) / 3
+    every = incoherent_sum(SMALL, positions, weights, wavelength=633, accuracy=0)
+    assert error(incoherent_sum(SMALL, positions, weights, wavelength=633), every) < 0.01
+    rough = incoherent_sum(SMALL, positions, weights, wavelength=633, accuracy=0.05)
+    assert 0.001 < error(rough, every) < 0.05
+
+
+def test_few_radiators_are_not_mistaken_for_each_other():
+    """Nothing averages out in a sum of two: near each other as they are, each has a point spread of its own."""
+    g, x = 240.0, 0.002
+    positions = np.array([(0.01, 0.01, g), (0.01 + x, 0.01, g)])
+    assert estimate_cost(SMALL, positions, wavelength=633).patterns == 2
+
+
 def test_threads_do_not_change_a_bit():
     positions = np.concatenate([random_positions(20), lattice_positions(3, 240.0)])
     weights = np.random.default_rng(2).uniform(0, 1, (len(positions), 2))
-    images = [
-        incoherent_sum(SMALL, positions, weights, wavelength=633, accuracy=0.01, threads=n) for n in (1, 2, 3)
-    ]
+    images = [incoherent_sum(SMALL, positions, weights, wavelength=633, accuracy=0.01, threads=n) for n in (1, 2, 3)]
     assert np.array_equal(images[0], images[1])
     assert np.array_equal(images[0], images[2])
 

@@ -204,6 +204,7 @@ def test_models_wrap_and_unwrap_the_scenes_integrator(camera_dict):
         ({"passes": 1.5}, "passes = 1.5: it must be a whole number"),
         ({"method": "magic"}, "method = 'magic': it must be one of patch, full_field"),
         ({"occlusion": "no"}, "occlusion = 'no': it must be true or false"),
+        ({"accuracy": -0.01}, "accuracy = -0.01: it must be from 0"),
         ({"child": {"type": "ptracer"}}, "it cannot tell the radiance along a ray"),
         ({"radiators": 3}, "unreferenced property"),
     ],

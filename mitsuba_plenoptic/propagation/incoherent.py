@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
+from .accuracy import DEFAULT_ACCURACY, band_for, check_accuracy, wavefront_step
 from .fft import resting_drjit, worker_count
 from .full_field import full_field
-from .accuracy import DEFAULT_ACCURACY, band_for, check_accuracy, wavefront_step
 from .patch import Copies, Grid, PatchBatch, Placement, Tile, Workspace, place
 from .patterns import LARGEST_ZONE, find_patterns
 from .pixels import integrate_pixels

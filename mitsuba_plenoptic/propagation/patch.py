@@ -219,6 +219,7 @@ class Tile:
             for corner, copy in zip(corners, copies, strict=True)
         ]
         self._scratch = np.empty((2, _BLOCK_SAMPLES), np.float32)
+        self._squares = np.empty(2 * _BLOCK_SAMPLES, np.float32)
         self._sums = np.zeros((copies[0].weights.shape[1], int(size[0]), int(size[1])), np.float32)
 
     def add(self, field: Field, along_y: slice, radiator: int) -> None:
@@ -226,9 +227,10 @@ class Tile:
         for start, stop in itertools.pairwise([*range(0, len(field), self._rows(field)), len(field)]):
             part = field[start:stop]
             intensity, weighted = self._scratch[:, : part.size].reshape(2, *part.shape)
-            np.multiply(part.real, part.real, out=intensity)
-            np.multiply(part.imag, part.imag, out=weighted)
-            intensity += weighted
+            squares = self._squares[: 2 * part.size].reshape(len(part), -1)
+            np.copyto(squares.view(np.complex64), part)
+            np.multiply(squares, squares, out=squares)
+            np.add(squares[:, ::2], squares[:, 1::2], out=intensity)
             for x, y, channel, weight in self._targets[radiator]:
                 target = self._sums[channel, x + start : x + stop, y + along_y.start : y + along_y.stop]
                 if weight == 1:

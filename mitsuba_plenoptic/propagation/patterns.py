@@ -114,7 +114,7 @@ def find_patterns(
 def _depth_steps(
     camera: PlenopticCamera, g: NDArray[np.float64], wavelength: float, step: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Number of each distance's step, and into how many parts a lens is cut along an axis there."""
+    """Return the number of each distance's step, and into how many parts a lens is cut along an axis there."""
     a, b, lam = camera.aperture_radius, camera.mla_distance, in_millimetres(wavelength)
     defocus = a * a / (2 * lam) * (1 / camera.focal_length - 1 / g - 1 / b)
     lenses_per_wave = 4 * b * lam / (a * camera.mla_pitch)
@@ -131,7 +131,7 @@ def _depth_steps(
 def _zones(
     camera: PlenopticCamera, lens: NDArray[np.int64], wavelength: float, step: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First lens and size of each lens's zone: squares, halved until the wavefront changes little enough in them.
+    """Return first lens and size of each lens's zone: squares in which the wavefront changes little enough.
 
     From lens to lens the path from a pupil of radius a to an image at r changes by some a (a^2 + 3 r^2) D2 / 2 b^3.
     """

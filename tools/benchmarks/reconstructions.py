@@ -1,0 +1,102 @@
+"""Reconstructions on one core at the paper's size, against bare FFTs, a pass over the image, and the paper's seconds.
+
+Two captures: one with every pixel lit, where nothing can be skipped, and the letters. "FFTs" are the Fourier transforms
+that the coherent method performs, of the same lengths and in the same number, along the axes of whole arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy.fft
+
+from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, reconstruct, render_capture
+from mitsuba_plenoptic.reconstruction._plan import plan
+from mitsuba_plenoptic.reconstruction.coherent import lit_window
+
+from .table import Row, on_cores, side_by_side
+
+_WAVELENGTH = 633.0
+_DISTANCE = 280.0
+_DISTANCES = [210.0, 240.0, 280.0]
+# One core of about 2012.
+_PAPER = {"ray, point version": 330.0, "coherent": 65.0, "partially coherent, K = 2": 195.0}
+
+
+def run(runs: int) -> list[Row]:
+    """Time everything on one core."""
+    return on_cores(1, _compare_all, runs)
+
+
+def _compare_all(runs: int) -> list[Row]:
+    camera = PlenopticCamera()
+    white = Capture(np.random.default_rng(0).random(camera.shape, dtype=np.float32) + 0.1, camera)
+    letters = render_capture(load_scene("letters"), spp=1)
+    return [
+        row for name, capture in (("all lit", white), ("letters", letters)) for row in _compare(name, capture, runs)
+    ]
+
+
+def _compare(name: str, capture: Capture, runs: int) -> list[Row]:
+    def work(distance: float | list[float] = _DISTANCE, **options: Any) -> Callable[[], Any]:
+        return lambda: reconstruct(capture, distance, wavelength=_WAVELENGTH, **options)
+
+    image = capture.image
+    works = {
+        "`(I * I).sum()`": lambda: (image * image).sum(),
+        "ray, point version": work(footprint="point"),
+        "ray, lens version": work(footprint="lens"),
+        "FFTs of coherent": _bare_transforms(capture, _DISTANCE),
+        "coherent": work(method="coherent"),
+        "coherent, 3 distances": work(_DISTANCES, method="coherent"),
+        "partially coherent, K = 2": work(method="partial", interleave=2),
+    }
+    against = {
+        "ray, point version": "`(I * I).sum()`",
+        "ray, lens version": "`(I * I).sum()`",
+        "coherent": "FFTs of coherent",
+        "coherent, 3 distances": "coherent",
+        "partially coherent, K = 2": "coherent",
+    }
+    timings = side_by_side(works, runs)
+    rows = []
+    for what, other in against.items():
+        ours, theirs = timings[what], timings[other]
+        title = f"{what}, {name}, one core"
+        rows.append(
+            Row(
+                title, "s", ours.seconds, other, theirs.seconds, ours.seconds / theirs.seconds,
+                ours.cpu_seconds / theirs.cpu_seconds, "ours over theirs",
+            )
+        )  # fmt: skip
+        if what in _PAPER:
+            paper = _PAPER[what]
+            rows.append(Row(title, "s", ours.seconds, "the paper", paper, paper / ours.seconds, note="times faster"))
+    return rows
+
+
+def _bare_transforms(capture: Capture, distance: float) -> Callable[[], None]:
+    """Do nothing but the transforms of the coherent method."""
+    lit = lit_window(capture.image, capture.camera)
+    assert lit is not None
+    grids = plan(capture.camera, _WAVELENGTH, [distance], lit)
+    shapes = []
+    for leg in (grids.detector, grids.main_lens, *grids.objects):
+        x, y = leg.x, leg.y
+        shapes += [
+            ((y.count, x.padded), 1, False),
+            ((y.padded, x.kept), 0, False),
+            ((y.kept, x.kept), 0, True),
+            ((y.wanted, x.kept), 1, True),
+        ]
+    memory = np.ones(max(rows * columns for (rows, columns), _, _ in shapes), np.complex64)
+
+    def transforms() -> None:
+        for shape, axis, inverse in shapes:
+            field = memory[: shape[0] * shape[1]].reshape(shape)
+            transform = scipy.fft.ifft if inverse else scipy.fft.fft
+            transform(field, axis=axis, overwrite_x=True, workers=1, norm="ortho")
+
+    return transforms
