@@ -325,3 +325,9 @@ def test_the_report_fits_narrow_screens(quick_waves, tmp_path, browser, width):
     page = browser(tmp_path / "out" / "report.html", width=width, height=800)
     assert page.execute_script("return document.documentElement.scrollWidth") <= width
     assert page.get_log("browser") == []
+
+
+def test_a_refused_scene_leaves_no_folder(tmp_path):
+    with pytest.raises(InputError, match="there is no such file"):
+        compare(Settings(scene="nothere", distances=(240.0,)), tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -214,19 +215,17 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
 
 
 def open_store(output: Path, notify: Notify | None, finished: Finished | None) -> StageStore:
-    """Make the output folder, with one in it for the data.
+    """Check, before the work, that the output folder can be made; it is made with the first stage.
 
     Raises
     ------
     InputError
-        If it cannot be made.
+        If it cannot.
     """
-    data = output / "data"
-    try:
-        data.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{output}: the folder cannot be made: {error.strerror}") from None
-    return StageStore(data, notify, finished)
+    there = next(path for path in (output, *output.absolute().parents) if path.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK):
+        raise InputError(f"{output}: the folder cannot be made: {there} is not a folder that can be written to")
+    return StageStore(output / "data", notify, finished)
 
 
 def _refocus(store: StageStore, capture: Capture, key: str, method: Method, distance: float) -> np.ndarray:

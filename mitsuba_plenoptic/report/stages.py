@@ -111,6 +111,7 @@ class StageStore:
             self._tell(name, 0, 0)
             value = make(lambda done, total: self._tell(name, done, total))
             seconds = time.perf_counter() - start
+            self.folder.mkdir(parents=True, exist_ok=True)
             write(path, value, key)
             self._known[name] = {"key": key, "seconds": round(seconds, 3)}
             write_json(self._log, self._known)
