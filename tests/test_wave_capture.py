@@ -172,7 +172,8 @@ def test_a_spectral_variant_takes_one_wavelength(camera_dict):
 
 def test_nothing_to_see_is_a_black_capture(camera_dict):
     behind = disk((0, 0, -50.0), 1.0)
-    assert not render_capture(scene_of(camera_dict(), behind=behind), model="wave").image.any()
+    with pytest.warns(UserWarning, match="no ray from the pupil meets anything that shines"):
+        assert not render_capture(scene_of(camera_dict(), behind=behind), model="wave").image.any()
 
 
 def test_models_wrap_and_unwrap_the_scenes_integrator(camera_dict):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -168,6 +169,12 @@ def make_class() -> type:
             ]
             jobs = [(radiators, channel) for radiators in sets for channel in range(radiators.radiance.shape[1])]
             total = sum(len(radiators.positions) for radiators, _ in jobs)
+            if total == 0:
+                warnings.warn(
+                    f"{NAME}: no ray from the pupil meets anything that shines; a nested integrator with "
+                    "hide_emitters sees no emitters",
+                    stacklevel=2,
+                )
             if self.method == "patch":
                 self._estimate(camera, sets[0], len(jobs))
             image = np.zeros((*camera.shape, len(self.wavelengths)), dtype=np.float32)
