@@ -203,7 +203,7 @@ class PlenopticCamera:
 
         :math:`s = 1 + b/g - b/f_1`: zero in focus, positive for points nearer than that.
         """
-        return 1 + self.mla_distance / distance - self.mla_distance / self.focal_length
+        return defocus_factor(distance, self.mla_distance, self.focal_length)
 
     def blur_diameter(self, distance: float) -> float:
         """Diameter on the MLA of the image of a point at `distance`, by rays: :math:`D_1 |s|`."""
@@ -331,6 +331,11 @@ class PlenopticCamera:
     def main_fresnel_number(self, wavelength: float) -> float:
         r"""Fresnel number of the main lens seen from the MLA, :math:`(D_1/2)^2 / (\lambda b)`."""
         return self.aperture_radius**2 / (wavelength * 1e-6 * self.mla_distance)
+
+
+def defocus_factor(distance: Any, mla_distance: Any, focal_length: Any) -> Any:
+    """Part of a pupil coordinate by which a ray from an object point misses its image on the MLA: 1 + b/g - b/f1."""
+    return 1 + mla_distance / distance - mla_distance / focal_length
 
 
 def image_distance(focal_length: float, distance: float, *, name: str = "distance") -> float:

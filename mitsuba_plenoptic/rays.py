@@ -15,6 +15,8 @@ from typing import Any
 
 import drjit as dr
 
+from .camera import defocus_factor
+
 
 def chief_point(p: Any, mla_distance: Any, detector_distance: Any) -> Any:
     """Where the line from a detector point to the main lens's centre crosses the MLA: p b / (b + z).
@@ -51,7 +53,7 @@ def object_point(P: Any, slope: Any, distance: Any) -> Any:
 
 def mla_point(X: Any, P: Any, distance: Any, mla_distance: Any, focal_length: Any) -> Any:
     """Where the ray from a scene point through a pupil point meets the MLA: -X b/g + P (1 + b/g - b/f1)."""
-    return -X * mla_distance / distance + P * (1 + mla_distance / distance - mla_distance / focal_length)
+    return conjugate_coordinate(X, distance, mla_distance) + P * defocus_factor(distance, mla_distance, focal_length)
 
 
 def conjugate_coordinate(X: Any, distance: Any, mla_distance: Any) -> Any:

@@ -142,14 +142,6 @@ def _lit_blocks(row_factor: np.ndarray) -> Iterator[slice]:
             yield slice(place, min(place + _BLOCK, end))
 
 
-def _rows_back(rows: Field, wanted: int) -> Field:
-    """Transform rows back and keep their first samples."""
-    out = np.empty((rows.shape[0], wanted), np.complex64)
-    for place in range(0, rows.shape[0], _BLOCK):
-        out[place : place + _BLOCK] = _fft(rows[place : place + _BLOCK], 1, inverse=True)[:, :wanted]
-    return out
-
-
 def _lowest(size: int, kept: int) -> tuple[slice, slice]:
     """Where the lowest frequencies are in a spectrum with zero frequency first: from zero on, and below zero."""
     positive = (kept + 1) // 2
