@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
 from .errors import InputError, require_count, require_number
+from .lattice import APERTURES, KINDS, LENS_KINDS, Lattice
 
 LENS_MODELS = ("ideal", "parabolic")
+
+# First zero of the diffraction pattern of a disc, in wavelengths over its diameter: that of J1 over pi.
+AIRY_ZERO = 1.21967
+
+# Parameters that files written before there were other lattices do not name.
+_LATER = {"mla_lattice", "mla_rotation", "mla_offset", "mla_aperture", "mla_fill"}
 
 
 @dataclass(frozen=True, init=False)
@@ -30,12 +40,23 @@ class PlenopticCamera:
     focus_distance : float, optional
         Distance of the object plane that is in focus on the MLA; an alternative to `mla_distance`,
         :math:`1/g + 1/b = 1/f_1`. May be infinite.
-    mla_focal_length : float
-        Focal length :math:`f_2` of a microlens.
+    mla_focal_length : float or three floats
+        Focal length :math:`f_2` of a microlens. Three on a hexagonal lattice make a multi-focus array: interleaved,
+        so that no two neighbours are alike, the first on the lens with the indices (0, 0).
     mla_pitch : float
-        Pitch :math:`D_2` of the square microlens lattice; a lens fills its cell.
+        Pitch :math:`D_2` of the microlens lattice, the distance of neighbouring centres.
+    mla_lattice : {"square", "hexagonal"}
+        Arrangement of the microlenses: see `mitsuba_plenoptic.lattice`.
+    mla_rotation : float
+        Angle of the lattice in degrees, counter-clockwise in the camera frame.
+    mla_offset : (float, float)
+        Place, x and y in the camera frame, of the point of the lattice that is on the axis by default.
+    mla_aperture : {"cell", "circle"}
+        What of its cell a lens fills: all of it, or a disc. What lies between is opaque.
+    mla_fill : float
+        Width of a lens's aperture over the pitch, at most 1.
     detector_distance : float, optional
-        Distance :math:`z` from the MLA to the detector. Default: `mla_focal_length`.
+        Distance :math:`z` from the MLA to the detector. Default: `mla_focal_length`, the first of three.
     detector_width : float
         Width :math:`W` of the full detector; pixels are square.
     resolution : (int, int)
@@ -56,8 +77,13 @@ class PlenopticCamera:
     focal_length: float
     aperture_radius: float
     mla_distance: float
-    mla_focal_length: float
+    mla_focal_lengths: tuple[float, ...]
     mla_pitch: float
+    mla_lattice: str
+    mla_rotation: float
+    mla_offset: tuple[float, float]
+    mla_aperture: str
+    mla_fill: float
     detector_distance: float
     detector_width: float
     resolution: tuple[int, int]
@@ -72,8 +98,13 @@ class PlenopticCamera:
         aperture_radius: float = 5.0,
         mla_distance: float | None = None,
         focus_distance: float | None = None,
-        mla_focal_length: float = 0.512,
+        mla_focal_length: float | Sequence[float] = 0.512,
         mla_pitch: float = 0.064,
+        mla_lattice: str = "square",
+        mla_rotation: float = 0.0,
+        mla_offset: tuple[float, float] = (0.0, 0.0),
+        mla_aperture: str = "cell",
+        mla_fill: float = 1.0,
         detector_distance: float | None = None,
         detector_width: float = 8.192,
         resolution: tuple[int, int] = (4096, 4096),
@@ -100,8 +131,15 @@ class PlenopticCamera:
             "mla_distance",
             require_number("mla_distance", 120.0 if mla_distance is None else mla_distance, positive=True),
         )
-        put("mla_focal_length", require_number("mla_focal_length", mla_focal_length, positive=True))
+        put("mla_lattice", _choice("mla_lattice", mla_lattice, KINDS))
+        put("mla_focal_lengths", _focal_lengths(mla_focal_length, self.mla_lattice))
         put("mla_pitch", require_number("mla_pitch", mla_pitch, positive=True))
+        put("mla_rotation", require_number("mla_rotation", mla_rotation))
+        put("mla_offset", _numbers("mla_offset", mla_offset))
+        put("mla_aperture", _choice("mla_aperture", mla_aperture, APERTURES))
+        put("mla_fill", require_number("mla_fill", mla_fill, positive=True))
+        if self.mla_fill > 1:
+            raise InputError(f"mla_fill = {self.mla_fill:g}: it must be at most 1")
         if detector_distance is None:
             detector_distance = self.mla_focal_length
         put("detector_distance", require_number("detector_distance", detector_distance, positive=True))
@@ -120,9 +158,7 @@ class PlenopticCamera:
                     f"crop_offset = {self.crop_offset} with crop_size = {self.crop_size}: the window must lie "
                     f"within the resolution {self.resolution}"
                 )
-        if lens_model not in LENS_MODELS:
-            raise InputError(f"lens_model = {lens_model!r}: it must be one of {', '.join(LENS_MODELS)}")
-        put("lens_model", lens_model)
+        put("lens_model", _choice("lens_model", lens_model, LENS_MODELS))
 
     # -- to and from other forms ---------------------------------------------------------------------
 
@@ -150,15 +186,20 @@ class PlenopticCamera:
         InputError
             If a name is unknown or missing, or a value is out of range.
         """
-        names = set(cls.__dataclass_fields__)
-        for name in sorted(set(values) ^ names):
+        names = set(cls().to_dict())
+        for name in sorted((set(values) ^ names) - _LATER):
             rule = "is not a camera parameter" if name in values else "is missing from the camera parameters"
             raise InputError(f"{name}: it {rule}")
         return cls(**values)
 
     def to_dict(self) -> dict[str, Any]:
-        """All parameters by name, in plain numbers, strings and pairs."""
-        return asdict(self)
+        """All parameters by name, in plain numbers, strings and tuples."""
+        values = {
+            "mla_focal_length" if name == "mla_focal_lengths" else name: value for name, value in asdict(self).items()
+        }
+        if len(self.mla_focal_lengths) == 1:
+            values["mla_focal_length"] = self.mla_focal_length
+        return values
 
     def replace(self, **changes: Any) -> PlenopticCamera:
         """Return a copy of the camera with some parameters changed."""
@@ -186,8 +227,8 @@ class PlenopticCamera:
 
     @property
     def mla_f_number(self) -> float:
-        """F-number of a microlens as the detector sees it, :math:`z / D_2`."""
-        return self.detector_distance / self.mla_pitch
+        """F-number of a microlens as the detector sees it: :math:`z` over the width of its aperture."""
+        return self.detector_distance / self.lattice.aperture_width
 
     @property
     def focus_distance(self) -> float:
@@ -210,6 +251,18 @@ class PlenopticCamera:
         return self.aperture_diameter * abs(self.defocus(distance))
 
     # -- detector and lattice ------------------------------------------------------------------------
+
+    @property
+    def lattice(self) -> Lattice:
+        """The microlens lattice."""
+        return Lattice(
+            self.mla_lattice, self.mla_pitch, self.mla_rotation, self.mla_offset, self.mla_aperture, self.mla_fill
+        )
+
+    @property
+    def mla_focal_length(self) -> float:
+        """Focal length :math:`f_2` of a microlens; where there are three, the first."""
+        return self.mla_focal_lengths[0]
 
     @property
     def pixel_size(self) -> float:
@@ -237,14 +290,26 @@ class PlenopticCamera:
         return self.mla_pitch / self.pixel_size
 
     @property
-    def lens_count(self) -> tuple[int, int]:
-        """Lenses across the full detector and down it; also the bins of a reconstruction.
+    def bin_count(self) -> tuple[int, int]:
+        """Bins across a reconstruction and down it: as many squares of one pitch as fit the detector.
 
-        Rounded to even numbers: the corner of four lenses lies on the axis, so that bins and lenses line up.
+        Rounded to even numbers: a corner of four bins lies on the axis, as one of four lenses of the default lattice
+        does, so that bins and lenses line up there. On any other lattice the bins are the same.
         """
         columns, rows = (
             2 * max(1, round(width / (2 * self.mla_pitch))) for width in (self.detector_width, self.detector_height)
         )
+        return columns, rows
+
+    @property
+    def lens_count(self) -> tuple[int, int]:
+        """Lenses in a row of the lattice across the full detector, and rows down it.
+
+        A turned lattice has as many on the same area.
+        """
+        columns, rows = self.bin_count
+        if self.mla_lattice == "hexagonal":
+            rows = max(1, round(self.detector_height / self.lattice.row_distance))
         return columns, rows
 
     @property
@@ -258,22 +323,37 @@ class PlenopticCamera:
         return self.mla_pitch * (self.mla_distance + self.detector_distance) / self.mla_distance
 
     @property
-    def crosstalk_lenses(self) -> int:
-        """Lenses per axis, around the one of the chief ray, that can light a pixel (odd).
+    def crosstalk_neighbours(self) -> np.ndarray:
+        """Lenses that can light a pixel, from the one of its chief ray, (lenses, 2) steps in the lattice's indices.
 
-        A ray from the pupil's edge through a lens's edge lands at most
-        :math:`h = (D_1 + D_2 |1 + b/z - b/f_2|) / (2 D_2 (1 + b/z))` chief-ray cells from the lens's centre.
+        The ray from a detector point p through the point c + d of a lens meets the pupil plane in
+        :math:`(1 + b/z)(c - p b/(b+z)) + (1 + b/z - b/f_2) d`. For that to be in the pupil, c must be within
+        :math:`(D_1/2 + |1 + b/z - b/f_2| |d|) / (1 + b/z)` of the chief ray's point, which is in its lens's cell.
         """
-        b, z = self.mla_distance, self.detector_distance
-        reach = (self.aperture_diameter + self.mla_pitch * abs(1 + b / z - b / self.mla_focal_length)) / (
-            2 * self.mla_pitch * (1 + b / z)
-        )
-        return 2 * max(0, math.ceil(reach - 0.5)) + 1
+        b, z, lattice = self.mla_distance, self.detector_distance, self.lattice
+        smear = max(abs(1 + b / z - b / f2) for f2 in self.mla_focal_lengths)
+        return lattice.neighbours((self.aperture_radius + smear * lattice.aperture_reach) / (1 + b / z))
+
+    @property
+    def crosstalk_lenses(self) -> int:
+        """Number of lenses that can light one pixel."""
+        return len(self.crosstalk_neighbours)
 
     @property
     def white_mean(self) -> float:
-        r"""Mean of an endless capture of a scene of uniform radiance 1, :math:`(\pi/4)(D_1 z / D_2 (b + z))^2`."""
-        return math.pi / 4 * (self.micro_image_diameter / self.micro_image_pitch) ** 2
+        r"""Mean of an endless capture of a scene of uniform radiance 1.
+
+        A micro-image of area :math:`(\pi/4)(D_1 z / b)^2` reads 1 whatever its lens's aperture, because a pixel is the
+        mean radiance over the aperture; there is one on each :math:`A ((b + z)/b)^2` of the detector, A the area of
+        the lattice's cell.
+        """
+        return (
+            math.pi
+            / 4
+            * self.micro_image_diameter**2
+            * self.mla_pitch**2
+            / (self.lattice.cell_area * self.micro_image_pitch**2)
+        )
 
     # -- object side ---------------------------------------------------------------------------------
 
@@ -307,14 +387,22 @@ class PlenopticCamera:
     # -- diffraction ---------------------------------------------------------------------------------
 
     def spot_size(self, wavelength: float) -> float:
-        r"""Half width of a microlens's focal spot (centre to first zero), :math:`\lambda z / D_2`.
+        r"""Half width of a microlens's focal spot, centre to first zero.
+
+        :math:`\lambda z / w` for a square aperture of width w; :math:`1.22\, \lambda z / d` for a disc of diameter d;
+        for a hexagon that of the disc of its area.
 
         Parameters
         ----------
         wavelength : float
             Wavelength in nanometres.
         """
-        return wavelength * 1e-6 * self.detector_distance / self.mla_pitch
+        lattice = self.lattice
+        if lattice.aperture == "cell" and lattice.kind == "square":
+            width = lattice.aperture_width
+        else:
+            width = math.sqrt(4 / math.pi * lattice.lens_area) / AIRY_ZERO
+        return wavelength * 1e-6 * self.detector_distance / width
 
     def direction_count(self, wavelength: float | None = None) -> float:
         """Directions told apart across a micro-image: its diameter over a pixel or the spot, whichever is larger.
@@ -325,8 +413,8 @@ class PlenopticCamera:
         return self.micro_image_diameter / max(self.pixel_size, spot)
 
     def mla_fresnel_number(self, wavelength: float) -> float:
-        r"""Fresnel number of a microlens seen from the detector, :math:`(D_2/2)^2 / (\lambda z)`."""
-        return (self.mla_pitch / 2) ** 2 / (wavelength * 1e-6 * self.detector_distance)
+        r"""Fresnel number of a microlens of width w seen from the detector, :math:`(w/2)^2 / (\lambda z)`."""
+        return (self.lattice.aperture_width / 2) ** 2 / (wavelength * 1e-6 * self.detector_distance)
 
     def main_fresnel_number(self, wavelength: float) -> float:
         r"""Fresnel number of the main lens seen from the MLA, :math:`(D_1/2)^2 / (\lambda b)`."""
@@ -357,3 +445,32 @@ def _pair(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
     except (TypeError, ValueError):
         raise InputError(f"{name} = {value!r}: it must be a pair (columns, rows)") from None
     return require_count(name, first, minimum=minimum), require_count(name, second, minimum=minimum)
+
+
+def _numbers(name: str, value: Any) -> tuple[float, float]:
+    try:
+        x, y = value
+    except (TypeError, ValueError):
+        raise InputError(f"{name} = {value!r}: it must be a pair (x, y)") from None
+    return require_number(name, x), require_number(name, y)
+
+
+def _choice(name: str, value: Any, choices: tuple[str, ...]) -> str:
+    if value not in choices:
+        raise InputError(f"{name} = {value!r}: it must be one of {', '.join(choices)}")
+    return str(value)
+
+
+def _focal_lengths(value: Any, lattice: str) -> tuple[float, ...]:
+    """Check one focal length, or three of a hexagonal lattice."""
+    if isinstance(value, str) or np.ndim(value) == 0:
+        return (require_number("mla_focal_length", value, positive=True),)
+    lengths = tuple(require_number("mla_focal_length", number, positive=True) for number in value)
+    if len(lengths) not in (1, LENS_KINDS):
+        raise InputError(f"mla_focal_length = {value!r}: it must be one number or {LENS_KINDS}")
+    if len(lengths) > 1 and lattice != "hexagonal":
+        raise InputError(
+            f"mla_focal_length = {value!r} with mla_lattice = {lattice!r}: {LENS_KINDS} kinds of lenses need a "
+            "hexagonal lattice, where no two neighbours are alike"
+        )
+    return lengths

@@ -27,7 +27,7 @@ def test_the_default_is_the_papers_camera():
     assert camera.spot_size(633) == pytest.approx(5.06e-3, abs=1e-5)
     assert camera.mla_fresnel_number(633) == pytest.approx(3.16, abs=0.01)
     assert camera.crosstalk_lenses == 1
-    assert camera.replace(aperture_radius=10).crosstalk_lenses == 3
+    assert camera.replace(aperture_radius=10).crosstalk_lenses == 5
 
 
 def test_focus_distance_and_mla_distance_are_two_ways_to_say_the_same():

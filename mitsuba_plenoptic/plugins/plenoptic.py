@@ -136,7 +136,9 @@ def make_class() -> type:
                     )
             super().__init__(props)
             film = self.film()
-            numbers = {name: read_number(props, NAME, name, None) for name in (*LENGTHS, "focus_distance")}
+            numbers: dict[str, Any] = {
+                name: read_number(props, NAME, name, None) for name in (*LENGTHS, "focus_distance")
+            }
             try:
                 camera = PlenopticCamera(
                     **{name: value for name, value in numbers.items() if value is not None},
@@ -184,8 +186,9 @@ def make_class() -> type:
         def camera(self) -> PlenopticCamera:
             """The camera's present numbers."""
             film = self.film()
+            numbers: dict[str, Any] = {name: _decimal(getattr(self, name)) for name in LENGTHS}
             return PlenopticCamera(
-                **{name: _decimal(getattr(self, name)) for name in LENGTHS},
+                **numbers,
                 resolution=tuple(film.size()),
                 crop_offset=tuple(film.crop_offset()),
                 crop_size=tuple(film.crop_size()),
