@@ -27,6 +27,31 @@ def read_number(props: Any, plugin: str, name: str, default: float | None) -> fl
     return require_number(f"{plugin}: {name}", _plain(props[name]), positive=True, finite=name != "focus_distance")
 
 
+def read_numbers(props: Any, plugin: str, name: str) -> tuple[float, ...] | None:
+    """Take one or more finite numbers from a plugin's properties, or None if they are not given.
+
+    They come as a number, as a point, vector or list, or as a string with commas between them.
+
+    Raises
+    ------
+    InputError
+        Naming plugin, parameter, value and rule.
+    """
+    if name not in props:
+        return None
+    value = _plain(props[name])
+    if isinstance(value, str):
+        try:
+            value = [float(part) for part in value.split(",")]
+        except ValueError:
+            raise InputError(
+                f"{plugin}: {name} = {value!r}: it must be a number, or several with commas between them"
+            ) from None
+    elif not hasattr(value, "__len__"):
+        value = [value]
+    return tuple(require_number(f"{plugin}: {name}", _plain(number)) for number in value)
+
+
 def read_count(props: Any, plugin: str, name: str, default: int, *, maximum: int | None = None) -> int:
     """Take a whole number of at least 1 from a plugin's properties.
 

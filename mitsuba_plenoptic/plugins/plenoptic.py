@@ -9,30 +9,34 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import lattice, rays
+from .. import rays
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ._properties import read_number
+from ..lattice import Lattice
+from ._properties import read_number, read_numbers, read_plain
 
 NAME = "plenoptic"
 
-# Lengths that can be changed and differentiated through `mi.traverse`, in the order of the documentation.
-LENGTHS = (
+# Positive numbers that can be changed and differentiated through `mi.traverse`, in the order of the documentation;
+# so can `mla_focal_length`, `mla_rotation` and `mla_offset`.
+POSITIVE = (
     "focal_length",
     "aperture_radius",
     "mla_distance",
-    "mla_focal_length",
     "mla_pitch",
+    "mla_fill",
     "detector_distance",
     "detector_width",
 )
+NUMBERS = (*POSITIVE, "mla_focal_length", "mla_rotation", "mla_offset")
+WORDS = ("mla_lattice", "mla_aperture", "lens_model")
 
 
 def make_class() -> type:
     """Define the plugin's class for the active Mitsuba variant, to which its types are bound."""
 
     class PlenopticSensor(mi.Sensor):
-        r"""Plenoptic (light-field) camera: thin main lens, square microlens array, detector.
+        r"""Plenoptic (light-field) camera: thin main lens, microlens array, detector.
 
         .. pluginparameters::
 
@@ -53,17 +57,40 @@ def make_class() -> type:
            - Instead of ``mla_distance``: distance of the object plane that is in focus on the microlens array
              (larger than ``focal_length``). It is turned into ``mla_distance`` when the scene is loaded.
          * - mla_focal_length
-           - |float|
-           - Focal length of a microlens. (Default: 0.512)
+           - |float| or |string|
+           - Focal length of a microlens; or three, with commas between them, for a multi-focus array: three kinds
+             of lenses interleaved on a hexagonal lattice, so that no two neighbours are alike. (Default: 0.512)
            - |exposed|, |differentiable|, |discontinuous|
          * - mla_pitch
            - |float|
-           - Pitch of the square microlens lattice, which covers the whole plane and has the corner of four
-             lenses on the axis. (Default: 0.064)
+           - Pitch of the microlens lattice, the distance of neighbouring centres. (Default: 0.064)
+           - |exposed|, |differentiable|, |discontinuous|
+         * - mla_lattice
+           - |string|
+           - ``square``: the corner of four lenses is on the axis. ``hexagonal``: rows along x, every second one
+             offset by half a pitch; the centre of a lens is on the axis. Either covers the whole plane.
+             (Default: ``square``)
+         * - mla_rotation
+           - |float|
+           - Angle of the lattice about the axis in degrees, counter-clockwise in the camera frame, that is from
+             left to up and clockwise as one looks at the capture. (Default: 0)
+           - |exposed|, |differentiable|, |discontinuous|
+         * - mla_offset
+           - |string| or |point|
+           - Place "x, y" in the camera frame of the corner or centre that is on the axis by default; a point's or
+             vector's z must be 0. (Default: "0, 0")
+           - |exposed|, |differentiable|, |discontinuous|
+         * - mla_aperture
+           - |string|
+           - ``cell``: a lens has the shape of its cell, a square or a hexagon. ``circle``: it is round. The rest of
+             the cell is opaque. (Default: ``cell``)
+         * - mla_fill
+           - |float|
+           - Width of a lens's aperture over the pitch, at most 1. (Default: 1)
            - |exposed|, |differentiable|, |discontinuous|
          * - detector_distance
            - |float|
-           - Distance from the microlens array to the detector. (Default: ``mla_focal_length``)
+           - Distance from the microlens array to the detector. (Default: ``mla_focal_length``, the first of three)
            - |exposed|, |differentiable|, |discontinuous|
          * - detector_width
            - |float|
@@ -92,9 +119,9 @@ def make_class() -> type:
         passes a point :math:`m` of a microlens of centre :math:`c` with slope
         :math:`t = (m - p)/z - (m - c)/f_2`, meets the main lens in :math:`P = m + b t` and leaves it with slope
         :math:`t - P/f_1`. Where :math:`P` is outside the main lens, nothing is traced and the weight is zero.
-        The value of a pixel is the mean radiance over its lens, so that a scene of radiance 1 reads 1 inside
-        the micro-images; there is no :math:`\cos^4` falloff. Light that crosses into a neighbour's micro-image
-        is found by drawing among all lenses that can light a pixel.
+        The value of a pixel is the mean radiance over its lens's aperture, so that a scene of radiance 1 reads 1
+        inside the micro-images, however much of its cell a lens fills; there is no :math:`\cos^4` falloff. Light
+        that crosses into a neighbour's micro-image is found by drawing among all lenses that can light a pixel.
 
         The capture has the orientation of a ``perspective`` sensor's image. Gradients flow through the ``path``
         and ``direct`` integrators, but the pupil's moving edge contributes none: the gradient is that of the
@@ -136,22 +163,28 @@ def make_class() -> type:
                     )
             super().__init__(props)
             film = self.film()
-            numbers: dict[str, Any] = {
-                name: read_number(props, NAME, name, None) for name in (*LENGTHS, "focus_distance")
+            given: dict[str, Any] = {
+                **{name: read_number(props, NAME, name, None) for name in (*POSITIVE, "focus_distance")},
+                **{name: read_plain(props, name, None) for name in WORDS},
+                "mla_focal_length": read_numbers(props, NAME, "mla_focal_length"),
+                "mla_rotation": read_plain(props, "mla_rotation", None),
+                "mla_offset": _flat(read_numbers(props, NAME, "mla_offset")),
             }
             try:
                 camera = PlenopticCamera(
-                    **{name: value for name, value in numbers.items() if value is not None},
+                    **{name: value for name, value in given.items() if value is not None},
                     resolution=tuple(film.size()),
                     crop_offset=tuple(film.crop_offset()),
                     crop_size=tuple(film.crop_size()),
-                    lens_model=props.get("lens_model", "ideal"),
                 )
             except InputError as error:
                 raise InputError(f"{NAME}: {error}") from None
-            self.lens_model = camera.lens_model
-            for name in LENGTHS:
+            for name in WORDS:
+                setattr(self, name, getattr(camera, name))
+            for name in (*POSITIVE, "mla_rotation"):
                 setattr(self, name, mi.Float(getattr(camera, name)))
+            self.mla_focal_length = mi.Float(camera.mla_focal_lengths)
+            self.mla_offset = mi.Point2f(camera.mla_offset)
             self.m_needs_sample_3 = True
             self._update()
             if not film.rfilter().is_box_filter():
@@ -166,7 +199,7 @@ def make_class() -> type:
             super().traverse(callback)
             differentiable, discontinuous = mi.ParamFlags.Differentiable, mi.ParamFlags.Discontinuous
             callback.put("to_world", self.m_to_world, differentiable | discontinuous)
-            for name in LENGTHS:
+            for name in NUMBERS:
                 flags = differentiable if name == "focal_length" else differentiable | discontinuous
                 callback.put(name, getattr(self, name), flags)
 
@@ -178,26 +211,40 @@ def make_class() -> type:
         def _update(self) -> None:
             if dr.any(self.world_transform().has_scale()):
                 raise InputError(f"{NAME}: to_world: it must not scale; give lengths in scene units instead")
+            camera = self.camera
             # Opaque values are kernel inputs, so that changing one does not compile the kernels again.
-            dr.make_opaque(*(getattr(self, name) for name in LENGTHS))
-            self._candidates = self.camera.crosstalk_lenses
+            dr.make_opaque(*(getattr(self, name) for name in NUMBERS))
+            # An upright lattice needs no turning, unless the gradient for its angle is asked for.
+            turned = camera.mla_rotation != 0 or dr.grad_enabled(self.mla_rotation)
+            self._lattice = Lattice(
+                camera.mla_lattice,
+                self.mla_pitch,
+                self.mla_rotation if turned else 0.0,
+                (self.mla_offset.x, self.mla_offset.y),
+                camera.mla_aperture,
+                self.mla_fill,
+            )
+            self._candidates = [mi.Float(steps) for steps in camera.crosstalk_neighbours.T]
+            dr.make_opaque(*self._candidates)
 
         @property
         def camera(self) -> PlenopticCamera:
             """The camera's present numbers."""
             film = self.film()
-            numbers: dict[str, Any] = {name: _decimal(getattr(self, name)) for name in LENGTHS}
+            numbers: dict[str, Any] = {name: _decimals(getattr(self, name))[0] for name in (*POSITIVE, "mla_rotation")}
             return PlenopticCamera(
                 **numbers,
+                **{name: getattr(self, name) for name in WORDS},
+                mla_focal_length=_decimals(self.mla_focal_length),
+                mla_offset=(_decimals(self.mla_offset.x)[0], _decimals(self.mla_offset.y)[0]),
                 resolution=tuple(film.size()),
                 crop_offset=tuple(film.crop_offset()),
                 crop_size=tuple(film.crop_size()),
-                lens_model=self.lens_model,
             )
 
-        def _trace(self, px: Any, py: Any, mx: Any, my: Any, cx: Any, cy: Any) -> tuple[Any, Any, Any, Any]:
+        def _trace(self, px: Any, py: Any, mx: Any, my: Any, cx: Any, cy: Any, f2: Any) -> tuple[Any, Any, Any, Any]:
             """Pupil point and slopes behind the main lens of the ray from p through m of the lens at c."""
-            b, z, f2 = self.mla_distance, self.detector_distance, self.mla_focal_length
+            b, z = self.mla_distance, self.detector_distance
             ideal = self.lens_model == "ideal"
             if ideal:
                 tx = rays.microlens_slope(px, mx, cx, z, f2)
@@ -222,24 +269,29 @@ def make_class() -> type:
         ) -> tuple[Any, Any]:
             film = self.film()
             pixel = self.detector_width / film.size()[0]
-            b, z, pitch = self.mla_distance, self.detector_distance, self.mla_pitch
-            detector, lens_point, lens_centre = [], [], []
-            for axis in (0, 1):
-                column = film_sample[axis] * film.crop_size()[axis] + film.crop_offset()[axis]
-                p = (column - 0.5 * film.size()[axis]) * pixel
-                index = lattice.cell_index(rays.chief_point(p, b, z), pitch)
-                within = mi.Float(lens_sample[axis])
-                if self._candidates > 1:
-                    scaled = within * self._candidates
-                    candidate = dr.minimum(dr.floor(scaled), self._candidates - 1)
-                    within = scaled - candidate
-                    index += candidate - self._candidates // 2
-                c = lattice.cell_centre(index, pitch)
-                detector.append(p)
-                lens_centre.append(c)
-                lens_point.append(c + (within - 0.5) * pitch)
+            b, z, lattice = self.mla_distance, self.detector_distance, self._lattice
+            px, py = (
+                (film_sample[axis] * film.crop_size()[axis] + film.crop_offset()[axis] - 0.5 * film.size()[axis])
+                * pixel
+                for axis in (0, 1)
+            )
+            i, j = lattice.cell(rays.chief_point(px, b, z), rays.chief_point(py, b, z))
+            within = mi.Float(lens_sample[0])
+            count = dr.width(self._candidates[0])
+            if count > 1:
+                scaled = within * count
+                candidate = dr.minimum(dr.floor(scaled), count - 1)
+                within = scaled - candidate
+                steps = (dr.gather(mi.Float, step, mi.UInt32(candidate)) for step in self._candidates)
+                i, j = (index + step for index, step in zip((i, j), steps, strict=True))
+            cx, cy = lattice.centre(i, j)
+            dx, dy = lattice.aperture_point(within, lens_sample[1])
+            f2 = self.mla_focal_length
+            if dr.width(f2) > 1:
+                f2 = dr.gather(mi.Float, f2, mi.UInt32(lattice.lens_kind(i, j)))
+            lens = (cx + dx, cy + dy, cx, cy, f2)
 
-            Px, Py, tx, ty = self._trace(*detector, *lens_point, *lens_centre)
+            Px, Py, tx, ty = self._trace(px, py, *lens)
             open_ = active & (Px * Px + Py * Py <= self.aperture_radius * self.aperture_radius)
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
             to_world = self.world_transform()
@@ -252,11 +304,11 @@ def make_class() -> type:
             ray.wavelengths = wavelengths
             if differential:
                 for name, dx, dy in (("x", pixel, 0), ("y", 0, pixel)):
-                    Px, Py, tx, ty = self._trace(detector[0] + dx, detector[1] + dy, *lens_point, *lens_centre)
+                    Px, Py, tx, ty = self._trace(px + dx, py + dy, *lens)
                     setattr(ray, f"o_{name}", to_world @ mi.Point3f(Px, Py, 0))
                     setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(tx, ty, 1)))
                 ray.has_differentials = True
-            return ray, dr.select(open_, weight * self._candidates**2, 0)
+            return ray, dr.select(open_, weight * count, 0)
 
         def sample_ray(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
@@ -296,6 +348,13 @@ def make_class() -> type:
     return PlenopticSensor
 
 
-def _decimal(value: Any) -> float:
-    """Give the shortest decimal number of a single-precision one: 0.512, not 0.5120000243."""
-    return float(str(np.float32(dr.detach(value)[0])))
+def _flat(offset: tuple[float, ...] | None) -> tuple[float, ...] | None:
+    """Drop the z of a point or vector, which must be 0."""
+    if offset is not None and len(offset) == 3 and offset[2] == 0:
+        return offset[:2]
+    return offset
+
+
+def _decimals(values: Any) -> list[float]:
+    """Give the shortest decimal numbers of single-precision ones: 0.512, not 0.5120000243."""
+    return [float(str(np.float32(value))) for value in dr.detach(values)]
