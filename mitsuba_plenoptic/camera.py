@@ -270,6 +270,11 @@ class PlenopticCamera:
         return self.detector_width / self.resolution[0]
 
     @property
+    def pupil_step(self) -> float:
+        """What a pixel covers of the pupil, seen through its lens's centre: its width times :math:`b / z`."""
+        return self.pixel_size * self.mla_distance / self.detector_distance
+
+    @property
     def detector_height(self) -> float:
         """Height of the full detector."""
         return self.pixel_size * self.resolution[1]
@@ -327,12 +332,16 @@ class PlenopticCamera:
         """Lenses that can light a pixel, from the one of its chief ray, (lenses, 2) steps in the lattice's indices.
 
         The ray from a detector point p through the point c + d of a lens meets the pupil plane in
-        :math:`(1 + b/z)(c - p b/(b+z)) + (1 + b/z - b/f_2) d`. For that to be in the pupil, c must be within
-        :math:`(D_1/2 + |1 + b/z - b/f_2| |d|) / (1 + b/z)` of the chief ray's point, which is in its lens's cell.
+        :math:`(1 + b/z)(c - m) + (1 + b/z - b/f_2) d`, m the point of the chief ray, which is in its lens's cell. For
+        that to be in the pupil, c must be within :math:`(D_1/2) / (1 + b/z)` of some
+        :math:`m - d (1 + b/z - b/f_2) / (1 + b/z)`: a cell enlarged by apertures.
         """
         b, z, lattice = self.mla_distance, self.detector_distance, self.lattice
-        smear = max(abs(1 + b / z - b / f2) for f2 in self.mla_focal_lengths)
-        return lattice.neighbours((self.aperture_radius + smear * lattice.aperture_reach) / (1 + b / z))
+        reach = self.aperture_radius / (1 + b / z)
+        smear = max(abs(1 + b / z - b / f2) for f2 in self.mla_focal_lengths) / (1 + b / z)
+        if lattice.aperture == "circle":
+            return lattice.neighbours(reach + smear * lattice.aperture_reach)
+        return lattice.neighbours(reach, scale=1 + smear * lattice.fill)
 
     @property
     def crosstalk_lenses(self) -> int:

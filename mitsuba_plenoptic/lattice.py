@@ -196,25 +196,27 @@ class Lattice:
         radius = self.pitch / (2 * math.cos(math.pi / corners))
         return np.stack(self._to_camera(radius * np.cos(angle), radius * np.sin(angle)), axis=-1)
 
-    def neighbours(self, reach: float) -> np.ndarray:
-        """Find the lenses whose centre is within `reach` of some point of a cell.
+    def neighbours(self, reach: float, scale: float = 1.0) -> np.ndarray:
+        """Find the lenses whose centre is within `reach` of some point of a cell, itself enlarged by `scale`.
 
         Returns
         -------
         (lenses, 2) int array
             Steps in i and j from the cell's own lens, which is the first; then by distance.
         """
-        corners = self.cell_corners()
+        corners = scale * self.cell_corners()
         edges = np.roll(corners, -1, axis=0) - corners
         span = math.ceil((reach + np.hypot(*corners[0])) / (_ROW * self.pitch))
         steps = np.arange(-span, span + 1)
         index = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
         place = index @ np.array(self.basis)
-        # Distance from each of the cell's sides; the cell's own centre is inside.
+        # Distance from each of the cell's sides.
         to_corner = place[:, None] - corners
         along = np.clip((to_corner * edges).sum(-1) / (edges**2).sum(-1), 0, 1)
         distance = np.hypot(*np.moveaxis(to_corner - along[..., None] * edges, -1, 0)).min(1)
-        distance[(index == 0).all(1)] = 0
+        # Centres inside an enlarged cell are to the left of all its sides.
+        turn = edges[:, 0] * to_corner[..., 1] - edges[:, 1] * to_corner[..., 0]
+        distance[(turn >= 0).all(1)] = 0
         kept = distance <= reach
         index, place = index[kept], place[kept]
         return index[np.lexsort((index[:, 0], index[:, 1], np.round(np.hypot(*place.T) / self.pitch, 6)))]

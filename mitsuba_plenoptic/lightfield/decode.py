@@ -11,7 +11,7 @@ import xarray as xr
 from ..camera import PlenopticCamera
 from ..capture import Capture
 from ..errors import InputError
-from .geometry import light_field, pupil_step
+from .geometry import light_field
 from .grid import LensGrid, bin_grid, lens_grid
 from .white import white_image
 
@@ -122,7 +122,7 @@ def _window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.n
     reach = lenses.nearest_distance / 2
     views = math.inf
     if camera is not None:
-        radius = camera.aperture_radius / pupil_step(camera)
+        radius = camera.aperture_radius / camera.pupil_step
         # Where micro-images do not touch, there is room beyond half way to the next lens.
         reach = max(reach, lenses.nearest_distance - radius)
         views = math.ceil(radius - 0.5)

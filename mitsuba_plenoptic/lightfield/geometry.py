@@ -71,7 +71,7 @@ def light_field(
         # A pixel one step to the right of its micro-image's centre looks one step to the left on the pupil axis.
         coordinates[angular] = (
             angular,
-            -steps * pupil_step(camera),
+            -steps * camera.pupil_step,
             {"units": "mm", "long_name": f"{'xy'[axis]} on the pupil"},
         )
         pixel = bins.offset[axis] + bins.spacing[axis] * np.arange(size) + camera.crop_offset[axis]
@@ -102,11 +102,6 @@ def _object_coordinate(c: np.ndarray, camera: PlenopticCamera, axis: str) -> tup
             "long_name": f"{axis} in the object plane at {distance:.6g} mm",
         }
     return -c / camera.mla_distance, {"units": "1", "long_name": f"slope in {axis}; no real plane is in focus"}
-
-
-def pupil_step(camera: PlenopticCamera) -> float:
-    """Distance on the pupil between neighbouring views: one pixel, seen through the lens centre."""
-    return camera.pixel_size * camera.mla_distance / camera.detector_distance
 
 
 def camera_of(lf: xr.DataArray) -> PlenopticCamera:
@@ -143,7 +138,7 @@ def require_light_field(lf: Any) -> xr.DataArray:
 def view_steps(lf: xr.DataArray, axis: str) -> np.ndarray:
     """Give the place of each view along ``u`` or ``v`` in views from the pupil's centre, rising with the index."""
     coordinate = np.asarray(lf[axis].values, dtype=np.float64)
-    return -coordinate / pupil_step(camera_of(lf)) if lf.attrs.get("camera") else coordinate
+    return -coordinate / camera_of(lf).pupil_step if lf.attrs.get("camera") else coordinate
 
 
 def depth_range(lf: xr.DataArray) -> tuple[float, float]:
@@ -172,7 +167,7 @@ def disparity(lf: xr.DataArray, distance: float) -> float:
     camera = camera_of(lf)
     distance = require_number("distance", distance, finite=False)
     image_distance(camera.focal_length, distance)
-    return -camera.defocus(distance) * pupil_step(camera) / camera.mla_pitch
+    return -camera.defocus(distance) * camera.pupil_step / camera.mla_pitch
 
 
 def distance_of(lf: xr.DataArray, disparity: Any) -> Any:
@@ -190,7 +185,7 @@ def distance_of(lf: xr.DataArray, disparity: Any) -> Any:
     float64 array of the same shape
     """
     camera = camera_of(lf)
-    s = -np.asarray(disparity, dtype=np.float64) * camera.mla_pitch / pupil_step(camera)
+    s = -np.asarray(disparity, dtype=np.float64) * camera.mla_pitch / camera.pupil_step
     power = s - 1 + camera.mla_distance / camera.focal_length
     with np.errstate(divide="ignore"):
         return np.where(power > 0, camera.mla_distance / power, np.inf)

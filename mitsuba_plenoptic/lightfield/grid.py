@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import lattice, rays
+from .. import rays
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_count, require_number
 
@@ -91,10 +91,11 @@ class LensGrid:
 
 
 def bin_grid(camera: PlenopticCamera) -> LensGrid:
-    """Give the centres on the detector of the bins that a light field of this camera has: one a lens, upright.
+    """Give the centres on the detector of the bins that a light field of this camera has: square and upright.
 
-    The bins are those of a reconstruction, `PlenopticCamera.lens_count`; where the camera records a crop window,
-    those whose micro-image is centred in it.
+    The bins are those of a reconstruction, `PlenopticCamera.bin_count`; where the camera records a crop window,
+    those whose micro-image is centred in it. On an upright square lattice with a corner on the axis they are the
+    lenses.
 
     Raises
     ------
@@ -103,11 +104,9 @@ def bin_grid(camera: PlenopticCamera) -> LensGrid:
     """
     start, count = [], []
     spacing = camera.micro_image_pitch / camera.pixel_size
-    for axis, lenses in enumerate(camera.lens_count):
-        index = np.arange(lenses) - lenses // 2
-        centre = lattice.cell_centre(index.astype(np.float64), camera.mla_pitch)
-        p = rays.chief_detector_point(centre, camera.mla_distance, camera.detector_distance)
-        pixel = p / camera.pixel_size + camera.resolution[axis] / 2 - camera.crop_offset[axis]
+    for axis, bins in enumerate(camera.bin_count):
+        centre = (np.arange(bins) - bins / 2 + 0.5) * camera.mla_pitch
+        pixel = _pixel(camera, centre, axis)
         if camera.crop_size[axis] != camera.resolution[axis]:
             pixel = pixel[(pixel >= 0) & (pixel <= camera.crop_size[axis])]
         if not pixel.size:
@@ -120,7 +119,111 @@ def bin_grid(camera: PlenopticCamera) -> LensGrid:
 def lens_grid(camera: PlenopticCamera) -> LensGrid:
     """Give the micro-image centres of a camera's lenses on its recorded image.
 
-    They are chief-ray images of the lens centres: at c (b + z) / b on the detector, not at c.
+    They are chief-ray images of the lens centres: at c (b + z) / b on the detector, not at c. Of a lattice in another
+    position than the default they are all lenses whose micro-image is centred in the image, in whole rows and
+    columns, as `estimate_lens_grid` finds them.
     """
-    # One lens a bin: the square lattice is that of the bins.
-    return bin_grid(camera)
+    lattice = camera.lattice
+    if lattice.separable and lattice.offset == (0, 0):
+        return bin_grid(camera)
+    scale = camera.micro_image_pitch / camera.mla_pitch / camera.pixel_size
+    vectors, shifted = lattice_rows(np.array(lattice.basis) * scale)
+    x, y = lattice.centre(0.0, 0.0)
+    return covering_grid(camera.shape, np.array([_pixel(camera, x, 0), _pixel(camera, y, 1)]), vectors, shifted)
+
+
+def lens_kinds(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
+    """Tell the kind of the lens of each micro-image: the index of its focal length.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    centres : (..., 2) array
+        Columns and rows on the recorded image, of the model or of its estimate.
+
+    Returns
+    -------
+    (...) int array
+    """
+    if len(camera.mla_focal_lengths) == 1:
+        return np.zeros(centres.shape[:-1], dtype=np.int64)
+    p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
+    chief = rays.chief_point(p, camera.mla_distance, camera.detector_distance)
+    i, j = camera.lattice.cell(chief[..., 0], chief[..., 1])
+    return camera.lattice.lens_kind(i, j).astype(np.int64)
+
+
+def lattice_rows(vectors: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Turn two lattice vectors into the steps along and across the rows, rows nearest to level.
+
+    Parameters
+    ----------
+    vectors : (2, 2) array
+        Two vectors, in its rows, that span the lattice.
+
+    Returns
+    -------
+    vectors : (2, 2) array
+        Step within a row, and from row to row: at right angles.
+    shifted : bool
+        Whether every second row is shifted by half a step.
+    """
+    a, b = vectors
+    # Lagrange's reduction to the two shortest vectors.
+    while True:
+        if a @ a > b @ b:
+            a, b = b, a
+        steps = round((a @ b) / (a @ a))
+        if not steps:
+            break
+        b = b - steps * a
+    shifted = abs(a @ b) > 0.25 * (a @ a)
+    if shifted:
+        # Of the six directions of symmetry of a hexagonal lattice those 60 degrees apart go from lens to lens.
+        b = b if a @ b < 0 else -b
+        short = [a, b, a + b]
+        long = [a - b, a + 2 * b, 2 * a + b]
+        along = min(short + long, key=lambda d: abs(d[1]) / math.hypot(*d))
+        pitch = math.sqrt(sum(d @ d for d in short) / 3)
+        is_short = along @ along < 2 * pitch**2
+        sizes = (pitch, math.sqrt(0.75) * pitch) if is_short else (math.sqrt(3) * pitch, pitch / 2)
+    else:
+        along = min((a, b), key=lambda d: abs(d[1]) / math.hypot(*d))
+        other = b if along is a else a
+        sizes = (math.hypot(*along), math.hypot(*other))
+    unit = along / math.hypot(*along) * (1 if along[0] > 0 else -1)
+    return np.array([unit * sizes[0], np.array([-unit[1], unit[0]]) * sizes[1]]), shifted
+
+
+def covering_grid(shape: tuple[int, ...], origin: np.ndarray, vectors: np.ndarray, shifted: bool) -> LensGrid:
+    """Count the lenses of a lattice from the first row and column that an image needs.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and columns of the image.
+    origin : (2,) array
+        Column and row of one centre.
+    vectors, shifted
+        As `lattice_rows` gives them.
+    """
+    corners = np.array([[0, 0], [shape[1], 0], [0, shape[0]], [shape[1], shape[0]]], dtype=np.float64)
+    index = np.linalg.solve(vectors.T, (corners - origin).T).T
+    # A shifted row may begin half a step earlier.
+    slack = np.array([0.5 if shifted else 0.0, 0.0])
+    low, high = np.ceil(index.min(0) - slack).astype(int), np.floor(index.max(0)).astype(int)
+    first = origin + low @ vectors
+    return LensGrid(
+        spacing=(math.hypot(*vectors[0]), math.hypot(*vectors[1])),
+        offset=(float(first[0]), float(first[1])),
+        shape=(int(high[1] - low[1]) + 1, int(high[0] - low[0]) + 1),
+        rotation=math.atan2(vectors[0, 1], vectors[0, 0]),
+        shifted_rows=int(1 - low[1] % 2) if shifted else None,
+    )
+
+
+def _pixel(camera: PlenopticCamera, centre: Any, axis: int) -> Any:
+    """Coordinate on the recorded image of the micro-image of a lens."""
+    p = rays.chief_detector_point(centre, camera.mla_distance, camera.detector_distance)
+    return p / camera.pixel_size + camera.resolution[axis] / 2 - camera.crop_offset[axis]

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.ndimage
 
 from ..errors import InputError
-from .grid import LensGrid
+from .grid import LensGrid, covering_grid, lattice_rows
 
 # Side of the middle part of the image whose spectrum gives the first guess.
 _CROP = 1024
@@ -57,9 +57,9 @@ def estimate_lens_grid(white: np.ndarray) -> LensGrid:
     if image.ndim != 2 or min(image.shape) < 16 or not np.isfinite(image.sum(dtype=np.float64)):
         raise InputError(f"white of shape {np.shape(white)}: it must be an image of finite numbers, 16 x 16 or larger")
     vectors, origin = _guess(image)
-    vectors, shifted = _axes(vectors)
+    vectors, shifted = lattice_rows(vectors)
     origin, vectors = _fit(image, origin, vectors, shifted)
-    return _grid(image.shape, origin, vectors, shifted)
+    return covering_grid(image.shape, origin, vectors, shifted)
 
 
 def _guess(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -111,43 +111,6 @@ def _refined(spectrum: np.ndarray, place: np.ndarray) -> np.ndarray:
         bend = before - 2 * at + after
         result[axis] += 0.5 * (before - after) / bend if bend < 0 else 0
     return result
-
-
-def _axes(vectors: np.ndarray) -> tuple[np.ndarray, bool]:
-    """Turn two lattice vectors into the steps along and across the rows, rows nearest to level.
-
-    Returns
-    -------
-    vectors : (2, 2) array
-        Step within a row, and from row to row: at right angles.
-    shifted : bool
-        Whether every second row is shifted by half a step.
-    """
-    a, b = vectors
-    # Lagrange's reduction to the two shortest vectors.
-    while True:
-        if a @ a > b @ b:
-            a, b = b, a
-        steps = round((a @ b) / (a @ a))
-        if not steps:
-            break
-        b = b - steps * a
-    shifted = abs(a @ b) > 0.25 * (a @ a)
-    if shifted:
-        # Of the six directions of symmetry of a hexagonal lattice those 60 degrees apart go from lens to lens.
-        b = b if a @ b < 0 else -b
-        short = [a, b, a + b]
-        long = [a - b, a + 2 * b, 2 * a + b]
-        along = min(short + long, key=lambda d: abs(d[1]) / math.hypot(*d))
-        pitch = math.sqrt(sum(d @ d for d in short) / 3)
-        is_short = along @ along < 2 * pitch**2
-        sizes = (pitch, math.sqrt(0.75) * pitch) if is_short else (math.sqrt(3) * pitch, pitch / 2)
-    else:
-        along = min((a, b), key=lambda d: abs(d[1]) / math.hypot(*d))
-        other = b if along is a else a
-        sizes = (math.hypot(*along), math.hypot(*other))
-    unit = along / math.hypot(*along) * (1 if along[0] > 0 else -1)
-    return np.array([unit * sizes[0], np.array([-unit[1], unit[0]]) * sizes[1]]), shifted
 
 
 def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray, shifted: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -220,20 +183,3 @@ def _least_squares(along: np.ndarray, row: np.ndarray, measured: np.ndarray) -> 
     unit = np.array([math.cos(angle), math.sin(angle)])
     normal = np.array([-unit[1], unit[0]])
     return origin, np.array([unit * (first @ unit), normal * (second @ normal)])
-
-
-def _grid(shape: tuple[int, ...], origin: np.ndarray, vectors: np.ndarray, shifted: bool) -> LensGrid:
-    """Count the lenses from the first row and column that the image needs."""
-    corners = np.array([[0, 0], [shape[1], 0], [0, shape[0]], [shape[1], shape[0]]], dtype=np.float64)
-    index = np.linalg.solve(vectors.T, (corners - origin).T).T
-    # A shifted row may begin half a step earlier.
-    slack = np.array([0.5 if shifted else 0.0, 0.0])
-    low, high = np.ceil(index.min(0) - slack).astype(int), np.floor(index.max(0)).astype(int)
-    first = origin + low @ vectors
-    return LensGrid(
-        spacing=(math.hypot(*vectors[0]), math.hypot(*vectors[1])),
-        offset=(float(first[0]), float(first[1])),
-        shape=(int(high[1] - low[1]) + 1, int(high[0] - low[0]) + 1),
-        rotation=math.atan2(vectors[0, 1], vectors[0, 0]),
-        shifted_rows=int(1 - low[1] % 2) if shifted else None,
-    )

@@ -7,19 +7,14 @@ import math
 import numpy as np
 
 from ..camera import PlenopticCamera
-from .geometry import pupil_step
-from .grid import LensGrid, lens_grid
-
-# Points across a pixel for the area of what the pupil's edge leaves of it: exact to 0.2 % of the pixel.
-_POINTS = 8
+from ..pupil import PupilShare
+from .grid import LensGrid, lens_grid, lens_kinds
 
 
 def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.ndarray:
-    r"""Compute what a camera records of a scene of uniform radiance 1.
+    """Compute what a camera records of a scene of uniform radiance 1.
 
-    Seen through a point m of its lens, a pixel covers a square of the pupil of side :math:`\Delta p\, b/z`, whose
-    place moves with m by :math:`1 + b/z - b/f_2` times as much. Its value is the share of the pupil's disc in that
-    square, averaged over the lens; where micro-images overlap, their light adds.
+    The value of a pixel is its `PupilShare`; where micro-images overlap, their light adds.
 
     Parameters
     ----------
@@ -33,14 +28,8 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     (rows, columns) float32 array
     """
     grid = lens_grid(camera) if grid is None else grid
-    radius = camera.aperture_radius / pupil_step(camera)
-    b, z = camera.mla_distance, camera.detector_distance
-    # Full width, in pixels, over which the lens smears a pixel's view of the pupil.
-    smear = camera.mla_pitch * abs(1 + b / z - b / camera.mla_focal_length) / pupil_step(camera)
-    points = 1 + 2 * round(smear)
-    shifts = ((np.arange(points) + 0.5) / points - 0.5) * smear
-
-    half = math.ceil(radius + smear / 2 + 1)
+    kinds = [PupilShare(camera, kind) for kind in range(len(camera.mla_focal_lengths))]
+    half = math.ceil(max(share.reach for share in kinds) / camera.pupil_step)
     rows, columns = camera.shape
     image = np.zeros((rows + 2 * half, columns + 2 * half), dtype=np.float32)
     window = np.arange(-half, half + 1)
@@ -48,31 +37,18 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
         # Those whose micro-image reaches the detector.
         row = row[((row > -half) & (row < [columns + half, rows + half])).all(1)]
         base = np.floor(row).astype(np.int64)
-        # Centre of each pixel from the centre of the micro-image.
-        x, y = (base[:, axis, None] + window + 0.5 - row[:, axis, None] for axis in (0, 1))
-        share = np.zeros((len(base), window.size, window.size))
-        for dy in shifts:
-            for dx in shifts:
-                share += _square_in_disc(x[:, None, :] + dx, y[:, :, None] + dy, radius)
+        # Pupil coordinates that each pixel sees through its lens's centre, but for their sign.
+        x, y = ((base[:, axis, None] + window + 0.5 - row[:, axis, None]) * camera.pupil_step for axis in (0, 1))
+        share = np.zeros((len(base), window.size, window.size), dtype=np.float32)
+        kind = lens_kinds(camera, row)
+        for number, pupil in enumerate(kinds):
+            share[kind == number] = pupil(x[kind == number, None, :], y[kind == number, :, None])
         down = base[:, 1, None, None] + window[:, None] + half
         across = base[:, 0, None, None] + window + half
         keep = (down >= 0) & (down < image.shape[0]) & (across >= 0) & (across < image.shape[1])
         keep &= share > 0
         place = (down * image.shape[1] + across)[keep]
         first = place.min(initial=image.size)
-        added = np.bincount(place - first, weights=share[keep] / points**2)
+        added = np.bincount(place - first, weights=share[keep])
         image.reshape(-1)[first : first + added.size] += added
     return image[half : half + rows, half : half + columns]
-
-
-def _square_in_disc(x: np.ndarray, y: np.ndarray, radius: float) -> np.ndarray:
-    """Share of a unit square centred at (x, y) that lies within a disc of this radius about the origin."""
-    x, y = np.broadcast_arrays(x, y)
-    distance = np.hypot(x, y)
-    share = (distance < radius).astype(np.float64)
-    edge = np.abs(distance - radius) < math.sqrt(0.5)
-    offsets = (np.arange(_POINTS) + 0.5) / _POINTS - 0.5
-    chord = np.sqrt(np.maximum(0, radius**2 - (x[edge][:, None] + offsets) ** 2))
-    low, high = y[edge][:, None] - 0.5, y[edge][:, None] + 0.5
-    share[edge] = np.maximum(0, np.minimum(high, chord) - np.maximum(low, -chord)).mean(1)
-    return share
