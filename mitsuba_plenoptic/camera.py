@@ -284,6 +284,11 @@ class PlenopticCamera:
         """Rows and columns of the recorded image."""
         return self.crop_size[1], self.crop_size[0]
 
+    def pixel_coordinates(self, axis: int) -> np.ndarray:
+        """Coordinates of the recorded pixels' centres along x (axis 0) or y (axis 1)."""
+        pixel = np.arange(self.crop_size[axis]) + self.crop_offset[axis] + 0.5
+        return (pixel - self.resolution[axis] / 2) * self.pixel_size
+
     @property
     def is_cropped(self) -> bool:
         """Whether less than the full detector is recorded."""

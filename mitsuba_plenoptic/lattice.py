@@ -32,7 +32,11 @@ APERTURES = ("cell", "circle")
 # Kinds of lenses on a multi-focus array, such that no two neighbours of a hexagonal lattice are alike.
 LENS_KINDS = 3
 
+# Distance of rows of a hexagonal lattice over its pitch.
 _ROW = math.sqrt(0.75)
+
+# Points across a sample for the share of it that is aperture.
+_POINTS = 8
 
 
 @dataclass(frozen=True)
@@ -195,6 +199,22 @@ class Lattice:
         angle = 2 * math.pi * (np.arange(corners) + 0.5) / corners
         radius = self.pitch / (2 * math.cos(math.pi / corners))
         return np.stack(self._to_camera(radius * np.cos(angle), radius * np.sin(angle)), axis=-1)
+
+    def aperture_image(self, step: float, scale: float) -> np.ndarray:
+        """Draw an aperture, enlarged by `scale`, into samples of width `step`: their shares of its area.
+
+        Returns
+        -------
+        (size, size) float64 array
+            Of odd size, the lens's centre in the middle; the sum is 1.
+        """
+        if scale == 0:
+            return np.ones((1, 1))
+        half = math.ceil(scale * self.aperture_reach / step)
+        fine = (np.arange(_POINTS * (2 * half + 1)) + 0.5) / _POINTS - half - 0.5
+        inside = self.in_aperture(*np.broadcast_arrays(fine * step / scale, fine[:, None] * step / scale))
+        counts = inside.reshape(2 * half + 1, _POINTS, 2 * half + 1, _POINTS).sum(axis=(1, 3), dtype=np.float64)
+        return counts / counts.sum()
 
     def neighbours(self, reach: float, scale: float = 1.0) -> np.ndarray:
         """Find the lenses whose centre is within `reach` of some point of a cell, itself enlarged by `scale`.

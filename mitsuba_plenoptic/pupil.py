@@ -8,11 +8,11 @@ import numpy as np
 import scipy.signal
 
 from .camera import PlenopticCamera
-from .lattice import Lattice
 
-# Samples of the table across what a pixel covers of the pupil plane; points across a pixel or a sample for areas, exact
-# to 0.2 % of the pixel.
+# Samples of the table across what a pixel covers of the pupil plane.
 _SAMPLES = 16
+
+# Points across a pixel for the area of what the pupil's edge leaves of it: exact to 0.2 % of the pixel.
 _POINTS = 8
 
 
@@ -39,7 +39,7 @@ class PupilShare:
     def __init__(self, camera: PlenopticCamera, kind: int = 0) -> None:
         b, z = camera.mla_distance, camera.detector_distance
         self._step = camera.pupil_step / _SAMPLES
-        blur = _aperture(camera.lattice, self._step, abs(1 + b / z - b / camera.mla_focal_lengths[kind]))
+        blur = camera.lattice.aperture_image(self._step, abs(1 + b / z - b / camera.mla_focal_lengths[kind]))
         half = math.ceil(camera.aperture_radius / self._step + _SAMPLES) + blur.shape[0] // 2
         place = np.arange(-half, half + 1) / _SAMPLES
         disc = _square_in_disc(place, place[:, None], camera.aperture_radius / camera.pupil_step)
@@ -69,18 +69,6 @@ class PupilShare:
         place = row * size + column
         low = table[place] * (1 - fx) + table[place + 1] * fx
         return low * (1 - fy) + (table[place + size] * (1 - fx) + table[place + size + 1] * fx) * fy
-
-
-def _aperture(lattice: Lattice, step: float, scale: float) -> np.ndarray:
-    """Rasterise a lens's aperture, enlarged by `scale`, in samples of this step; the sum is 1."""
-    half = math.ceil(scale * lattice.aperture_reach / step)
-    fine = (np.arange(_POINTS * (2 * half + 1)) + 0.5) / _POINTS - half - 0.5
-    if scale == 0:
-        return np.ones((1, 1))
-    inside = lattice.in_aperture(fine * step / scale, fine[:, None] * step / scale)
-    inside = np.broadcast_to(inside, (fine.size, fine.size)).reshape(2 * half + 1, _POINTS, 2 * half + 1, _POINTS)
-    counts = inside.sum(axis=(1, 3), dtype=np.float64)
-    return counts / counts.sum()
 
 
 def _square_in_disc(x: np.ndarray, y: np.ndarray, radius: float) -> np.ndarray:

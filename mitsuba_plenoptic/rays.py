@@ -15,7 +15,7 @@ from typing import Any
 
 import drjit as dr
 
-from .camera import defocus_factor
+from .camera import PlenopticCamera, defocus_factor
 
 
 def chief_point(p: Any, mla_distance: Any, detector_distance: Any) -> Any:
@@ -59,6 +59,25 @@ def mla_point(X: Any, P: Any, distance: Any, mla_distance: Any, focal_length: An
 def conjugate_coordinate(X: Any, distance: Any, mla_distance: Any) -> Any:
     """Project a scene point through the main lens's centre onto the MLA plane: -X b/g."""
     return -X * mla_distance / distance
+
+
+def follow_back(
+    p: Any, m: Any, c: Any, distance: float, camera: PlenopticCamera, *, mla_focal_length: float | None = None
+) -> tuple[Any, Any]:
+    """Follow the ray from a detector point through a point of a lens back to an object plane.
+
+    Returns
+    -------
+    P : float or array
+        Where it meets the main lens.
+    u : float or array
+        Where the line from its object point through the main lens's centre meets the MLA: the place in the bins.
+    """
+    f2 = camera.mla_focal_length if mla_focal_length is None else mla_focal_length
+    t = microlens_slope(p, m, c, camera.detector_distance, f2)
+    P = pupil_point(m, t, camera.mla_distance)
+    X = object_point(P, main_lens_slope(t, P, camera.focal_length), distance)
+    return P, conjugate_coordinate(X, distance, camera.mla_distance)
 
 
 def slopes_to_cosines(tx: Any, ty: Any) -> tuple[Any, Any]:

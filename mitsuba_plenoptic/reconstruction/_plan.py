@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import lattice, rays
+from .. import rays
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..propagation.sampling import MEMORY_LIMIT, fast_length, in_millimetres, mla_cosine
@@ -190,8 +190,7 @@ def _axis_plan(
     first = (lit[0] - camera.resolution[axis] / 2) * camera.pixel_size + pitch / 2
     spread = math.ceil(z * wave / (2 * pitch) / pitch)
     padded = fast_length(count + 2 * spread)
-    cells = lattice.cell_index(rays.chief_point(first + pitch * np.array([0, count - 1.0]), b, z), camera.mla_pitch)
-    low, high = cells * camera.mla_pitch + np.array([0, camera.mla_pitch])
+    low, high = _cells(camera, rays.chief_point(first + pitch * np.array([0, count - 1.0]), b, z), axis)
     wanted = math.ceil((high - low) / pitch - 1e-6)  # whole cells often are whole numbers of samples
     start = (low + high) / 2 - (wanted - 1) / 2 * pitch
     detector = AxisLeg(first, pitch, count, padded, padded, float(start), wanted)
@@ -227,6 +226,17 @@ def _axis_plan(
     return detector, main_lens, objects
 
 
+def _cells(camera: PlenopticCamera, ends: np.ndarray, axis: int) -> tuple[float, float]:
+    """Extent of the cells that hold what lies between two coordinates of the MLA plane."""
+    lattice = camera.lattice
+    if lattice.separable:
+        low, high = lattice.axis_cell(ends, axis) * camera.mla_pitch + np.array([0, camera.mla_pitch])
+        return float(low + lattice.offset[axis]), float(high + lattice.offset[axis])
+    reach = math.hypot(*lattice.cell_corners()[0])
+    # A point is no farther than that from its centre, nor the cell's edge from the centre.
+    return float(ends[0] - 2 * reach), float(ends[1] + 2 * reach)
+
+
 def _object_extent(
     camera: PlenopticCamera, distance: float, axis: int, detector: AxisLeg
 ) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -237,7 +247,7 @@ def _object_extent(
     mla = rays.chief_point(edges, camera.mla_distance, camera.detector_distance)
     high, low = -mla * distance / camera.mla_distance
     light = (float(low) - spread, float(high) + spread)
-    half_field = camera.lens_count[axis] / 2 * bin_size
+    half_field = camera.bin_count[axis] / 2 * bin_size
     return light, (max(light[0], -half_field), min(light[1], half_field))
 
 

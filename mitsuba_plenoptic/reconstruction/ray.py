@@ -6,9 +6,14 @@ import math
 
 import numpy as np
 
-from .. import lattice, rays
+from .. import rays
 from ..camera import PlenopticCamera
 from ._binning import AxisBins, axis_bins, bin_image
+from ._splatting import splat
+
+# Bins that get less than this share of the light that a bin gets of a white scene on average lie at the border of what
+# was recorded; they are not brightened any further, since they would show little but noise.
+_LEAST_WEIGHT = 0.25
 
 
 def reconstruct_ray(
@@ -19,6 +24,10 @@ def reconstruct_ray(
     The ray goes from the pixel's centre through the centre of its lens. With ``footprint="point"`` the whole value
     goes to one bin; with ``"lens"`` it is spread over the places that the rays through the whole lens meet, about
     one bin, because the pixel has integrated over the lens: this leaves no grid pattern out of focus.
+
+    Where pixels and bins are arranged alike, on an upright square lattice without gaps, this is done one axis at a
+    time. Elsewhere bins get more light here and less there even of a white scene, and are divided by what they get of
+    it, so that a white scene gives 1.
 
     Parameters
     ----------
@@ -39,13 +48,19 @@ def reconstruct_ray(
         Radiance: bins are divided by the number of pixels in a micro-image,
         :math:`(\pi/4) (D_1 z / b)^2` over the pixel's area.
     """
+    lattice = camera.lattice
+    if not lattice.separable or lattice.lens_area < lattice.cell_area:
+        light, white = splat(image, camera, distance, _pupil_radius(camera), footprint=footprint, oversample=oversample)
+        least = _LEAST_WEIGHT * pixels_per_bin(camera, oversample)
+        return (light / np.maximum(white, least)[..., None]).astype(np.float32)
     x, y = (_axis(camera, distance, axis, footprint, oversample) for axis in (0, 1))
     return bin_image(image, x, y, _pupil_radius(camera)) / np.float32(pixels_per_bin(camera, oversample))
 
 
 def pixels_per_bin(camera: PlenopticCamera, oversample: int) -> float:
-    r"""Pixels of a micro-image, :math:`(\pi/4) (D_1 z / b)^2` over the pixel's area, that go to one bin."""
-    return math.pi / 4 * (camera.micro_image_diameter / camera.pixel_size / oversample) ** 2
+    r"""Pixels of micro-images that go to one bin: :math:`(\pi/4) (D_1 z / b)^2` over the pixel's area for each lens."""
+    lenses = camera.mla_pitch**2 / camera.lattice.cell_area
+    return lenses * math.pi / 4 * (camera.micro_image_diameter / camera.pixel_size / oversample) ** 2
 
 
 def _pupil_radius(camera: PlenopticCamera) -> float:
@@ -54,23 +69,18 @@ def _pupil_radius(camera: PlenopticCamera) -> float:
     A pixel at a micro-image's rim is lit in part though its centre may look past the pupil; leaving such pixels out
     would lose 3 % of the paper's light.
     """
-    half_pixel = camera.pixel_size / 2 * camera.mla_distance / camera.detector_distance
-    return camera.aperture_radius + half_pixel
+    return camera.aperture_radius + camera.pupil_step / 2
 
 
 def _axis(camera: PlenopticCamera, distance: float, axis: int, footprint: str, oversample: int) -> AxisBins:
     """Where the pixels of one axis go, in bins, and where they meet the pupil."""
-    count = camera.lens_count[axis] * oversample
-    pixel = np.arange(camera.crop_size[axis]) + camera.crop_offset[axis] + 0.5
-    p = (pixel - camera.resolution[axis] / 2) * camera.pixel_size
+    count = camera.bin_count[axis] * oversample
+    p = camera.pixel_coordinates(axis)
     chief = rays.chief_point(p, camera.mla_distance, camera.detector_distance)
-    c = lattice.cell_centre(lattice.cell_index(chief, camera.mla_pitch), camera.mla_pitch)
+    c = camera.lattice.axis_centre(camera.lattice.axis_cell(chief, axis), axis)
 
     def pupil_and_bin(m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        t = rays.microlens_slope(p, m, c, camera.detector_distance, camera.mla_focal_length)
-        P = rays.pupil_point(m, t, camera.mla_distance)
-        X = rays.object_point(P, rays.main_lens_slope(t, P, camera.focal_length), distance)
-        u = rays.conjugate_coordinate(X, distance, camera.mla_distance)
+        P, u = rays.follow_back(p, m, c, distance, camera)
         return P, u * (oversample / camera.mla_pitch) + count / 2
 
     pupil, centre = pupil_and_bin(c)
