@@ -11,6 +11,7 @@ import numpy as np
 
 from .errors import InputError, require_count, require_number
 from .lattice import APERTURES, KINDS, LENS_KINDS, Lattice
+from .presets import PRESETS
 
 LENS_MODELS = ("ideal", "parabolic")
 
@@ -163,6 +164,19 @@ class PlenopticCamera:
     # -- to and from other forms ---------------------------------------------------------------------
 
     @classmethod
+    def preset(cls, name: str) -> PlenopticCamera:
+        """Build a known camera: see `mitsuba_plenoptic.presets` for those there are and where their numbers are from.
+
+        Raises
+        ------
+        InputError
+            If there is none of that name; the message lists those there are.
+        """
+        if name not in PRESETS:
+            raise InputError(f"preset = {name!r}: it must be one of {', '.join(PRESETS)}")
+        return cls(**PRESETS[name])
+
+    @classmethod
     def from_sensor(cls, sensor: Any) -> PlenopticCamera:
         """Take the camera of a Mitsuba sensor of type ``plenoptic``.
 
@@ -236,8 +250,7 @@ class PlenopticCamera:
 
         Infinite if the MLA stands in the focal plane, negative (no real plane) if it stands before that.
         """
-        power = 1 / self.focal_length - 1 / self.mla_distance
-        return math.inf if power == 0 else 1 / power
+        return conjugate_distance(self.focal_length, self.mla_distance)
 
     def defocus(self, distance: float) -> float:
         """Diameter of the cone from an on-axis point on the MLA over that on the main lens, with its sign.
@@ -249,6 +262,57 @@ class PlenopticCamera:
     def blur_diameter(self, distance: float) -> float:
         """Diameter on the MLA of the image of a point at `distance`, by rays: :math:`D_1 |s|`."""
         return self.aperture_diameter * abs(self.defocus(distance))
+
+    # -- what the microlenses are focused on ---------------------------------------------------------
+
+    @property
+    def mla_kinds(self) -> tuple[str, ...]:
+        r"""What each kind of microlens is focused on.
+
+        - ``unfocused``: on the main lens, as good as infinitely far (Ng 2006; the "plenoptic camera 1.0"). It makes a
+          spot of at most a pixel of parallel light: :math:`D_2 |z / f_2 - 1| \le` pixel.
+        - ``keplerian``: on the main lens's image, a real one before the MLA; :math:`z > f_2`.
+        - ``galilean``: on the main lens's image, a virtual one behind the detector, where it would be without the MLA;
+          :math:`z < f_2`. These two make the "focused plenoptic camera" or "2.0" (Lumsdaine and Georgiev 2009, "The
+          focused plenoptic camera"; Perwass and Wietzke 2012, "Single lens 3D-camera with extended depth-of-field").
+        """
+        # Rounding must not take a lens out of focus.
+        limit = self.pixel_size * (1 + 1e-9)
+        spots = [self.lattice.aperture_width * (self.detector_distance / f2 - 1) for f2 in self.mla_focal_lengths]
+        return tuple("unfocused" if abs(s) <= limit else "keplerian" if s > 0 else "galilean" for s in spots)
+
+    @property
+    def kind(self) -> str:
+        """What all microlenses are focused on, as `mla_kinds` names it, or ``mixed``."""
+        kinds = set(self.mla_kinds)
+        return kinds.pop() if len(kinds) == 1 else "mixed"
+
+    @property
+    def mla_object_distances(self) -> tuple[float, ...]:
+        """Distance a before the MLA, towards the main lens, of what each kind of microlens images on the detector.
+
+        :math:`1/a + 1/z = 1/f_2`; negative for a virtual image behind the MLA, infinite for :math:`z = f_2`.
+        """
+        return tuple(conjugate_distance(f2, self.detector_distance) for f2 in self.mla_focal_lengths)
+
+    @property
+    def best_distances(self) -> tuple[float, ...]:
+        """Distance of the object plane that each kind of microlens sees sharply through the main lens.
+
+        For an unfocused one, `focus_distance`. Infinite or negative as that is where there is no such plane.
+        """
+        return tuple(
+            conjugate_distance(self.focal_length, self.mla_distance - (0 if kind == "unfocused" else a))
+            for kind, a in zip(self.mla_kinds, self.mla_object_distances, strict=True)
+        )
+
+    def virtual_depth(self, distance: float) -> float:
+        """Distance before the MLA of the main lens's image of an object, in units of z: :math:`v = a / z`.
+
+        A point is then seen by about as many microlenses along an axis, each of which shrinks the image by that factor
+        (Perwass and Wietzke 2012, section 2). Negative for an image behind the MLA.
+        """
+        return (self.mla_distance - image_distance(self.focal_length, distance)) / self.detector_distance
 
     # -- detector and lattice ------------------------------------------------------------------------
 
@@ -388,11 +452,18 @@ class PlenopticCamera:
         """Nearest and farthest distance that refocusing brings back to one sample per lens.
 
         The blur on the MLA may then span as many lenses as directions are told apart under each (Ng 2006,
-        "Digital Light Field Photography", section 3.4). The far end may be infinite.
+        "Digital Light Field Photography", section 3.4). A microlens that is in focus at the distance a, not on the main
+        lens, must besides blur the main lens's image by less than its own width, which it does as far as 2a. The far
+        end may be infinite.
         """
         slack = self.direction_count(wavelength) * self.mla_pitch / self.aperture_diameter
+        ends = []
+        for kind, a in zip(self.mla_kinds, self.mla_object_distances, strict=True):
+            # The defocus of what has its image at 2a; of what has it at the MLA it is 0.
+            twice = -2 * a / (self.mla_distance - 2 * a)
+            ends += [-slack, slack] if kind == "unfocused" else [0.0, min(max(twice, -slack), slack)]
         base = self.mla_distance / self.focal_length - 1
-        near, far = base + slack, base - slack
+        near, far = base + max(ends), base + min(ends)
         return (
             self.mla_distance / near if near > 0 else math.inf,
             self.mla_distance / far if far > 0 else math.inf,
@@ -438,6 +509,15 @@ class PlenopticCamera:
 def defocus_factor(distance: Any, mla_distance: Any, focal_length: Any) -> Any:
     """Part of a pupil coordinate by which a ray from an object point misses its image on the MLA: 1 + b/g - b/f1."""
     return 1 + mla_distance / distance - mla_distance / focal_length
+
+
+def conjugate_distance(focal_length: float, distance: float) -> float:
+    """Distance of the plane that a thin lens images to one at `distance`, :math:`1/x + 1/d = 1/f`.
+
+    Infinite for the focal plane, negative for planes within it.
+    """
+    power = 1 / focal_length - 1 / distance
+    return math.inf if power == 0 else 1 / power
 
 
 def image_distance(focal_length: float, distance: float, *, name: str = "distance") -> float:

@@ -36,7 +36,7 @@ def by_single_rays(image, camera, distance):
     [
         PlenopticCamera(detector_width=1.024, resolution=(512, 512)),
         PlenopticCamera(detector_width=1.024, resolution=(500, 300), crop_offset=(33, 7), crop_size=(420, 260)),
-        PlenopticCamera(detector_width=1.1, resolution=(512, 512), detector_distance=0.6, aperture_radius=7),
+        PlenopticCamera(detector_width=1.1, resolution=(512, 512), mla_focal_length=0.6, aperture_radius=7),
     ],
     ids=["paper", "crop", "other"],
 )

@@ -2,18 +2,21 @@ r"""Pixels summed over bins on any lattice, and how much of a white scene each b
 
 A pixel p of the lens with centre c goes to the place u(c) of the bins, through the point P(c) of the pupil. Through
 another point c + d of its lens it goes to u(c) + a d, with the same a for all pixels of one kind of lens, so that its
-footprint is the lens's aperture, enlarged by a. Pixels are therefore first counted on a grid finer than the bins, one
-for each kind of lens, and the grid is then convolved with the aperture. Everything is summed in a fixed order, so that
+footprint is the lens's aperture, enlarged by a, or the pixel's own square where that is wider. Pixels are therefore first counted on a grid finer than the bins, one
+for each kind of lens, and the grid is then convolved with the footprint. Everything is summed in a fixed order, so that
 the result is the same bit for bit.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import scipy.signal
 
 from .. import rays
 from ..camera import PlenopticCamera
+from ..depth_of_field import lens_footprint, pixel_footprint
 from ..pupil import PupilShare
 
 # Samples of the fine grid across a lens pitch; at least so many across a bin.
@@ -56,12 +59,12 @@ def splat(
     step = camera.mla_pitch / (oversample * fine)
     blurs = [np.ones((1, 1))] * len(camera.mla_focal_lengths)
     if footprint == "lens":
-        # How far the place in the bins moves with the point of the lens.
-        enlarged = (
-            abs(rays.follow_back(0.0, 1.0, 0.0, distance, camera, mla_focal_length=f2)[1])
-            for f2 in camera.mla_focal_lengths
-        )
-        blurs = [lattice.aperture_image(step, scale) for scale in enlarged]
+        pixel = pixel_footprint(camera, distance)
+        scales = (lens_footprint(camera, distance, f2) for f2 in camera.mla_focal_lengths)
+        blurs = [
+            lattice.aperture_image(step, scale) if scale * lattice.aperture_width > pixel else _square(pixel / step)
+            for scale in scales
+        ]
     # Pixels that land beyond the bins may still reach into them.
     margin = max(blur.shape[0] // 2 for blur in blurs)
     columns, rows = (count * fine + 2 * margin for count in bins)
@@ -78,6 +81,14 @@ def splat(
             inner = grid[margin : rows - margin, margin : columns - margin]
             total[..., channel] += inner.reshape(bins[1], fine, bins[0], fine).sum(axis=(1, 3))
     return total[..., :-1], total[..., -1]
+
+
+def _square(width: float) -> np.ndarray:
+    """Draw a square of some width in samples: their shares of its area, of odd size."""
+    half = math.ceil((width - 1) / 2) if width > 1 else 0
+    share = np.ones(2 * half + 1)
+    share[[0, -1]] = (width - (2 * half - 1)) / 2 if half else 1
+    return np.outer(share, share) / share.sum() ** 2
 
 
 def _landing(

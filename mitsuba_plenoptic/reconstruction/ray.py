@@ -8,6 +8,7 @@ import numpy as np
 
 from .. import rays
 from ..camera import PlenopticCamera
+from ..depth_of_field import lens_footprint, pixel_footprint
 from ._binning import AxisBins, axis_bins, bin_image
 from ._splatting import splat
 
@@ -22,11 +23,14 @@ def reconstruct_ray(
     r"""Follow one ray a pixel back to the object plane and add the pixel's value to the bin it meets.
 
     The ray goes from the pixel's centre through the centre of its lens. With ``footprint="point"`` the whole value
-    goes to one bin; with ``"lens"`` it is spread over the places that the rays through the whole lens meet, about
-    one bin, because the pixel has integrated over the lens: this leaves no grid pattern out of focus.
+    goes to one bin; with ``"lens"`` it is spread over the places that the rays through the whole lens meet, because the
+    pixel has integrated over the lens: this leaves no grid pattern out of focus. For an unfocused camera that is about
+    one bin. Where a focused one is sharp, those places are one point, and what the pixel itself covers is wider: the
+    pixel is spread over the wider of the two (see `mitsuba_plenoptic.depth_of_field`; their convolution is what it has
+    integrated over, but once more on the way back that would only blur).
 
-    Where pixels and bins are arranged alike, on an upright square lattice without gaps, this is done one axis at a
-    time. Elsewhere bins get more light here and less there even of a white scene, and are divided by what they get of
+    For an unfocused camera with pixels and bins arranged alike, on an upright square lattice without gaps, this is done
+    one axis at a time. Elsewhere bins get more light here and less there even of a white scene, and are divided by what they get of
     it, so that a white scene gives 1.
 
     Parameters
@@ -49,7 +53,7 @@ def reconstruct_ray(
         :math:`(\pi/4) (D_1 z / b)^2` over the pixel's area.
     """
     lattice = camera.lattice
-    if not lattice.separable or lattice.lens_area < lattice.cell_area:
+    if not lattice.separable or lattice.lens_area < lattice.cell_area or camera.kind != "unfocused":
         light, white = splat(image, camera, distance, _pupil_radius(camera), footprint=footprint, oversample=oversample)
         least = _LEAST_WEIGHT * pixels_per_bin(camera, oversample)
         return (light / np.maximum(white, least)[..., None]).astype(np.float32)
@@ -64,12 +68,15 @@ def pixels_per_bin(camera: PlenopticCamera, oversample: int) -> float:
 
 
 def _pupil_radius(camera: PlenopticCamera) -> float:
-    """Radius within which a pixel's central ray must pass: half a pixel more than the pupil's.
+    """Radius within which a pixel's central ray must pass: half a pixel more than the pupil's, and half a lens's view.
 
     A pixel at a micro-image's rim is lit in part though its centre may look past the pupil; leaving such pixels out
-    would lose 3 % of the paper's light.
+    would lose 3 % of the paper's light. Through the edge of a lens that is not in focus on the pupil it looks elsewhere
+    than through the centre, for a focused camera by a good part of the pupil.
     """
-    return camera.aperture_radius + camera.pupil_step / 2
+    b, z = camera.mla_distance, camera.detector_distance
+    view = max(b * abs(1 / z - 1 / f2) for f2 in camera.mla_focal_lengths) * camera.lattice.aperture_reach
+    return camera.aperture_radius + camera.pupil_step / 2 + view
 
 
 def _axis(camera: PlenopticCamera, distance: float, axis: int, footprint: str, oversample: int) -> AxisBins:
@@ -79,12 +86,12 @@ def _axis(camera: PlenopticCamera, distance: float, axis: int, footprint: str, o
     chief = rays.chief_point(p, camera.mla_distance, camera.detector_distance)
     c = camera.lattice.axis_centre(camera.lattice.axis_cell(chief, axis), axis)
 
-    def pupil_and_bin(m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        P, u = rays.follow_back(p, m, c, distance, camera)
-        return P, u * (oversample / camera.mla_pitch) + count / 2
-
-    pupil, centre = pupil_and_bin(c)
+    pupil, place = rays.follow_back(p, c, c, distance, camera)
+    centre = place * (oversample / camera.mla_pitch) + count / 2
     if footprint == "point":
         return axis_bins(centre, centre, pupil, count, _pupil_radius(camera))
-    half = camera.mla_pitch / 2
-    return axis_bins(pupil_and_bin(c - half)[1], pupil_and_bin(c + half)[1], pupil, count, _pupil_radius(camera))
+    width = max(
+        camera.mla_pitch * lens_footprint(camera, distance, camera.mla_focal_length), pixel_footprint(camera, distance)
+    )
+    half = width / 2 * oversample / camera.mla_pitch
+    return axis_bins(centre - half, centre + half, pupil, count, _pupil_radius(camera))

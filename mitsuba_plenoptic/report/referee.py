@@ -14,7 +14,9 @@ from ..camera import PlenopticCamera
 _RAYS_PER_PASS = 2**24
 
 
-def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: int) -> np.ndarray:
+def thin_lens_image(
+    scene: Any, camera: PlenopticCamera, distance: float, spp: int, oversample: int = 1
+) -> np.ndarray:
     """Render what a thin lens of the camera's aperture sees when focused at `distance`, one pixel a bin.
 
     Parameters
@@ -27,13 +29,16 @@ def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: i
         Distance in focus.
     spp : int
         Samples per pixel.
+    oversample : int
+        Bins per lens along each axis.
 
     Returns
     -------
     (rows, columns) float64 array
     """
     lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": distance}
-    return _photograph(scene, camera, lens, camera.lens_count, spp)
+    columns, rows = camera.bin_count
+    return _photograph(scene, camera, lens, (columns * oversample, rows * oversample), spp)
 
 
 def pinhole_image(scene: Any, camera: PlenopticCamera, columns: int, spp: int) -> np.ndarray:
@@ -54,14 +59,14 @@ def pinhole_image(scene: Any, camera: PlenopticCamera, columns: int, spp: int) -
     -------
     (rows, columns) float64 array
     """
-    rows = round(columns * camera.lens_count[1] / camera.lens_count[0])
+    rows = round(columns * camera.bin_count[1] / camera.bin_count[0])
     return _photograph(scene, camera, {"type": "perspective"}, (columns, rows), spp)
 
 
 def _photograph(
     scene: Any, camera: PlenopticCamera, lens: dict[str, Any], size: tuple[int, int], spp: int
 ) -> np.ndarray:
-    width = camera.lens_count[0] * camera.mla_pitch
+    width = camera.bin_count[0] * camera.mla_pitch
     sensor = mi.load_dict(
         {
             **lens,

@@ -1,0 +1,53 @@
+"""Known cameras by name, as parameters of `PlenopticCamera`; `PlenopticCamera.preset` builds them.
+
+``paper``
+    The camera of the paper "Wave-Optical Reconstruction of Plenoptic Camera Images", unfocused: all numbers are the
+    paper's.
+
+``lytro``
+    Like the first Lytro (F01), unfocused. From the metadata that such a camera writes into its files, as the test of the
+    library imageio's reader for them quotes it (``tests/test_lytro.py``): pixels of 1.4 um; hexagonal rows of lenses
+    14 um apart, turned by -0.000859 rad; 25 um from lenses to pixels; main lens of 6.84 mm at f/1.92; 3280 x 3280
+    pixels. Ours: microlenses focused at infinity, as in Ng's design (2006, "Digital Light Field Photography"), the files
+    tell no focal length of them; hexagonal apertures that fill the plane; thin lenses, so that the f-number gives the
+    diameter; focused at 230 mm; no filter mosaic.
+
+``raytrix``
+    Like a Raytrix R12, focused, Galilean, with three focal lengths. From the calibration R12-A of Labussière, Teulière,
+    Bernardin and Ait-Aider 2020, "Blur aware calibration of multi-focus plenoptic camera" (and 2022, "Leveraging blur
+    information for plenoptic camera calibration"), rounded from the file ``examples/config/intrinsics.js`` of their
+    program compote: 4080 x 3068 pixels of 5.5 um; hexagonal lenses 127.44 um apart with focal lengths of 0.583, 0.524
+    and 0.561 mm; 0.3371 mm from lenses to pixels; main lens of 49.885 mm at f/4, 56.86 mm from the MLA. Ours: one lens
+    on the axis, no turn (theirs is 0.002 degrees) and no distortion; thin lenses; no filter mosaic.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "paper": {},
+    "lytro": {
+        "focal_length": 6.84,
+        "aperture_radius": 1.78125,
+        "mla_distance": 7.04967,
+        "mla_focal_length": 0.025,
+        "mla_pitch": 0.014,
+        "mla_lattice": "hexagonal",
+        "mla_rotation": -0.0492,
+        "detector_distance": 0.025,
+        "detector_width": 4.592,
+        "resolution": (3280, 3280),
+    },
+    "raytrix": {
+        "focal_length": 49.885,
+        "aperture_radius": 6.2356,
+        "mla_distance": 56.86,
+        "mla_focal_length": (0.583, 0.524, 0.561),
+        "mla_pitch": 0.12744,
+        "mla_lattice": "hexagonal",
+        "detector_distance": 0.3371,
+        "detector_width": 22.44,
+        "resolution": (4080, 3068),
+    },
+}
