@@ -33,7 +33,7 @@ def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: i
     (rows, columns) float64 array
     """
     lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": distance}
-    return _photograph(scene, camera, lens, camera.lens_count, spp)
+    return _photograph(scene, camera, lens, camera.bin_count, spp)
 
 
 def pinhole_image(scene: Any, camera: PlenopticCamera, columns: int, spp: int) -> np.ndarray:
@@ -54,14 +54,14 @@ def pinhole_image(scene: Any, camera: PlenopticCamera, columns: int, spp: int) -
     -------
     (rows, columns) float64 array
     """
-    rows = round(columns * camera.lens_count[1] / camera.lens_count[0])
+    rows = round(columns * camera.bin_count[1] / camera.bin_count[0])
     return _photograph(scene, camera, {"type": "perspective"}, (columns, rows), spp)
 
 
 def _photograph(
     scene: Any, camera: PlenopticCamera, lens: dict[str, Any], size: tuple[int, int], spp: int
 ) -> np.ndarray:
-    width = camera.lens_count[0] * camera.mla_pitch
+    width = camera.bin_count[0] * camera.mla_pitch
     sensor = mi.load_dict(
         {
             **lens,
