@@ -27,7 +27,8 @@ def reconstruct_ray(
 
     Where pixels and bins are arranged alike, on an upright square lattice without gaps, this is done one axis at a
     time. Elsewhere bins get more light here and less there even of a white scene, and are divided by what they get of
-    it, so that a white scene gives 1.
+    it, so that a white scene gives 1. (In the plane in focus a point version leaves those bins empty that hold no
+    lens's centre.)
 
     Parameters
     ----------
