@@ -19,7 +19,7 @@ def test_the_papers_camera():
     assert sheet["Main lens", "focused distance"] == ("240", "mm")
     assert sheet["Main lens", "field width"] == ("16.38", "mm")
     assert sheet["Microlenses", "lenses"] == ("128 x 128", "")
-    assert sheet["Microlenses", "f-number z/D2"] == ("8", "")
+    assert sheet["Microlenses", "f-number z/width"] == ("8", "")
     assert sheet["Microlenses", "main lens's b/D1"] == ("12", "")
     assert sheet["Detector", "pixel size"] == ("2", "um")
     assert sheet["Detector", "pixels per lens"] == ("32", "")

@@ -40,7 +40,7 @@ POINTS = (205.0, 220.0, 240.0, 262.0, 290.0)
 
 def pinhole(scene: object, camera: PlenopticCamera, integrator: dict, per_bin: int, spp: int) -> np.ndarray:
     """Render what the middle of the pupil sees, `per_bin` x `per_bin` pixels a bin."""
-    columns, rows = camera.lens_count
+    columns, rows = camera.bin_count
     sensor = mi.load_dict(
         {
             "type": "perspective",
@@ -61,7 +61,7 @@ def pinhole(scene: object, camera: PlenopticCamera, integrator: dict, per_bin: i
 def true_depth(scene: object, camera: PlenopticCamera) -> np.ndarray:
     """Distance along the axis (not along the ray) that each bin sees from the middle of the pupil: the median."""
     fine = 5
-    columns, rows = camera.lens_count
+    columns, rows = camera.bin_count
     z = pinhole(scene, camera, {"type": "aov", "aovs": "place:position"}, fine, 1)[..., -1]
     return np.median(z.reshape(rows, fine, columns, fine).swapaxes(1, 2).reshape(rows, columns, -1), axis=2)
 
@@ -271,7 +271,7 @@ def window_correlation(window: dict[str, int], spp: int, reference: np.ndarray) 
     passes = -(-spp // 8)
     image = sum(np.array(mi.render(scene, sensor=sensor, spp=8, seed=seed))[..., 0] for seed in range(passes)) / passes
     lf = decode(Capture(image, cropped))
-    columns, rows = camera.lens_count
+    columns, rows = camera.bin_count
     size = camera.bin_size(camera.focus_distance)
     column = np.round(columns / 2 - 0.5 - lf.s.values / size).astype(int)
     row = np.round(rows / 2 - 0.5 - lf.t.values / size).astype(int)

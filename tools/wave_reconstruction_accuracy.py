@@ -121,7 +121,7 @@ def _letter_bins(capture: Capture, limit: np.ndarray, letter: str) -> np.ndarray
     centre = LETTERS[letter][1] / FOCUS * camera.mla_distance / camera.mla_pitch
     third = LETTERS["8"][1] / FOCUS * camera.mla_distance / camera.mla_pitch
     # +x is left.
-    columns = camera.lens_count[0] / 2 - (np.arange(camera.lens_count[0]) + 0.5) - centre
+    columns = camera.bin_count[0] / 2 - (np.arange(camera.bin_count[0]) + 0.5) - centre
     return (np.abs(columns) < third / 2) & (limit > 0.2 * limit.max())
 
 

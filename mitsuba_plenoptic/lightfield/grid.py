@@ -132,6 +132,24 @@ def lens_grid(camera: PlenopticCamera) -> LensGrid:
     return covering_grid(camera.shape, np.array([_pixel(camera, x, 0), _pixel(camera, y, 1)]), vectors, shifted)
 
 
+def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:
+    """Give the centres of all micro-images on a camera's recorded image, and up to `margin` pixels beyond.
+
+    Returns
+    -------
+    (lenses, 2) float64 array
+        Columns and rows, by lattice row.
+    """
+    x, y = (
+        rays.chief_point(camera.pixel_coordinates(axis)[[0, -1]], camera.mla_distance, camera.detector_distance)
+        for axis in (0, 1)
+    )
+    around = (margin + 1) * camera.pixel_size
+    index = camera.lattice.lenses_within((x[0] - around, y[0] - around), (x[1] + around, y[1] + around))
+    centre = camera.lattice.centre(*index.T.astype(np.float64))
+    return np.stack([_pixel(camera, centre[axis], axis) for axis in (0, 1)], axis=-1)
+
+
 def lens_kinds(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
     """Tell the kind of the lens of each micro-image: the index of its focal length.
 

@@ -8,7 +8,10 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..pupil import PupilShare
-from .grid import LensGrid, lens_grid, lens_kinds
+from .grid import LensGrid, lens_kinds, micro_image_centres
+
+# Micro-images drawn at once.
+_BLOCK = 128
 
 
 def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.ndarray:
@@ -21,21 +24,21 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     camera : PlenopticCamera
         The camera.
     grid : LensGrid, optional
-        Micro-image centres; default those of the camera.
+        Micro-image centres; default those of the camera, with the ones beyond the image that reach into it.
 
     Returns
     -------
     (rows, columns) float32 array
     """
-    grid = lens_grid(camera) if grid is None else grid
     kinds = [PupilShare(camera, kind) for kind in range(len(camera.mla_focal_lengths))]
     half = math.ceil(max(share.reach for share in kinds) / camera.pupil_step)
     rows, columns = camera.shape
     image = np.zeros((rows + 2 * half, columns + 2 * half), dtype=np.float32)
     window = np.arange(-half, half + 1)
-    for row in grid.centres():
-        # Those whose micro-image reaches the detector.
-        row = row[((row > -half) & (row < [columns + half, rows + half])).all(1)]
+    centres = micro_image_centres(camera, half) if grid is None else grid.centres().reshape(-1, 2)
+    # Those whose micro-image reaches the detector.
+    centres = centres[((centres > -half) & (centres < [columns + half, rows + half])).all(1)]
+    for row in np.array_split(centres, -(-len(centres) // _BLOCK) or 1):
         base = np.floor(row).astype(np.int64)
         # Pupil coordinates that each pixel sees through its lens's centre, but for their sign.
         x, y = ((base[:, axis, None] + window + 0.5 - row[:, axis, None]) * camera.pupil_step for axis in (0, 1))

@@ -2,9 +2,9 @@ r"""Pixels summed over bins on any lattice, and how much of a white scene each b
 
 A pixel p of the lens with centre c goes to the place u(c) of the bins, through the point P(c) of the pupil. Through
 another point c + d of its lens it goes to u(c) + a d, with the same a for all pixels of one kind of lens, so that its
-footprint is the lens's aperture, enlarged by a, or the pixel's own square where that is wider. Pixels are therefore first counted on a grid finer than the bins, one
-for each kind of lens, and the grid is then convolved with the footprint. Everything is summed in a fixed order, so that
-the result is the same bit for bit.
+footprint is the lens's aperture, enlarged by a, or the pixel's own square where that is wider. Pixels are therefore
+first counted on a grid finer than the bins, one for each kind of lens, and the grid is then convolved with the
+footprint. Everything is summed in a fixed order, so that the result is the same bit for bit.
 """
 
 from __future__ import annotations

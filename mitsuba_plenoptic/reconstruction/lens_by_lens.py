@@ -25,6 +25,7 @@ from functools import cached_property
 import drjit as dr
 import numpy as np
 import scipy.fft
+import scipy.signal
 
 from .. import lattice, rays
 from .._backend import array_module
@@ -32,6 +33,7 @@ from ..camera import PlenopticCamera
 from ..propagation.angular_spectrum import advance
 from ..propagation.fft import Field, fft2, pack, resting_drjit, unpack, worker_count
 from ..propagation.sampling import fast_length, in_millimetres, pupil_turns
+from ..pupil import PupilShare
 from ._elements import converging_phase, detector_lens, lens_phase
 from ._plan import GUARD, field_subsamples
 
@@ -111,25 +113,80 @@ def white_throughput(camera: PlenopticCamera, wavelength: float, *, relay: bool 
     relay : bool
         Whether the microlenses act in the MLA plane.
     """
-    # The micro-image of the lens beside the axis, in the four lenses around that.
-    around = math.ceil(2 * camera.micro_image_pitch / camera.pixel_size)
-    first = [max(0, size // 2 - around) for size in camera.resolution]
-    size = [min(size, 2 * around) for size in camera.resolution]
-    camera = camera.replace(crop_offset=tuple(first), crop_size=tuple(size))
-    centre = rays.chief_detector_point(camera.mla_pitch / 2, camera.mla_distance, camera.detector_distance)
-    px, py = (
-        (np.arange(size[axis]) + first[axis] + 0.5 - camera.resolution[axis] / 2) * camera.pixel_size - centre
-        for axis in (0, 1)
-    )
-    inside = (camera.micro_image_diameter / 2 - np.hypot(px, py[:, None])) / camera.pixel_size
-    image = np.clip(inside + 0.5, 0, 1)
-    tile = Tile(camera, wavelength, _THROUGHPUT_LENSES, 1)
-    x, y = (LensAxis(camera, wavelength, tile, axis) for axis in (0, 1))
-    place = np.array([[int(np.flatnonzero(axis.index == 0)[0]) for axis in (y, x)]])
-    field = pupil_fields(np.sqrt(image).astype(np.float32), tile, x, y, place, relay=relay)[0]
+    lens = _WhiteLens(camera, wavelength, Tile(camera, wavelength, _THROUGHPUT_LENSES, 1), relay=relay)
+    tile = lens.tile
     inside = (camera.aperture_radius - np.hypot(tile.pupil, tile.pupil[:, None])) / tile.pupil_pitch
-    power = float((np.abs(field) ** 2 * np.clip(inside + 0.5, 0, 1)).sum()) * tile.pupil_pitch**2
-    return power / (image.sum() * camera.pixel_size**2)
+    power = float((np.abs(lens.field[0]) ** 2 * np.clip(inside + 0.5, 0, 1)).sum()) * tile.pupil_pitch**2
+    return power / (float(lens.image.sum()) * camera.pixel_size**2)
+
+
+def white_bins(
+    camera: PlenopticCamera, wavelength: float, distance: float, *, relay: bool = True, oversample: int = 1
+) -> np.ndarray:
+    """Power in each bin from a white scene, if no two lenses interfere.
+
+    For a focused camera the bins of a lens overlap with those of a few others, and the light from the rim of its
+    micro-image, which came through a part of the lens from within the pupil, returns as if through the lens's centre
+    and misses the pupil: there is more light in some bins than in others. All lenses are taken for the one beside the
+    axis.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    distance : float
+        Object distance.
+    relay : bool
+        Whether the microlenses act in the MLA plane.
+    oversample : int
+        Bins per lens along each axis.
+
+    Returns
+    -------
+    (rows, columns) float64 array
+        In pixel values times pixels.
+    """
+    tile = Tile(camera, wavelength, tile_lenses(camera, [distance]), oversample)
+    lens = _WhiteLens(camera, wavelength, tile, relay=relay)
+    patch = _patches(lens.field, tile, lens.x, lens.y, lens.place, distance)[0].astype(np.float64)
+    x, y = (LensAxis(camera, wavelength, tile, axis) for axis in (0, 1))
+    comb = np.zeros([(axis.index.size - 1) * oversample + 1 for axis in (y, x)])
+    comb[::oversample, ::oversample] = 1
+    return _on_bins(scipy.signal.oaconvolve(comb, patch), camera, tile, x, y)
+
+
+class _WhiteLens:
+    """The lens beside the axis with the micro-image of a white scene.
+
+    Attributes
+    ----------
+    tile : Tile
+        Sampling.
+    image : (rows, columns) float32 array
+        The micro-image.
+    x, y : LensAxis
+        The lenses of the part of the detector around it.
+    place : (1, 2) int64 array
+        Its row and column among those.
+    field : (1, pupil, pupil) complex64 array
+        Its field at the main lens, as from `pupil_fields`.
+    """
+
+    def __init__(self, camera: PlenopticCamera, wavelength: float, tile: Tile, *, relay: bool) -> None:
+        around = math.ceil(2 * camera.micro_image_pitch / camera.pixel_size)
+        first = [max(0, size // 2 - around) for size in camera.resolution]
+        size = [min(size, 2 * around) for size in camera.resolution]
+        part = camera.replace(crop_offset=tuple(first), crop_size=tuple(size))
+        b, z = camera.mla_distance, camera.detector_distance
+        centre = rays.chief_detector_point(camera.mla_pitch / 2, b, z)
+        Px, Py = (-(part.pixel_coordinates(axis) - centre) * b / z for axis in (0, 1))
+        self.tile = tile
+        self.image = PupilShare(camera)(Px, Py[:, None])
+        self.x, self.y = (LensAxis(part, wavelength, tile, axis) for axis in (0, 1))
+        self.place = np.array([[int(np.flatnonzero(axis.index == 0)[0]) for axis in (self.y, self.x)]])
+        self.field = pupil_fields(np.sqrt(self.image), tile, self.x, self.y, self.place, relay=relay)
 
 
 def tile_lenses(camera: PlenopticCamera, distances: Sequence[float]) -> int:

@@ -14,7 +14,7 @@ from ._splatting import splat
 
 # Bins that get less than this share of the light that a bin gets of a white scene on average lie at the border of what
 # was recorded; they are not brightened any further, since they would show little but noise.
-_LEAST_WEIGHT = 0.25
+LEAST_WEIGHT = 0.25
 
 
 def reconstruct_ray(
@@ -30,8 +30,9 @@ def reconstruct_ray(
     integrated over, but once more on the way back that would only blur).
 
     For an unfocused camera with pixels and bins arranged alike, on an upright square lattice without gaps, this is done
-    one axis at a time. Elsewhere bins get more light here and less there even of a white scene, and are divided by what they get of
-    it, so that a white scene gives 1.
+    one axis at a time. Elsewhere bins get more light here and less there even of a white scene, and are divided by what
+    they get of it, so that a white scene gives 1. (In the plane in focus a point version leaves those bins empty that
+    hold no lens's centre.)
 
     Parameters
     ----------
@@ -55,7 +56,7 @@ def reconstruct_ray(
     lattice = camera.lattice
     if not lattice.separable or lattice.lens_area < lattice.cell_area or camera.kind != "unfocused":
         light, white = splat(image, camera, distance, _pupil_radius(camera), footprint=footprint, oversample=oversample)
-        least = _LEAST_WEIGHT * pixels_per_bin(camera, oversample)
+        least = LEAST_WEIGHT * pixels_per_bin(camera, oversample)
         return (light / np.maximum(white, least)[..., None]).astype(np.float32)
     x, y = (_axis(camera, distance, axis, footprint, oversample) for axis in (0, 1))
     return bin_image(image, x, y, _pupil_radius(camera)) / np.float32(pixels_per_bin(camera, oversample))

@@ -10,8 +10,8 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ._plan import Plan, plan
 from .coherent import lit_window, reconstruct_subsets
-from .lens_by_lens import Tile, reconstruct_lens_by_lens, tile_lenses, white_throughput
-from .ray import pixels_per_bin
+from .lens_by_lens import Tile, reconstruct_lens_by_lens, tile_lenses, white_bins, white_throughput
+from .ray import LEAST_WEIGHT, pixels_per_bin
 
 Interleave = int | str
 """Period of a subset of lenses along each axis, or "auto"."""
@@ -74,8 +74,15 @@ def reconstruct_wave(
             oversample=oversample,
             progress=progress,
         )
-    white = pixels_per_bin(camera, oversample) * white_throughput(camera, wavelength, relay=relay)
-    return [(total / white).astype(np.float32) for total in power]
+    white = pixels_per_bin(camera, oversample)
+    if camera.kind == "unfocused":
+        white *= white_throughput(camera, wavelength, relay=relay)
+        return [(total / white).astype(np.float32) for total in power]
+    whites = (white_bins(camera, wavelength, g, relay=relay, oversample=oversample) for g in distances)
+    return [
+        (total / np.maximum(bins, LEAST_WEIGHT * white)).astype(np.float32)
+        for total, bins in zip(power, whites, strict=True)
+    ]
 
 
 def full_field_period(

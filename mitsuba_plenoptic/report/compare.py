@@ -62,7 +62,7 @@ def compare(
         "stage_seconds": store.seconds,
     }
     write_json(output / "results.json", results)
-    columns, rows = experiment.camera.lens_count
+    columns, rows = experiment.camera.bin_count
     name = Path(settings.scene).stem.replace("_", " ")
     write_page(
         output / "report.html",

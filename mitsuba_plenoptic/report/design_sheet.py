@@ -106,12 +106,23 @@ def _microlenses(camera: PlenopticCamera) -> list[Row]:
     else:
         match = "faster than a microlens: overlap" if main < micro else "slower than a microlens: gaps"
     columns, rows = camera.lens_count
+    bins = "also the bins of a reconstruction"
+    if camera.lens_count != camera.bin_count:
+        bins = f"in rows; a reconstruction has {camera.bin_count[0]} x {camera.bin_count[1]} bins"
+    lattice = [f"{camera.mla_lattice} lattice"]
+    if camera.mla_rotation:
+        lattice.append(f"turned by {_text(camera.mla_rotation)} deg")
+    if camera.mla_offset != (0, 0):
+        lattice.append(f"moved by ({', '.join(map(_text, camera.mla_offset))}) mm")
+    area = camera.lattice.lens_area / camera.lattice.cell_area
+    shape = "round" if camera.mla_aperture == "circle" else camera.mla_lattice
     return [
-        Row(group, "focal length", _text(camera.mla_focal_length), "mm", ""),
-        Row(group, "pitch", _text(camera.mla_pitch), "mm", "square lattice"),
-        Row(group, "lenses", f"{columns} x {rows}", "", "also the bins of a reconstruction"),
+        Row(group, "focal length", ", ".join(map(_text, camera.mla_focal_lengths)), "mm", ""),
+        Row(group, "pitch", _text(camera.mla_pitch), "mm", ", ".join(lattice)),
+        Row(group, "lens width", _text(camera.lattice.aperture_width), "mm", f"{shape}, {area:.0%} of the area"),
+        Row(group, "lenses", f"{columns} x {rows}", "", bins),
         Row(group, "distance to detector", _text(camera.detector_distance), "mm", ""),
-        Row(group, "f-number z/D2", f"{micro:.3g}", "", ""),
+        Row(group, "f-number z/width", f"{micro:.3g}", "", ""),
         Row(group, "main lens's b/D1", f"{main:.3g}", "", match),
     ]
 

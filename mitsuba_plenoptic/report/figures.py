@@ -85,7 +85,7 @@ def letter_zooms(experiment: Experiment, letters: Mapping[str, str], lenses: int
 def brightest_zoom(experiment: Experiment, lenses: int = 8) -> Zoom:
     """Look closely at where a capture has most contrast from lens to lens."""
     camera = experiment.camera
-    columns, rows = camera.lens_count
+    columns, rows = camera.bin_count
     means = _resize_mean(experiment.ray.image, rows, columns)
     gradient = np.hypot(*np.gradient(means))
     half = lenses // 2
@@ -338,6 +338,6 @@ def _scale_bar(axes: Axes, length: float, width: float, label: str, *, below: bo
 
 def _object_bar(axes: Axes, camera: PlenopticCamera, distance: float, window: Window) -> None:
     """Lay a scale bar in the object plane, of a length that suits the field."""
-    width = (window.right - window.left) * camera.lens_count[0] * camera.bin_size(distance)
+    width = (window.right - window.left) * camera.bin_count[0] * camera.bin_size(distance)
     length = next(step for step in (50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.0) if step < 0.3 * width)
     _scale_bar(axes, length, width, f"{length:g} mm")

@@ -112,7 +112,7 @@ def _edges(experiment: Experiment) -> list[dict[str, Any]]:
         if not name.startswith(_EDGE_PREFIX) or distance not in experiment.settings.distances:
             continue
         scale = camera.mla_distance / (low[2] * camera.mla_pitch)
-        column, row = (camera.lens_count[axis] / 2 - (low[axis] + high[axis]) / 2 * scale for axis in (0, 1))
+        column, row = (camera.bin_count[axis] / 2 - (low[axis] + high[axis]) / 2 * scale for axis in (0, 1))
         side = float(high[0] - low[0]) / (math.cos(_EDGE_TILT) + math.sin(_EDGE_TILT)) * scale
         pictures: Mapping[str, np.ndarray] = {
             "truth": experiment.truths[distance],

@@ -14,9 +14,7 @@ from ..camera import PlenopticCamera
 _RAYS_PER_PASS = 2**24
 
 
-def thin_lens_image(
-    scene: Any, camera: PlenopticCamera, distance: float, spp: int, oversample: int = 1
-) -> np.ndarray:
+def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: int, oversample: int = 1) -> np.ndarray:
     """Render what a thin lens of the camera's aperture sees when focused at `distance`, one pixel a bin.
 
     Parameters

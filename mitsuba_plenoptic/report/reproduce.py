@@ -108,7 +108,7 @@ def reproduce(
         "stage_seconds": store.seconds,
     }
     write_json(output / "results.json", results)
-    columns, rows = experiment.camera.lens_count
+    columns, rows = experiment.camera.bin_count
     confirmed = sum(claim.verdict == "confirmed" for claim in claims)
     write_page(
         output / "report.html",
