@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from itertools import groupby
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -14,6 +15,7 @@ from rich.table import Table
 from ..camera import PlenopticCamera
 from ..capture import Capture
 from ..errors import InputError, require_number
+from ..presets import PRESETS
 from ..rendering import load_scene
 from ..report.design_sheet import Row, design_sheet, design_warnings
 from ._common import Definitions, load_capture, parse_definitions
@@ -22,7 +24,10 @@ from ._common import Definitions, load_capture, parse_definitions
 def info(
     source: Annotated[
         str,
-        typer.Argument(metavar="SCENE|CAPTURE.exr", help="A Mitsuba XML file, a built-in scene's name, or a capture."),
+        typer.Argument(
+            metavar="SCENE|PRESET|CAPTURE.exr",
+            help=f"A Mitsuba XML file, a built-in scene's name, a camera's ({', '.join(PRESETS)}), or a capture.",
+        ),
     ],
     wavelength: Annotated[
         float | None,
@@ -42,13 +47,17 @@ def info(
 
       mitsuba-plenoptic info letters --wavelength 633
 
+      mitsuba-plenoptic info raytrix --wavelength 550
+
       mitsuba-plenoptic info raw.exr
     """
     if wavelength is not None:
         wavelength = require_number("wavelength", wavelength, positive=True)
     parameters = parse_definitions(define)
     capture = load_capture(source) if source.lower().endswith(".exr") else None
-    if capture is None:
+    if capture is None and source in PRESETS and not parameters and not Path(source).is_file():
+        camera = PlenopticCamera.preset(source)
+    elif capture is None:
         sensors = load_scene(source, parameters=parameters).sensors()
         if not sensors:
             raise InputError(f"{source}: it has no sensor; add one of type 'plenoptic'")

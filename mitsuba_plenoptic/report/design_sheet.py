@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 from ..camera import PlenopticCamera
+from ..depth_of_field import depth_ranges, effective_resolution, lenses_across, suitable_oversample
 
 
 class Row(NamedTuple):
@@ -29,6 +30,7 @@ def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> li
         Wavelength in nanometres; without it what follows from diffraction is left out.
     """
     rows = [*_main_lens(camera), *_microlenses(camera), *_detector(camera), *_micro_images(camera)]
+    rows += _resolution(camera, wavelength)
     rows += _refocusing(camera, wavelength)
     if wavelength is not None:
         rows += _diffraction(camera, wavelength)
@@ -59,11 +61,18 @@ def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) ->
             f"pixels are wasted: micro-images fill {diameter / pitch:.0%} of their pitch; open the main "
             f"lens to a diameter of {_text(touching)} mm, or shorten mla_focal_length"
         )
-    if camera.focus_distance < 0:
+    elif camera.kind != "unfocused" and camera.crosstalk_lenses > 1:
         found.append(
-            f"no object plane is in focus: the microlenses stand within the focal length, mla_distance "
-            f"{_text(camera.mla_distance)} < focal_length {_text(camera.focal_length)}"
+            "micro-images overlap at their rims, which a lens that is in focus on the object blurs: light of "
+            "neighbouring lenses mixes there; stop the main lens down, or narrow the lenses (mla_fill)"
         )
+    image = max(camera.mla_distance - _focus_on_image(camera, lens) for lens in range(len(camera.mla_kinds)))
+    if image < camera.focal_length:
+        found.append(
+            f"no object plane is in focus: the microlenses see a plane {_text(image)} mm behind the main lens, "
+            f"within its focal length of {_text(camera.focal_length)} mm; lengthen mla_distance"
+        )
+    found += _coverage_warnings(camera)
     directions = camera.direction_count(wavelength)
     if directions < 2:
         found.append(f"no refocusing: across its diameter a micro-image tells only {directions:.2g} directions apart")
@@ -81,13 +90,31 @@ def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) ->
     return found
 
 
+def _focus_on_image(camera: PlenopticCamera, lens: int) -> float:
+    """Distance before the MLA of what a kind of lens is to see: 0 if unfocused, as the MLA itself is in focus then."""
+    return 0.0 if camera.mla_kinds[lens] == "unfocused" else camera.mla_object_distances[lens]
+
+
+def _coverage_warnings(camera: PlenopticCamera) -> list[str]:
+    """Tell where the lenses of a focused camera leave gaps between their pictures."""
+    if camera.kind == "unfocused":
+        return []
+    cones = {g: lenses_across(camera, g) for g in camera.best_distances if camera.focal_length < g < math.inf}
+    return [
+        f"gaps at {_text(distance)} mm, where the microlenses are sharpest: the light of a point spans only "
+        f"{across:.2g} of them; open the main lens, or move the detector so that they see farther"
+        for distance, across in cones.items()
+        if across < 1
+    ]
+
+
 def _main_lens(camera: PlenopticCamera) -> list[Row]:
     group = "Main lens"
     rows = [
         Row(group, "focal length", _text(camera.focal_length), "mm", ""),
         Row(group, "diameter", _text(camera.aperture_diameter), "mm", f"f/{camera.f_number:.3g}"),
         Row(group, "distance to microlenses", _text(camera.mla_distance), "mm", ""),
-        Row(group, "focused distance", *_distance(camera.focus_distance), ""),
+        Row(group, "focused distance", *_distance(camera.focus_distance), "on the microlenses"),
         Row(group, "field of view", f"{camera.field_of_view:.3g}", "deg", "horizontal, full angle"),
     ]
     if 0 < camera.focus_distance < math.inf:
@@ -156,6 +183,56 @@ def _micro_images(camera: PlenopticCamera) -> list[Row]:
     ]
 
 
+def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[Row]:
+    group = "Resolution"
+    names = {"keplerian": "focused, Keplerian", "galilean": "focused, Galilean"}
+    kinds = [names.get(kind, kind) for kind in dict.fromkeys(camera.mla_kinds)]
+    rows = [Row(group, "kind of camera", "; ".join(kinds), "", _seen(camera))]
+    lenses = zip(camera.mla_focal_lengths, camera.best_distances, depth_ranges(camera, wavelength), strict=True)
+    for f2, best, limits in lenses:
+        which = f"f2 = {_text(f2)} mm" if len(camera.mla_focal_lengths) > 1 else ""
+        rows.append(Row(group, "sharpest distance", *_distance(best), which))
+        if camera.focal_length < best < math.inf:
+            rows += _effective(group, camera, best, wavelength)
+        note = "refocused" if camera.kind == "unfocused" else "blur below a pixel or the spot, no gaps"
+        rows.append(Row(group, "depth range", *_range(limits), note))
+    if len(camera.mla_focal_lengths) > 1:
+        together = [_range(limits)[0] for limits in _union(depth_ranges(camera, wavelength))]
+        rows.append(Row(group, "depth range, together", ", ".join(together) or "none", "mm" if together else "", ""))
+    return rows
+
+
+def _seen(camera: PlenopticCamera) -> str:
+    """Say what the microlenses see."""
+    if camera.kind == "unfocused":
+        return "the microlenses see the main lens"
+    where = [f"{_text(abs(a))} mm {'before' if a > 0 else 'behind'} them" for a in camera.mla_object_distances]
+    return f"the microlenses see an image {', '.join(where)}"
+
+
+def _effective(group: str, camera: PlenopticCamera, distance: float, wavelength: float | None) -> list[Row]:
+    """Resolution at one distance."""
+    finest = effective_resolution(camera, distance, wavelength)
+    rows = [
+        Row(group, "effective resolution", f"{finest.columns:.0f} x {finest.rows:.0f}", "", "details across and down"),
+        Row(group, "finest detail", _text(finest.line_width), "mm", f"{finest.ratio:.3g} per pixel of the detector"),
+        Row(
+            group,
+            "samples per lens",
+            f"{finest.samples_per_lens:.3g}",
+            "",
+            f"along an axis; suits oversample = {suitable_oversample(camera, distance, wavelength)}",
+        ),
+    ]
+    if camera.kind != "unfocused":
+        across = f"{lenses_across(camera, distance):.3g}"
+        rows += [
+            Row(group, "virtual depth", f"{camera.virtual_depth(distance):.3g}", "", "image to MLA over z"),
+            Row(group, "lenses that see a point", across, "", "along an axis"),
+        ]
+    return rows
+
+
 def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> list[Row]:
     group = "Refocusing"
     near, far = camera.refocus_range(wavelength)
@@ -165,7 +242,7 @@ def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> list[Row]:
         Row(group, "nearest distance", *_distance(near), "with one sample per lens"),
         Row(group, "farthest distance", *_distance(far), ""),
     ]
-    for distance in (near, camera.focus_distance, far):
+    for distance in dict.fromkeys((near, *camera.best_distances, far)):
         if camera.focal_length < distance < math.inf:
             at = f"at {_text(distance)} mm"
             rows += [
@@ -216,6 +293,24 @@ def _distance(value: float) -> tuple[str, str]:
     if value < 0:
         return "none", ""
     return ("infinity", "") if math.isinf(value) else (_text(value), "mm")
+
+
+def _range(limits: tuple[float, float] | None) -> tuple[str, str]:
+    """Write a range of distances and its unit."""
+    if limits is None:
+        return "none", ""
+    return " to ".join(_distance(limit)[0] for limit in limits), "mm"
+
+
+def _union(ranges: list[tuple[float, float] | None]) -> list[tuple[float, float]]:
+    """Join ranges that overlap; nearest first."""
+    joined: list[tuple[float, float]] = []
+    for near, far in sorted(limits for limits in ranges if limits is not None):
+        if joined and near <= joined[-1][1]:
+            joined[-1] = joined[-1][0], max(far, joined[-1][1])
+        else:
+            joined.append((near, far))
+    return joined
 
 
 def _text(value: float) -> str:
