@@ -21,7 +21,7 @@ AIRY_ZERO = 1.21967
 _LATER = {"mla_lattice", "mla_rotation", "mla_offset", "mla_aperture", "mla_fill"}
 
 
-@dataclass(frozen=True, init=False)
+@dataclass(frozen=True, init=False, repr=False)
 class PlenopticCamera:
     r"""A main lens, a microlens array behind it, and a detector behind that.
 
@@ -200,6 +200,9 @@ class PlenopticCamera:
         if len(self.mla_focal_lengths) == 1:
             values["mla_focal_length"] = self.mla_focal_length
         return values
+
+    def __repr__(self) -> str:
+        return f"PlenopticCamera({', '.join(f'{name}={value!r}' for name, value in self.to_dict().items())})"
 
     def replace(self, **changes: Any) -> PlenopticCamera:
         """Return a copy of the camera with some parameters changed."""
