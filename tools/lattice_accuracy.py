@@ -81,7 +81,7 @@ def main() -> None:
 
         lines.append(
             f"| {name} | {len(centres)} | {error.max():.3f} | {np.sqrt(np.mean(error**2)):.3f} "
-            f"| {mean(white) / white.camera.white_mean:.4f} | {np.sqrt(np.mean(estimated**2)):.3f} "
+            f"| {mean(white) / white.camera.white_mean:.4f} | {np.sqrt(np.mean(estimated**2)):.4f} "
             f"| {', '.join(f'{psnr:.1f}' for psnr, _ in scores)} |"
         )
         print(lines[-1], flush=True)
