@@ -22,7 +22,7 @@ AIRY_ZERO = 1.21967
 _LATER = {"mla_lattice", "mla_rotation", "mla_offset", "mla_aperture", "mla_fill"}
 
 
-@dataclass(frozen=True, init=False)
+@dataclass(frozen=True, init=False, repr=False)
 class PlenopticCamera:
     r"""A main lens, a microlens array behind it, and a detector behind that.
 
@@ -215,9 +215,14 @@ class PlenopticCamera:
             values["mla_focal_length"] = self.mla_focal_length
         return values
 
+    def __repr__(self) -> str:
+        return f"PlenopticCamera({', '.join(f'{name}={value!r}' for name, value in self.to_dict().items())})"
+
     def replace(self, **changes: Any) -> PlenopticCamera:
-        """Return a copy of the camera with some parameters changed."""
+        """Return a copy of the camera with some parameters changed; what records all goes on recording all."""
         values = self.to_dict() | changes
+        if "resolution" in changes and "crop_size" not in changes and not self.is_cropped:
+            values.pop("crop_size")
         if "focus_distance" in changes:
             values.pop("mla_distance") if "mla_distance" not in changes else None
         return PlenopticCamera(**values)

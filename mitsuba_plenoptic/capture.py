@@ -22,7 +22,7 @@ class Capture:
     Parameters
     ----------
     image : (rows, columns[, channels]) array
-        Pixel values, mean radiance over the pixel's lens; kept as float32.
+        Pixel values, mean radiance over the aperture of the pixel's lens; kept as float32.
     camera : PlenopticCamera
         The camera; its `shape` is the image's.
     wavelength : float or tuple of three floats, optional

@@ -208,7 +208,8 @@ class Lattice:
         (size, size) float64 array
             Of odd size, the lens's centre in the middle; the sum is 1.
         """
-        if scale == 0:
+        if scale * self.aperture_width < 2 * step / _POINTS:
+            # too small to be drawn
             return np.ones((1, 1))
         half = math.ceil(scale * self.aperture_reach / step)
         fine = (np.arange(_POINTS * (2 * half + 1)) + 0.5) / _POINTS - half - 0.5
@@ -272,7 +273,8 @@ class Lattice:
         if _is_zero(self.rotation):
             return x, y
         angle = self.rotation * (math.pi / 180)
-        module = _module(angle)
+        # a number of NumPy would turn Dr.Jit's arrays into its own
+        module = dr if dr.is_array_v(angle) else math
         cosine, sine = module.cos(angle), sign * module.sin(angle)
         return cosine * x - sine * y, sine * x + cosine * y
 

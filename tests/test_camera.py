@@ -51,6 +51,7 @@ def test_refocus_range_is_where_the_blur_spans_as_many_lenses_as_there_are_direc
 def test_a_camera_survives_json():
     camera = PlenopticCamera(crop_offset=(3, 4), crop_size=(100, 50), lens_model="parabolic")
     assert PlenopticCamera.from_dict(json.loads(json.dumps(camera.to_dict()))) == camera
+    assert eval(repr(camera)) == camera
     assert camera.shape == (50, 100)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from mitsuba_plenoptic import PlenopticCamera, load_scene, reconstruct, render_capture
+from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.lightfield import decode, estimate_lens_grid, lens_grid, refocus, view, white_image
 from mitsuba_plenoptic.lightfield.grid import bin_grid
 
@@ -43,6 +43,13 @@ def test_the_grid_holds_the_lenses_and_is_what_is_found_in_a_white_image(camera)
     inner = ((centres > 20) & (centres < [620, 492])).all(1)
     error = cKDTree(found.centres().reshape(-1, 2)).query(centres[inner])[0]
     assert np.sqrt(np.mean(error**2)) < 0.02
+
+
+@pytest.mark.parametrize("lattice", [{}, {"mla_lattice": "hexagonal"}])
+def test_a_window_without_a_lens_is_refused(lattice):
+    camera = PlenopticCamera(crop_offset=(2075, 2075), crop_size=(4, 4), **lattice)
+    with pytest.raises(InputError, match="no micro-image is centred in the recorded window"):
+        lens_grid(camera)
 
 
 def test_white_is_one_in_every_view_on_square_bins(camera):

@@ -116,7 +116,7 @@ def test_self_imaging_of_a_bare_lens_array(part):
     highest = 0.3
     table = transmission_table(SMALL, WAVELENGTH, highest)
     x = np.arange(periods * per_period) * pitch / per_period
-    t = transmission(SMALL, table, x)
+    t = transmission(SMALL, table, x, 0)
     distance = part * 2 * pitch**2 / lam
     field = propagate(t[None, :] * t[:, None], pitch / per_period, distance, WAVELENGTH)
 
@@ -161,9 +161,9 @@ def test_pixel_integrals_of_a_gaussian():
     """Against the error function, for pixels that are no multiple of the sampling."""
     from scipy.special import erf
 
-    pitch, pixel, width = 1.7e-3, 3.1e-3, 8e-3
-    x = -0.1 + pitch * np.arange(120)
-    samples = np.exp(-(x[:, None] ** 2 + (x[None, :] - 0.01) ** 2) / width**2).astype(np.float32)
+    pitch, pixel, width = (1.7e-3, 1.6e-3), 3.1e-3, 8e-3
+    x, y = (-0.1 + step * np.arange(120) for step in pitch)
+    samples = np.exp(-(y[:, None] ** 2 + (x[None, :] - 0.01) ** 2) / width**2).astype(np.float32)
     image = integrate_pixels(samples, pitch, (-0.1, -0.1), pixel, (-0.06, -0.05), (30, 40))
     across, down = -0.06 + pixel * np.arange(41), -0.05 + pixel * np.arange(31)
     along_x, along_y = (np.diff(erf(v / width)) * np.sqrt(np.pi) / 2 * width for v in (across - 0.01, down))

@@ -122,10 +122,17 @@ def lens_grid(camera: PlenopticCamera) -> LensGrid:
     They are chief-ray images of the lens centres: at c (b + z) / b on the detector, not at c. Of a lattice in another
     position than the default they are all lenses whose micro-image is centred in the image, in whole rows and
     columns, as `estimate_lens_grid` finds them.
+
+    Raises
+    ------
+    InputError
+        If no micro-image is centred in the recorded window.
     """
     lattice = camera.lattice
     if lattice.separable and lattice.offset == (0, 0):
         return bin_grid(camera)
+    if not len(micro_image_centres(camera, 0)):
+        raise InputError(f"crop_size = {camera.crop_size}: no micro-image is centred in the recorded window")
     scale = camera.micro_image_pitch / camera.mla_pitch / camera.pixel_size
     vectors, shifted = lattice_rows(np.array(lattice.basis) * scale)
     x, y = lattice.centre(0.0, 0.0)
@@ -147,7 +154,8 @@ def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:
     around = (margin + 1) * camera.pixel_size
     index = camera.lattice.lenses_within((x[0] - around, y[0] - around), (x[1] + around, y[1] + around))
     centre = camera.lattice.centre(*index.T.astype(np.float64))
-    return np.stack([_pixel(camera, centre[axis], axis) for axis in (0, 1)], axis=-1)
+    centres = np.stack([_pixel(camera, centre[axis], axis) for axis in (0, 1)], axis=-1)
+    return centres[((centres >= -margin) & (centres <= np.array(camera.crop_size) + margin)).all(1)]
 
 
 def lens_kinds(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:

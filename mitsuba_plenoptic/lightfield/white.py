@@ -35,9 +35,12 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     rows, columns = camera.shape
     image = np.zeros((rows + 2 * half, columns + 2 * half), dtype=np.float32)
     window = np.arange(-half, half + 1)
-    centres = micro_image_centres(camera, half) if grid is None else grid.centres().reshape(-1, 2)
-    # Those whose micro-image reaches the detector.
-    centres = centres[((centres > -half) & (centres < [columns + half, rows + half])).all(1)]
+    if grid is None:
+        centres = micro_image_centres(camera, half)
+    else:
+        centres = grid.centres().reshape(-1, 2)
+        # Those whose micro-image reaches the detector.
+        centres = centres[((centres > -half) & (centres < [columns + half, rows + half])).all(1)]
     for row in np.array_split(centres, -(-len(centres) // _BLOCK) or 1):
         base = np.floor(row).astype(np.int64)
         # Pupil coordinates that each pixel sees through its lens's centre, but for their sign.

@@ -16,8 +16,9 @@ import mitsuba as mi
 import numpy as np
 import scipy.stats.qmc
 
-from .. import lattice, rays
+from .. import rays
 from ..camera import PlenopticCamera
+from ..lattice import Lattice
 
 # Cells of the pupil's bounding square, along an axis, whose visibility is found by one shadow ray each.
 PUPIL_CELLS = 16
@@ -25,6 +26,9 @@ PUPIL_CELLS = 16
 # Lenses beyond the recorded ones whose radiators count: diffraction at the microlenses' edges, which falls with the
 # inverse square of the distance, brings 1 % of a white scene's light from lenses farther off than the next one.
 _MARGIN = 3
+
+# How far, relatively, two ways to compute a place may be apart.
+_ROUNDING = 1e-9
 
 # Child light paths or shadow rays traced at once.
 _LANES = 2**22
@@ -58,27 +62,53 @@ class Radiators:
 
 @dataclass(frozen=True)
 class LensWindow:
-    """The lenses whose cells are sampled: those of the recorded pixels and a few more on each side."""
+    """The lenses whose cells are sampled: those of the recorded pixels and a few more on each side.
 
-    first: tuple[int, int]
-    count: tuple[int, int]
+    A cell is here the parallelogram that the two lattice vectors span around a lens's centre.
+
+    Attributes
+    ----------
+    lattice : Lattice
+        The microlens lattice.
+    index : (n, 2) int array
+        Indices of the lenses.
+    recorded : (2, 2) float64 array
+        Lower and upper corner of the part of the MLA plane that the recorded pixels belong to.
+    """
+
+    lattice: Lattice
+    index: np.ndarray
+    recorded: np.ndarray
 
     @classmethod
     def of(cls, camera: PlenopticCamera) -> LensWindow:
         """Find the window of a camera's recorded pixels."""
-        first, count = [], []
-        for axis in (0, 1):
-            edges = np.array([0, camera.crop_size[axis]]) + camera.crop_offset[axis] - camera.resolution[axis] / 2
-            chief = rays.chief_point(edges * camera.pixel_size, camera.mla_distance, camera.detector_distance)
-            low, high = lattice.cell_index(chief, camera.mla_pitch)
-            first.append(int(low) - _MARGIN)
-            count.append(int(high) - int(low) + 1 + 2 * _MARGIN)
-        return cls((first[0], first[1]), (count[0], count[1]))
+        edges = np.array([[0, 0], camera.crop_size]) + camera.crop_offset - np.array(camera.resolution) / 2
+        recorded = rays.chief_point(edges * camera.pixel_size, camera.mla_distance, camera.detector_distance)
+        margin = (_MARGIN + 0.5) * camera.mla_pitch
+        # A lens of whose cell no more than the lower edge is recorded counts as well.
+        low, high = recorded[0] - margin * (1 - _ROUNDING), recorded[1] + margin * (1 + _ROUNDING)
+        return cls(camera.lattice, camera.lattice.lenses_within(tuple(low), tuple(high)), recorded)
 
-    @property
-    def lenses(self) -> int:
-        """Number of lenses."""
-        return self.count[0] * self.count[1]
+    def place(self, i: Any, j: Any) -> tuple[Any, Any]:
+        """Point of the MLA plane at i and j steps along the lattice vectors from the first corner of cell (0, 0)."""
+        (ax, ay), (bx, by) = self.lattice.basis
+        cx, cy = self.lattice.centre(0.0, 0.0)
+        return i * ax + j * bx + (cx - (ax + bx) / 2), i * ay + j * by + (cy - (ay + by) / 2)
+
+    def holds(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Whether points lie in the cells of the window."""
+        first, last = self.index.min(0), self.index.max(0)
+        sampled = np.zeros(last - first + 3, dtype=bool)
+        sampled[tuple((self.index - first + 1).T)] = True
+        (ax, ay), (bx, by) = self.lattice.basis
+        ox, oy = self.place(0.0, 0.0)
+        x, y, area = x - ox, y - oy, ax * by - ay * bx
+        i, j = (
+            np.clip(np.floor(steps).astype(int) - low, -1, high - low + 1) + 1
+            for steps, low, high in zip(((x * by - y * bx) / area, (y * ax - x * ay) / area), first, last, strict=True)
+        )
+        return np.asarray(sampled[i, j])
 
 
 def sample_pairs(per_lens: int, shift: np.ndarray) -> np.ndarray:
@@ -139,9 +169,9 @@ def find_radiators(
     found = [
         _trace_lenses(
             scene, sensor, child, camera, window, pairs,
-            range(start, min(start + lenses, window.lenses)), spp, seed + start, wavelength, occlusion,
+            range(start, min(start + lenses, len(window.index))), spp, seed + start, wavelength, occlusion,
         )
-        for start in range(0, window.lenses, lenses)
+        for start in range(0, len(window.index), lenses)
     ]  # fmt: skip
     positions = np.concatenate([part[0] for part in found])
     radiance = np.concatenate([part[1] for part in found])
@@ -171,10 +201,8 @@ def _trace_lenses(
     lens, pair = radiator // len(pairs) + lenses.start, radiator % len(pairs)
     place = [dr.gather(mi.Float, mi.Float(pairs[:, i].astype(np.float32)), pair) for i in range(4)]
     P = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(place[2], place[3])) * camera.aperture_radius
-    index = mi.Point2f(
-        mi.Float(lens % window.count[0]) + window.first[0], mi.Float(lens // window.count[0]) + window.first[1]
-    )
-    q = (index + mi.Point2f(place[0], place[1])) * camera.mla_pitch
+    i, j = (dr.gather(mi.Float, mi.Float(index.astype(np.float32)), lens) for index in window.index.T)
+    q = mi.Point2f(*window.place(i + place[0], j + place[1]))
     slope = rays.main_lens_slope((P - q) / camera.mla_distance, P, camera.focal_length)
     direction = dr.normalize(mi.Vector3f(slope.x, slope.y, 1))
 
@@ -244,8 +272,9 @@ def _sampled_share(
     positions: np.ndarray, masks: np.ndarray | None, camera: PlenopticCamera, window: LensWindow
 ) -> np.ndarray:
     """Share of the visible pupil that sends a radiator's light into the sampled lenses."""
-    low = np.array(window.first) * camera.mla_pitch
-    high = low + np.array(window.count) * camera.mla_pitch
+    # No point that lies nearer to the recorded part than this is in the cell of a lens beyond the window.
+    margin = (_MARGIN - 1) * camera.mla_pitch
+    low, high = window.recorded[0] - margin, window.recorded[1] + margin
     b, f1 = camera.mla_distance, camera.focal_length
     X, g = positions[:, :2], positions[:, 2:]
     centre = rays.mla_point(X, 0.0, g, b, f1)
@@ -260,10 +289,12 @@ def _sampled_share(
     x, y = x[inside], y[inside]
     cell = ((y + 1) / 2 * PUPIL_CELLS).astype(int) * PUPIL_CELLS + ((x + 1) / 2 * PUPIL_CELLS).astype(int)
     for some in np.array_split(partial, max(1, partial.size * x.size // 2**24)):
-        landed = np.ones((some.size, x.size), dtype=bool)
-        for axis, pupil in ((0, x), (1, y)):
-            q = rays.mla_point(X[some, axis, None], pupil * camera.aperture_radius, g[some], b, f1)
-            landed &= (q >= low[axis]) & (q <= high[axis])
+        landed = window.holds(
+            *(
+                rays.mla_point(X[some, axis, None], pupil * camera.aperture_radius, g[some], b, f1)
+                for axis, pupil in ((0, x), (1, y))
+            )
+        )
         seen = np.ones_like(landed) if masks is None else masks.reshape(len(masks), -1)[some][:, cell]
         # The ray that found the radiator landed, so the share is never nothing.
         share[some] = np.maximum((landed & seen).sum(axis=1), 1) / np.maximum(seen.sum(axis=1), 1)

@@ -206,9 +206,10 @@ def make_class() -> type:
         ) -> np.ndarray:
             """Sum the point spreads of one set in one channel."""
             b, z = camera.mla_distance, camera.detector_distance
-            cell = camera.mla_pitch**2 / self.radiators_per_lens**2
+            lattice = camera.lattice
+            cell = lattice.cell_area / self.radiators_per_lens**2
             pupil = math.pi * camera.aperture_radius**2
-            scale = cell * pupil * z**2 / (b**2 * camera.mla_pitch**2 * camera.pixel_size**2 * self.passes)
+            scale = cell * pupil * z**2 / (b**2 * lattice.lens_area * camera.pixel_size**2 * self.passes)
             progress = self.progress
             return incoherent_sum(
                 camera,

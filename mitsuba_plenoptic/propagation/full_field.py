@@ -29,7 +29,7 @@ from .._backend import array_module
 from ..camera import PlenopticCamera
 from .angular_spectrum import advance
 from .fft import Field, fft2, pack, resting_drjit, worker_count
-from .microlens import transmission, transmission_table
+from .microlens import is_separable, plane_transmission, transmission, transmission_table
 from .sampling import (
     check_memory,
     fast_length,
@@ -255,10 +255,12 @@ def _detector_spectrum(
     camera: PlenopticCamera, wavelength: float, grids: _Grids, samples: Field, microlenses: bool
 ) -> Field:
     """Spectrum on the detector of the field that reaches the MLA, whose memory is used."""
-    if microlenses:
+    if microlenses and is_separable(camera):
         along_x, along_y = _microlens_phases(camera, wavelength, grids)
         samples *= along_x[None, :]
         samples *= along_y[:, None]
+    elif microlenses:
+        _apply_plane(camera, wavelength, grids, samples)
     with resting_drjit():
         spectrum = fft2(samples)
     return advance(spectrum, grids.pitch, camera.detector_distance, wavelength)
@@ -288,9 +290,25 @@ def _microlens_phases(camera: PlenopticCamera, wavelength: float, grids: _Grids)
     """Transmission of the microlenses along x and along y; the whole is their product."""
     table = transmission_table(camera, wavelength, grids.bend)
     return tuple(
-        transmission(camera, table, start + (offset + np.arange(count)) * grids.pitch)
-        for start, offset, count in zip(grids.wide_origin, grids.offset, grids.count, strict=True)
+        transmission(camera, table, start + (offset + np.arange(count)) * grids.pitch, axis)
+        for axis, (start, offset, count) in enumerate(zip(grids.wide_origin, grids.offset, grids.count, strict=True))
     )
+
+
+def _apply_plane(camera: PlenopticCamera, wavelength: float, grids: _Grids, samples: Field) -> None:
+    """Multiply a field by the transmission of microlenses that are no product of two axes."""
+    types = array_module()
+    lenses = plane_transmission(camera, wavelength, grids.bend)
+    left, top = (start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
+    columns = grids.count[0]
+    for block in _blocks(grids.count[1]):
+        index = dr.arange(types.UInt32, (block.stop - block.start) * columns)
+        row = index // dr.opaque(types.UInt32, columns)
+        x = types.Float64(index - row * columns) * grids.pitch + dr.opaque(types.Float64, left)
+        y = types.Float64(row) * grids.pitch + dr.opaque(types.Float64, top + block.start * grids.pitch)
+        packed = pack(lenses.at(x, y))
+        dr.eval(packed)
+        samples[block] *= packed.numpy().view(np.complex64).reshape(-1, columns)
 
 
 def _pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: _Grids) -> NDArray[np.float32]:

@@ -18,9 +18,10 @@ from ..errors import InputError
 from .accuracy import DEFAULT_ACCURACY, band_for, check_accuracy, wavefront_step
 from .fft import resting_drjit, worker_count
 from .full_field import full_field
+from .microlens import is_separable, turn
 from .patch import Copies, Grid, PatchBatch, Placement, Tile, Workspace, place
 from .patterns import LARGEST_ZONE, find_patterns
-from .pixels import integrate_pixels
+from .pixels import integrate_pixels, turn_samples
 from .sampling import check_memory, check_positions, check_wavelength
 
 METHODS = ("patch", "full_field")
@@ -248,9 +249,10 @@ class _PatchSum:
         lit = np.flatnonzero(factors.any(1))
         self.grid = Grid.of(camera, wavelength, band_for(accuracy, len(points)), points)
         step = wavefront_step(accuracy, camera, points[lit])
-        patterns = find_patterns(camera, points[lit], None if masks is None else masks[lit], wavelength, step)
+        places = self.grid.to_frame(points[lit])
+        patterns = find_patterns(self.grid.camera, places, None if masks is None else masks[lit], wavelength, step)
         placement = _place_all(self.grid, patterns.positions)
-        shifts = patterns.shift * self.grid.lens_samples
+        shifts = patterns.shift @ self.grid.lens_samples
         low = placement.corner[patterns.pattern] + shifts
         high = low + placement.samples[patterns.pattern, None]
         self.window = self._window(low, high)
@@ -273,11 +275,23 @@ class _PatchSum:
         start = np.array(self.camera.crop_offset)
         stop = start + np.array(self.camera.crop_size)
         if len(low):
-            start = np.clip(np.floor(low.min(0) * pitch / p).astype(np.int64) - _EDGE, start, stop)
-            stop = np.clip(np.ceil(high.max(0) * pitch / p).astype(np.int64) + _EDGE, start, stop)
-        first = np.floor(start * p / pitch).astype(np.int64) - _EDGE
-        last = np.ceil(stop * p / pitch).astype(np.int64) + _EDGE
+            reached = self._turned(low.min(0) * pitch, high.max(0) * pitch, self.grid.rotation)
+            start = np.clip(np.floor(reached[0] / p).astype(np.int64) - _EDGE, start, stop)
+            stop = np.clip(np.ceil(reached[1] / p).astype(np.int64) + _EDGE, start, stop)
+        felt = self._turned(start * p, stop * p, -self.grid.rotation)
+        first = np.floor(felt[0] / pitch).astype(np.int64) - _EDGE
+        last = np.ceil(felt[1] / pitch).astype(np.int64) + _EDGE
         return _Window(_Box.between(start, stop), _Box.between(first, last))
+
+    def _turned(
+        self, low: NDArray[np.float64], high: NDArray[np.float64], degrees: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Bound a rectangle, given from the detector's corner, after a turn about the axis."""
+        if degrees == 0:
+            return low, high
+        x, y = (np.array([low[axis], low[axis], high[axis], high[axis]]) + self.grid.origin[axis] for axis in (0, 1))
+        corners = np.stack(turn(x, y[[0, 2, 0, 2]], degrees), -1) - self.grid.origin
+        return corners.min(0), corners.max(0)
 
     def _sort(self, zone: NDArray[np.int64]) -> list[NDArray[np.int64]]:
         samples, corner = self.placement.samples, self.placement.corner
@@ -296,8 +310,10 @@ class _PatchSum:
         chunks = []
         for group in np.split(order, np.flatnonzero(changes) + 1):
             first = group[0]
-            directions = (self.placement.last[first] - self.placement.first[first]).max() + 2
-            size = int(min(_CHUNK, max(1, _CHUNK_BYTES // (8 * directions**2))))
+            across = (self.placement.last[first] - self.placement.first[first]).max() + 2
+            if not is_separable(self.grid.camera):
+                across = 1.5 * samples[first]  # on the MLA, of which the microlenses take an array
+            size = int(min(_CHUNK, max(1, _CHUNK_BYTES // (8 * across**2))))
             chunks += [group[start : start + size] for start in range(0, len(group), size)]
         return chunks
 
@@ -305,8 +321,10 @@ class _PatchSum:
         """Bytes that `run` takes."""
         channels, box = self.factors.shape[1], self.window.samples
         image = 4.0 * channels * (box.rows * box.columns + 2 * math.prod(self.camera.shape))
+        if self.grid.rotation != 0:
+            image += 12.0 * box.rows * box.columns
         samples = float(self.placement.samples.max(initial=0))
-        tile = samples * 4 / 3 + LARGEST_ZONE * self.grid.lens_samples
+        tile = samples * 4 / 3 + LARGEST_ZONE * float(self.grid.lens_samples.max())
         return image + (threads + 1) * (4 * channels * tile**2 + 10 * samples**2 + 2 * _CHUNK_BYTES)
 
     def cost(self, threads: int) -> Cost:
@@ -357,16 +375,40 @@ class _PatchSum:
         image = np.zeros((*camera.shape, len(fine)), np.float32)
         left, top = pixels.left - camera.crop_offset[0], pixels.top - camera.crop_offset[1]
         target = image[top : top + pixels.rows, left : left + pixels.columns]
+        edge = pixels.left * camera.pixel_size, pixels.top * camera.pixel_size
+        pitch = float(grid.pitch[0]), float(grid.pitch[1])
+        origin = box.left * pitch[0], box.top * pitch[1]
         for channel, intensity in enumerate(fine):
+            samples, steps, start = intensity, pitch, origin
+            if grid.rotation != 0:
+                samples, steps, start = self._upright(intensity, pitch, origin, edge)
             target[..., channel] = integrate_pixels(
-                intensity,
-                grid.pitch,
-                (box.left * grid.pitch, box.top * grid.pitch),
-                camera.pixel_size,
-                (pixels.left * camera.pixel_size, pixels.top * camera.pixel_size),
-                (pixels.rows, pixels.columns),
+                samples, steps, start, camera.pixel_size, edge, (pixels.rows, pixels.columns)
             )
         return np.maximum(image, 0, out=image)
+
+    def _upright(
+        self,
+        intensity: NDArray[np.float32],
+        pitch: tuple[float, float],
+        origin: tuple[float, float],
+        edge: tuple[float, float],
+    ) -> tuple[NDArray[np.float32], tuple[float, float], tuple[float, float]]:
+        """Turn the sum from the lattice's frame to samples in the camera's; origins are given from the corner."""
+        pixels, p, step = self.window.pixels, self.camera.pixel_size, min(pitch)
+        shape = (math.ceil(pixels.rows * p / step) + 2 * _EDGE, math.ceil(pixels.columns * p / step) + 2 * _EDGE)
+        start = edge[0] - _EDGE * step, edge[1] - _EDGE * step
+        corner = self.grid.origin.tolist()
+        turned = turn_samples(
+            intensity,
+            pitch,
+            (origin[0] + corner[0], origin[1] + corner[1]),
+            self.grid.rotation,
+            step,
+            (start[0] + corner[0], start[1] + corner[1]),
+            shape,
+        )
+        return turned, (step, step), start
 
     def _tiles(
         self, pool: ThreadPoolExecutor, threads: int

@@ -13,6 +13,10 @@ pupil. The sum is an inverse FFT of which few inputs are not zero. Curvature and
 a function of x and one of y, so the transforms to the MLA and back to the spectrum are done axis by axis, and rows
 outside the pupil never. The transfer function to the detector is that of the angular spectrum.
 
+All of this is done in the frame that is turned with the microlens lattice about the axis, in which the main lens is
+the same. Where the microlenses are no product of a function of x and one of y, as on a hexagonal lattice, the field
+is there on the MLA in both axes, which costs about twice the time.
+
 The tilt of the chief ray is rounded to a whole number of frequency samples and left out: it shifts the spectrum,
 and the intensity does not feel it. So the pitch has to hold only the cone of the pupil and the microlens, and
 some of the light that the edges of the microlenses scatter. All intensities are sampled on one grid of the
@@ -35,7 +39,7 @@ from numpy.typing import NDArray
 from .._backend import array_module
 from ..camera import PlenopticCamera
 from .fft import Field, pack
-from .microlens import transmission_table
+from .microlens import is_separable, plane_transmission, transmission_table, turn, upright
 from .sampling import fast_length, footprint, in_millimetres, mla_cosine, pupil_turns
 
 _WIDTH_PER_BLUR = 1.2
@@ -67,25 +71,32 @@ class Grid:
 
     Attributes
     ----------
+    camera : PlenopticCamera
+        The camera in the frame of its lattice.
+    rotation : float
+        Degrees by which that frame is turned, counter-clockwise.
     cosine : float
         Half the range of direction cosines of one scene point's light at the MLA.
-    pitch : float
-        Distance between samples in millimetres.
-    origin : (float, float)
-        Camera-frame x and y of sample (0, 0).
+    pitch : float64 array (2,)
+        Distance between samples along x and y, in millimetres.
+    origin : float64 array (2,)
+        x and y of sample (0, 0).
     """
 
     camera: PlenopticCamera
+    rotation: float
     wavelength: float
     band: Band
     cosine: float
-    pitch: float
-    origin: tuple[float, float]
+    pitch: NDArray[np.float64]
+    origin: NDArray[np.float64]
 
     @property
-    def lens_samples(self) -> int:
-        """Samples from one micro-image to the next."""
-        return round(self.camera.micro_image_pitch / self.pitch)
+    def lens_samples(self) -> NDArray[np.int64]:
+        """Samples along x and y, in columns, from one micro-image to the next along both lattice vectors, in rows."""
+        camera = self.camera
+        growth = camera.micro_image_pitch / camera.mla_pitch
+        return np.rint(np.array(camera.lattice.basis) * growth / self.pitch).astype(np.int64)
 
     @classmethod
     def of(
@@ -97,15 +108,26 @@ class Grid:
     ) -> Grid:
         """Lay the grid of a camera for some scene points.
 
-        Its pitch holds the kept directions, and a whole number of samples lies between neighbouring micro-images.
+        Its pitch holds the kept directions, and along both axes a whole number of samples lies between neighbouring
+        micro-images.
         """
+        rotation, camera = camera.mla_rotation, upright(camera)
         powers = np.abs(1 / camera.focal_length - 1 / positions[:, 2])
         cosine = camera.aperture_radius * float(powers.max(initial=1 / camera.mla_distance))
         half_band = band.cone * (cosine + mla_cosine(camera))
         largest = in_millimetres(wavelength) / (2 * half_band)
-        pitch = camera.micro_image_pitch / math.ceil(camera.micro_image_pitch / largest)
-        origin = (-camera.detector_width / 2, -camera.detector_height / 2)
-        return cls(camera, wavelength, band, cosine, pitch, origin)
+        steps = np.array([camera.micro_image_pitch, camera.micro_image_pitch])
+        if camera.mla_lattice == "hexagonal":
+            # every second row is half a pitch aside
+            steps *= 0.5, camera.lattice.row_distance / camera.mla_pitch
+        origin = -np.array([camera.detector_width, camera.detector_height]) / 2
+        return cls(camera, rotation, wavelength, band, cosine, steps / np.ceil(steps / largest), origin)
+
+    def to_frame(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Turn scene points of the camera frame, (n, 3), into the frame of the lattice."""
+        if self.rotation == 0:
+            return positions
+        return np.column_stack([*turn(positions[:, 0], positions[:, 1], -self.rotation), positions[:, 2]])
 
 
 @dataclass(frozen=True)
@@ -127,7 +149,7 @@ def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
     grid : Grid
         The grid that they lie on.
     positions : float64 array (n, 3)
-        Scene points in the camera frame.
+        Scene points in the frame of the lattice.
 
     Returns
     -------
@@ -142,9 +164,9 @@ def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
     blur = 2 * image.half_width.max(1)
     spread = grid.band.margin * airy
     width = np.maximum(_WIDTH_PER_BLUR * blur + spread / 3, spread) + np.abs(walk).max(1)
-    samples = _ladder(width / grid.pitch)
-    corner = np.rint((image.centre + walk / 2 - np.array(grid.origin)) / grid.pitch).astype(np.int64)
-    step = lam / (samples * grid.pitch)
+    samples = _ladder(width / grid.pitch.min())
+    corner = np.rint((image.centre + walk / 2 - grid.origin) / grid.pitch).astype(np.int64)
+    step = lam / (samples[:, None] * grid.pitch)
     angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
     rim = camera.aperture_radius * np.stack([np.cos(angle), np.sin(angle)], -1)
     towards = image.centre[:, None] - rim
@@ -153,8 +175,8 @@ def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
         samples=samples,
         corner=corner - samples[:, None] // 2,
         image=image.centre,
-        first=np.floor(cosine.min(1) / step[:, None]).astype(np.int64) - 1,
-        last=np.ceil(cosine.max(1) / step[:, None]).astype(np.int64) + 1,
+        first=np.floor(cosine.min(1) / step).astype(np.int64) - 1,
+        last=np.ceil(cosine.max(1) / step).astype(np.int64) + 1,
     )
 
 
@@ -174,7 +196,9 @@ class Workspace:
     def __init__(self, batch: PatchBatch) -> None:
         count, m = batch.together, batch.mla_samples
         self.rows = np.empty((count, batch.pupil.shape[1], m), np.complex64)
-        self.columns = np.empty((count, _largest(_blocks(batch.samples, m)), m), np.complex64)
+        longest = max(_largest(_blocks(size, m)) for size in (batch.samples, m))
+        self.columns = np.empty((count, longest, m), np.complex64)
+        self.plane = np.empty((0 if batch.separable else count, m, batch.samples), np.complex64)
         self.field = np.empty((count, batch.samples, batch.samples), np.complex64)
 
 
@@ -257,11 +281,11 @@ class PatchBatch:
     placement : Placement
         Of these radiators.
     positions : float64 array (n, 3)
-        Scene points in the camera frame.
+        Scene points in the frame of the lattice.
     amplitudes : float64 array (n,)
         Factors on the fields.
     masks : bool array (n, m, m), optional
-        Which cells of the pupil's bounding square are open.
+        Which cells of the pupil's bounding square are open, in the camera frame.
     """
 
     def __init__(
@@ -275,16 +299,19 @@ class PatchBatch:
         self.samples = int(placement.samples[0])
         self.corner = placement.corner
         step = in_millimetres(grid.wavelength) / (self.samples * grid.pitch)
-        half = 2 * grid.cosine / step
+        finest = float(step.min())
+        half = 2 * grid.cosine / finest
         # Orders that would fold back into the kept band are cut; a few more samples keep those of use.
         self.mla_samples = max(self.samples, fast_length(0.87 * (self.samples + half)))
-        highest = min(self.samples + half, 2 * self.mla_samples - self.samples - half) / 2 * step
+        highest = min(self.samples + half, 2 * self.mla_samples - self.samples - half) / 2 * finest
         self.chief = (placement.first + placement.last) // 2
         self.pupil, power = self._pupil(grid, placement, positions, step, masks)
         scale = np.zeros(len(positions))
-        np.divide(step**2 * amplitudes, np.sqrt(power), out=scale, where=power > 0)
+        np.divide(step.prod() * amplitudes, np.sqrt(power), out=scale, where=power > 0)
         scale /= in_millimetres(grid.wavelength) * float(self.mla_samples) ** 2
+        self.separable = is_separable(grid.camera)
         self.along_x, self.along_y = self._curvature_and_lenses(grid, placement, scale, highest)
+        self.lenses = None if self.separable else self._lenses(grid, placement, highest)
         self.transfer = self._transfer(grid, step)
 
     def _pupil(
@@ -292,7 +319,7 @@ class PatchBatch:
         grid: Grid,
         placement: Placement,
         positions: NDArray[np.float64],
-        step: float,
+        step: NDArray[np.float64],
         masks: NDArray[np.bool_] | None,
     ) -> tuple[Field, NDArray[np.float64]]:
         """Plane waves from the pupil, (n, directions, directions), and each radiator's power through it."""
@@ -309,31 +336,35 @@ class PatchBatch:
         def constant(number: float) -> Any:
             return dr.opaque(types.Float64, number)
 
-        start = np.array(grid.origin) + placement.corner * grid.pitch - placement.image
+        start = grid.origin + placement.corner * grid.pitch - placement.image
         chief_path = np.sqrt((placement.image**2).sum(1) + camera.mla_distance**2)
         nx = types.Float64(column) + value(placement.first[:, 0])
         ny = types.Float64(row) + value(placement.first[:, 1])
-        sx, sy = nx * constant(step), ny * constant(step)
+        sx, sy = nx * constant(step[0]), ny * constant(step[1])
         b, a = constant(camera.mla_distance), constant(camera.aperture_radius)
         R = b / dr.sqrt(1 - sx * sx - sy * sy)
         Px, Py = value(placement.image[:, 0]) - R * sx, value(placement.image[:, 1]) - R * sy
         X, Y, g = (value(positions[:, axis]) for axis in range(3))
         turns, length = pupil_turns(camera, Px, Py, X, Y, g, constant(lam))
         turns += (R - value(chief_path)) / constant(lam)
-        width = constant(self.samples * grid.pitch)
+        start[:, 1] *= grid.pitch[0] / grid.pitch[1]
+        width = constant(self.samples * grid.pitch[0])
         turns += (nx * value(start[:, 0]) + ny * value(start[:, 1])) / width
         # The edge is softened over one sample, so that it does not fold; the power is that of the hard edge.
-        inside = types.Float((a - dr.sqrt(Px * Px + Py * Py)) / (R * constant(step)))
+        sample = math.sqrt(step.prod())
+        inside = types.Float((a - dr.sqrt(Px * Px + Py * Py)) / (R * constant(sample)))
         cover = dr.clip(inside + 0.5, 0, 1)
         if masks is not None:
             cells = masks.shape[1]
             scale, last = constant(cells / camera.aperture_diameter), cells - 1
+            if grid.rotation != 0:
+                Px, Py = turn(Px, Py, grid.rotation)
             cell_x = types.UInt32(dr.clip((Px + a) * scale, 0, last))
             cell_y = types.UInt32(dr.clip((Py + a) * scale, 0, last))
             opened = types.Float(masks.reshape(-1).astype(np.float32))
             cover *= dr.gather(types.Float, opened, (radiator * cells + cell_y) * cells + cell_x)
         bright = types.Float(g * R * R / (length * length * b))
-        power = dr.block_sum(types.Float64(bright * bright * cover), size * size) * step**2
+        power = dr.block_sum(types.Float64(bright * bright * cover), size * size) * step.prod()
         sine, cosine = dr.sincos(types.Float(turns - dr.round(turns)) * (2 * math.pi))
         packed = pack(types.Complex2f(cosine, sine) * (bright * cover))
         dr.eval(packed, power)
@@ -342,12 +373,13 @@ class PatchBatch:
     def _curvature_and_lenses(
         self, grid: Grid, placement: Placement, scale: NDArray[np.float64], highest: float
     ) -> tuple[Field, Field]:
-        """Factors on the MLA along x and along y, (n, samples); those along y carry the scale."""
+        """Factors on the MLA along x and along y, (n, samples); those along y carry the scale.
+
+        The microlenses are among them if they are such a product.
+        """
         types = array_module()
         camera, lam = grid.camera, in_millimetres(grid.wavelength)
-        table = transmission_table(camera, grid.wavelength, highest)
-        period = len(table) - 1
-        parts = types.Float(np.ascontiguousarray(table).view(np.float32))
+        table = transmission_table(camera, grid.wavelength, highest) if self.separable else None
         index = dr.arange(types.UInt32, len(scale) * self.mla_samples)
         _, radiator, sample = _split(types, index, len(scale), self.mla_samples)
         square = (placement.image**2).sum(1) + camera.mla_distance**2
@@ -357,35 +389,49 @@ class PatchBatch:
             def value(numbers: NDArray[Any]) -> Any:
                 return dr.gather(types.Float64, types.Float64(np.ascontiguousarray(numbers)), radiator)
 
-            pitch = self.samples * grid.pitch / self.mla_samples
-            m = value(grid.origin[axis] + placement.corner[:, axis] * grid.pitch)
-            m += types.Float64(sample) * dr.opaque(types.Float64, pitch)
+            m = value(self._corner(grid, placement)[:, axis])
+            m += types.Float64(sample) * dr.opaque(types.Float64, self._mla_pitch(grid)[axis])
             mu = m - value(placement.image[:, axis])
             # path from the pupil: (mu^2 - (s mu)^2) / 2 R, of which the part along the other axis is tiny
             curvature = (1 - placement.image[:, axis] ** 2 / square) / (2 * lam * np.sqrt(square))
             shift = (placement.first - self.chief)[:, axis] + self.samples // 2
             turns = mu * mu * value(curvature)
             turns += types.Float64(sample) * value(shift / self.mla_samples)
-            place = m * dr.opaque(types.Float64, 1 / camera.mla_pitch)
-            place = (place - dr.floor(place)) * period
-            node = dr.minimum(types.UInt32(place), period - 1)
-            part = types.Float(place - types.Float64(node))
-            lens = [
-                dr.lerp(
-                    dr.gather(types.Float, parts, 2 * node + k),
-                    dr.gather(types.Float, parts, 2 * node + 2 + k),
-                    part,
-                )
-                for k in (0, 1)
-            ]
             sine, cosine = dr.sincos(types.Float(turns - dr.round(turns)) * (2 * math.pi))
-            factor = types.Complex2f(cosine, sine) * types.Complex2f(*lens) * types.Float(value(size))
+            factor = types.Complex2f(cosine, sine)
+            if table is not None:
+                place = (m - camera.mla_offset[axis]) * dr.opaque(types.Float64, 1 / camera.mla_pitch)
+                factor *= _along_axis(types, table, place)
+            factor *= types.Float(value(size))
             packed = pack(factor)
             dr.eval(packed)
             factors.append(packed.numpy().view(np.complex64).reshape(len(scale), self.mla_samples))
         return factors[0], factors[1]
 
-    def _transfer(self, grid: Grid, step: float) -> Field:
+    def _lenses(self, grid: Grid, placement: Placement, highest: float) -> Field:
+        """Transmission of the microlenses, (n, samples along y, samples along x)."""
+        types = array_module()
+        count, size = len(placement.image), self.mla_samples
+        radiator, row, column = _split(types, dr.arange(types.UInt32, count * size * size), size, size)
+        corner, pitch = self._corner(grid, placement), self._mla_pitch(grid)
+        x, y = (
+            dr.gather(types.Float64, types.Float64(np.ascontiguousarray(corner[:, axis])), radiator)
+            + types.Float64(index) * dr.opaque(types.Float64, pitch[axis])
+            for axis, index in ((0, column), (1, row))
+        )
+        packed = pack(plane_transmission(grid.camera, grid.wavelength, highest).at(x, y))
+        dr.eval(packed)
+        return packed.numpy().view(np.complex64).reshape(count, size, size)
+
+    def _corner(self, grid: Grid, placement: Placement) -> NDArray[np.float64]:
+        """Places of the first samples on the MLA, (n, 2)."""
+        return grid.origin + placement.corner * grid.pitch
+
+    def _mla_pitch(self, grid: Grid) -> NDArray[np.float64]:
+        """Distance between samples on the MLA along x and y."""
+        return self.samples * grid.pitch / self.mla_samples
+
+    def _transfer(self, grid: Grid, step: NDArray[np.float64]) -> Field:
         """Transfer function from MLA to detector, (along x, along y), of all directions of all the radiators."""
         types = array_module()
         low, high = self.chief.min(0), self.chief.max(0)
@@ -393,8 +439,8 @@ class PatchBatch:
         index = dr.arange(types.UInt32, rows * columns)
         _, row, column = _split(types, index, rows, columns)
         first = low - self.samples // 2
-        sx = (types.Float64(column) + dr.opaque(types.Float64, float(first[0]))) * dr.opaque(types.Float64, step)
-        sy = (types.Float64(row) + dr.opaque(types.Float64, float(first[1]))) * dr.opaque(types.Float64, step)
+        sx = (types.Float64(column) + dr.opaque(types.Float64, float(first[0]))) * dr.opaque(types.Float64, step[0])
+        sy = (types.Float64(row) + dr.opaque(types.Float64, float(first[1]))) * dr.opaque(types.Float64, step[1])
         square = sx * sx + sy * sy
         waves = grid.camera.detector_distance / in_millimetres(grid.wavelength)
         turns = dr.opaque(types.Float64, waves) * (dr.sqrt(dr.maximum(1 - square, 0)) - 1)
@@ -423,32 +469,68 @@ class PatchBatch:
         tile : Tile
             Added to.
         """
+        n, field = self.samples, work.field[: stop - start]
+        if self.lenses is None:
+            self._pass_product(start, stop, work)
+        else:
+            self._pass_plane(start, stop, work, self.lenses)
+        for block in _blocks(n, n):
+            detector = field[..., block]
+            _inverse(detector, axis=1)
+            for part, radiator in zip(detector, range(start, stop), strict=True):
+                tile.add(part, block, radiator)
+
+    def _pass_product(self, start: int, stop: int, work: Workspace) -> None:
+        """Take the fields from the pupil to the detector, along y only: through microlenses axis by axis."""
         n, m, count = self.samples, self.mla_samples, stop - start
         directions = self.pupil.shape[1]
-        rows, field = work.rows[:count], work.field[:count]
+        rows = work.rows[:count]
         rows[..., :directions] = self.pupil[start:stop]
         rows[..., directions:] = 0
         _inverse(rows, axis=2)
         rows *= self.along_x[start:stop, None, :]
         _forward(rows, axis=2)
-        chief = self.chief[start:stop] - self.chief.min(0)
         for block in _blocks(n, m):
             columns = work.columns[:count, : block.stop - block.start]
             columns[..., :directions] = rows[..., block].transpose(0, 2, 1)
             columns[..., directions:] = 0
             _inverse(columns, axis=2)
             columns *= self.along_y[start:stop, None, :]
+            self._to_detector(columns, block, start, stop, work)
+
+    def _pass_plane(self, start: int, stop: int, work: Workspace, lenses: Field) -> None:
+        """Take the fields from the pupil to the detector, along y only: through microlenses of both axes at once."""
+        n, m, count = self.samples, self.mla_samples, stop - start
+        directions = self.pupil.shape[1]
+        rows = work.rows[:count]
+        rows[..., :directions] = self.pupil[start:stop].transpose(0, 2, 1)
+        rows[..., directions:] = 0
+        _inverse(rows, axis=2)
+        rows *= self.along_y[start:stop, None, :]
+        for block in _blocks(m, m):
+            columns = work.columns[:count, : block.stop - block.start]
+            columns[..., :directions] = rows[..., block].transpose(0, 2, 1)
+            columns[..., directions:] = 0
+            _inverse(columns, axis=2)
+            columns *= self.along_x[start:stop, None, :]
+            columns *= lenses[start:stop, block]
             _forward(columns, axis=2)
-            spectrum = columns[..., :n]
-            for part, (x, y) in zip(spectrum, chief, strict=True):
-                part *= self.transfer[x + block.start : x + block.stop, y : y + n]
-            _inverse(spectrum, axis=2)
-            field[:, block] = spectrum
-        for block in _blocks(n, n):
-            detector = field[..., block]
-            _inverse(detector, axis=1)
-            for part, radiator in zip(detector, range(start, stop), strict=True):
-                tile.add(part, block, radiator)
+            work.plane[:count, block] = columns[..., :n]
+        for block in _blocks(n, m):
+            columns = work.columns[:count, : block.stop - block.start]
+            np.copyto(columns, work.plane[:count, :, block].transpose(0, 2, 1))
+            self._to_detector(columns, block, start, stop, work)
+
+    def _to_detector(self, columns: Field, block: slice, start: int, stop: int, work: Workspace) -> None:
+        """Take some columns of the fields, spectra along x and places on the MLA along y, to the detector along y."""
+        n = self.samples
+        _forward(columns, axis=2)
+        chief = self.chief[start:stop] - self.chief.min(0)
+        spectrum = columns[..., :n]
+        for part, (x, y) in zip(spectrum, chief, strict=True):
+            part *= self.transfer[x + block.start : x + block.stop, y : y + n]
+        _inverse(spectrum, axis=2)
+        work.field[: stop - start, block] = spectrum
 
 
 def _blocks(count: int, length: int) -> Iterator[slice]:
@@ -460,6 +542,20 @@ def _blocks(count: int, length: int) -> Iterator[slice]:
 
 def _largest(blocks: Iterator[slice]) -> int:
     return max(block.stop - block.start for block in blocks)
+
+
+def _along_axis(types: Any, table: NDArray[np.complex64], place: Any) -> Any:
+    """Interpolate a transmission of one axis at places in periods."""
+    period = len(table) - 1
+    parts = types.Float(np.ascontiguousarray(table).view(np.float32))
+    place = (place - dr.floor(place)) * period
+    node = dr.minimum(types.UInt32(place), period - 1)
+    part = types.Float(place - types.Float64(node))
+    real, imaginary = (
+        dr.lerp(dr.gather(types.Float, parts, 2 * node + k), dr.gather(types.Float, parts, 2 * node + 2 + k), part)
+        for k in (0, 1)
+    )
+    return types.Complex2f(real, imaginary)
 
 
 def _split(types: Any, index: Any, rows: int, columns: int) -> tuple[Any, Any, Any]:

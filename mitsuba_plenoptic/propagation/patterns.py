@@ -14,6 +14,7 @@ distance within which radiators share.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,9 +70,9 @@ def find_patterns(
     Parameters
     ----------
     camera : PlenopticCamera
-        The camera.
+        The camera in the frame of its lattice.
     positions : float64 array (n, 3)
-        Scene points in the camera frame.
+        Scene points in that frame.
     masks : bool array (n, m, m), optional
         Visible cells of the pupil; only equal ones share.
     wavelength : float
@@ -84,7 +85,8 @@ def find_patterns(
     Patterns
     """
     g = positions[:, 2]
-    image = conjugate_coordinate(positions[:, :2], positions[:, 2:], camera.mla_distance) / camera.mla_pitch
+    place = conjugate_coordinate(positions[:, :2], positions[:, 2:], camera.mla_distance)
+    image = _lattice_steps(camera, place)
     if step == 0:
         alone = np.zeros((len(positions), 2), np.int64)
         return Patterns(positions, np.floor(image).astype(np.int64), np.arange(len(positions)), alone)
@@ -93,6 +95,10 @@ def find_patterns(
     lens = fine // parts[:, None]
     zone, size = _zones(camera, lens, wavelength, step)
     keys = [zone, size[:, None], depth[:, None], fine - lens * parts[:, None]]
+    kinds = len(camera.mla_focal_lengths)
+    if kinds > 1:
+        kind = camera.lattice.lens_kind(*lens.T).astype(np.int64)
+        keys.append(kind[:, None])
     if masks is not None:
         packed = np.packbits(masks.reshape(len(masks), -1), axis=1)
         keys.append(np.unique(packed, axis=0, return_inverse=True)[1].reshape(-1, 1))
@@ -104,11 +110,30 @@ def find_patterns(
     np.minimum.at(low, pattern, lens)
     np.maximum.at(high, pattern, lens)
     middle = (low + high) // 2
+    if kinds > 1:
+        # the nearest lens of the same kind
+        off = kind[first] - camera.lattice.lens_kind(*middle.T).astype(np.int64)
+        middle[:, 0] += (off + 1) % kinds - 1
     count = np.bincount(pattern)
     place = np.column_stack([np.bincount(pattern, part) for part in (image - lens).T]) / count[:, None] + middle
     distance = count / np.bincount(pattern, 1 / g)
     scale = -camera.mla_pitch * distance / camera.mla_distance
-    return Patterns(np.column_stack([place * scale[:, None], distance]), zone[first], pattern, lens - middle[pattern])
+    position = _in_pitches(camera, place) * scale[:, None]
+    return Patterns(np.column_stack([position, distance]), zone[first], pattern, lens - middle[pattern])
+
+
+def _lattice_steps(camera: PlenopticCamera, place: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Express places on the MLA, (n, 2), in steps along the lattice vectors, the first of which is along x."""
+    (width, _), (aside, height) = camera.lattice.basis
+    x, y = (place - np.array(camera.mla_offset)).T
+    j = y / height
+    return np.stack([(x - j * aside) / width, j], axis=-1)
+
+
+def _in_pitches(camera: PlenopticCamera, steps: NDArray[Any]) -> NDArray[np.float64]:
+    """Express steps along the lattice vectors, (n, 2), as places on the MLA in pitches."""
+    basis, offset = np.array(camera.lattice.basis), np.array(camera.mla_offset)
+    return np.asarray(steps @ (basis / camera.mla_pitch) + offset / camera.mla_pitch)
 
 
 def _depth_steps(
@@ -131,16 +156,24 @@ def _depth_steps(
 def _zones(
     camera: PlenopticCamera, lens: NDArray[np.int64], wavelength: float, step: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return first lens and size of each lens's zone: squares in which the wavefront changes little enough.
+    """Return first lens and size of each lens's zone, of as many steps along both lattice vectors.
 
-    From lens to lens the path from a pupil of radius a to an image at r changes by some a (a^2 + 3 r^2) D2 / 2 b^3.
+    In it the wavefront changes little enough. From lens to lens the path from a pupil of radius a to an image at r
+    changes by some a (a^2 + 3 r^2) D2 / 2 b^3.
     """
     a, b, pitch = camera.aperture_radius, camera.mla_distance, camera.mla_pitch
     size = np.ones(len(lens), np.int64)
     width = 2
     while width <= LARGEST_ZONE:
-        farthest = np.maximum(np.abs(lens // width * width), np.abs(lens // width * width + width)) * pitch
-        waves = a * (a * a + 3 * (farthest**2).sum(1)) * pitch / (2 * b**3 * in_millimetres(wavelength))
+        first = lens // width * width
+        square = np.max(
+            [
+                ((_in_pitches(camera, first + np.array(corner) * width) * pitch) ** 2).sum(1)
+                for corner in ((0, 0), (0, 1), (1, 0), (1, 1))
+            ],
+            axis=0,
+        )
+        waves = a * (a * a + 3 * square) * pitch / (2 * b**3 * in_millimetres(wavelength))
         size[width * waves <= _ZONE_PER_WAVE * step] = width
         width *= 2
     return lens // size[:, None] * size[:, None], size

@@ -103,8 +103,11 @@ def pupil_turns(camera: PlenopticCamera, Px: Any, Py: Any, X: Any, Y: Any, g: An
 
 
 def mla_cosine(camera: PlenopticCamera) -> float:
-    """Largest change of direction cosine by a microlens, along an axis, :math:`D_2 / 2 f_2`."""
-    return camera.mla_pitch / (2 * camera.mla_focal_length)
+    """Largest change of direction cosine by a microlens, along an axis: :math:`D_2 / 2 f_2` for an upright square."""
+    lattice = camera.lattice
+    corner = lattice.aperture == "cell" and not lattice.separable
+    half = lattice.aperture_reach if corner else lattice.aperture_width / 2
+    return float(half) / min(camera.mla_focal_lengths)
 
 
 def in_millimetres(wavelength: float) -> float:

@@ -3,8 +3,9 @@ r"""Pixels summed over bins on any lattice, and how much of a white scene each b
 A pixel p of the lens with centre c goes to the place u(c) of the bins, through the point P(c) of the pupil. Through
 another point c + d of its lens it goes to u(c) + a d, with the same a for all pixels of one kind of lens, so that its
 footprint is the lens's aperture, enlarged by a, or the pixel's own square where that is wider. Pixels are therefore
-first counted on a grid finer than the bins, one for each kind of lens, and the grid is then convolved with the
-footprint. Everything is summed in a fixed order, so that the result is the same bit for bit.
+first counted on a grid finer than the bins, one for each kind of lens; what such a sample gives to each of the bins
+about it is then the same in every bin. Everything is summed in a fixed order, so that the result is the same bit for
+bit.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy.signal
 
 from .. import rays
 from ..camera import PlenopticCamera
@@ -23,8 +23,8 @@ from ..pupil import PupilShare
 _FINE = 16
 _LEAST = 4
 
-# Pixels followed at once.
-_BLOCK = 2**20
+# Pixels followed at once: few enough to stay in the cache.
+_BLOCK = 2**16
 
 
 def splat(
@@ -54,87 +54,121 @@ def splat(
     white : (rows, columns) float64 array
         The same of a white capture.
     """
-    lattice, bins = camera.lattice, [count * oversample for count in camera.bin_count]
-    fine = 1 if footprint == "point" else max(_LEAST, -(-_FINE // oversample))
-    step = camera.mla_pitch / (oversample * fine)
-    blurs = [np.ones((1, 1))] * len(camera.mla_focal_lengths)
+    kinds = camera.mla_focal_lengths
+    fine, shares = 1, [np.ones((1, 1, 1, 1))] * len(kinds)
     if footprint == "lens":
-        pixel = pixel_footprint(camera, distance)
-        scales = (lens_footprint(camera, distance, f2) for f2 in camera.mla_focal_lengths)
-        blurs = [
-            lattice.aperture_image(step, scale) if scale * lattice.aperture_width > pixel else _square(pixel / step)
-            for scale in scales
-        ]
-    # Pixels that land beyond the bins may still reach into them.
-    margin = max(blur.shape[0] // 2 for blur in blurs)
-    columns, rows = (count * fine + 2 * margin for count in bins)
+        fine = max(_LEAST, -(-_FINE // oversample))
+        step = camera.mla_pitch / (oversample * fine)
+        shares = [_bin_shares(_footprint(camera, distance, f2, step), fine) for f2 in kinds]
+    # Pixels that land in bins beyond the border may still reach across it.
+    margin = max(share.shape[0] // 2 for share in shares)
+    columns, rows = (count * oversample for count in camera.bin_count)
+    across, down = columns + 2 * margin, rows + 2 * margin
 
-    place, kind, pixel, share = _landing(camera, distance, radius, step, margin, (rows, columns))
+    place, kind, pixel, white = _landing(camera, distance, radius, oversample, fine, (down, across))
     values = image.reshape(-1, image.shape[2])[pixel]
-    total = np.zeros((bins[1], bins[0], image.shape[2] + 1))
-    for number, blur in enumerate(blurs):
-        mine = slice(None) if len(blurs) == 1 else np.flatnonzero(kind == number)
-        for channel, weights in enumerate((*values.T, share)):
-            grid = np.bincount(place[mine], weights=weights[mine], minlength=rows * columns).reshape(rows, columns)
-            if blur.size > 1:
-                grid = scipy.signal.oaconvolve(grid, blur, mode="same")
-            inner = grid[margin : rows - margin, margin : columns - margin]
-            total[..., channel] += inner.reshape(bins[1], fine, bins[0], fine).sum(axis=(1, 3))
-    return total[..., :-1], total[..., -1]
+    total = np.zeros((image.shape[2] + 1, down + 2 * margin, across + 2 * margin))
+    for number, share in enumerate(shares):
+        mine = slice(None) if len(kinds) == 1 else np.flatnonzero(kind == number)
+        reach = share.shape[0] // 2
+        for out, weights in zip(total, (*values.T, white), strict=True):
+            samples = np.bincount(place[mine], weights=weights[mine], minlength=down * across * fine**2)
+            given = samples.reshape(down * across, fine**2) @ share.reshape(-1, fine**2).T
+            for tap, (y, x) in enumerate(np.ndindex(share.shape[:2])):
+                top, left = margin - reach + y, margin - reach + x
+                out[top : top + down, left : left + across] += given[:, tap].reshape(down, across)
+    total = total[:, 2 * margin : 2 * margin + rows, 2 * margin : 2 * margin + columns]
+    return np.moveaxis(total[:-1], 0, -1), total[-1]
 
 
-def _square(width: float) -> np.ndarray:
-    """Draw a square of some width in samples: their shares of its area, of odd size."""
-    half = math.ceil((width - 1) / 2) if width > 1 else 0
+def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float, step: float) -> np.ndarray:
+    """Draw what a pixel covers, its lens's view or its own square, whichever is wider: shares of its area, odd size."""
+    scale, pixel = lens_footprint(camera, distance, mla_focal_length), pixel_footprint(camera, distance)
+    if scale * camera.lattice.aperture_width >= pixel:
+        return camera.lattice.aperture_image(step, scale)
+    half = max(0, math.ceil((pixel / step - 1) / 2))
     share = np.ones(2 * half + 1)
-    share[[0, -1]] = (width - (2 * half - 1)) / 2 if half else 1
+    if half:
+        share[[0, -1]] = (pixel / step - (2 * half - 1)) / 2
     return np.outer(share, share) / share.sum() ** 2
 
 
-def _landing(
-    camera: PlenopticCamera, distance: float, radius: float, step: float, margin: int, shape: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Find the pixels whose ray passes the pupil and lands on the fine grid.
+def _bin_shares(blur: np.ndarray, fine: int) -> np.ndarray:
+    """Shares of the bins in a footprint that is centred in each of the fine samples of one of them.
 
     Parameters
     ----------
-    camera, distance, radius
+    blur : (size, size) array
+        The footprint in fine samples, about its middle; the sum is 1.
+    fine : int
+        Fine samples across a bin.
+
+    Returns
+    -------
+    (taps, taps, fine, fine) array
+        For the bins from `taps // 2` before to as many after, and rows and columns of samples.
+    """
+    half = blur.shape[0] // 2
+    place = np.arange(fine) + np.arange(-half, half + 1)[:, None]
+    reach = -(-half // fine)
+    taps = np.arange(-reach, reach + 1)
+    # Whether a sample of the footprint lies in the bin: (taps, size, fine).
+    there = (place // fine == taps[:, None, None]).astype(np.float64)
+    return np.einsum("iyr,yx,jxc->ijrc", there, blur, there, optimize=True)
+
+
+def _landing(
+    camera: PlenopticCamera, distance: float, radius: float, oversample: int, fine: int, shape: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Find the pixels whose ray passes the pupil and lands on the bins.
+
+    Parameters
+    ----------
+    camera, distance, radius, oversample
         As for `splat`.
-    step : float
-        Spacing of the grid in the MLA plane; its middle is on the axis.
-    margin : int
-        Samples of the grid that are left and right of, above and below the bins.
+    fine : int
+        Fine samples across a bin.
     shape : (int, int)
-        Rows and columns of the grid.
+        Rows and columns of bins; their middle is on the axis.
 
     Returns
     -------
     place, kind, pixel : int arrays
-        Sample of the grid, kind of lens, and flat index of each pixel.
-    share : float32 array
+        Sample, counted bin by bin, kind of lens, and flat index of each pixel.
+    white : float32 array
         What each pixel reads of a white scene.
     """
     lattice, columns = camera.lattice, camera.crop_size[0]
     shares = [PupilShare(camera, kind) for kind in range(len(camera.mla_focal_lengths))]
+    # All along the ray is linear in the pixel and the lens's centre.
+    of_pixel = np.array(rays.follow_back(1.0, 0.0, 0.0, distance, camera))
+    of_lens = np.array(rays.follow_back(0.0, 1.0, 1.0, distance, camera))
+    scale = oversample / camera.mla_pitch
     px, rows = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
     found = []
     height = max(1, _BLOCK // columns)
     for first in range(0, rows.size, height):
         py = rows[first : first + height, None]
         i, j = lattice.cell(*(rays.chief_point(p, camera.mla_distance, camera.detector_distance) for p in (px, py)))
-        (Px, x), (Py, y) = (
-            rays.follow_back(p, c, c, distance, camera) for p, c in zip((px, py), lattice.centre(i, j), strict=True)
+        cx, cy = lattice.centre(i, j)
+        Px, Py = (of_pixel[0] * p + of_lens[0] * c for p, c in ((px, cx), (py, cy)))
+        lit = np.flatnonzero(Px**2 + Py**2 <= radius**2)
+        i, j, cx, cy, Px, Py, qx, qy = (
+            np.broadcast_to(values, (py.size, columns)).reshape(-1)[lit] for values in (i, j, cx, cy, Px, Py, px, py)
         )
-        across, down = np.floor(x / step + shape[1] / 2), np.floor(y / step + shape[0] / 2)
-        kept = (Px**2 + Py**2 <= radius**2) & (across >= 0) & (across < shape[1]) & (down >= 0) & (down < shape[0])
-        row, column = np.nonzero(kept)
-        kind = np.zeros(row.size, dtype=np.int8)
-        if len(shares) > 1:
-            kind = np.broadcast_to(lattice.lens_kind(i, j), kept.shape)[row, column].astype(np.int8)
-        Px, Py, across, down = (np.broadcast_to(values, kept.shape)[row, column] for values in (Px, Py, across, down))
-        share = np.empty(row.size, dtype=np.float32)
-        for number, pupil in enumerate(shares):
-            share[kind == number] = pupil(Px[kind == number], Py[kind == number])
-        found.append(((down * shape[1] + across).astype(np.int64), kind, (row + first) * columns + column, share))
-    place, kind, pixel, share = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return place, kind, pixel, share
+        x, y = (
+            (of_pixel[1] * p + of_lens[1] * c) * scale + size / 2
+            for p, c, size in ((qx, cx, shape[1]), (qy, cy, shape[0]))
+        )
+        column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+        sample = np.floor((y - row) * fine).astype(np.int64) * fine + np.floor((x - column) * fine).astype(np.int64)
+        kind = lattice.lens_kind(i, j).astype(np.int8) if len(shares) > 1 else np.zeros(lit.size, dtype=np.int8)
+        white = np.empty(lit.size, dtype=np.float32)
+        for number, share in enumerate(shares):
+            mine = kind == number
+            white[mine] = share(Px[mine], Py[mine])
+        inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
+        place = (row * shape[1] + column) * fine**2 + sample
+        found.append([values[inside] for values in (place, kind, lit + first * columns, white)])
+    place, kind, pixel, white = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return place, kind, pixel, white

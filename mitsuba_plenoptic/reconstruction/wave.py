@@ -6,12 +6,14 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import scipy.signal
 
 from ..camera import PlenopticCamera
+from ..depth_of_field import lens_footprint
 from ._plan import Plan, plan
 from .coherent import lit_window, reconstruct_subsets
-from .lens_by_lens import Tile, reconstruct_lens_by_lens, tile_lenses, white_bins, white_throughput
-from .ray import LEAST_WEIGHT, pixels_per_bin
+from .lens_by_lens import Tile, is_aligned, reconstruct_lens_by_lens, tile_lenses, white_power, white_throughput
+from .ray import at_least, lenses_fill_bins, pixels_per_bin, white_bins
 
 Interleave = int | str
 """Period of a subset of lenses along each axis, or "auto"."""
@@ -59,9 +61,10 @@ def reconstruct_wave(
         Radiance.
     """
     period = full_field_period(image, camera, distances, wavelength) if interleave == "auto" else int(interleave)
+    fine = 1 if is_aligned(camera) else Tile(camera, wavelength, 1, oversample).samples // oversample
     if period is None:
         power = reconstruct_lens_by_lens(
-            image, camera, distances, wavelength, relay=relay, oversample=oversample, progress=progress
+            image, camera, distances, wavelength, relay=relay, oversample=oversample * fine, progress=progress
         )
     else:
         power = reconstruct_subsets(
@@ -71,18 +74,44 @@ def reconstruct_wave(
             wavelength,
             interleave=period,
             relay=relay,
-            oversample=oversample,
+            oversample=oversample * fine,
             progress=progress,
         )
-    white = pixels_per_bin(camera, oversample)
-    if camera.kind == "unfocused":
-        white *= white_throughput(camera, wavelength, relay=relay)
-        return [(total / white).astype(np.float32) for total in power]
-    whites = (white_bins(camera, wavelength, g, relay=relay, oversample=oversample) for g in distances)
-    return [
-        (total / np.maximum(bins, LEAST_WEIGHT * white)).astype(np.float32)
-        for total, bins in zip(power, whites, strict=True)
-    ]
+    if fine > 1:
+        power = [_over_lenses(total, camera, g, oversample, fine) for total, g in zip(power, distances, strict=True)]
+    whites = (_white(camera, wavelength, distance, oversample, fine, relay) for distance in distances)
+    return [(total / white).astype(np.float32) for total, white in zip(power, whites, strict=True)]
+
+
+def _white(
+    camera: PlenopticCamera, wavelength: float, distance: float, oversample: int, fine: int, relay: bool
+) -> np.ndarray | float:
+    """Power that comes to each bin from a white scene, in pixel values times pixels."""
+    unfocused = camera.kind == "unfocused"
+    if is_aligned(camera) and not unfocused:
+        power = white_power(camera, wavelength, distance, relay=relay, oversample=oversample)
+        return at_least(power, camera, oversample)
+    throughput = white_throughput(camera, wavelength, relay=relay)
+    if lenses_fill_bins(camera) and unfocused:
+        return pixels_per_bin(camera, oversample) * throughput
+    white = _over_lenses(white_bins(camera, distance, oversample * fine), camera, distance, oversample, fine)
+    return at_least(white, camera, oversample) * throughput
+
+
+def _over_lenses(power: np.ndarray, camera: PlenopticCamera, distance: float, oversample: int, fine: int) -> np.ndarray:
+    """Spread what comes from each lens over its aperture, which has gathered it, and sum fine bins to bins.
+
+    Where a lens lies on every bin this would change nothing in focus; elsewhere the light of all of a lens would go
+    to the one bin that holds its centre, and some bins would get none. A focused lens has gathered it from less.
+    """
+    scale = 1.0
+    if camera.kind != "unfocused":
+        scale = min(lens_footprint(camera, distance, f2) for f2 in camera.mla_focal_lengths)
+    aperture = camera.lattice.aperture_image(camera.mla_pitch / (oversample * fine), scale)
+    spread = scipy.signal.oaconvolve(power, aperture, mode="same")
+    rows, columns = (size // fine for size in power.shape)
+    # the transform's rounding is not light
+    return np.asarray(spread.reshape(rows, fine, columns, fine).sum((1, 3))).clip(min=0)
 
 
 def full_field_period(
