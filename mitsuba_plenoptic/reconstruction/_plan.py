@@ -189,10 +189,10 @@ def _axis_plan(
     count = (lit[1] - lit[0]) * subsamples
     first = (lit[0] - camera.resolution[axis] / 2) * camera.pixel_size + pitch / 2
     spread = math.ceil(z * wave / (2 * pitch) / pitch)
-    padded = fast_length(count + 2 * spread)
     low, high = _cells(camera, rays.chief_point(first + pitch * np.array([0, count - 1.0]), b, z), axis)
     wanted = math.ceil((high - low) / pitch - 1e-6)  # whole cells often are whole numbers of samples
     start = (low + high) / 2 - (wanted - 1) / 2 * pitch
+    padded = fast_length(max(count + 2 * spread, wanted))
     detector = AxisLeg(first, pitch, count, padded, padded, float(start), wanted)
 
     # MLA to main lens.
