@@ -65,7 +65,9 @@ def reconstruct(
             "--relay/--no-relay", help="For waves: whether the microlenses act again on the way back, as they should."
         ),
     ] = True,
-    oversample: Annotated[int, typer.Option(metavar="N", help="Bins per microlens along each axis.")] = 1,
+    oversample: Annotated[
+        int, typer.Option(metavar="N", help="Bins per microlens along each axis; info tells what suits.")
+    ] = 1,
     variant: Variant = None,
 ) -> None:
     """Refocus a capture to one or several distances.

@@ -123,6 +123,11 @@ def make_class() -> type:
         inside the micro-images, however much of its cell a lens fills; there is no :math:`\cos^4` falloff. Light
         that crosses into a neighbour's micro-image is found by drawing among all lenses that can light a pixel.
 
+        With the default ``detector_distance`` this is an unfocused camera: ``mla_distance`` is the image distance of
+        what is in focus. With another one the microlenses see the main lens's image at :math:`a` before the array,
+        :math:`1/a + 1/z = 1/f_2`, or behind it: a focused camera, sharp at the object distance whose image is
+        :math:`b - a` from the main lens. The scenes ``keplerian``, ``galilean`` and ``raytrix`` are such cameras.
+
         The capture has the orientation of a ``perspective`` sensor's image. Gradients flow through the ``path``
         and ``direct`` integrators, but the pupil's moving edge contributes none: the gradient is that of the
         light inside the micro-images.

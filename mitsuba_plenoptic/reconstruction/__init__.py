@@ -90,7 +90,8 @@ def reconstruct(
         For waves: whether the microlenses act a second time, in the MLA plane. Without it, which is the literal reading
         of the paper, planes out of focus stay blurred: see `mitsuba_plenoptic.reconstruction.coherent`.
     oversample : int
-        Bins per lens along each axis.
+        Bins per lens along each axis. A focused camera tells more than one apart:
+        `mitsuba_plenoptic.depth_of_field.suitable_oversample` and ``mitsuba-plenoptic info`` say how many.
     progress : callable, optional
         Called with the steps done and their number.
 
