@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from .errors import InputError, require_count, require_number, shown
+from .errors import InputError, require_count, require_number, require_pair, shown
 
 LENS_MODELS = ("ideal", "parabolic")
 
@@ -397,9 +397,8 @@ def _length(name: str, value: Any, *, finite: bool = True) -> float:
 
 
 def _pair(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
-    try:
-        first, second = value
-    except (TypeError, ValueError):
-        raise InputError(f"{name} = {shown(value)}: it must be a pair (columns, rows)") from None
-    first, second = (require_count(name, number, minimum=minimum, maximum=MOST_PIXELS) for number in (first, second))
-    return first, second
+    columns, rows = require_pair(name, value, "(columns, rows)")
+    return (
+        require_count(name, columns, minimum=minimum, maximum=MOST_PIXELS),
+        require_count(name, rows, minimum=minimum, maximum=MOST_PIXELS),
+    )

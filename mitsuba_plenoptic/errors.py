@@ -100,6 +100,21 @@ def require_number(
     return number
 
 
+def require_pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:
+    """Return the two entries of a pair, to be checked by whom they are for.
+
+    Raises
+    ------
+    InputError
+        If it has not two.
+    """
+    try:
+        first, second = value
+    except (TypeError, ValueError):
+        raise InputError(f"{name} = {shown(value)}: it must be a pair {meaning}") from None
+    return first, second
+
+
 def require_count(name: str, value: Any, *, minimum: int = 1, maximum: int | None = None) -> int:
     """Return `value` as an int within bounds, or say in one line what is wrong with it.
 

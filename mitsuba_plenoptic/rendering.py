@@ -162,6 +162,10 @@ def render_capture(
     sensor = scene.sensors()[0]
     camera = PlenopticCamera.from_sensor(sensor)
     integrator = _integrator(scene, model, wave)
+    if integrator.aov_names():
+        raise InputError(
+            f"integrator: it has the extra outputs {', '.join(integrator.aov_names())}; a capture needs one without"
+        )
     spp = require_count("spp", sensor.sampler().sample_count() if spp is None else spp, maximum=_MOST_SAMPLES)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
     wavelengths = getattr(integrator, "wavelengths", None)

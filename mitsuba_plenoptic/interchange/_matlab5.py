@@ -20,6 +20,8 @@ _INT32, _UINT32, _INT8 = 5, 6, 1
 NUMERIC = range(6, 16)
 """Classes of arrays of numbers: double, single, and integers of 8 to 64 bits."""
 
+_COMPLEX = -1
+
 _HEADER = 128
 _BLOCK = 2**16
 _MOST_DIMENSIONS = 32
@@ -122,7 +124,9 @@ def _inflated(file: BinaryIO, start: int, length: int) -> Iterator[bytes]:
 def _matrix_header(order: str, data: bytes) -> tuple[str, tuple[int, ...], int]:
     """Name, dimensions and class of a matrix, from its first bytes."""
     _, flags, data = _element(order, data, _UINT32)
-    array_class = _unpack(f"{order}II", flags)[0] & 0xFF
+    word, _ = _unpack(f"{order}II", flags)
+    # Complex numbers are of the class of their parts.
+    array_class = _COMPLEX if word & 0x800 else word & 0xFF
     _, sizes, data = _element(order, data, _INT32)
     count = len(sizes) // 4
     if len(sizes) % 4 or not 2 <= count <= _MOST_DIMENSIONS:

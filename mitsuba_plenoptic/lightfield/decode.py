@@ -10,7 +10,7 @@ import xarray as xr
 
 from ..camera import PlenopticCamera
 from ..capture import Capture, as_array, require_pixels
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..limits import require_memory
 from .geometry import light_field, pupil_step
 from .grid import LensGrid, bin_grid, lens_grid
@@ -62,6 +62,10 @@ def decode(
         camera = camera or capture.camera
         capture = capture.image
     image = _image("capture", capture)
+    if camera is not None and not isinstance(camera, PlenopticCamera):
+        raise InputError(f"camera = {shown(camera)}: it must be a PlenopticCamera")
+    if grid is not None and not isinstance(grid, LensGrid):
+        raise InputError(f"grid = {shown(grid)}: it must be a LensGrid")
     if camera is None and grid is None:
         raise InputError(
             "camera = None: a plain array needs its camera, or the grid of its micro-images and a white image"

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera, require_wavelength
+from ..camera import SHORTEST, PlenopticCamera, require_wavelength
 from ..errors import InputError
 from ..limits import memory_limit, require_memory
 
@@ -23,6 +23,9 @@ MEMORY_LIMIT = 4 * 2**30
 
 _LONGEST = 2**31
 """Samples of a field along an axis."""
+
+_FARTHEST = 1e16
+"""Coordinates of a scene point at most, in millimetres; beyond the longest focal length this is infinity."""
 
 _MM_PER_NM = 1e-6
 _RIM_ANGLES = 32
@@ -149,6 +152,12 @@ def check_positions(positions: Any) -> NDArray[np.float64]:
     behind = points[:, 2] <= 0
     if behind.any():
         raise InputError(f"position = {_format(points[behind][0])}: its distance g must be greater than 0")
+    beyond = (np.abs(points) > _FARTHEST).any(1) | (points[:, 2] < SHORTEST)
+    if beyond.any():
+        raise InputError(
+            f"position = {_format(points[beyond][0])}: its coordinates must be {_FARTHEST:g} at most, and g at least "
+            f"{SHORTEST:g}"
+        )
     return points
 
 

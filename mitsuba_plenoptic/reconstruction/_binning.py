@@ -100,8 +100,11 @@ def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.
     -------
     (y.count, x.count, channels) float32 array
     """
-    backend = array_module()
     _, columns, channels = image.shape
+    if not (x.weight.size and y.weight.size):
+        # No pixel meets a bin.
+        return np.zeros((y.count, x.count, channels), np.float32)
+    backend = array_module()
     values = backend.Float(np.ascontiguousarray(image).reshape(-1))
     by_row = _sum_columns(backend, values, x, radius**2 - y.pupil**2, columns, channels)
     return _sum_rows(backend, by_row, y, x.count * channels).numpy().reshape(y.count, x.count, channels)

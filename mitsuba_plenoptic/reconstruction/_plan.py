@@ -164,7 +164,7 @@ def plan(
     (x1, x2, xs), (y1, y2, ys) = axes
     made = Plan(subsamples, Leg(x1, y1), Leg(x2, y2), tuple(Leg(x, y) for x, y in zip(xs, ys, strict=True)))
     needed = max(leg.memory for leg in (made.detector, made.main_lens, *made.objects))
-    check_memory(needed, f"wave reconstruction with {subsamples} field samples a pixel")
+    check_memory(needed, f"camera with {subsamples} field samples a pixel; its wave reconstruction")
     return made
 
 
