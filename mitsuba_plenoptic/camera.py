@@ -384,8 +384,8 @@ class PlenopticCamera:
         lenses = math.pi * (reach + smear * lattice.aperture_reach + self.mla_pitch) ** 2 / lattice.cell_area
         if not lenses <= MOST_OVERLAP:
             raise InputError(
-                f"aperture_radius = {self.aperture_radius:g}: some {lenses:.3g} lenses would light each pixel, "
-                f"at most {MOST_OVERLAP} are followed"
+                f"camera: its micro-images overlap so much that some {lenses:.3g} lenses light each pixel; at most "
+                f"{MOST_OVERLAP} are followed"
             )
         if lattice.aperture == "circle":
             return lattice.neighbours(reach + smear * lattice.aperture_reach)

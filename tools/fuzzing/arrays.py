@@ -12,6 +12,7 @@ import numpy as np
 from mitsuba_plenoptic import (
     Capture,
     Detector,
+    InputError,
     PlenopticCamera,
     decode,
     expose,
@@ -164,19 +165,27 @@ def _wall(camera: PlenopticCamera, distance: float) -> Any:
     set_variant("llvm_ad_mono")
     numbers = camera.to_dict()
     (columns, rows), (left, top), (width, height) = (numbers.pop(name) for name in cameras.PAIRS)
+    # A plugin takes several numbers as text.
+    numbers |= {name: ", ".join(map(repr, value)) for name, value in numbers.items() if isinstance(value, tuple)}
     size = min(camera.field_width(distance) / 8, 1e6)
     film = {"type": "hdrfilm", "width": columns, "height": rows, "rfilter": {"type": "box"},
             "pixel_format": "luminance", "component_format": "float32", "crop_offset_x": left, "crop_offset_y": top,
             "crop_width": width, "crop_height": height}  # fmt: skip
     place = mi.ScalarTransform4f().translate([0, 0, distance]).rotate([0, 1, 0], 180).scale(size)
-    return mi.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "path"},
-            "sensor": {"type": "plenoptic", **numbers, "film": film},
-            "wall": {"type": "rectangle", "to_world": place, "light": {"type": "area", "radiance": 1.0}},
-        }
-    )
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "path"},
+        "sensor": {"type": "plenoptic", **numbers, "film": film},
+        "wall": {"type": "rectangle", "to_world": place, "light": {"type": "area", "radiance": 1.0}},
+    }
+    try:
+        return mi.load_dict(scene)
+    except RuntimeError as error:
+        # Mitsuba passes on what a plugin's constructor raises as a text.
+        told = str(error).strip().splitlines()[-1]
+        if "InputError: " not in told:
+            raise
+        raise InputError(told.split("InputError: ", 1)[1]) from None
 
 
 def _reconstruct(random: np.random.Generator, folder: Path) -> tuple[str, Any]:

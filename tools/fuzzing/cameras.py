@@ -90,7 +90,7 @@ def extreme_camera(random: np.random.Generator) -> PlenopticCamera:
         values |= {
             "mla_lattice": pick(random, ("square", "hexagonal")),
             "mla_rotation": float(random.uniform(-360, 360)),
-            "mla_offset": tuple(values["mla_pitch"] * random.normal(0, 3, 2)),
+            "mla_offset": tuple(np.clip(values["mla_pitch"] * random.normal(0, 3, 2), -LONGEST, LONGEST).tolist()),
             "mla_aperture": pick(random, ("cell", "circle")),
             "mla_fill": float(random.uniform(1e-3, 1)),
         }
