@@ -277,7 +277,8 @@ class Lattice:
         if _is_zero(self.rotation):
             return x, y
         angle = self.rotation * (math.pi / 180)
-        module = _module(angle)
+        # a number of NumPy would turn Dr.Jit's arrays into its own
+        module = dr if dr.is_array_v(angle) else math
         cosine, sine = module.cos(angle), sign * module.sin(angle)
         return cosine * x - sine * y, sine * x + cosine * y
 

@@ -45,6 +45,17 @@ def test_the_grid_holds_the_lenses_and_is_what_is_found_in_a_white_image(camera)
     assert np.sqrt(np.mean(error**2)) < 0.02
 
 
+def test_rows_are_found_whatever_the_angle():
+    for degrees in np.linspace(-360, 360, 1441):
+        camera = PlenopticCamera(
+            detector_width=0.3, resolution=(150, 150), mla_lattice="hexagonal", mla_rotation=float(degrees)
+        )
+        grid = lens_grid(camera)
+        assert abs(grid.rotation) <= math.radians(15) + 1e-9
+        assert grid.shifted_rows is not None
+        assert grid.nearest_distance == pytest.approx(camera.micro_image_pitch / camera.pixel_size)
+
+
 @pytest.mark.parametrize("lattice", [{}, {"mla_lattice": "hexagonal"}])
 def test_a_window_without_a_lens_is_refused(lattice):
     camera = PlenopticCamera(crop_offset=(2075, 2075), crop_size=(4, 4), **lattice)

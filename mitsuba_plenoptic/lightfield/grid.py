@@ -218,10 +218,11 @@ def lattice_rows(vectors: np.ndarray) -> tuple[np.ndarray, bool]:
     while True:
         if a @ a > b @ b:
             a, b = b, a
-        steps = round((a @ b) / (a @ a))
-        if not steps:
+        # Of a hexagonal lattice the share is a half, but for rounding, and either of two vectors will do.
+        share = (a @ b) / (a @ a)
+        if abs(share) <= 0.5 + 1e-9:
             break
-        b = b - steps * a
+        b = b - round(share) * a
     shifted = abs(a @ b) > 0.25 * (a @ a)
     if shifted:
         # Of the six directions of symmetry of a hexagonal lattice those 60 degrees apart go from lens to lens.

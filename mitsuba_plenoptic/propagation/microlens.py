@@ -169,23 +169,42 @@ def plane_orders(camera: PlenopticCamera, wavelength: float, cosine: float, fine
 def _lenses(camera: PlenopticCamera, wavelength: float, shape: list[int]) -> Field:
     """Transmission at fine samples of one period, in the middles of equal rectangles."""
     types = array_module()
-    lattice = camera.replace(mla_rotation=0.0, mla_offset=(0.0, 0.0)).lattice
     index = dr.arange(types.UInt32, shape[0] * shape[1])
     row, column = index // shape[1], index % shape[1]
     x, y = (
         (types.Float64(place) + 0.5) * (side / count)
         for place, side, count in zip((column, row), period(camera), shape[::-1], strict=True)
     )
+    packed = pack(lenses_at(camera.replace(mla_rotation=0.0, mla_offset=(0.0, 0.0)), wavelength, x, y))
+    dr.eval(packed)
+    return packed.numpy().view(np.complex64).reshape(shape)
+
+
+def lenses_at(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> Any:
+    r"""Transmission of the microlenses with all of its orders: :math:`e^{-i \pi |m - c|^2 / \lambda f_2}` in a lens.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    x, y : float64 arrays of Dr.Jit
+        Places m in the camera's frame.
+
+    Returns
+    -------
+    Complex2f of Dr.Jit
+    """
+    types, lattice, lengths = array_module(), camera.lattice, camera.mla_focal_lengths
     i, j = lattice.cell(x, y)
     cx, cy = lattice.centre(i, j)
     dx, dy = x - cx, y - cy
-    kind = types.UInt32(lattice.lens_kind(i, j)) if len(camera.mla_focal_lengths) > 1 else types.UInt32(0)
-    bend = dr.gather(types.Float64, types.Float64([1 / f2 for f2 in camera.mla_focal_lengths]), kind)
-    turns = (dx * dx + dy * dy) * bend * (-0.5 / in_millimetres(wavelength))
+    kind = types.UInt32(lattice.lens_kind(i, j)) if len(lengths) > 1 else types.UInt32(0)
+    power = dr.gather(types.Float64, types.Float64([1 / f2 for f2 in lengths]), kind)
+    turns = (dx * dx + dy * dy) * power * (-0.5 / in_millimetres(wavelength))
     sine, cosine = dr.sincos(types.Float(turns - dr.round(turns)) * (2 * math.pi))
-    packed = pack(dr.select(lattice.in_aperture(dx, dy), types.Complex2f(cosine, sine), 0))
-    dr.eval(packed)
-    return packed.numpy().view(np.complex64).reshape(shape)
+    return dr.select(lattice.in_aperture(dx, dy), types.Complex2f(cosine, sine), 0)
 
 
 class PlaneTransmission:

@@ -1,24 +1,33 @@
-"""Thin elements along one axis: what they multiply a field by."""
+"""Thin elements of a back-propagation: what they multiply a field by, along one axis or along both."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
+import drjit as dr
 import numpy as np
 
-from .. import lattice, rays
+from .. import rays
+from .._backend import array_module
 from ..camera import PlenopticCamera
+from ..propagation.fft import Field, pack
+from ..propagation.microlens import lenses_at
 from ..propagation.sampling import in_millimetres
 
+Transmission = Callable[[np.ndarray, np.ndarray], Field]
+"""From coordinates along x, (columns,), and along y, (rows,), to a complex64 array (rows, columns)."""
 
-def lens_phase(offset: np.ndarray, focal_length: float, wavelength: float) -> np.ndarray:
+
+def lens_phase(offset: np.ndarray, focal_length: float | np.ndarray, wavelength: float) -> np.ndarray:
     r"""Transmission of a thin parabolic lens, :math:`\exp(-i \pi x^2 / \lambda f)`.
 
     Parameters
     ----------
     offset : float64 array
         Distance from the lens's centre along one axis, in millimetres.
-    focal_length : float
+    focal_length : float or float64 array
         In millimetres; negative for a diverging lens.
     wavelength : float
         In nanometres.
@@ -32,12 +41,107 @@ def lens_phase(offset: np.ndarray, focal_length: float, wavelength: float) -> np
     return np.exp(-2j * math.pi * turns).astype(np.complex64)
 
 
-def detector_lens(p: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
+# -- along one axis of an upright square lattice -----------------------------------------------------
+
+
+def detector_lens(p: np.ndarray, camera: PlenopticCamera, axis: int) -> np.ndarray:
     """Index of the lens that each detector coordinate belongs to: the one of the chief ray. float64."""
-    return lattice.cell_index(rays.chief_point(p, camera.mla_distance, camera.detector_distance), camera.mla_pitch)
+    return np.asarray(camera.lattice.axis_cell(_chief(p, camera), axis))
 
 
-def converging_phase(p: np.ndarray, index: np.ndarray, camera: PlenopticCamera, wavelength: float) -> np.ndarray:
+def converging_phase(
+    p: np.ndarray, index: np.ndarray, camera: PlenopticCamera, wavelength: float, axis: int
+) -> np.ndarray:
     """Phase with which light at detector coordinates converges to the centres of their lenses; complex64."""
-    c = lattice.cell_centre(index, camera.mla_pitch)
-    return lens_phase(p - c, camera.detector_distance, wavelength)
+    return lens_phase(p - camera.lattice.axis_centre(index, axis), camera.detector_distance, wavelength)
+
+
+def microlens_phase(m: np.ndarray, camera: PlenopticCamera, wavelength: float, axis: int) -> np.ndarray:
+    """Transmission of the microlenses at coordinates of the MLA plane; complex64."""
+    lattice = camera.lattice
+    offset = m - lattice.axis_centre(lattice.axis_cell(m, axis), axis)
+    phase = lens_phase(offset, camera.mla_focal_length, wavelength)
+    return phase if lattice.fill == 1 else np.where(np.abs(offset) <= lattice.aperture_width / 2, phase, 0)
+
+
+# -- along both axes of any lattice ------------------------------------------------------------------
+
+
+class FieldThrough:
+    """Rows of a field times an element that is no product of a function of x and one of y, made when asked for.
+
+    Parameters
+    ----------
+    field : float32 or complex64 array (rows, columns)
+        The field.
+    x, y : float64 arrays
+        Coordinates of its columns and rows.
+    element : callable
+        The transmission.
+    """
+
+    def __init__(self, field: np.ndarray, x: np.ndarray, y: np.ndarray, element: Transmission) -> None:
+        self._field, self._x, self._y, self._element = field, x, y, element
+
+    def __getitem__(self, rows: slice) -> Field:
+        transmission = self._element(self._x, self._y[rows])
+        transmission *= self._field[rows]
+        return transmission
+
+
+def microlenses(camera: PlenopticCamera, wavelength: float) -> Transmission:
+    """Transmission of the microlenses in the MLA plane."""
+
+    def element(x: np.ndarray, y: np.ndarray) -> Field:
+        return _evaluate(x, y, lambda x, y: lenses_at(camera, wavelength, x, y))
+
+    return element
+
+
+def converging(camera: PlenopticCamera, wavelength: float, interleave: int, subset: tuple[int, int]) -> Transmission:
+    """Phase, on the detector, of light that converges to the centres of the lenses of a subset; zero elsewhere.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    interleave : int
+        Period of the subset in both indices of the lattice.
+    subset : (int, int)
+        The subset: the remainders of both indices.
+    """
+    lattice, types = camera.lattice, array_module()
+
+    def phase(x: Any, y: Any) -> Any:
+        i, j = lattice.cell(_chief(x, camera), _chief(y, camera))
+        cx, cy = lattice.centre(i, j)
+        turns = ((x - cx) ** 2 + (y - cy) ** 2) * (-0.5 / (in_millimetres(wavelength) * camera.detector_distance))
+        sine, cosine = dr.sincos(types.Float(turns - dr.round(turns)) * (2 * math.pi))
+        mine = types.Bool(True)
+        for index, remainder in zip((i, j), subset, strict=True):
+            mine &= index - interleave * dr.floor((index + 0.5) / interleave) == remainder
+        return dr.select(mine, types.Complex2f(cosine, sine), 0)
+
+    return lambda x, y: _evaluate(x, y, phase)
+
+
+def _chief(p: Any, camera: PlenopticCamera) -> Any:
+    return rays.chief_point(p, camera.mla_distance, camera.detector_distance)
+
+
+def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any]) -> Field:
+    """Evaluate a function of two Dr.Jit arrays at all pairs of coordinates."""
+    types = array_module()
+    index = dr.arange(types.UInt32, len(x) * len(y))
+    row = types.UInt32((types.Float64(index) + 0.5) * dr.opaque(types.Float64, 1 / len(x)))
+    column = index - row * dr.opaque(types.UInt32, len(x))
+    packed = pack(
+        function(
+            dr.gather(types.Float64, types.Float64(np.ascontiguousarray(x)), column),
+            dr.gather(types.Float64, types.Float64(np.ascontiguousarray(y)), row),
+        )
+    )
+    dr.eval(packed)
+    return np.array(packed.numpy().view(np.complex64).reshape(len(y), len(x)))

@@ -14,6 +14,7 @@ import scipy.fft
 
 from ..propagation.angular_spectrum import advance
 from ..propagation.fft import Field, resting_drjit, worker_count
+from ._elements import FieldThrough
 from ._plan import Leg
 
 _BLOCK = 64
@@ -37,7 +38,7 @@ class Workspace:
 
 
 def propagate_leg(
-    field: np.ndarray,
+    field: np.ndarray | FieldThrough,
     row_factor: np.ndarray,
     column_factor: np.ndarray,
     leg: Leg,
@@ -50,8 +51,8 @@ def propagate_leg(
 
     Parameters
     ----------
-    field : float32 or complex64 array (rows, columns)
-        The source samples of the leg.
+    field : float32 or complex64 array (rows, columns), or FieldThrough
+        The source samples of the leg, perhaps behind another element.
     row_factor : complex64 array (rows,)
         The element's transmission along y; rows where it is zero cost nothing.
     column_factor : complex64 array (columns,)
@@ -82,7 +83,12 @@ def propagate_leg(
 
 
 def _to_columns(
-    field: np.ndarray, row_factor: np.ndarray, column_factor: np.ndarray, leg: Leg, columns: Field, workspace: Workspace
+    field: np.ndarray | FieldThrough,
+    row_factor: np.ndarray,
+    column_factor: np.ndarray,
+    leg: Leg,
+    columns: Field,
+    workspace: Workspace,
 ) -> None:
     """Transform the lit rows and keep the lowest frequencies, turned into columns."""
     x = leg.x

@@ -33,11 +33,21 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from .. import lattice, rays
+from .. import rays
 from ..camera import PlenopticCamera
 from ..propagation.fft import Field
+from ..propagation.microlens import is_separable
 from ._binning import AxisBins, axis_bins, bin_image
-from ._elements import converging_phase, detector_lens, lens_phase
+from ._elements import (
+    FieldThrough,
+    Transmission,
+    converging,
+    converging_phase,
+    detector_lens,
+    lens_phase,
+    microlens_phase,
+    microlenses,
+)
 from ._legs import Workspace, propagate_leg
 from ._plan import AxisLeg, Leg, Plan, plan
 
@@ -79,7 +89,7 @@ def reconstruct_subsets(
     list of (rows, columns) float64 arrays
         Power in each bin, in pixel values times pixels.
     """
-    columns, rows = (count * oversample for count in camera.lens_count)
+    columns, rows = (count * oversample for count in camera.bin_count)
     totals = [np.zeros((rows, columns)) for _ in distances]
     lit = lit_window(image, camera)
     if lit is None:
@@ -124,20 +134,58 @@ def _pupil_fields(
     amplitude = np.sqrt(image[rows, columns])
     for axis in (0, 1) if grids.subsamples > 1 else ():
         amplitude = np.repeat(amplitude, grids.subsamples, axis)
-    element = [_microlenses(camera, wavelength, axis, relay) for axis in (grids.detector.x, grids.detector.y)]
     pupil = _pupil(camera, grids.main_lens)
     for j in range(interleave):
         for i in range(interleave):
-            x = _subset_source(camera, wavelength, grids.detector.x, interleave, i)
-            y = _subset_source(camera, wavelength, grids.detector.y, interleave, j)
-            field = propagate_leg(
-                amplitude, y, x, grids.detector, camera.detector_distance, wavelength, workspace, "plane"
-            )
-            field = propagate_leg(
-                field, element[1], element[0], grids.main_lens, camera.mla_distance, wavelength, workspace, "pupil"
-            )
+            field = _at_mla(amplitude, camera, wavelength, grids.detector, interleave, (i, j), workspace)
+            field = _at_main_lens(field, camera, wavelength, grids, relay, workspace)
             field *= pupil
             yield field
+
+
+def _at_mla(
+    amplitude: np.ndarray,
+    camera: PlenopticCamera,
+    wavelength: float,
+    leg: Leg,
+    interleave: int,
+    subset: tuple[int, int],
+    workspace: Workspace,
+) -> Field:
+    """Propagate the light of a subset of the lenses to the MLA."""
+    source: np.ndarray | FieldThrough = amplitude
+    if is_separable(camera):
+        x, y = (
+            _subset_source(camera, wavelength, along, axis, interleave, subset[axis])
+            for axis, along in enumerate((leg.x, leg.y))
+        )
+    else:
+        element = converging(camera, wavelength, interleave, subset)
+        source, y, x = _through(amplitude, leg, element)
+    return propagate_leg(source, y, x, leg, camera.detector_distance, wavelength, workspace, "plane")
+
+
+def _at_main_lens(
+    field: Field, camera: PlenopticCamera, wavelength: float, grids: Plan, relay: bool, workspace: Workspace
+) -> Field:
+    """Take light that reaches the MLA through the microlenses, if they act, and propagate it to the main lens."""
+    leg = grids.main_lens
+    source: np.ndarray | FieldThrough = field
+    x, y = (np.ones(along.count, np.complex64) for along in (leg.x, leg.y))
+    if relay and is_separable(camera):
+        x, y = (
+            microlens_phase(along.destination, camera, wavelength, axis)
+            for axis, along in enumerate((grids.detector.x, grids.detector.y))
+        )
+    elif relay:
+        source, y, x = _through(field, leg, microlenses(camera, wavelength))
+    return propagate_leg(source, y, x, leg, camera.mla_distance, wavelength, workspace, "pupil")
+
+
+def _through(field: np.ndarray, leg: Leg, element: Transmission) -> tuple[FieldThrough, np.ndarray, np.ndarray]:
+    """Return a leg's source behind an element, and the factors along y and x that are left."""
+    x, y = leg.x.source, leg.y.source
+    return FieldThrough(field, x, y, element), np.ones(y.size, np.complex64), np.ones(x.size, np.complex64)
 
 
 def _object_image(
@@ -157,7 +205,7 @@ def _object_image(
     np.square(parts, out=parts)
     bin_x, bin_y = (
         _sample_bins(camera, distance, axis, count * oversample, oversample)
-        for axis, count in zip((leg.x, leg.y), camera.lens_count, strict=True)
+        for axis, count in zip((leg.x, leg.y), camera.bin_count, strict=True)
     )
     power = bin_image(parts, bin_x, bin_y, 1.0).sum(-1)
     return power * (leg.x.new_pitch * leg.y.new_pitch / camera.pixel_size**2)
@@ -171,21 +219,12 @@ def _sample_bins(camera: PlenopticCamera, distance: float, axis: AxisLeg, count:
 
 
 def _subset_source(
-    camera: PlenopticCamera, wavelength: float, axis: AxisLeg, interleave: int, subset: int
+    camera: PlenopticCamera, wavelength: float, along: AxisLeg, axis: int, interleave: int, subset: int
 ) -> np.ndarray:
     """Phase that makes the pixels of each lens converge to its centre; zero for lenses outside the subset."""
-    index = detector_lens(axis.source, camera)
-    phase = converging_phase(axis.source, index, camera, wavelength)
+    index = detector_lens(along.source, camera, axis)
+    phase = converging_phase(along.source, index, camera, wavelength, axis)
     return np.where(np.mod(index, interleave) == subset, phase, 0)
-
-
-def _microlenses(camera: PlenopticCamera, wavelength: float, axis: AxisLeg, relay: bool) -> np.ndarray:
-    """Transmission of the microlens array along one axis of the MLA plane."""
-    m = axis.destination
-    if not relay:
-        return np.ones(m.size, np.complex64)
-    c = lattice.cell_centre(lattice.cell_index(m, camera.mla_pitch), camera.mla_pitch)
-    return lens_phase(m - c, camera.mla_focal_length, wavelength)
 
 
 def _pupil(camera: PlenopticCamera, leg: Leg) -> np.ndarray:

@@ -26,18 +26,29 @@ import drjit as dr
 import numpy as np
 import scipy.fft
 
-from .. import lattice, rays
+from .. import rays
 from .._backend import array_module
 from ..camera import PlenopticCamera
 from ..propagation.angular_spectrum import advance
 from ..propagation.fft import Field, fft2, pack, resting_drjit, unpack, worker_count
 from ..propagation.sampling import check_memory, fast_length, in_millimetres, pupil_turns
+from ..pupil import PupilShare
 from ._elements import converging_phase, detector_lens, lens_phase
 from ._plan import GUARD, field_subsamples
+from .ray import lenses_fill_bins
 
 _BATCH_SAMPLES = 2**20
 
 _THROUGHPUT_LENSES = 25
+
+# Lenses looked at together for light.
+_LIT_BATCH = 512
+
+# Parts of a sample along an axis of which those in the aperture are counted.
+_PARTS = 4
+
+# Where the coordinates of one axis go in a field (n, y, x).
+_AXES = ((slice(None), None, slice(None)), (slice(None), slice(None), None))
 
 _MARGIN = 4.5
 """Bins around the geometric image: more than full fields need, as the pupil's edge is softened over one sample."""
@@ -79,21 +90,21 @@ def reconstruct_lens_by_lens(
     """
     tile = Tile(camera, wavelength, tile_lenses(camera, distances), oversample)
     check_memory(tile.memory, "wave reconstruction lens by lens")
-    x, y = (LensAxis(camera, wavelength, tile, axis) for axis in (0, 1))
-    lenses = _lit_lenses(image, x, y)
+    lenses = all_lenses(camera, wavelength, tile)
+    lit = lenses.lit(image)
     amplitude = np.sqrt(image)
     # Every lens puts its patch among the bins of all lenses, and a margin for those at the edge.
-    shape = [(axis.index.size + tile.lenses - 1) * oversample for axis in (y, x)]
+    shape = [(count + tile.lenses - 1) * oversample for count in lenses.bins[::-1]]
     totals = [np.zeros(shape) for _ in distances]
-    for place in range(0, len(lenses), tile.batch):
-        batch = lenses[place : place + tile.batch]
-        fields = pupil_fields(amplitude, tile, x, y, batch, relay=relay)
+    for place in range(0, len(lit), tile.batch):
+        batch = lenses.batch(lit[place : place + tile.batch])
+        fields = pupil_fields(amplitude, tile, batch, relay=relay)
         for total, distance in zip(totals, distances, strict=True):
-            for (row, column), patch in zip(batch, _patches(fields, tile, x, y, batch, distance), strict=True):
+            for column, row, patch in zip(*batch.bin.T, _patches(fields, tile, batch, distance), strict=True):
                 top, left = row * oversample, column * oversample
                 total[top : top + patch.shape[0], left : left + patch.shape[1]] += patch
-        progress((place + len(batch)) / len(lenses))
-    return [_on_bins(total, camera, tile, x, y) for total in totals]
+        progress((place + len(batch.bin)) / len(lit))
+    return [_on_bins(total, camera, tile, lenses) for total in totals]
 
 
 @functools.lru_cache(maxsize=16)
@@ -112,26 +123,60 @@ def white_throughput(camera: PlenopticCamera, wavelength: float, *, relay: bool 
     relay : bool
         Whether the microlenses act in the MLA plane.
     """
-    # The micro-image of the lens beside the axis, in the four lenses around that.
+    # The micro-image of a lens beside the axis, in the lenses around that.
+    if not is_aligned(camera):
+        return _mean_throughput(camera, wavelength, relay)
     around = math.ceil(2 * camera.micro_image_pitch / camera.pixel_size)
-    first = [max(0, size // 2 - around) for size in camera.resolution]
-    size = [min(size, 2 * around) for size in camera.resolution]
-    camera = camera.replace(crop_offset=tuple(first), crop_size=tuple(size))
+    camera = _around_axis(camera, around)
     centre = rays.chief_detector_point(camera.mla_pitch / 2, camera.mla_distance, camera.detector_distance)
-    px, py = (
-        (np.arange(size[axis]) + first[axis] + 0.5 - camera.resolution[axis] / 2) * camera.pixel_size - centre
-        for axis in (0, 1)
-    )
+    px, py = (camera.pixel_coordinates(axis) - centre for axis in (0, 1))
     inside = (camera.micro_image_diameter / 2 - np.hypot(px, py[:, None])) / camera.pixel_size
     image = np.clip(inside + 0.5, 0, 1)
     tile = Tile(camera, wavelength, _THROUGHPUT_LENSES, 1)
     check_memory(tile.memory, "wave reconstruction of a white micro-image")
-    x, y = (LensAxis(camera, wavelength, tile, axis) for axis in (0, 1))
-    place = np.array([[int(np.flatnonzero(axis.index == 0)[0]) for axis in (y, x)]])
-    field = pupil_fields(np.sqrt(image).astype(np.float32), tile, x, y, place, relay=relay)[0]
-    inside = (camera.aperture_radius - np.hypot(tile.pupil, tile.pupil[:, None])) / tile.pupil_pitch
-    power = float((np.abs(field) ** 2 * np.clip(inside + 0.5, 0, 1)).sum()) * tile.pupil_pitch**2
+    lenses = Aligned(camera, wavelength, tile)
+    power = _power(image, lenses, np.array([lenses.find(0, 0)]), relay=relay)
     return power / (image.sum() * camera.pixel_size**2)
+
+
+def _mean_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> float:
+    """Share that comes back of the light, of a white scene, of the pixels whose own ray passes the main lens."""
+    around = math.ceil(3 * camera.micro_image_pitch / camera.pixel_size)
+    camera = _around_axis(camera, around)
+    tile = Tile(camera, wavelength, _THROUGHPUT_LENSES, 1)
+    lenses = Scattered(camera, wavelength, tile)
+    back = sent = 0.0
+    px, py = (camera.pixel_coordinates(axis) for axis in (0, 1))
+    for kind in range(len(camera.mla_focal_lengths)):
+        # Among the lenses beside the axis there is one of every kind.
+        i, j = camera.lattice.cell(0.0, 0.0)
+        i += kind
+        kind = int(camera.lattice.lens_kind(i, j)) if len(camera.mla_focal_lengths) > 1 else 0
+        to_pupil = camera.mla_distance / camera.detector_distance
+        centre = [
+            rays.chief_detector_point(c, camera.mla_distance, camera.detector_distance)
+            for c in camera.lattice.centre(i, j)
+        ]
+        Px, Py = (centre[0] - px) * to_pupil, ((centre[1] - py) * to_pupil)[:, None]
+        image = PupilShare(camera, kind)(*np.broadcast_arrays(Px, Py))
+        sent += float(image[np.hypot(Px, Py) <= camera.aperture_radius + camera.pupil_step / 2].sum())
+        back += _power(image, lenses, np.array([lenses.find(i, j)]), relay=relay)
+    return back / (sent * camera.pixel_size**2)
+
+
+def _around_axis(camera: PlenopticCamera, around: int) -> PlenopticCamera:
+    """Return the camera with no more than some pixels on both sides of the axis."""
+    first = tuple(max(0, size // 2 - around) for size in camera.resolution)
+    size = tuple(min(size, 2 * around) for size in camera.resolution)
+    return camera.replace(crop_offset=first, crop_size=size)
+
+
+def _power(image: np.ndarray, lenses: Lenses, which: np.ndarray, *, relay: bool) -> float:
+    """Power that one lens sends through the main lens."""
+    tile = lenses.tile
+    field = pupil_fields(np.sqrt(image).astype(np.float32), tile, lenses.batch(which), relay=relay)[0]
+    inside = (tile.camera.aperture_radius - np.hypot(tile.pupil, tile.pupil[:, None])) / tile.pupil_pitch
+    return float((np.abs(field) ** 2 * np.clip(inside + 0.5, 0, 1)).sum()) * tile.pupil_pitch**2
 
 
 def tile_lenses(camera: PlenopticCamera, distances: Sequence[float]) -> int:
@@ -167,27 +212,40 @@ class Tile:
         return self.camera.pixel_size / field_subsamples(self.camera, self.wavelength)
 
     @cached_property
+    def cell_width(self) -> float:
+        """Extent of a cell of the lattice along both axes."""
+        lattice = self.camera.lattice
+        return self.camera.mla_pitch if lattice.separable else 2 * float(lattice.cell_corners().max())
+
+    @property
+    def lens_width(self) -> float:
+        """Extent of an aperture along both axes."""
+        lattice = self.camera.lattice
+        return float(lattice.aperture_width if lattice.aperture == "circle" else self.cell_width * lattice.fill)
+
+    @cached_property
     def cell(self) -> np.ndarray:
-        """MLA coordinates from a lens's centre, within its cell."""
+        """MLA coordinates from a lens's centre, within its aperture's extent."""
         count = self.cell_samples
         return (np.arange(count) - (count - 1) / 2) * self.pitch
 
     @property
     def cell_samples(self) -> int:
-        """Samples across a cell."""
-        return math.ceil(self.camera.mla_pitch / self.pitch - 1e-6)
+        """Samples across an aperture."""
+        return math.ceil(self.lens_width / self.pitch - 1e-6)
 
     @cached_property
     def pixels(self) -> int:
         """Most pixels that belong to one lens, along an axis."""
-        return math.ceil(self.camera.micro_image_pitch / self.camera.pixel_size) + 1
+        growth = self.camera.micro_image_pitch / self.camera.mla_pitch
+        return math.ceil(self.cell_width * growth / self.camera.pixel_size) + 1
 
     @cached_property
     def padded(self) -> int:
         """Samples of the window from detector to MLA: what wraps round misses the cell."""
         source = self.pixels * self.camera.pixel_size + self._chief_shift
         spread = self.camera.detector_distance * in_millimetres(self.wavelength) / (2 * self.pitch)
-        return fast_length(((source + self.camera.mla_pitch) / 2 + self._chief_shift + spread) / self.pitch)
+        return fast_length(((source + self.cell_width) / 2 + self._chief_shift + spread) / self.pitch)
 
     @property
     def _chief_shift(self) -> float:
@@ -291,26 +349,218 @@ class LensAxis:
         centres = (np.arange(size) + offset + 0.5 - half) * camera.pixel_size
         # A subsampled pixel at the border of two cells may belong to both.
         edges = np.array([-0.5, 0.5]) * (camera.pixel_size - tile.pitch)
-        first, last = detector_lens(centres[[0, -1]] + edges, camera).astype(np.int64)
+        first, last = detector_lens(centres[[0, -1]] + edges, camera, axis).astype(np.int64)
         self.index = np.arange(first, last + 1)
-        self.centre = lattice.cell_centre(self.index.astype(np.float64), camera.mla_pitch)
+        self.centre = camera.lattice.axis_centre(self.index.astype(np.float64), axis)
         edge = rays.chief_detector_point(self.index * camera.mla_pitch, camera.mla_distance, camera.detector_distance)
         pixel = np.floor(edge / camera.pixel_size + half + 1e-9).astype(np.int64)[:, None] + np.arange(tile.pixels)
         subsamples = round(camera.pixel_size / tile.pitch)
         fine = (pixel[..., None] + (np.arange(subsamples) + 0.5) / subsamples).reshape(self.index.size, -1)
         p = (fine - half) * camera.pixel_size
         recorded = (pixel >= offset) & (pixel < offset + size)
-        self.owned = detector_lens(p, camera) == self.index[:, None]
+        self.owned = detector_lens(p, camera, axis) == self.index[:, None]
         self.owned &= np.repeat(recorded, subsamples, axis=1)
         self.pixel = np.repeat(np.clip(pixel - offset, 0, size - 1), subsamples, axis=1)
-        self.source = converging_phase(p, self.index[:, None].astype(np.float64), camera, wavelength) * self.owned
+        phase = converging_phase(p, self.index[:, None].astype(np.float64), camera, wavelength, axis)
+        self.source = phase * self.owned
+        self.shift, self.tilt = _shift(self.centre, p[:, 0], tile), _tilt(self.centre, tile)
 
-        wave = in_millimetres(wavelength)
-        frequency = np.fft.fftfreq(tile.padded, tile.pitch)
-        way = self.centre + tile.cell[0] - p[:, 0]
-        self.shift = np.exp(2j * math.pi * np.outer(way, frequency)).astype(np.complex64)
-        turns = (self.centre[:, None] * tile.cell + tile.cell**2 / 2) / (wave * camera.mla_distance)
-        self.tilt = np.exp(2j * math.pi * turns).astype(np.complex64)
+
+def _shift(centre: np.ndarray, first: np.ndarray, tile: Tile) -> Field:
+    """Return what shifts spectra along an axis from each lens's first pixel sample to the first one of its cell."""
+    way = centre + tile.cell[0] - first
+    return np.exp(2j * math.pi * np.outer(way, np.fft.fftfreq(tile.padded, tile.pitch))).astype(np.complex64)
+
+
+def _tilt(centre: np.ndarray, tile: Tile) -> Field:
+    """Return what takes out, along an axis, the direction from lenses to the main lens's centre, and its curvature."""
+    wave_path = in_millimetres(tile.wavelength) * tile.camera.mla_distance
+    turns = (centre[:, None] * tile.cell + tile.cell**2 / 2) / wave_path
+    return np.exp(2j * math.pi * turns).astype(np.complex64)
+
+
+@dataclass(frozen=True)
+class LensBatch:
+    """Some lenses, and their factors of a field; what belongs to one axis is shaped to multiply fields (n, y, x).
+
+    Attributes
+    ----------
+    bin : (n, 2) int64 array
+        Column and row, among the bins of all lenses, of the bin that holds each lens's image.
+    aside : (n, 2) float64 array, or None
+        How far along x and y the lens's centre lies from the middle of that bin, in bins; None if nowhere.
+    centre : (n, 2) float64 array
+        Centres in millimetres.
+    row, column : int64 arrays (n, pixels, 1) and (n, 1, pixels)
+        Recorded pixels of each lens.
+    source : list of complex64 arrays
+        Factors of the converging light at those pixels, zero where not the lens's own.
+    shift : list of complex64 arrays
+        Factors of the spectra that shift them from the pixels to the lenses' centres.
+    tilt : list of complex64 arrays
+        Factors in the cells along y and along x.
+    focal_length : float64 array (n,)
+        Of each lens.
+    aperture : float32 array (cell, cell), or None
+        How much of each sample of a cell the aperture lets through; None if all.
+    """
+
+    bin: np.ndarray
+    aside: np.ndarray | None
+    centre: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+    source: list[Field]
+    shift: list[Field]
+    tilt: list[Field]
+    focal_length: np.ndarray
+    aperture: np.ndarray | None
+
+
+class Aligned:
+    """Lenses of an upright square lattice, one of which lies on every bin: all is done one axis at a time.
+
+    Attributes
+    ----------
+    tile : Tile
+        Sampling.
+    first : (int, int)
+        First column and row of bins that any recorded pixel's lens lies on, counted from the axis.
+    bins : (int, int)
+        Columns and rows of such bins.
+    """
+
+    def __init__(self, camera: PlenopticCamera, wavelength: float, tile: Tile) -> None:
+        self.tile = tile
+        self._x, self._y = (LensAxis(camera, wavelength, tile, axis) for axis in (0, 1))
+        self.first = int(self._x.index[0]), int(self._y.index[0])
+        self.bins = self._x.index.size, self._y.index.size
+
+    def find(self, i: float, j: float) -> tuple[int, int]:
+        """Place of the lens with these indices: row and column."""
+        return int(j) - self.first[1], int(i) - self.first[0]
+
+    def lit(self, image: np.ndarray) -> np.ndarray:
+        """Places (row, column) of lenses with light; int64 (n, 2)."""
+        return _lit_lenses(image, self._x, self._y)
+
+    def batch(self, which: np.ndarray) -> LensBatch:
+        """Take some lenses by their places."""
+        x, y = self._x, self._y
+        j, i = which.T
+        return LensBatch(
+            bin=which[:, ::-1],
+            aside=None,
+            centre=np.stack([x.centre[i], y.centre[j]], axis=-1),
+            row=y.pixel[j][:, :, None],
+            column=x.pixel[i][:, None, :],
+            source=[y.source[j][:, :, None], x.source[i][:, None, :]],
+            shift=[y.shift[j][:, :, None], x.shift[i][:, None, :]],
+            tilt=[y.tilt[j], x.tilt[i]],
+            focal_length=np.full(len(which), self.tile.camera.mla_focal_length),
+            aperture=None,
+        )
+
+
+class Scattered:
+    """Lenses of any lattice, each for itself. Attributes and methods are those of `Aligned`."""
+
+    def __init__(self, camera: PlenopticCamera, wavelength: float, tile: Tile) -> None:
+        self.tile, self._camera, self._wavelength = tile, camera, wavelength
+        lattice, b, z = camera.lattice, camera.mla_distance, camera.detector_distance
+        ends = np.array([camera.pixel_coordinates(axis)[[0, -1]] for axis in (0, 1)])
+        low, high = rays.chief_point(ends + np.array([-0.5, 0.5]) * camera.pixel_size, b, z).T
+        self._index = lattice.lenses_within(tuple(low - tile.cell_width / 2), tuple(high + tile.cell_width / 2))
+        self._centre = np.stack(lattice.centre(*self._index.T.astype(np.float64)), axis=-1)
+        place = self._centre / camera.mla_pitch
+        bins = np.floor(place).astype(np.int64)
+        self._aside = place - bins - 0.5
+        self.first = int(bins[:, 0].min()), int(bins[:, 1].min())
+        self._bin = bins - np.array(self.first)
+        self.bins = int(self._bin[:, 0].max()) + 1, int(self._bin[:, 1].max()) + 1
+        self._subsamples = round(camera.pixel_size / tile.pitch)
+        edge = rays.chief_detector_point(self._centre - tile.cell_width / 2, b, z)
+        half = np.array(camera.resolution) / 2
+        self._first_pixel = np.floor(edge / camera.pixel_size + half + 1e-9).astype(np.int64)
+        self._aperture = self._cover()
+
+    def find(self, i: float, j: float) -> int:
+        """Place of the lens with these indices."""
+        return int(np.flatnonzero((self._index == (int(i), int(j))).all(1))[0])
+
+    def lit(self, image: np.ndarray) -> np.ndarray:
+        """Places of lenses near which there is light; int64 (n,)."""
+        lit = np.zeros(len(self._index), bool)
+        for start in range(0, len(lit), _LIT_BATCH):
+            which = np.arange(start, min(start + _LIT_BATCH, len(lit)))
+            (column, _, in_columns), (row, _, in_rows) = (self._pixels(which, axis) for axis in (0, 1))
+            own = in_rows[:, :, None] & in_columns[:, None, :]
+            lit[which] = (own & (image[row[:, :, None], column[:, None, :]] > 0)).any((1, 2))
+        return np.flatnonzero(lit)
+
+    def batch(self, which: np.ndarray) -> LensBatch:
+        """Take some lenses by their places."""
+        camera, tile, centre = self._camera, self.tile, self._centre[which]
+        (column, px, in_columns), (row, py, in_rows) = (self._pixels(which, axis) for axis in (0, 1))
+        i, j = self._index[which].T.astype(np.float64)
+        chief = (rays.chief_point(p, camera.mla_distance, camera.detector_distance) for p in (px, py))
+        own_i, own_j = camera.lattice.cell(*np.broadcast_arrays(*(c[s] for c, s in zip(chief, _AXES, strict=True))))
+        own = (own_i == i[:, None, None]) & (own_j == j[:, None, None])
+        own &= in_rows[:, :, None] & in_columns[:, None, :]
+        phases = [
+            lens_phase(p - c[:, None], camera.detector_distance, self._wavelength)
+            for p, c in zip((px, py), centre.T, strict=True)
+        ]
+        lengths = np.array(camera.mla_focal_lengths)
+        kind = camera.lattice.lens_kind(i, j).astype(int) if len(lengths) > 1 else np.zeros(len(which), int)
+        shift = [_shift(c, p[:, 0], tile) for p, c in zip((px, py), centre.T, strict=True)]
+        return LensBatch(
+            bin=self._bin[which],
+            aside=self._aside[which],
+            centre=centre,
+            row=row[:, :, None],
+            column=column[:, None, :],
+            source=[own, phases[1][:, :, None], phases[0][:, None, :]],
+            shift=[shift[1][:, :, None], shift[0][:, None, :]],
+            tilt=[_tilt(centre[:, 1], tile), _tilt(centre[:, 0], tile)],
+            focal_length=lengths[kind],
+            aperture=self._aperture,
+        )
+
+    def _pixels(self, which: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pixels of some lenses along an axis, sample by sample: clipped index, coordinate, whether recorded."""
+        camera = self._camera
+        offset, size = camera.crop_offset[axis], camera.crop_size[axis]
+        pixel = self._first_pixel[which, axis, None] + np.arange(self.tile.pixels)
+        part = (np.arange(self._subsamples) + 0.5) / self._subsamples
+        fine = (pixel[..., None] + part).reshape(len(which), -1)
+        p = (fine - camera.resolution[axis] / 2) * camera.pixel_size
+        recorded = (pixel >= offset) & (pixel < offset + size)
+        column, recorded = (
+            np.repeat(values, self._subsamples, axis=1) for values in (np.clip(pixel - offset, 0, size - 1), recorded)
+        )
+        return column, p, recorded
+
+    def _cover(self) -> np.ndarray:
+        """Part of each sample of a cell that lies in the aperture."""
+        parts = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5) * self.tile.pitch
+        fine = (self.tile.cell[:, None] + parts).ravel()
+        inside = self._camera.lattice.in_aperture(*np.meshgrid(fine, fine))
+        size = self.tile.cell.size
+        return inside.reshape(size, _PARTS, size, _PARTS).mean((1, 3), dtype=np.float32)
+
+
+Lenses = Aligned | Scattered
+
+
+def is_aligned(camera: PlenopticCamera) -> bool:
+    """Whether there is a lens on each bin, which it fills."""
+    return lenses_fill_bins(camera) and camera.mla_offset == (0.0, 0.0)
+
+
+def all_lenses(camera: PlenopticCamera, wavelength: float, tile: Tile) -> Lenses:
+    """Return the lenses that any recorded pixel belongs to."""
+    return Aligned(camera, wavelength, tile) if is_aligned(camera) else Scattered(camera, wavelength, tile)
 
 
 def _lit_lenses(image: np.ndarray, x: LensAxis, y: LensAxis) -> np.ndarray:
@@ -326,9 +576,7 @@ def _lit_lenses(image: np.ndarray, x: LensAxis, y: LensAxis) -> np.ndarray:
     return np.argwhere(lit)
 
 
-def pupil_fields(
-    amplitude: np.ndarray, tile: Tile, x: LensAxis, y: LensAxis, batch: np.ndarray, *, relay: bool
-) -> Field:
+def pupil_fields(amplitude: np.ndarray, tile: Tile, batch: LensBatch, *, relay: bool) -> Field:
     """Fields of some lenses at the main lens, relative to a wave from the lens's centre.
 
     Parameters
@@ -337,10 +585,8 @@ def pupil_fields(
         Square root of the capture.
     tile : Tile
         Sampling.
-    x, y : LensAxis
-        All lenses.
-    batch : (n, 2) int64 array
-        Row and column of each lens.
+    batch : LensBatch
+        The lenses.
     relay : bool
         Whether the microlens acts.
 
@@ -348,34 +594,33 @@ def pupil_fields(
     -------
     complex64 array (n, pupil, pupil)
     """
-    j, i = batch.T
-    size = x.source.shape[1]
-    field = np.zeros((len(batch), tile.padded, tile.padded), np.complex64)
-    field[:, :size, :size] = amplitude[y.pixel[j][:, :, None], x.pixel[i][:, None, :]]
-    field[:, :size, :size] *= y.source[j][:, :, None]
-    field[:, :size, :size] *= x.source[i][:, None, :]
+    count, size = len(batch.bin), batch.row.shape[1]
+    field = np.zeros((count, tile.padded, tile.padded), np.complex64)
+    field[:, :size, :size] = amplitude[batch.row, batch.column]
+    for factor in batch.source:
+        field[:, :size, :size] *= factor
     with resting_drjit():
         field = fft2(field)
         field *= tile.transfer
-        field *= y.shift[j][:, :, None]
-        field *= x.shift[i][:, None, :]
+        for factor in batch.shift:
+            field *= factor
         cell = fft2(field, inverse=True)[:, : tile.cell.size, : tile.cell.size]
-        microlens = (
-            lens_phase(tile.cell, tile.camera.mla_focal_length, tile.wavelength) if relay else np.ones(1, np.complex64)
-        )
-        cell = cell * (y.tilt[j] * microlens)[:, :, None]
-        cell *= (x.tilt[i] * microlens)[:, None, :]
+        microlens = lens_phase(tile.cell, batch.focal_length[:, None], tile.wavelength) if relay else np.complex64(1)
+        cell = cell * (batch.tilt[0] * microlens)[:, :, None]
+        cell *= (batch.tilt[1] * microlens)[:, None, :]
+        if batch.aperture is not None:
+            cell *= batch.aperture
         # One product for the whole batch: many small ones would each wait for the threads of the BLAS.
         fields = np.tensordot(np.tensordot(cell, tile.to_pupil, (1, 1)), tile.to_pupil, (1, 1))
     return np.ascontiguousarray(fields)
 
 
-def _patches(fields: Field, tile: Tile, x: LensAxis, y: LensAxis, batch: np.ndarray, distance: float) -> np.ndarray:
+def _patches(fields: Field, tile: Tile, batch: LensBatch, distance: float) -> np.ndarray:
     """Power of each lens in the bins around its own, upright; float32 (n, bins, bins)."""
     camera = tile.camera
-    focused = _aim(fields, tile, x.centre[batch[:, 1]], y.centre[batch[:, 0]], distance)
+    focused = _aim(fields, tile, batch, distance)
     count, size = tile.pupil.size, tile.object_samples
-    padded = np.zeros((len(batch), size, size), np.complex64)
+    padded = np.zeros((len(fields), size, size), np.complex64)
     padded[:, :count, :count] = focused
     with resting_drjit():
         rows = scipy.fft.fft(padded[:, :count], axis=2, overwrite_x=True, workers=worker_count())
@@ -392,17 +637,17 @@ def _patches(fields: Field, tile: Tile, x: LensAxis, y: LensAxis, batch: np.ndar
     return sums[:, ::-1, ::-1] * np.float32(scale**2)
 
 
-def _aim(fields: Field, tile: Tile, cx: np.ndarray, cy: np.ndarray, distance: float) -> Field:
+def _aim(fields: Field, tile: Tile, batch: LensBatch, distance: float) -> Field:
     """Multiply pupil fields by the way from the lens's centre to its image's, the main lens, and the pupil."""
     types = array_module()
     camera, wave = tile.camera, in_millimetres(tile.wavelength)
-    n, count = len(cx), tile.pupil.size
+    n, count = len(fields), tile.pupil.size
     index = dr.arange(types.UInt32, n * count * count)
     lens, rest = index // (count * count), index % (count * count)
     row, column = rest // count, rest % count
     P = types.Float64(tile.pupil)
     u, v = dr.gather(types.Float64, P, column), dr.gather(types.Float64, P, row)
-    x, y = (dr.gather(types.Float64, types.Float64(c), lens) for c in (cx, cy))
+    x, y = (dr.gather(types.Float64, types.Float64(np.ascontiguousarray(c)), lens) for c in batch.centre.T)
     b, g = (dr.opaque(types.Float64, length) for length in (camera.mla_distance, distance))
     # Directions change more slowly with P off the axis, on both sides alike: that only stretches the pupil's grid.
     sideways = x * x + y * y + b * b
@@ -415,6 +660,10 @@ def _aim(fields: Field, tile: Tile, cx: np.ndarray, cy: np.ndarray, distance: fl
     # The first object sample is half a patch from the centre.
     half = (tile.object_samples - 1) / 2 / tile.object_samples / tile.pupil_pitch
     turns = from_mla + to_object + (u + v) * half
+    if batch.aside is not None:
+        # The patch is centred on a bin, not on the lens's image.
+        ax, ay = (dr.gather(types.Float64, types.Float64(np.ascontiguousarray(a)), lens) for a in batch.aside.T)
+        turns -= (u * ax + v * ay) * dr.opaque(types.Float64, 1 / (tile.lenses * tile.pupil_pitch))
     sine, cosine = dr.sincos(types.Float(turns - dr.round(turns)) * (2 * math.pi))
     # The edge of the pupil is softened over one sample.
     within = types.Float((camera.aperture_radius - dr.sqrt(square)) / tile.pupil_pitch)
@@ -424,15 +673,15 @@ def _aim(fields: Field, tile: Tile, cx: np.ndarray, cy: np.ndarray, distance: fl
     return aimed.numpy().view(np.complex64).reshape(fields.shape)
 
 
-def _on_bins(total: np.ndarray, camera: PlenopticCamera, tile: Tile, x: LensAxis, y: LensAxis) -> np.ndarray:
+def _on_bins(total: np.ndarray, camera: PlenopticCamera, tile: Tile, lenses: Lenses) -> np.ndarray:
     """Cut the sum over lenses to the bins of the image."""
-    columns, rows = camera.lens_count
+    columns, rows = camera.bin_count
     image = np.zeros((rows * tile.oversample, columns * tile.oversample))
     reach = tile.lenses // 2
     into, out = [], []
-    for axis, count in ((y, rows), (x, columns)):
-        first = int(axis.index[0]) + count // 2 - reach
-        end = first + axis.index.size + 2 * reach
+    for axis, count in ((1, rows), (0, columns)):
+        first = lenses.first[axis] + count // 2 - reach
+        end = first + lenses.bins[axis] + 2 * reach
         kept = slice(max(first, 0), min(end, count))
         into.append(slice(kept.start * tile.oversample, kept.stop * tile.oversample))
         out.append(slice((kept.start - first) * tile.oversample, (kept.stop - first) * tile.oversample))

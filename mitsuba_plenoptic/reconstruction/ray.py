@@ -49,11 +49,9 @@ def reconstruct_ray(
         Radiance: bins are divided by the number of pixels in a micro-image,
         :math:`(\pi/4) (D_1 z / b)^2` over the pixel's area.
     """
-    lattice = camera.lattice
-    if not lattice.separable or lattice.lens_area < lattice.cell_area:
+    if not lenses_fill_bins(camera):
         light, white = splat(image, camera, distance, _pupil_radius(camera), footprint=footprint, oversample=oversample)
-        least = _LEAST_WEIGHT * pixels_per_bin(camera, oversample)
-        return (light / np.maximum(white, least)[..., None]).astype(np.float32)
+        return (light / at_least(white, camera, oversample)[..., None]).astype(np.float32)
     x, y = (_axis(camera, distance, axis, footprint, oversample) for axis in (0, 1))
     return bin_image(image, x, y, _pupil_radius(camera)) / np.float32(pixels_per_bin(camera, oversample))
 
@@ -62,6 +60,22 @@ def pixels_per_bin(camera: PlenopticCamera, oversample: int) -> float:
     r"""Pixels of micro-images that go to one bin: :math:`(\pi/4) (D_1 z / b)^2` over the pixel's area for each lens."""
     lenses = camera.mla_pitch**2 / camera.lattice.cell_area
     return lenses * math.pi / 4 * (camera.micro_image_diameter / camera.pixel_size / oversample) ** 2
+
+
+def lenses_fill_bins(camera: PlenopticCamera) -> bool:
+    """Whether lenses and bins are arranged alike, on an upright square lattice without gaps."""
+    return bool(camera.lattice.separable and camera.lattice.lens_area == camera.lattice.cell_area)
+
+
+def white_bins(camera: PlenopticCamera, distance: float, oversample: int) -> np.ndarray:
+    """Return what every bin gets of a white scene, in pixels, by one ray a pixel."""
+    nothing = np.zeros((*camera.shape, 1), np.float32)
+    return splat(nothing, camera, distance, _pupil_radius(camera), footprint="point", oversample=oversample)[1]
+
+
+def at_least(white: np.ndarray, camera: PlenopticCamera, oversample: int) -> np.ndarray:
+    """Return what bins are divided by for a white scene to give 1, where they got this much of it."""
+    return np.maximum(white, _LEAST_WEIGHT * pixels_per_bin(camera, oversample))
 
 
 def _pupil_radius(camera: PlenopticCamera) -> float:

@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import scipy.signal
 
 from ..camera import PlenopticCamera
 from ._plan import Plan, plan
 from .coherent import lit_window, reconstruct_subsets
-from .lens_by_lens import Tile, reconstruct_lens_by_lens, tile_lenses, white_throughput
-from .ray import pixels_per_bin
+from .lens_by_lens import Tile, is_aligned, reconstruct_lens_by_lens, tile_lenses, white_throughput
+from .ray import at_least, lenses_fill_bins, pixels_per_bin, white_bins
 
 Interleave = int | str
 """Period of a subset of lenses along each axis, or "auto"."""
@@ -59,9 +60,10 @@ def reconstruct_wave(
         Radiance.
     """
     period = full_field_period(image, camera, distances, wavelength) if interleave == "auto" else int(interleave)
+    fine = 1 if is_aligned(camera) else Tile(camera, wavelength, 1, oversample).samples // oversample
     if period is None:
         power = reconstruct_lens_by_lens(
-            image, camera, distances, wavelength, relay=relay, oversample=oversample, progress=progress
+            image, camera, distances, wavelength, relay=relay, oversample=oversample * fine, progress=progress
         )
     else:
         power = reconstruct_subsets(
@@ -71,11 +73,35 @@ def reconstruct_wave(
             wavelength,
             interleave=period,
             relay=relay,
-            oversample=oversample,
+            oversample=oversample * fine,
             progress=progress,
         )
-    white = pixels_per_bin(camera, oversample) * white_throughput(camera, wavelength, relay=relay)
-    return [(total / white).astype(np.float32) for total in power]
+    if fine > 1:
+        power = [_over_lenses(total, camera, oversample, fine) for total in power]
+    throughput = white_throughput(camera, wavelength, relay=relay)
+    whites = (_white(camera, distance, oversample, fine) for distance in distances)
+    return [(total / (white * throughput)).astype(np.float32) for total, white in zip(power, whites, strict=True)]
+
+
+def _white(camera: PlenopticCamera, distance: float, oversample: int, fine: int) -> np.ndarray | float:
+    """Pixels that go to each bin of a white scene."""
+    if lenses_fill_bins(camera):
+        return pixels_per_bin(camera, oversample)
+    white = _over_lenses(white_bins(camera, distance, oversample * fine), camera, oversample, fine)
+    return at_least(white, camera, oversample)
+
+
+def _over_lenses(power: np.ndarray, camera: PlenopticCamera, oversample: int, fine: int) -> np.ndarray:
+    """Spread what comes from each lens over its aperture, which has gathered it, and sum fine bins to bins.
+
+    Where a lens lies on every bin this would change nothing in focus; elsewhere the light of all of a lens would go
+    to the one bin that holds its centre, and some bins would get none.
+    """
+    aperture = camera.lattice.aperture_image(camera.mla_pitch / (oversample * fine), 1.0)
+    spread = scipy.signal.oaconvolve(power, aperture, mode="same")
+    rows, columns = (size // fine for size in power.shape)
+    # the transform's rounding is not light
+    return np.asarray(spread.reshape(rows, fine, columns, fine).sum((1, 3))).clip(min=0)
 
 
 def full_field_period(
