@@ -38,8 +38,8 @@ LEAST_FILL = 1e-3
 # First zero of the diffraction pattern of a disc, in wavelengths over its diameter: that of J1 over pi.
 AIRY_ZERO = 1.21967
 
-# Parameters that files written before there were other lattices do not name.
-_LATER = {"mla_lattice", "mla_rotation", "mla_offset", "mla_aperture", "mla_fill"}
+LATER = {"mla_lattice", "mla_rotation", "mla_offset", "mla_aperture", "mla_fill"}
+"""Parameters that files written before there were other lattices do not name."""
 
 
 @dataclass(frozen=True, init=False, repr=False)
@@ -207,7 +207,7 @@ class PlenopticCamera:
         names = set(cls().to_dict())
         if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
             raise InputError(f"camera = {shown(values)}: it must be camera parameters by name")
-        for name in sorted((set(values) ^ names) - _LATER):
+        for name in sorted((set(values) ^ names) - LATER):
             rule = "is not a camera parameter" if name in values else "is missing from the camera parameters"
             raise InputError(f"{name}: it {rule}")
         return cls(**values)
@@ -331,6 +331,20 @@ class PlenopticCamera:
         """Microlens pitch in pixels; need not be a whole number."""
         return self.mla_pitch / self.pixel_size
 
+    def require_resolved(self) -> None:
+        """Refuse a camera whose lenses are narrower than a pixel, for work that goes from lens to lens.
+
+        Raises
+        ------
+        InputError
+            If they are.
+        """
+        if self.pixels_per_lens < 1:
+            raise InputError(
+                f"mla_pitch = {self.mla_pitch:g}: it is less than a pixel of {self.pixel_size:g}, so that no "
+                "micro-image is resolved"
+            )
+
     @property
     def bin_count(self) -> tuple[int, int]:
         """Bins across a reconstruction and down it: as many squares of one pitch as fit the detector.
@@ -364,37 +378,47 @@ class PlenopticCamera:
         """Distance of neighbouring micro-images, :math:`D_2 (b + z) / b`."""
         return self.mla_pitch * (self.mla_distance + self.detector_distance) / self.mla_distance
 
-    @property
     def crosstalk_neighbours(self) -> np.ndarray:
-        """Lenses that can light a pixel, from the one of its chief ray, (lenses, 2) steps in the lattice's indices.
+        """Find the lenses that can light a pixel, from the one of its chief ray.
 
         The ray from a detector point p through the point c + d of a lens meets the pupil plane in
         :math:`(1 + b/z)(c - m) + (1 + b/z - b/f_2) d`, m the point of the chief ray, which is in its lens's cell. For
         that to be in the pupil, c must be within :math:`(D_1/2) / (1 + b/z)` of some
         :math:`m - d (1 + b/z - b/f_2) / (1 + b/z)`: a cell enlarged by apertures.
 
+        Returns
+        -------
+        (lenses, 2) int array
+            Steps in the lattice's indices; the first is the chief ray's own lens.
+
         Raises
         ------
         InputError
             If micro-images overlap so much that these are more than 100,000.
         """
-        b, z, lattice = self.mla_distance, self.detector_distance, self.lattice
-        reach = self.aperture_radius / (1 + b / z)
-        smear = max(abs(1 + b / z - b / f2) for f2 in self.mla_focal_lengths) / (1 + b / z)
-        lenses = math.pi * (reach + smear * lattice.aperture_reach + self.mla_pitch) ** 2 / lattice.cell_area
+        lenses, reach, smear = self._crosstalk()
         if not lenses <= MOST_OVERLAP:
             raise InputError(
                 f"camera: its micro-images overlap so much that some {lenses:.3g} lenses light each pixel; at most "
                 f"{MOST_OVERLAP} are followed"
             )
-        if lattice.aperture == "circle":
-            return lattice.neighbours(reach + smear * lattice.aperture_reach)
-        return lattice.neighbours(reach, scale=1 + smear * lattice.fill)
+        if self.mla_aperture == "circle":
+            return self.lattice.neighbours(reach + smear * self.lattice.aperture_reach)
+        return self.lattice.neighbours(reach, scale=1 + smear * self.mla_fill)
 
     @property
     def crosstalk_lenses(self) -> int:
-        """Number of lenses that can light one pixel."""
-        return len(self.crosstalk_neighbours)
+        """Number of lenses that can light one pixel; above 100,000 by the area that they cover."""
+        lenses = self._crosstalk()[0]
+        return len(self.crosstalk_neighbours()) if lenses <= MOST_OVERLAP else round(lenses)
+
+    def _crosstalk(self) -> tuple[float, float, float]:
+        """About how many lenses light a pixel, within which distance, and the part of their apertures that adds."""
+        b, z, lattice = self.mla_distance, self.detector_distance, self.lattice
+        reach = self.aperture_radius / (1 + b / z)
+        smear = max(abs(1 + b / z - b / f2) for f2 in self.mla_focal_lengths) / (1 + b / z)
+        covered = math.pi * (reach + smear * lattice.aperture_reach + self.mla_pitch) ** 2
+        return covered / lattice.cell_area, reach, smear
 
     @property
     def white_mean(self) -> float:

@@ -46,7 +46,7 @@ class PupilShare:
         samples = max(1, min(_SAMPLES, int(_WIDEST / pixels)))
         require_memory(
             100.0 * (samples * pixels) ** 2,
-            f"micro-image of {2 * camera.aperture_radius / camera.pupil_step:.3g} pixels, smeared over "
+            f"white image of a lens, {2 * camera.aperture_radius / camera.pupil_step:.3g} pixels wide, smeared over "
             f"{2 * smear * camera.lattice.aperture_reach / camera.pupil_step:.3g}",
         )
         self._step = camera.pupil_step / samples

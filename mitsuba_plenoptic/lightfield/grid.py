@@ -116,11 +116,11 @@ def bin_grid(camera: PlenopticCamera) -> LensGrid:
     Raises
     ------
     InputError
-        If no micro-image is centred in the recorded window.
+        If no micro-image is centred in the recorded window, or a lens is less than a pixel wide.
     """
+    camera.require_resolved()
     start, count = [], []
     spacing = camera.micro_image_pitch / camera.pixel_size
-    _require_resolved(camera)
     for axis, bins in enumerate(camera.bin_count):
         centre = (np.arange(bins) - bins / 2 + 0.5) * camera.mla_pitch
         pixel = _pixel(camera, centre, axis)
@@ -164,7 +164,7 @@ def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:
     (lenses, 2) float64 array
         Columns and rows, by lattice row.
     """
-    _require_resolved(camera)
+    camera.require_resolved()
     x, y = (
         rays.chief_point(camera.pixel_coordinates(axis)[[0, -1]], camera.mla_distance, camera.detector_distance)
         for axis in (0, 1)
@@ -266,14 +266,6 @@ def covering_grid(shape: tuple[int, ...], origin: np.ndarray, vectors: np.ndarra
         rotation=math.atan2(vectors[0, 1], vectors[0, 0]),
         shifted_rows=int(1 - low[1] % 2) if shifted else None,
     )
-
-
-def _require_resolved(camera: PlenopticCamera) -> None:
-    if camera.pixels_per_lens < 1:
-        raise InputError(
-            f"mla_pitch = {camera.mla_pitch:g}: it is less than a pixel of {camera.pixel_size:g}, so that no "
-            "micro-image is resolved"
-        )
 
 
 def _pixel(camera: PlenopticCamera, centre: Any, axis: int) -> Any:

@@ -226,7 +226,7 @@ def make_class() -> type:
                 camera.mla_aperture,
                 self.mla_fill,
             )
-            self._candidates = [mi.Float(steps) for steps in camera.crosstalk_neighbours.T]
+            self._candidates = [mi.Float(steps) for steps in camera.crosstalk_neighbours().T]
             dr.make_opaque(*self._candidates)
 
         @property

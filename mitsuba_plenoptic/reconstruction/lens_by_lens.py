@@ -28,7 +28,8 @@ import scipy.fft
 
 from .. import rays
 from .._backend import array_module
-from ..camera import PlenopticCamera
+from ..camera import MOST_PIXELS, PlenopticCamera
+from ..errors import InputError
 from ..propagation.angular_spectrum import advance
 from ..propagation.fft import Field, fft2, pack, resting_drjit, unpack, worker_count
 from ..propagation.sampling import check_memory, fast_length, in_millimetres, pupil_turns
@@ -165,10 +166,18 @@ def _mean_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) ->
 
 
 def _around_axis(camera: PlenopticCamera, around: int) -> PlenopticCamera:
-    """Return the camera with no more than some pixels on both sides of the axis."""
-    first = tuple(max(0, size // 2 - around) for size in camera.resolution)
-    size = tuple(min(size, 2 * around) for size in camera.resolution)
-    return camera.replace(crop_offset=first, crop_size=size)
+    """Return the camera with just so many pixels on both sides of the axis, whether its detector has them or not."""
+    if around > MOST_PIXELS // 2:
+        raise InputError(
+            f"mla_pitch = {camera.mla_pitch:g}: a micro-image of {around // 2} pixels is too wide for waves"
+        )
+    columns, rows = (max(size, 2 * around) for size in camera.resolution)
+    return camera.replace(
+        resolution=(columns, rows),
+        detector_width=columns * camera.pixel_size,
+        crop_offset=(columns // 2 - around, rows // 2 - around),
+        crop_size=(2 * around, 2 * around),
+    )
 
 
 def _power(image: np.ndarray, lenses: Lenses, which: np.ndarray, *, relay: bool) -> float:
@@ -209,7 +218,12 @@ class Tile:
     @cached_property
     def pitch(self) -> float:
         """Distance of samples on detector and MLA, in millimetres."""
-        return self.camera.pixel_size / field_subsamples(self.camera, self.wavelength)
+        return self.camera.pixel_size / self.subsamples
+
+    @cached_property
+    def subsamples(self) -> int:
+        """Samples across a pixel."""
+        return field_subsamples(self.camera, self.wavelength)
 
     @cached_property
     def cell_width(self) -> float:
@@ -245,7 +259,9 @@ class Tile:
         """Samples of the window from detector to MLA: what wraps round misses the cell."""
         source = self.pixels * self.camera.pixel_size + self._chief_shift
         spread = self.camera.detector_distance * in_millimetres(self.wavelength) / (2 * self.pitch)
-        return fast_length(((source + self.cell_width) / 2 + self._chief_shift + spread) / self.pitch)
+        window = (source + self.cell_width) / 2 + self._chief_shift + spread
+        # The pixels themselves must have room.
+        return fast_length(max(window / self.pitch, self.pixels * self.subsamples))
 
     @property
     def _chief_shift(self) -> float:
@@ -354,7 +370,7 @@ class LensAxis:
         self.centre = camera.lattice.axis_centre(self.index.astype(np.float64), axis)
         edge = rays.chief_detector_point(self.index * camera.mla_pitch, camera.mla_distance, camera.detector_distance)
         pixel = np.floor(edge / camera.pixel_size + half + 1e-9).astype(np.int64)[:, None] + np.arange(tile.pixels)
-        subsamples = round(camera.pixel_size / tile.pitch)
+        subsamples = tile.subsamples
         fine = (pixel[..., None] + (np.arange(subsamples) + 0.5) / subsamples).reshape(self.index.size, -1)
         p = (fine - half) * camera.pixel_size
         recorded = (pixel >= offset) & (pixel < offset + size)

@@ -11,6 +11,7 @@ import numpy as np
 
 from mitsuba_plenoptic import decode, read_capture, reconstruct
 from mitsuba_plenoptic._exr import ATTRIBUTE
+from mitsuba_plenoptic.camera import LATER
 
 from . import cameras, corpus
 from .cases import Case
@@ -71,7 +72,7 @@ def json_case(random: np.random.Generator, folder: Path) -> Case:
         del facts[key]
         what = f"no {key}"
     else:
-        key = pick(random, sorted(facts["camera"]))
+        key = pick(random, sorted(set(facts["camera"]) - LATER))
         del facts["camera"][key]
         what = f"camera without {key}"
     try:
