@@ -36,8 +36,8 @@ from .sampling import (
     fast_length,
     footprint,
     in_millimetres,
-    mla_cosine,
     pupil_turns,
+    scattered_cosine,
 )
 
 _WINDOW_MARGIN = 1.2
@@ -173,7 +173,7 @@ def _grids(
     image = footprint(camera, position[None])
     place, half_width = image.centre[0], image.half_width[0]
     steepest = float((np.abs(image.cosine[0]) + image.half_cosine[0]).max())
-    bent = steepest + mla_cosine(camera) * _KEPT_ORDERS
+    bent = steepest + scattered_cosine(camera) * _KEPT_ORDERS
     per_pixel = max(1, math.ceil(p * 2 * bent * refinement / lam))
     pitch = p / per_pixel
     # The recorded window on the detector, with room for light that walks sideways between MLA and detector.

@@ -40,7 +40,11 @@ from .._backend import array_module
 from ..camera import PlenopticCamera
 from .fft import Field, pack
 from .microlens import is_separable, plane_transmission, transmission_table, turn, upright
+<<<<<<< HEAD
 from .sampling import check_samples, fast_length, footprint, in_millimetres, mla_cosine, pupil_turns
+=======
+from .sampling import fast_length, footprint, in_millimetres, pupil_turns, scattered_cosine
+>>>>>>> lattice
 
 _WIDTH_PER_BLUR = 1.2
 _WIDTH_STEP = 1.06
@@ -114,7 +118,7 @@ class Grid:
         rotation, camera = camera.mla_rotation, upright(camera)
         powers = np.abs(1 / camera.focal_length - 1 / positions[:, 2])
         cosine = camera.aperture_radius * float(powers.max(initial=1 / camera.mla_distance))
-        half_band = band.cone * (cosine + mla_cosine(camera))
+        half_band = band.cone * (cosine + scattered_cosine(camera))
         largest = in_millimetres(wavelength) / (2 * half_band)
         steps = np.array([camera.micro_image_pitch, camera.micro_image_pitch])
         if camera.mla_lattice == "hexagonal":

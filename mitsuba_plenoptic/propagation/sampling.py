@@ -30,6 +30,9 @@ _FARTHEST = 1e16
 
 _MM_PER_NM = 1e-6
 _RIM_ANGLES = 32
+
+_HARD_EDGES = 1.4
+"""Directions that are kept of light from apertures with a dark surround, over those where phases join."""
 _RIM_RADII = (0.0, 0.4, 0.7, 1.0)
 
 
@@ -116,6 +119,12 @@ def mla_cosine(camera: PlenopticCamera) -> float:
     corner = lattice.aperture == "cell" and not lattice.separable
     half = lattice.aperture_reach if corner else lattice.aperture_width / 2
     return float(half) / min(camera.mla_focal_lengths)
+
+
+def scattered_cosine(camera: PlenopticCamera) -> float:
+    """Change of direction cosine by a microlens beyond which little light goes: the edges of opaque gaps scatter."""
+    lattice = camera.lattice
+    return mla_cosine(camera) * (_HARD_EDGES if lattice.lens_area < lattice.cell_area else 1)
 
 
 def in_millimetres(wavelength: float) -> float:

@@ -17,6 +17,9 @@ from .ray import at_least, lenses_fill_bins, pixels_per_bin, white_bins
 Interleave = int | str
 """Period of a subset of lenses along each axis, or "auto"."""
 
+_RAY_BINS = 36
+"""Fine bins across a lens in which the rays of a white scene are counted."""
+
 _APART = 2
 """Bins between the geometric images of two lenses that do not interfere, for diffraction."""
 
@@ -87,6 +90,8 @@ def _white(camera: PlenopticCamera, distance: float, oversample: int, fine: int)
     """Pixels that go to each bin of a white scene."""
     if lenses_fill_bins(camera):
         return pixels_per_bin(camera, oversample)
+    # Rays go to points, where waves go to spots: the grid on which they are counted must not show.
+    fine *= -(-_RAY_BINS // (oversample * fine))
     white = _over_lenses(white_bins(camera, distance, oversample * fine), camera, oversample, fine)
     return at_least(white, camera, oversample)
 
