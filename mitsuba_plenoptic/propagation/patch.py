@@ -40,11 +40,7 @@ from .._backend import array_module
 from ..camera import PlenopticCamera
 from .fft import Field, pack
 from .microlens import is_separable, plane_transmission, transmission_table, turn, upright
-<<<<<<< HEAD
-from .sampling import check_samples, fast_length, footprint, in_millimetres, mla_cosine, pupil_turns
-=======
-from .sampling import fast_length, footprint, in_millimetres, pupil_turns, scattered_cosine
->>>>>>> lattice
+from .sampling import check_samples, fast_length, footprint, in_millimetres, pupil_turns, scattered_cosine
 
 _WIDTH_PER_BLUR = 1.2
 _WIDTH_STEP = 1.06
