@@ -97,7 +97,7 @@ def test_orders_of_holes_are_airy_patterns():
 def test_orders_are_converged_and_hold_the_light(lattice):
     camera = SMALL.replace(**lattice)
     found = plane_orders(camera, WAVELENGTH, 0.35)
-    assert error(found, plane_orders(camera, WAVELENGTH, 0.35, fine=3333)) < 2e-3
+    assert error(found, plane_orders(camera, WAVELENGTH, 0.35, fine=1234)) < 3e-3
     open_part = camera.lattice.lens_area / camera.lattice.cell_area
     # what is missing goes farther, about an edge's share of the inverse of the angle
     assert 0.985 * open_part < (np.abs(found) ** 2).sum() < 1.001 * open_part
@@ -143,7 +143,9 @@ def test_samples_of_a_turned_grid():
 
 
 @lattices
-@pytest.mark.parametrize("position", [(0.2, -0.1, 225.0), (-0.1, 0.2, 240.0)])
+@pytest.mark.parametrize(
+    "position", [(0.2, -0.1, 225.0), pytest.param((-0.1, 0.2, 240.0), marks=pytest.mark.slow)], ids=["blurred", "sharp"]
+)
 def test_patch_against_full_field(lattice, position):
     camera = SMALL.replace(**lattice)
     full = point_spread_function(camera, position, wavelength=WAVELENGTH, method="full_field")
@@ -202,19 +204,19 @@ def test_shared_patterns_stay_true(name):
     assert 0 < error(shared, every) < 0.02
 
 
-@pytest.mark.parametrize("name", ["hexagonal", "turned", "circles"])
+@pytest.mark.parametrize(
+    "name", ["circles", *(pytest.param(name, marks=pytest.mark.slow) for name in ("hexagonal", "turned"))]
+)
 def test_wave_and_ray_captures_hold_the_same_energy(camera_dict, name):
-    lattice = {key: mi.ScalarVector3f(*v, 0) if isinstance(v, tuple) else v for key, v in LATTICES[name].items()}
+    lattice = {k: ", ".join(map(str, v)) if isinstance(v, tuple) else v for k, v in LATTICES[name].items()}
     wall = {
         "type": "disk",
         "to_world": mi.ScalarTransform4f().translate([0.1, -0.05, 250]).rotate([0, 1, 0], 180).scale(0.4),
         "emitter": {"type": "area", "radiance": 1.0},
     }
-    if "mla_offset" in lattice:
-        lattice["mla_offset"] = ", ".join(map(str, LATTICES[name]["mla_offset"]))
     sensor = camera_dict(**lattice)
     scene = mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "camera": sensor, "wall": wall})
-    ray = render_capture(scene, spp=512)
+    ray = render_capture(scene, spp=64)
     wave = render_capture(scene, model="wave", spp=1, radiators_per_lens=4)
     assert wave.image.sum() == pytest.approx(ray.image.sum(), rel=0.02)
 
@@ -250,7 +252,9 @@ def test_single_lenses_are_full_fields_of_one_lens(lattice):
         assert error(single, full) < 0.02
 
 
-@pytest.mark.parametrize("name", ["hexagonal", "turned", "circles", "gaps"])
+@pytest.mark.parametrize(
+    "name", ["hexagonal", *(pytest.param(name, marks=pytest.mark.slow) for name in ("turned", "circles", "gaps"))]
+)
 def test_a_white_capture_reads_one(name):
     camera = PlenopticCamera(detector_width=1.28, resolution=(640, 640), **LATTICES[name])
     white = white_capture(camera)
@@ -263,7 +267,7 @@ def test_a_white_capture_reads_one(name):
 
 
 @pytest.mark.parametrize("options", [{"method": "ray"}, *WAVES], ids=lambda o: str(list(o.values())))
-@pytest.mark.parametrize("name", ["hexagonal", "turned", "three kinds"])
+@pytest.mark.parametrize("name", ["hexagonal", "three kinds", pytest.param("turned", marks=pytest.mark.slow)])
 def test_forward_then_back_lands_where_the_point_is(name, options):
     camera = SMALL.replace(**LATTICES[name])
     for (x, y), distance in (((0.13, -0.08), 228.0), ((-0.1, 0.12), 240.0)):
