@@ -298,14 +298,3 @@ def _floor(value: Any) -> Any:
 
 def _select(condition: Any, yes: Any, no: Any) -> Any:
     return dr.select(condition, yes, no) if dr.is_array_v(condition) else np.where(condition, yes, no)
-
-
-def cell_index(coordinate: Any, pitch: Any) -> Any:
-    """Index (a whole number, as a float) of the cell that holds a coordinate in the MLA plane."""
-    scaled = coordinate / pitch
-    return np.floor(scaled) if isinstance(scaled, (float, np.ndarray)) else dr.floor(scaled)
-
-
-def cell_centre(index: Any, pitch: Any) -> Any:
-    """Coordinate of the centre of the cell with this index, :math:`(i + 1/2) D_2`."""
-    return (index + 0.5) * pitch
