@@ -9,17 +9,38 @@ from typing import Any
 
 import numpy as np
 
-from .errors import InputError, require_count, require_number
+from .errors import InputError, require_count, require_number, require_pair, shown
 from .lattice import APERTURES, KINDS, LENS_KINDS, Lattice
 from .presets import PRESETS
 
 LENS_MODELS = ("ideal", "parabolic")
 
+SHORTEST, LONGEST = 1e-9, 1e9
+"""Bounds of every length in scene units: a picometre and a thousand kilometres in millimetres.
+
+Between them no product or quotient of a camera's numbers leaves what a float holds.
+"""
+
+MOST_PIXELS = 2**20
+"""Pixels along an axis of a detector, at most; pixel coordinates stay exact in single precision."""
+
+WAVELENGTHS = (1.0, 1e6)
+"""Bounds of a wavelength in nanometres, from soft X-rays to a millimetre."""
+
+FULL_TURN = 360.0
+"""Bound of a rotation in degrees, either way."""
+
+MOST_OVERLAP = 100_000
+"""Lenses that may light one pixel."""
+
+LEAST_FILL = 1e-3
+"""Width of a microlens over its pitch, at least; that of the thinnest line would let no light through."""
+
 # First zero of the diffraction pattern of a disc, in wavelengths over its diameter: that of J1 over pi.
 AIRY_ZERO = 1.21967
 
-# Parameters that files written before there were other lattices do not name.
-_LATER = {"mla_lattice", "mla_rotation", "mla_offset", "mla_aperture", "mla_fill"}
+LATER = {"mla_lattice", "mla_rotation", "mla_offset", "mla_aperture", "mla_fill"}
+"""Parameters that files written before there were other lattices do not name."""
 
 
 @dataclass(frozen=True, init=False, repr=False)
@@ -72,7 +93,8 @@ class PlenopticCamera:
     Raises
     ------
     InputError
-        If a value is not a number, not finite, not positive, or the crop window leaves the detector.
+        If a length is not a number from 1e-9 to 1e9 (`focus_distance` may be infinite), a side of the detector is not
+        from 1 to 1048576 pixels, or the crop window leaves the detector.
     """
 
     focal_length: float
@@ -116,35 +138,31 @@ class PlenopticCamera:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        put("focal_length", require_number("focal_length", focal_length, positive=True))
-        put("aperture_radius", require_number("aperture_radius", aperture_radius, positive=True))
+        put("focal_length", _length("focal_length", focal_length))
+        put("aperture_radius", _length("aperture_radius", aperture_radius))
         if mla_distance is not None and focus_distance is not None:
             raise InputError(
-                f"mla_distance = {mla_distance!r} and focus_distance = {focus_distance!r}: give one of the two"
+                f"mla_distance = {shown(mla_distance)} and focus_distance = {shown(focus_distance)}: "
+                "give one of the two"
             )
         if focus_distance is not None:
             mla_distance = image_distance(
-                self.focal_length,
-                require_number("focus_distance", focus_distance, positive=True, finite=False),
-                name="focus_distance",
+                self.focal_length, _length("focus_distance", focus_distance, finite=False), name="focus_distance"
             )
-        put(
-            "mla_distance",
-            require_number("mla_distance", 120.0 if mla_distance is None else mla_distance, positive=True),
-        )
+        put("mla_distance", _length("mla_distance", 120.0 if mla_distance is None else mla_distance))
         put("mla_lattice", _choice("mla_lattice", mla_lattice, KINDS))
         put("mla_focal_lengths", _focal_lengths(mla_focal_length, self.mla_lattice))
-        put("mla_pitch", require_number("mla_pitch", mla_pitch, positive=True))
-        put("mla_rotation", require_number("mla_rotation", mla_rotation))
-        put("mla_offset", _numbers("mla_offset", mla_offset))
+        put("mla_pitch", _length("mla_pitch", mla_pitch))
+        put("mla_rotation", require_number("mla_rotation", mla_rotation, minimum=-FULL_TURN, maximum=FULL_TURN))
+        x, y = require_pair("mla_offset", mla_offset, "(x, y)")
+        put("mla_offset", (_coordinate("mla_offset", x), _coordinate("mla_offset", y)))
         put("mla_aperture", _choice("mla_aperture", mla_aperture, APERTURES))
-        put("mla_fill", require_number("mla_fill", mla_fill, positive=True))
-        if self.mla_fill > 1:
-            raise InputError(f"mla_fill = {self.mla_fill:g}: it must be at most 1")
+        fill = require_number("mla_fill", mla_fill, positive=True)
+        put("mla_fill", require_number("mla_fill", fill, minimum=LEAST_FILL, maximum=1))
         if detector_distance is None:
             detector_distance = self.mla_focal_length
-        put("detector_distance", require_number("detector_distance", detector_distance, positive=True))
-        put("detector_width", require_number("detector_width", detector_width, positive=True))
+        put("detector_distance", _length("detector_distance", detector_distance))
+        put("detector_width", _length("detector_width", detector_width))
         put("resolution", _pair("resolution", resolution, minimum=1))
         put("crop_offset", _pair("crop_offset", crop_offset, minimum=0))
         if crop_size is None:
@@ -172,8 +190,8 @@ class PlenopticCamera:
         InputError
             If there is none of that name; the message lists those there are.
         """
-        if name not in PRESETS:
-            raise InputError(f"preset = {name!r}: it must be one of {', '.join(PRESETS)}")
+        if not isinstance(name, str) or name not in PRESETS:
+            raise InputError(f"preset = {shown(name)}: it must be one of {', '.join(PRESETS)}")
         return cls(**PRESETS[name])
 
     @classmethod
@@ -201,7 +219,9 @@ class PlenopticCamera:
             If a name is unknown or missing, or a value is out of range.
         """
         names = set(cls().to_dict())
-        for name in sorted((set(values) ^ names) - _LATER):
+        if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
+            raise InputError(f"camera = {shown(values)}: it must be camera parameters by name")
+        for name in sorted((set(values) ^ names) - LATER):
             rule = "is not a camera parameter" if name in values else "is missing from the camera parameters"
             raise InputError(f"{name}: it {rule}")
         return cls(**values)
@@ -219,7 +239,16 @@ class PlenopticCamera:
         return f"PlenopticCamera({', '.join(f'{name}={value!r}' for name, value in self.to_dict().items())})"
 
     def replace(self, **changes: Any) -> PlenopticCamera:
-        """Return a copy of the camera with some parameters changed; what records all goes on recording all."""
+        """Return a copy of the camera with some parameters changed; what records all goes on recording all.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown or a value is out of range.
+        """
+        for name in changes:
+            if name not in self.to_dict() and name != "focus_distance":
+                raise InputError(f"{name}: it is not a camera parameter")
         values = self.to_dict() | changes
         if "resolution" in changes and "crop_size" not in changes and not self.is_cropped:
             values.pop("crop_size")
@@ -368,6 +397,20 @@ class PlenopticCamera:
         """Microlens pitch in pixels; need not be a whole number."""
         return self.mla_pitch / self.pixel_size
 
+    def require_resolved(self) -> None:
+        """Refuse a camera whose lenses are narrower than a pixel, for work that goes from lens to lens.
+
+        Raises
+        ------
+        InputError
+            If they are.
+        """
+        if self.pixels_per_lens < 1:
+            raise InputError(
+                f"mla_pitch = {self.mla_pitch:g}: it is less than a pixel of {self.pixel_size:g}, so that no "
+                "micro-image is resolved"
+            )
+
     @property
     def bin_count(self) -> tuple[int, int]:
         """Bins across a reconstruction and down it: as many squares of one pitch as fit the detector.
@@ -401,26 +444,47 @@ class PlenopticCamera:
         """Distance of neighbouring micro-images, :math:`D_2 (b + z) / b`."""
         return self.mla_pitch * (self.mla_distance + self.detector_distance) / self.mla_distance
 
-    @property
     def crosstalk_neighbours(self) -> np.ndarray:
-        """Lenses that can light a pixel, from the one of its chief ray, (lenses, 2) steps in the lattice's indices.
+        """Find the lenses that can light a pixel, from the one of its chief ray.
 
         The ray from a detector point p through the point c + d of a lens meets the pupil plane in
         :math:`(1 + b/z)(c - m) + (1 + b/z - b/f_2) d`, m the point of the chief ray, which is in its lens's cell. For
         that to be in the pupil, c must be within :math:`(D_1/2) / (1 + b/z)` of some
         :math:`m - d (1 + b/z - b/f_2) / (1 + b/z)`: a cell enlarged by apertures.
+
+        Returns
+        -------
+        (lenses, 2) int array
+            Steps in the lattice's indices; the first is the chief ray's own lens.
+
+        Raises
+        ------
+        InputError
+            If micro-images overlap so much that these are more than 100,000.
         """
-        b, z, lattice = self.mla_distance, self.detector_distance, self.lattice
-        reach = self.aperture_radius / (1 + b / z)
-        smear = max(abs(1 + b / z - b / f2) for f2 in self.mla_focal_lengths) / (1 + b / z)
-        if lattice.aperture == "circle":
-            return lattice.neighbours(reach + smear * lattice.aperture_reach)
-        return lattice.neighbours(reach, scale=1 + smear * lattice.fill)
+        lenses, reach, smear = self._crosstalk()
+        if not lenses <= MOST_OVERLAP:
+            raise InputError(
+                f"camera: its micro-images overlap so much that some {lenses:.3g} lenses light each pixel; at most "
+                f"{MOST_OVERLAP} are followed"
+            )
+        if self.mla_aperture == "circle":
+            return self.lattice.neighbours(reach + smear * self.lattice.aperture_reach)
+        return self.lattice.neighbours(reach, scale=1 + smear * self.mla_fill)
 
     @property
     def crosstalk_lenses(self) -> int:
-        """Number of lenses that can light one pixel."""
-        return len(self.crosstalk_neighbours)
+        """Number of lenses that can light one pixel; above 100,000 by the area that they cover."""
+        lenses = self._crosstalk()[0]
+        return len(self.crosstalk_neighbours()) if lenses <= MOST_OVERLAP else round(lenses)
+
+    def _crosstalk(self) -> tuple[float, float, float]:
+        """About how many lenses light a pixel, within which distance, and the part of their apertures that adds."""
+        b, z, lattice = self.mla_distance, self.detector_distance, self.lattice
+        reach = self.aperture_radius / (1 + b / z)
+        smear = max(abs(1 + b / z - b / f2) for f2 in self.mla_focal_lengths) / (1 + b / z)
+        covered = math.pi * (reach + smear * lattice.aperture_reach + self.mla_pitch) ** 2
+        return covered / lattice.cell_area, reach, smear
 
     @property
     def white_mean(self) -> float:
@@ -535,41 +599,64 @@ def image_distance(focal_length: float, distance: float, *, name: str = "distanc
     """
     if not distance > focal_length:
         raise InputError(f"{name} = {distance:g}: it must be greater than the focal length {focal_length:g}")
-    return 1 / (1 / focal_length - 1 / distance)
+    if LONGEST < distance < math.inf:
+        raise InputError(f"{name} = {distance:g}: it must be at most {LONGEST:g}")
+    power = 1 / focal_length - 1 / distance
+    if power * LONGEST < 1:
+        raise InputError(
+            f"{name} = {distance!r}: its image lies too far behind a lens of focal length {focal_length:g}, at more "
+            f"than {LONGEST:g}"
+        )
+    return 1 / power
+
+
+def require_wavelength(value: Any, name: str = "wavelength") -> float:
+    """Return a wavelength in nanometres as a float.
+
+    Raises
+    ------
+    InputError
+        If it is not a number from 1 to 1e6.
+    """
+    number = require_number(name, value, positive=True)
+    return require_number(name, number, minimum=WAVELENGTHS[0], maximum=WAVELENGTHS[1])
+
+
+def _length(name: str, value: Any, *, finite: bool = True) -> float:
+    number = require_number(name, value, positive=True, finite=finite)
+    return require_number(name, number, minimum=SHORTEST, maximum=LONGEST, finite=finite)
 
 
 def _pair(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
-    try:
-        first, second = value
-    except (TypeError, ValueError):
-        raise InputError(f"{name} = {value!r}: it must be a pair (columns, rows)") from None
-    return require_count(name, first, minimum=minimum), require_count(name, second, minimum=minimum)
+    columns, rows = require_pair(name, value, "(columns, rows)")
+    return (
+        require_count(name, columns, minimum=minimum, maximum=MOST_PIXELS),
+        require_count(name, rows, minimum=minimum, maximum=MOST_PIXELS),
+    )
 
 
-def _numbers(name: str, value: Any) -> tuple[float, float]:
-    try:
-        x, y = value
-    except (TypeError, ValueError):
-        raise InputError(f"{name} = {value!r}: it must be a pair (x, y)") from None
-    return require_number(name, x), require_number(name, y)
+def _coordinate(name: str, value: Any) -> float:
+    return require_number(name, value, minimum=-LONGEST, maximum=LONGEST)
 
 
 def _choice(name: str, value: Any, choices: tuple[str, ...]) -> str:
-    if value not in choices:
-        raise InputError(f"{name} = {value!r}: it must be one of {', '.join(choices)}")
-    return str(value)
+    if not isinstance(value, str) or value not in choices:
+        raise InputError(f"{name} = {shown(value)}: it must be one of {', '.join(choices)}")
+    return value
 
 
 def _focal_lengths(value: Any, lattice: str) -> tuple[float, ...]:
     """Check one focal length, or three of a hexagonal lattice."""
-    if isinstance(value, str) or np.ndim(value) == 0:
-        return (require_number("mla_focal_length", value, positive=True),)
-    lengths = tuple(require_number("mla_focal_length", number, positive=True) for number in value)
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if not isinstance(value, (tuple, list)):
+        return (_length("mla_focal_length", value),)
+    lengths = tuple(_length("mla_focal_length", number) for number in value)
     if len(lengths) not in (1, LENS_KINDS):
-        raise InputError(f"mla_focal_length = {value!r}: it must be one number or {LENS_KINDS}")
+        raise InputError(f"mla_focal_length = {shown(value)}: it must be one number or {LENS_KINDS}")
     if len(lengths) > 1 and lattice != "hexagonal":
         raise InputError(
-            f"mla_focal_length = {value!r} with mla_lattice = {lattice!r}: {LENS_KINDS} kinds of lenses need a "
+            f"mla_focal_length = {shown(value)} with mla_lattice = {lattice!r}: {LENS_KINDS} kinds of lenses need a "
             "hexagonal lattice, where no two neighbours are alike"
         )
     return lengths

@@ -24,7 +24,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from .camera import PlenopticCamera, conjugate_distance
+from .camera import PlenopticCamera, conjugate_distance, image_distance, require_wavelength
+from .errors import require_number
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,14 @@ def effective_resolution(
         Object distance, beyond the focal length.
     wavelength : float, optional
         Wavelength in nanometres; without it diffraction is left out.
+
+    Raises
+    ------
+    InputError
+        If the distance or the wavelength is out of range.
     """
+    # refuses what is not beyond the focal length
+    image_distance(camera.focal_length, require_number("distance", distance))
     spot = pixel_footprint(camera, distance) * _finest(camera, wavelength) / camera.pixel_size
     lens = min(lens_footprint(camera, distance, f2) for f2 in camera.mla_focal_lengths) * camera.lattice.aperture_width
     detail = max(spot, lens)
@@ -150,7 +158,7 @@ def suitable_oversample(camera: PlenopticCamera, distance: float, wavelength: fl
 
 def _finest(camera: PlenopticCamera, wavelength: float | None) -> float:
     """Finest detail on the detector: a pixel, or the spot of diffraction if that is wider."""
-    return max(camera.pixel_size, 0.0 if wavelength is None else camera.spot_size(wavelength))
+    return max(camera.pixel_size, 0.0 if wavelength is None else camera.spot_size(require_wavelength(wavelength)))
 
 
 def _covering(camera: PlenopticCamera, side: float) -> float:

@@ -26,6 +26,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from .limits import require_memory
+
 KINDS = ("square", "hexagonal")
 APERTURES = ("cell", "circle")
 
@@ -212,6 +214,7 @@ class Lattice:
             # too small to be drawn
             return np.ones((1, 1))
         half = math.ceil(scale * self.aperture_reach / step)
+        require_memory(30.0 * (_POINTS * (2 * half + 1.0)) ** 2, f"aperture of {2 * half + 1:.3g} samples across")
         fine = (np.arange(_POINTS * (2 * half + 1)) + 0.5) / _POINTS - half - 0.5
         inside = self.in_aperture(*np.broadcast_arrays(fine * step / scale, fine[:, None] * step / scale))
         counts = inside.reshape(2 * half + 1, _POINTS, 2 * half + 1, _POINTS).sum(axis=(1, 3), dtype=np.float64)
@@ -253,7 +256,9 @@ class Lattice:
         corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
         origin = np.array(self.centre(0.0, 0.0))
         ends = np.linalg.solve(np.array(self.basis).T, (corners - origin).T)
-        first, last = np.floor(ends.min(1)).astype(int), np.ceil(ends.max(1)).astype(int)
+        first, last = np.floor(ends.min(1)), np.ceil(ends.max(1))
+        require_memory(60.0 * float(np.prod(last - first + 1)), f"{np.prod(last - first + 1):.3g} lenses")
+        first, last = first.astype(int), last.astype(int)
         j, i = (index.ravel() for index in np.mgrid[first[1] : last[1] + 1, first[0] : last[0] + 1])
         x, y = self.centre(i.astype(np.float64), j.astype(np.float64))
         kept = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
@@ -294,14 +299,3 @@ def _floor(value: Any) -> Any:
 
 def _select(condition: Any, yes: Any, no: Any) -> Any:
     return dr.select(condition, yes, no) if dr.is_array_v(condition) else np.where(condition, yes, no)
-
-
-def cell_index(coordinate: Any, pitch: Any) -> Any:
-    """Index (a whole number, as a float) of the cell that holds a coordinate in the MLA plane."""
-    scaled = coordinate / pitch
-    return np.floor(scaled) if isinstance(scaled, (float, np.ndarray)) else dr.floor(scaled)
-
-
-def cell_centre(index: Any, pitch: Any) -> Any:
-    """Coordinate of the centre of the cell with this index, :math:`(i + 1/2) D_2`."""
-    return (index + 0.5) * pitch

@@ -8,9 +8,11 @@ import numpy as np
 import scipy.signal
 
 from .camera import PlenopticCamera
+from .limits import require_memory
 
-# Samples of the table across what a pixel covers of the pupil plane.
+# Samples of the table across what a pixel covers of the pupil plane; fewer where the table would get as wide as this.
 _SAMPLES = 16
+_WIDEST = 4096
 
 # Points across a pixel for the area of what the pupil's edge leaves of it: exact to 0.2 % of the pixel.
 _POINTS = 8
@@ -38,10 +40,19 @@ class PupilShare:
 
     def __init__(self, camera: PlenopticCamera, kind: int = 0) -> None:
         b, z = camera.mla_distance, camera.detector_distance
-        self._step = camera.pupil_step / _SAMPLES
-        blur = camera.lattice.aperture_image(self._step, abs(1 + b / z - b / camera.mla_focal_lengths[kind]))
-        half = math.ceil(camera.aperture_radius / self._step + _SAMPLES) + blur.shape[0] // 2
-        place = np.arange(-half, half + 1) / _SAMPLES
+        smear = abs(1 + b / z - b / camera.mla_focal_lengths[kind])
+        reach = camera.aperture_radius + smear * camera.lattice.aperture_reach + camera.pupil_step
+        pixels = 2 * reach / camera.pupil_step
+        samples = max(1, min(_SAMPLES, int(_WIDEST / pixels)))
+        require_memory(
+            100.0 * (samples * pixels) ** 2,
+            f"white image of a lens, {2 * camera.aperture_radius / camera.pupil_step:.3g} pixels wide, smeared over "
+            f"{2 * smear * camera.lattice.aperture_reach / camera.pupil_step:.3g}",
+        )
+        self._step = camera.pupil_step / samples
+        blur = camera.lattice.aperture_image(self._step, smear)
+        half = math.ceil(camera.aperture_radius / self._step + samples) + blur.shape[0] // 2
+        place = np.arange(-half, half + 1) / samples
         disc = _square_in_disc(place, place[:, None], camera.aperture_radius / camera.pupil_step)
         share = scipy.signal.fftconvolve(disc, blur, mode="same")
         # The rounding of the transform is not light.

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, lattice, rays
+from mitsuba_plenoptic import InputError, PlenopticCamera, rays
 
 
 def test_the_default_is_the_papers_camera():
@@ -100,11 +100,3 @@ def test_a_ray_through_both_lenses_obeys_the_lens_equation():
 def test_a_microlens_sends_its_pixel_to_one_direction():
     slopes = [rays.microlens_slope(0.01, m, 0.032, 0.512, 0.512) for m in (0.0, 0.03, 0.06)]
     np.testing.assert_allclose(slopes, (0.032 - 0.01) / 0.512)
-
-
-def test_lattice_cells_hold_their_centres():
-    index = np.arange(-5, 5).astype(float)
-    centre = lattice.cell_centre(index, 0.064)
-    np.testing.assert_array_equal(lattice.cell_index(centre, 0.064), index)
-    assert lattice.cell_index(0.0639, 0.064) == 0
-    assert lattice.cell_index(-0.0001, 0.064) == -1

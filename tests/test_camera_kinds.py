@@ -144,6 +144,19 @@ def test_a_focused_camera_gives_the_detectors_resolution_over_the_virtual_depth(
     assert effective_resolution(camera, 240, 633).ratio == pytest.approx(found.ratio * 2 / 5.064)
 
 
+@pytest.mark.parametrize(
+    ("distance", "wavelength", "message"),
+    [
+        (80.0, None, "distance = 80: it must be greater than the focal length 80"),
+        (math.nan, None, "distance = nan"),
+        (240.0, -1, "wavelength = -1"),
+    ],
+)
+def test_bad_arguments_are_refused(distance, wavelength, message):
+    with pytest.raises(InputError, match=message):
+        effective_resolution(PlenopticCamera(), distance, wavelength)
+
+
 @FOCUSED
 def test_at_the_ends_of_the_depth_range_a_point_is_a_pixel_wide(numbers):
     camera = PlenopticCamera(**numbers)

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import InputError, require_number
+from ..limits import require_memory
 from .fourier import FourierRefocuser
 from .geometry import disparity as disparity_at
 from .geometry import require_light_field, view_steps
@@ -33,8 +34,14 @@ def shift_and_add(lf: xr.DataArray, disparity: float) -> xr.DataArray:
     -------
     xarray.DataArray
         Dimensions t, s[, c]; 0 where no view sees the place.
+
+    Raises
+    ------
+    InputError
+        If it is no light field, or the disparity is not a number from -1e6 to 1e6.
     """
     lf = require_light_field(lf)
+    disparity = require_number("disparity", disparity, minimum=-1e6, maximum=1e6)
     weight = np.asarray(lf["weight"].values)
     planes = [weight] + [plane * weight for plane in channel_planes(lf)]
     v, u = view_steps(lf, "v"), view_steps(lf, "u")
@@ -110,6 +117,8 @@ def focal_stack(
         refocus_at = FourierRefocuser(lf, max(abs(value) for value in disparities)).refocus
     else:
         refocus_at = lambda value: shift_and_add(lf, value)  # noqa: E731
+    images = 8.0 * lf.sizes["t"] * lf.sizes["s"] * lf.sizes.get("c", 1)
+    require_memory(2 * images * len(disparities), f"focal stack of {len(disparities)} distances")
     planes = []
     for done, value in enumerate(disparities):
         if progress:

@@ -7,11 +7,16 @@ import math
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..errors import InputError
+from ..limits import require_memory
 from ..pupil import PupilShare
 from .grid import LensGrid, lens_kinds, micro_image_centres
 
 # Micro-images drawn at once.
 _BLOCK = 128
+
+# Pixels of micro-images, an hour.
+_MOST_WORK = 3e10
 
 
 def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.ndarray:
@@ -29,18 +34,33 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     Returns
     -------
     (rows, columns) float32 array
+
+    Raises
+    ------
+    InputError
+        If micro-images are so wide or so much out of focus that it would take an hour, or too much memory.
     """
     kinds = [PupilShare(camera, kind) for kind in range(len(camera.mla_focal_lengths))]
     half = math.ceil(max(share.reach for share in kinds) / camera.pupil_step)
     rows, columns = camera.shape
-    image = np.zeros((rows + 2 * half, columns + 2 * half), dtype=np.float32)
-    window = np.arange(-half, half + 1)
+    require_memory(
+        4.0 * (rows + 2 * half) * (columns + 2 * half) + 100.0 * _BLOCK * (2 * half + 1) ** 2,
+        f"white image of {columns} x {rows} pixels, {2 * half + 1} x {2 * half + 1} for each lens",
+    )
     if grid is None:
         centres = micro_image_centres(camera, half)
     else:
         centres = grid.centres().reshape(-1, 2)
         # Those whose micro-image reaches the detector.
         centres = centres[((centres > -half) & (centres < [columns + half, rows + half])).all(1)]
+    work = float(len(centres)) * (2 * half + 1) ** 2
+    if not work <= _MOST_WORK:
+        raise InputError(
+            f"camera: its white image takes {work:.2g} evaluations, at most {_MOST_WORK:.2g} are made: the images of "
+            f"{len(centres)} lenses are up to {2 * half + 1} pixels wide"
+        )
+    image = np.zeros((rows + 2 * half, columns + 2 * half), dtype=np.float32)
+    window = np.arange(-half, half + 1)
     for row in np.array_split(centres, -(-len(centres) // _BLOCK) or 1):
         base = np.floor(row).astype(np.int64)
         # Pupil coordinates that each pixel sees through its lens's centre, but for their sign.

@@ -214,6 +214,8 @@ def make_class() -> type:
             self._update()
 
         def _update(self) -> None:
+            if not np.isfinite(self.world_transform().matrix.numpy()).all():
+                raise InputError(f"{NAME}: to_world: its numbers must be finite")
             if dr.any(self.world_transform().has_scale()):
                 raise InputError(f"{NAME}: to_world: it must not scale; give lengths in scene units instead")
             camera = self.camera
@@ -229,7 +231,7 @@ def make_class() -> type:
                 camera.mla_aperture,
                 self.mla_fill,
             )
-            self._candidates = [mi.Float(steps) for steps in camera.crosstalk_neighbours.T]
+            self._candidates = [mi.Float(steps) for steps in camera.crosstalk_neighbours().T]
             dr.make_opaque(*self._candidates)
 
         @property

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from .._backend import array_module
 from ..camera import PlenopticCamera
+from ..errors import InputError
 from .angular_spectrum import advance
 from .fft import Field, fft2, pack, resting_drjit, worker_count
 from .microlens import is_separable, plane_transmission, transmission, transmission_table
@@ -35,8 +36,8 @@ from .sampling import (
     fast_length,
     footprint,
     in_millimetres,
-    mla_cosine,
     pupil_turns,
+    scattered_cosine,
 )
 
 _WINDOW_MARGIN = 1.2
@@ -172,15 +173,15 @@ def _grids(
     image = footprint(camera, position[None])
     place, half_width = image.centre[0], image.half_width[0]
     steepest = float((np.abs(image.cosine[0]) + image.half_cosine[0]).max())
-    bent = steepest + mla_cosine(camera) * _KEPT_ORDERS
+    bent = steepest + scattered_cosine(camera) * _KEPT_ORDERS
     per_pixel = max(1, math.ceil(p * 2 * bent * refinement / lam))
     pitch = p / per_pixel
     # The recorded window on the detector, with room for light that walks sideways between MLA and detector.
     reach = growth * camera.detector_distance * bent / math.sqrt(max(1e-3, 1 - bent**2))
     margin = math.ceil(reach / p)
     width = np.array([camera.detector_width, camera.detector_height])
-    start = -width / 2 + (np.array(camera.crop_offset) - margin) * p
     pixels = [fast_length(size + 2 * margin) for size in camera.crop_size]
+    start = -width / 2 + (np.array(camera.crop_offset) - margin) * p
     # The window of the way to the MLA, square and on the same grid of pixels.
     low = np.minimum(-camera.aperture_radius, np.minimum(place - half_width, start))
     high = np.maximum(camera.aperture_radius, np.maximum(place + half_width, start + np.array(pixels) * p))
@@ -226,6 +227,10 @@ def _pupil_field(
     cover = types.Float(dr.clip((camera.aperture_radius - dr.sqrt(Px * Px + Py * Py)) / step + 0.5, 0, 1))
     bright = types.Float(g / (length * length))
     power = dr.sum(types.Float64(bright * bright * cover))[0] * pitch**2
+    if not 0 < power < math.inf:
+        raise InputError(
+            f"aperture_radius = {camera.aperture_radius:g}: no light passes it on a grid of samples {pitch:g} apart"
+        )
     field = types.Complex2f(cosine, sine) * (bright * cover / math.sqrt(power))
     samples = pack(field).numpy().view(np.complex64).reshape(count, count)
     return SampledField(samples, grids.wide_origin, pitch)

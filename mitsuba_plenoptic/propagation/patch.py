@@ -40,7 +40,7 @@ from .._backend import array_module
 from ..camera import PlenopticCamera
 from .fft import Field, pack
 from .microlens import is_separable, plane_transmission, transmission_table, turn, upright
-from .sampling import fast_length, footprint, in_millimetres, mla_cosine, pupil_turns
+from .sampling import check_samples, fast_length, footprint, in_millimetres, pupil_turns, scattered_cosine
 
 _WIDTH_PER_BLUR = 1.2
 _WIDTH_STEP = 1.06
@@ -114,12 +114,13 @@ class Grid:
         rotation, camera = camera.mla_rotation, upright(camera)
         powers = np.abs(1 / camera.focal_length - 1 / positions[:, 2])
         cosine = camera.aperture_radius * float(powers.max(initial=1 / camera.mla_distance))
-        half_band = band.cone * (cosine + mla_cosine(camera))
+        half_band = band.cone * (cosine + scattered_cosine(camera))
         largest = in_millimetres(wavelength) / (2 * half_band)
         steps = np.array([camera.micro_image_pitch, camera.micro_image_pitch])
         if camera.mla_lattice == "hexagonal":
             # every second row is half a pitch aside
             steps *= 0.5, camera.lattice.row_distance / camera.mla_pitch
+        check_samples(float((steps / largest).max()), "from lens to lens")
         origin = -np.array([camera.detector_width, camera.detector_height]) / 2
         return cls(camera, rotation, wavelength, band, cosine, steps / np.ceil(steps / largest), origin)
 
@@ -164,6 +165,10 @@ def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
     blur = 2 * image.half_width.max(1)
     spread = grid.band.margin * airy
     width = np.maximum(_WIDTH_PER_BLUR * blur + spread / 3, spread) + np.abs(walk).max(1)
+    check_samples(
+        float(((np.abs(image.centre) + width[:, None]) / grid.pitch).max(initial=0)),
+        "from the axis",
+    )
     samples = _ladder(width / grid.pitch.min())
     corner = np.rint((image.centre + walk / 2 - grid.origin) / grid.pitch).astype(np.int64)
     step = lam / (samples[:, None] * grid.pitch)

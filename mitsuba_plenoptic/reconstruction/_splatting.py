@@ -17,6 +17,7 @@ import numpy as np
 from .. import rays
 from ..camera import PlenopticCamera
 from ..depth_of_field import lens_footprint, pixel_footprint
+from ..limits import require_memory
 from ..pupil import PupilShare
 
 # Samples of the fine grid across a lens pitch; at least so many across a bin.
@@ -64,6 +65,11 @@ def splat(
     margin = max(share.shape[0] // 2 for share in shares)
     columns, rows = (count * oversample for count in camera.bin_count)
     across, down = columns + 2 * margin, rows + 2 * margin
+    require_memory(
+        # Counted samples, bins, and what is known of every pixel while those of a block are joined.
+        down * across * (24.0 * fine**2 + 8.0 * (image.shape[2] + 3)) + 100.0 * image.shape[0] * image.shape[1],
+        f"{columns} x {rows} bins with footprints of {2 * margin + 1} of them",
+    )
 
     place, kind, pixel, white = _landing(camera, distance, radius, oversample, fine, (down, across))
     values = image.reshape(-1, image.shape[2])[pixel]
@@ -73,10 +79,10 @@ def splat(
         reach = share.shape[0] // 2
         for out, weights in zip(total, (*values.T, white), strict=True):
             samples = np.bincount(place[mine], weights=weights[mine], minlength=down * across * fine**2)
-            given = samples.reshape(down * across, fine**2) @ share.reshape(-1, fine**2).T
-            for tap, (y, x) in enumerate(np.ndindex(share.shape[:2])):
+            samples = samples.reshape(down, across, fine**2)
+            for y, x in np.ndindex(share.shape[:2]):
                 top, left = margin - reach + y, margin - reach + x
-                out[top : top + down, left : left + across] += given[:, tap].reshape(down, across)
+                out[top : top + down, left : left + across] += samples @ share[y, x].reshape(-1)
     total = total[:, 2 * margin : 2 * margin + rows, 2 * margin : 2 * margin + columns]
     return np.moveaxis(total[:-1], 0, -1), total[-1]
 

@@ -29,10 +29,11 @@ import scipy.signal
 
 from .. import rays
 from .._backend import array_module
-from ..camera import PlenopticCamera
+from ..camera import MOST_PIXELS, PlenopticCamera
+from ..errors import InputError
 from ..propagation.angular_spectrum import advance
 from ..propagation.fft import Field, fft2, pack, resting_drjit, unpack, worker_count
-from ..propagation.sampling import fast_length, in_millimetres, pupil_turns
+from ..propagation.sampling import check_memory, fast_length, in_millimetres, pupil_turns
 from ..pupil import PupilShare
 from ._elements import converging_phase, detector_lens, lens_phase
 from ._plan import GUARD, field_subsamples
@@ -90,6 +91,7 @@ def reconstruct_lens_by_lens(
         Power in each bin, in pixel values times pixels.
     """
     tile = Tile(camera, wavelength, tile_lenses(camera, distances), oversample)
+    check_memory(tile.memory, "wave reconstruction lens by lens")
     lenses = all_lenses(camera, wavelength, tile)
     lit = lenses.lit(image)
     amplitude = np.sqrt(image)
@@ -133,6 +135,7 @@ def white_throughput(camera: PlenopticCamera, wavelength: float, *, relay: bool 
     inside = (camera.micro_image_diameter / 2 - np.hypot(px, py[:, None])) / camera.pixel_size
     image = np.clip(inside + 0.5, 0, 1)
     tile = Tile(camera, wavelength, _THROUGHPUT_LENSES, 1)
+    check_memory(tile.memory, "wave reconstruction of a white micro-image")
     lenses = Aligned(camera, wavelength, tile)
     power = _power(image, lenses, np.array([lenses.find(0, 0)]), relay=relay)
     return power / (image.sum() * camera.pixel_size**2)
@@ -206,10 +209,18 @@ def white_power(
 
 
 def _around_axis(camera: PlenopticCamera, around: int) -> PlenopticCamera:
-    """Return the camera with no more than some pixels on both sides of the axis."""
-    first = tuple(max(0, size // 2 - around) for size in camera.resolution)
-    size = tuple(min(size, 2 * around) for size in camera.resolution)
-    return camera.replace(crop_offset=first, crop_size=size)
+    """Return the camera with just so many pixels on both sides of the axis, whether its detector has them or not."""
+    if around > MOST_PIXELS // 2:
+        raise InputError(
+            f"mla_pitch = {camera.mla_pitch:g}: a micro-image of {around // 2} pixels is too wide for waves"
+        )
+    columns, rows = (max(size, 2 * around) for size in camera.resolution)
+    return camera.replace(
+        resolution=(columns, rows),
+        detector_width=columns * camera.pixel_size,
+        crop_offset=(columns // 2 - around, rows // 2 - around),
+        crop_size=(2 * around, 2 * around),
+    )
 
 
 def _power(image: np.ndarray, lenses: Lenses, which: np.ndarray, *, relay: bool) -> float:
@@ -250,7 +261,12 @@ class Tile:
     @cached_property
     def pitch(self) -> float:
         """Distance of samples on detector and MLA, in millimetres."""
-        return self.camera.pixel_size / field_subsamples(self.camera, self.wavelength)
+        return self.camera.pixel_size / self.subsamples
+
+    @cached_property
+    def subsamples(self) -> int:
+        """Samples across a pixel."""
+        return field_subsamples(self.camera, self.wavelength)
 
     @cached_property
     def cell_width(self) -> float:
@@ -267,8 +283,13 @@ class Tile:
     @cached_property
     def cell(self) -> np.ndarray:
         """MLA coordinates from a lens's centre, within its aperture's extent."""
-        count = math.ceil(self.lens_width / self.pitch - 1e-6)
+        count = self.cell_samples
         return (np.arange(count) - (count - 1) / 2) * self.pitch
+
+    @property
+    def cell_samples(self) -> int:
+        """Samples across an aperture."""
+        return math.ceil(self.lens_width / self.pitch - 1e-6)
 
     @cached_property
     def pixels(self) -> int:
@@ -281,7 +302,9 @@ class Tile:
         """Samples of the window from detector to MLA: what wraps round misses the cell."""
         source = self.pixels * self.camera.pixel_size + self._chief_shift
         spread = self.camera.detector_distance * in_millimetres(self.wavelength) / (2 * self.pitch)
-        return fast_length(((source + self.cell_width) / 2 + self._chief_shift + spread) / self.pitch)
+        window = (source + self.cell_width) / 2 + self._chief_shift + spread
+        # The pixels themselves must have room.
+        return fast_length(max(window / self.pitch, self.pixels * self.subsamples))
 
     @property
     def _chief_shift(self) -> float:
@@ -314,8 +337,13 @@ class Tile:
     @cached_property
     def pupil(self) -> np.ndarray:
         """Pupil coordinates along an axis, in millimetres."""
-        count = min(self.object_samples, 2 * math.ceil(self.camera.aperture_radius / self.pupil_pitch) + 1)
+        count = self.pupil_samples
         return (np.arange(count) - (count - 1) / 2) * self.pupil_pitch
+
+    @property
+    def pupil_samples(self) -> int:
+        """Samples across the pupil."""
+        return min(self.object_samples, 2 * math.ceil(self.camera.aperture_radius / self.pupil_pitch) + 1)
 
     @cached_property
     def to_pupil(self) -> Field:
@@ -334,6 +362,18 @@ class Tile:
     def transformed(self) -> int:
         """Samples that the Fourier transforms of one lens go through."""
         return 4 * self.padded**2 + self.object_samples * (self.object_samples + self.pupil.size)
+
+    @property
+    def memory(self) -> float:
+        """Bytes of the fields of one batch on the way, and of the matrices that serve all."""
+        bins = self.lenses * self.oversample
+        matrices = (
+            32.0 * self.cell_samples * self.pupil_samples + 16.0 * self.padded**2 + 8.0 * bins * self.object_samples
+        )
+        # What `LensAxis` holds of each lens.
+        lenses = sum(size / self.camera.pixels_per_lens + 2 for size in self.camera.crop_size)
+        axes = lenses * 24 * (self.padded + self.cell_samples)
+        return matrices + axes + self.batch * (16.0 * self.padded**2 + 24.0 * self.object_samples**2)
 
     @property
     def batch(self) -> int:
@@ -373,7 +413,7 @@ class LensAxis:
         self.centre = camera.lattice.axis_centre(self.index.astype(np.float64), axis)
         edge = rays.chief_detector_point(self.index * camera.mla_pitch, camera.mla_distance, camera.detector_distance)
         pixel = np.floor(edge / camera.pixel_size + half + 1e-9).astype(np.int64)[:, None] + np.arange(tile.pixels)
-        subsamples = round(camera.pixel_size / tile.pitch)
+        subsamples = tile.subsamples
         fine = (pixel[..., None] + (np.arange(subsamples) + 0.5) / subsamples).reshape(self.index.size, -1)
         p = (fine - half) * camera.pixel_size
         recorded = (pixel >= offset) & (pixel < offset + size)

@@ -18,6 +18,9 @@ from .ray import at_least, lenses_fill_bins, pixels_per_bin, white_bins
 Interleave = int | str
 """Period of a subset of lenses along each axis, or "auto"."""
 
+_RAY_BINS = 36
+"""Fine bins across a lens in which the rays of a white scene are counted."""
+
 _APART = 2
 """Bins between the geometric images of two lenses that do not interfere, for diffraction."""
 
@@ -94,6 +97,8 @@ def _white(
     throughput = white_throughput(camera, wavelength, relay=relay)
     if lenses_fill_bins(camera) and unfocused:
         return pixels_per_bin(camera, oversample) * throughput
+    # Rays go to points, where waves go to spots: the grid on which they are counted must not show.
+    fine *= -(-_RAY_BINS // (oversample * fine))
     white = _over_lenses(white_bins(camera, distance, oversample * fine), camera, distance, oversample, fine)
     return at_least(white, camera, oversample) * throughput
 
