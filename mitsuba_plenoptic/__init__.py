@@ -18,6 +18,7 @@ from .capture import Capture, read_capture, write_capture
 from .detector import Detector, expose
 from .errors import InputError
 from .lightfield import decode
+from .propagation.guards import PhysicsError, PhysicsWarning
 from .propagation.point_spread import point_spread_function
 from .reconstruction import Reconstruction, reconstruct
 from .rendering import load_scene, render_capture, scene_path
@@ -28,6 +29,8 @@ __all__ = [
     "Capture",
     "Detector",
     "InputError",
+    "PhysicsError",
+    "PhysicsWarning",
     "PlenopticCamera",
     "Reconstruction",
     "decode",

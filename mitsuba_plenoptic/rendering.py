@@ -17,6 +17,7 @@ from . import _llvm
 from .camera import PlenopticCamera
 from .capture import MODELS, Capture
 from .errors import InputError, require_count
+from .propagation import guards
 
 DEFAULT_VARIANT = "llvm_ad_mono"
 
@@ -133,6 +134,8 @@ def render_capture(
     ------
     InputError
         If the scene has no plenoptic sensor or no integrator, or a parameter is out of range.
+    PhysicsError
+        If too much of the light is lost; the shares that the guards found are in the metadata under ``guards``.
     """
     if not scene.sensors():
         raise InputError("scene: it has no sensor; add one of type 'plenoptic'")
@@ -142,11 +145,13 @@ def render_capture(
     spp = require_count("spp", sensor.sampler().sample_count() if spp is None else spp)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
     wavelengths = getattr(integrator, "wavelengths", None)
-    if wavelengths is None:
-        image = _render_passes(scene, sensor, integrator, camera, spp, seed, progress)
-    else:
-        integrator.progress = progress
-        image = np.array(integrator.render(scene, sensor, seed=seed, spp=spp))
+    with guards.watch() as shares:
+        if wavelengths is None:
+            guards.judge(guards.CROSSTALK, sensor.crosstalk_missed())
+            image = _render_passes(scene, sensor, integrator, camera, spp, seed, progress)
+        else:
+            integrator.progress = progress
+            image = np.array(integrator.render(scene, sensor, seed=seed, spp=spp))
     if image.shape[2] == 1:
         image = image[..., 0]
     elif image.shape[2] != 3:
@@ -154,7 +159,7 @@ def render_capture(
             f"film: it has {image.shape[2]} channels; a capture needs pixel_format 'luminance' or 'rgb' and an "
             "integrator without extra outputs"
         )
-    metadata = _provenance(scene, integrator, seed=seed, spp=spp)
+    metadata = _provenance(scene, integrator, seed=seed, spp=spp, guards=shares)
     if wavelengths is None:
         return Capture(image, camera, None, "ray", metadata)
     return Capture(image, camera, wavelengths if len(wavelengths) > 1 else wavelengths[0], "wave", metadata)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_number
+from ..propagation import guards
 from ..propagation.accuracy import DEFAULT_ACCURACY, check_accuracy
 from ..propagation.incoherent import METHODS, estimate_cost, incoherent_sum
 from ._properties import read_choice, read_count, read_flag, read_plain
@@ -138,7 +139,8 @@ def make_class() -> type:
                     'use <rfilter type="box"/>'
                 )
             seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
-            image = self._capture(scene, sensor, camera, seed, spp or sensor.sampler().sample_count())
+            with guards.watch():
+                image = self._capture(scene, sensor, camera, seed, spp or sensor.sampler().sample_count())
 
             film.prepare([])
             rows, columns = camera.shape

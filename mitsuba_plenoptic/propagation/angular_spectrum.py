@@ -19,6 +19,7 @@ import numpy as np
 
 from .._backend import array_module
 from ..errors import InputError, require_number
+from . import guards
 from .fft import Field, array_types, fft2_packed, pack, unpack
 
 
@@ -49,17 +50,22 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
     ------
     InputError
         If the field is not a two-dimensional finite array, or a number is out of range.
+    PhysicsError
+        If the field is under-sampled, or leaves its window (see `guards`, which warn long before that).
     """
     samples = np.array(field, np.complex64, order="C", copy=None if overwrite else True)
     if samples.ndim != 2 or samples.size == 0:
         raise InputError(f"field of shape {samples.shape}: it must have rows and columns")
     pitch, distance, wavelength = _check(pitch, distance, wavelength)
-    packed = array_module().UInt64(samples.reshape(-1).view(np.uint64))
-    packed = _step(packed, samples.shape, pitch, distance, wavelength)
-    result = packed.numpy().view(np.complex64).reshape(samples.shape)
+    shape, guard = samples.shape, guards.StepGuard(samples, pitch, wavelength)
+    packed = fft2_packed(array_module().UInt64(samples.reshape(-1).view(np.uint64)), shape)
+    guard.see_spectrum(packed)
+    packed = _advance(packed, shape, pitch, distance, wavelength)
+    result = fft2_packed(packed, shape, inverse=True).numpy().view(np.complex64).reshape(shape)
     # Every sample of a transform depends on every other: one that is not finite leaves none that is.
     if not np.isfinite(result[0, 0]):
         raise InputError("field: its samples must be finite")
+    guard.see_result(result)
     return result
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
+from . import guards
 from .accuracy import DEFAULT_ACCURACY, band_for, check_accuracy, wavefront_step
 from .fft import resting_drjit, worker_count
 from .full_field import full_field
@@ -90,6 +91,8 @@ def incoherent_sum(
     ------
     InputError
         If an input has a wrong shape or value, or the work would need too much memory.
+    PhysicsError
+        If too much of the light is lost (see `guards`).
     """
     wavelength = check_wavelength(wavelength)
     points = check_positions(positions)
@@ -99,13 +102,14 @@ def incoherent_sum(
         raise InputError(f"method = {method!r}: it must be one of {', '.join(METHODS)}")
     accuracy = check_accuracy(accuracy)
     report = progress or (lambda done, total: None)
-    if method == "full_field":
-        if masks is not None:
-            raise InputError("pupil_masks: method 'full_field' knows none, use 'patch'")
-        image = _sum_full_fields(camera, points, factors, wavelength, report)
-    else:
-        work = _PatchSum(camera, points, factors, masks, wavelength, accuracy)
-        image = work.run(threads or worker_count(), report)
+    if method == "full_field" and masks is not None:
+        raise InputError("pupil_masks: method 'full_field' knows none, use 'patch'")
+    with guards.watch():
+        if method == "full_field":
+            image = _sum_full_fields(camera, points, factors, wavelength, report)
+        else:
+            work = _PatchSum(camera, points, factors, masks, wavelength, accuracy)
+            image = work.run(threads or worker_count(), report)
     return image[..., 0] if np.ndim(weights) == 1 else image
 
 
@@ -155,6 +159,8 @@ def estimate_cost(
     ------
     InputError
         If an input has a wrong shape or value, or the work would need too much memory.
+    PhysicsError
+        If too much of the light would be lost.
     """
     points = check_positions(positions)
     work = _PatchSum(
@@ -314,16 +320,19 @@ class _PatchSum:
         memory = self.memory(threads)
         self._check_memory(memory)
         samples = self.placement.samples
-        seconds = 0.0
+        seconds = arrived = sent = 0.0
         with resting_drjit():
             for size in np.unique(samples):
                 of_size = [chunk for chunk in self.chunks if samples[chunk[0]] == size]
                 some = of_size[len(of_size) // 2][:_TRIAL]
                 _sum_batch(*self._prepare(some[:1]))  # compiles the kernels
                 start = time.perf_counter()
-                _sum_batch(*self._prepare(some))
+                _, sums = _sum_batch(*self._prepare(some))
                 taken = time.perf_counter() - start
+                arrived += float(sums.sum(dtype=np.float64)) * self.grid.pitch**2
+                sent += self._sent(some)
                 seconds += taken / len(some) * sum(len(chunk) for chunk in of_size) / threads
+        guards.require(guards.PATCH, 1 - arrived / sent if sent else 0.0)
         return Cost(len(self.factors), len(samples), seconds, memory)
 
     def _check_memory(self, memory: float) -> None:
@@ -344,12 +353,21 @@ class _PatchSum:
         fine = np.zeros((channels, box.rows, box.columns), np.float32)
         done = self.total - len(self.factors)
         report(done, self.total)
+        arrived = sent = 0.0
         with resting_drjit(), ThreadPoolExecutor(threads) as pool:
             for chunk, (tile, sums) in self._tiles(pool, threads):
                 _add(fine, box, tile, sums)
+                arrived += float(sums.sum(dtype=np.float64)) * self.grid.pitch**2
+                sent += self._sent(chunk)
                 done += int((self.last - self.first)[chunk].sum())
                 report(done, self.total)
+        guards.judge(guards.PATCH, 1 - arrived / sent if sent else 0.0)
         return self._integrate(fine)
+
+    def _sent(self, chunk: NDArray[np.int64]) -> float:
+        """Power that a chunk's radiators send through the pupil, of those that see any of it."""
+        seen = chunk if self.masks is None else chunk[self.masks[self.mask_of[chunk]].any((1, 2))]
+        return float(sum(self.factors[self.first[pattern] : self.last[pattern]].sum() for pattern in seen))
 
     def _integrate(self, fine: NDArray[np.float32]) -> NDArray[np.float32]:
         """Integrate the sum over the recorded pixels."""

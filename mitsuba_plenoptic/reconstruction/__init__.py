@@ -10,6 +10,7 @@ import numpy as np
 from ..camera import PlenopticCamera, image_distance
 from ..capture import Capture
 from ..errors import InputError, require_count, require_number
+from ..propagation import guards
 from .ray import reconstruct_ray
 from .result import Reconstruction, write_reconstruction
 from .wave import reconstruct_wave
@@ -104,6 +105,9 @@ def reconstruct(
     InputError
         If there is no camera, or no wavelength for a wave method; if the array does not fit the camera or holds NaN or
         infinity, or negative pixels for a wave method; or if an option is out of range.
+    PhysicsError
+        If next to none of a capture's light goes back through the main lens by waves, or too much of it misses the
+        object plane's window.
     """
     capture = _as_capture(capture, camera)
     camera = capture.camera
@@ -122,6 +126,7 @@ def reconstruct(
     planes = capture.image if capture.image.ndim == 3 else capture.image[..., None]
 
     options: dict[str, Any] = {"oversample": oversample}
+    shares: dict[str, float] = {}
     if method == "ray":
         options |= {"footprint": footprint}
         images = []
@@ -134,25 +139,26 @@ def reconstruct(
         interleave = 1 if method == "coherent" else interleave
         options |= {"interleave": interleave, "relay": bool(relay), "wavelength": wavelengths}
         channels = []
-        for channel, value in enumerate(wavelengths):
+        with guards.watch() as shares:
+            for channel, value in enumerate(wavelengths):
 
-            def step(share: float, channel: int = channel) -> None:
-                total = _PROGRESS_STEPS * len(wavelengths)
-                _report(progress, round((channel + share) * _PROGRESS_STEPS), total)
+                def step(share: float, channel: int = channel) -> None:
+                    total = _PROGRESS_STEPS * len(wavelengths)
+                    _report(progress, round((channel + share) * _PROGRESS_STEPS), total)
 
-            step(0)
-            channels.append(
-                reconstruct_wave(
-                    planes[..., channel],
-                    camera,
-                    distances,
-                    value,
-                    interleave=interleave,
-                    relay=relay,
-                    oversample=oversample,
-                    progress=step,
+                step(0)
+                channels.append(
+                    reconstruct_wave(
+                        planes[..., channel],
+                        camera,
+                        distances,
+                        value,
+                        interleave=interleave,
+                        relay=relay,
+                        oversample=oversample,
+                        progress=step,
+                    )
                 )
-            )
         images = [np.stack(planes, axis=-1) for planes in zip(*channels, strict=True)]
 
     results = [
@@ -163,6 +169,7 @@ def reconstruct(
             method=method,
             camera=camera,
             options=options,
+            guards=shares,
         )
         for value, image in zip(distances, images, strict=True)
     ]

@@ -29,6 +29,7 @@ import scipy.fft
 from .. import lattice, rays
 from .._backend import array_module
 from ..camera import PlenopticCamera
+from ..propagation import guards
 from ..propagation.angular_spectrum import advance
 from ..propagation.fft import Field, fft2, pack, resting_drjit, unpack, worker_count
 from ..propagation.sampling import fast_length, in_millimetres, pupil_turns
@@ -84,14 +85,22 @@ def reconstruct_lens_by_lens(
     # Every lens puts its patch among the bins of all lenses, and a margin for those at the edge.
     shape = [(axis.index.size + tile.lenses - 1) * oversample for axis in (y, x)]
     totals = [np.zeros(shape) for _ in distances]
+    in_rim = [0.0 for _ in distances]
     for place in range(0, len(lenses), tile.batch):
         batch = lenses[place : place + tile.batch]
         fields = pupil_fields(amplitude, tile, x, y, batch, relay=relay)
-        for total, distance in zip(totals, distances, strict=True):
-            for (row, column), patch in zip(batch, _patches(fields, tile, x, y, batch, distance), strict=True):
+        for index, (total, distance) in enumerate(zip(totals, distances, strict=True)):
+            patches = _patches(fields, tile, x, y, batch, distance)
+            inner = patches[:, oversample:-oversample, oversample:-oversample]
+            in_rim[index] += float(patches.sum(dtype=np.float64) - inner.sum(dtype=np.float64))
+            for (row, column), patch in zip(batch, patches, strict=True):
                 top, left = row * oversample, column * oversample
                 total[top : top + patch.shape[0], left : left + patch.shape[1]] += patch
         progress((place + len(batch)) / len(lenses))
+    if len(lenses):
+        guards.judge(guards.PUPIL, 1 - float(totals[0].sum()) / float(image.sum(dtype=np.float64)))
+    for total, rim in zip(totals, in_rim, strict=True):
+        guards.judge(guards.OBJECT, guards.share(rim, float(total.sum())))
     return [_on_bins(total, camera, tile, x, y) for total in totals]
 
 
