@@ -28,6 +28,9 @@ _EDGE = 1 / 8
 _ROWS = 256
 """Rows that are looked at, about."""
 
+_UNSEEN = 0.01
+"""Power that those rows may hold too much or too little; beyond that all are looked at."""
+
 _DIGITS = 3
 """Of the measured shares: what is beyond differs with the number of threads."""
 
@@ -101,8 +104,8 @@ WRAPPED = Guard(
     refuse=0.2,
 )
 
-# The band of the default accuracy cuts 0.4 to 1.7 % of the light, which the microlenses' edges scatter far; the coarsest
-# one up to 4 %, for cameras of microlens Fresnel numbers from 0.4 to 13. A quarter is lost where a part of the cone of
+# The default accuracy cuts 0.4 to 1.7 % of the light, which the edges of microlenses scatter far, and the coarsest
+# one up to 4 %, for microlens Fresnel numbers from 0.4 to 13. A quarter is lost where a part of the cone of
 # geometry does not fit the grid.
 PATCH = Guard(
     "patch_loss",
@@ -171,7 +174,8 @@ def watch() -> Iterator[dict[str, float]]:
     if _findings.get() is not None:
         yield {}
         return
-    findings, shares = _Findings(), {}
+    findings = _Findings()
+    shares: dict[str, float] = {}
     token = _findings.set(findings)
     try:
         yield shares
@@ -230,17 +234,20 @@ class StepGuard:
         order = np.rint(np.fft.fftfreq(count) * count).astype(int)
         chosen = np.flatnonzero((np.abs(order) <= self._step) | (np.arange(count) % self._step == 0))
         weight = np.where(np.abs(order[chosen]) <= self._step, 1, self._step)
-        power = weight * _power_by_row(waves := _packed_rows(packed, self._shape, chosen))
-        self._representative = 0.5 < share(power.sum() / math.prod(self._shape), self._power) < 2
+        waves = _packed_rows(packed, self._shape, chosen)
+        power = weight * _power_by_row(waves)
+        self._representative = abs(share(power.sum() / math.prod(self._shape), self._power) - 1) < _UNSEEN
         if not self._representative:
             chosen, weight = np.arange(count), np.ones(count)
-            power = _power_by_row(waves := _packed_rows(packed, self._shape, chosen))
+            waves = _packed_rows(packed, self._shape, None)
         rows, columns = (_frequencies(size) for size in self._shape)
         rows = rows[chosen]
         self._band_edge = band_edge_share(waves, rows, weight)
         if self._cosine**2 * 2 > 1:
             lost = self._cosine**2 * (rows[:, None] ** 2 + columns**2) >= 1
-            self._evanescent = share((weight * _power_by_row(waves * lost)).sum(), power.sum())
+            self._evanescent = share(
+                (weight * _power_by_row(waves * lost)).sum(), (weight * _power_by_row(waves)).sum()
+            )
 
     def see_result(self, field: Field) -> None:
         """Look at the field after the step, and judge it all.
@@ -343,14 +350,16 @@ def share(part: float, whole: float) -> float:
     return float(part / whole) if whole > 0 else 0.0
 
 
-def _packed_rows(packed: Any, shape: tuple[int, ...], chosen: np.ndarray) -> Field:
-    """Gather some rows of a field held as 64-bit words."""
-    types, columns = array_types(packed), shape[1]
-    index = dr.arange(types.UInt32, len(chosen) * columns)
-    place = types.UInt32((types.Float64(index) + 0.5) * dr.opaque(types.Float64, 1 / columns))
-    row = dr.gather(types.UInt32, types.UInt32(chosen.astype(np.uint32)), place)
-    index += (row - place) * dr.opaque(types.UInt32, columns)
-    return dr.gather(types.UInt64, packed, index).numpy().view(np.complex64).reshape(-1, columns)
+def _packed_rows(packed: Any, shape: tuple[int, ...], chosen: np.ndarray | None) -> Field:
+    """Give some or all rows of a field held as 64-bit words."""
+    if chosen is not None and dr.backend_v(packed) == dr.JitBackend.CUDA:
+        # only they come to the host
+        types, columns = array_types(packed), shape[1]
+        rows = types.UInt32(np.repeat(chosen.astype(np.uint32) * columns, columns))
+        packed = dr.gather(types.UInt64, packed, rows + types.UInt32(np.tile(np.arange(columns), len(chosen))))
+        shape, chosen = (len(chosen), columns), None
+    field = packed.numpy().view(np.complex64).reshape(shape)
+    return field if chosen is None else field[chosen]
 
 
 def _power_by_row(field: Field) -> np.ndarray:
