@@ -14,6 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from . import _llvm
+from ._backend import one_at_a_time
 from .camera import PlenopticCamera
 from .capture import MODELS, Capture
 from .errors import InputError, require_count
@@ -42,6 +43,7 @@ def scene_path(name: str) -> Path:
     return path
 
 
+@one_at_a_time
 def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Mapping[str, str] | None = None) -> Any:
     """Load a scene file, or a built-in scene by its name.
 
@@ -72,7 +74,10 @@ def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Map
             known = sorted(set(re.findall(r"<default\s+name=\"(\w+)\"", text)))
             raise InputError(f"parameter {name}: the scene {path} has none of that name ({', '.join(known)})")
     try:
-        loaded = mi.load_file(str(path), **{name: str(value) for name, value in (parameters or {}).items()})
+        # Not optimized: Mitsuba merges meshes in an order that differs from run to run, and with it the order of shapes
+        # and lamps, so that the same seed would not give the same image.
+        values = {name: str(value) for name, value in (parameters or {}).items()}
+        loaded = mi.load_file(str(path), optimize=False, **values)
     except InputError:
         raise
     except (RuntimeError, ValueError, TypeError) as error:
@@ -83,13 +88,14 @@ def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Map
     return loaded
 
 
+@one_at_a_time
 def set_variant(variant: str | None) -> None:
     """Set a Mitsuba variant, or the default one if none is named and none is active.
 
     Raises
     ------
     InputError
-        If it does not exist or cannot work here.
+        If it does not exist or cannot work here, or this process was forked from one in which Dr.Jit was at work.
     """
     variant = variant or mi.variant() or DEFAULT_VARIANT
     if variant not in mi.variants():
@@ -102,6 +108,7 @@ def set_variant(variant: str | None) -> None:
         mi.set_variant(variant)
 
 
+@one_at_a_time
 def render_capture(
     scene: Any,
     *,
@@ -133,10 +140,16 @@ def render_capture(
     Raises
     ------
     InputError
-        If the scene has no plenoptic sensor or no integrator, or a parameter is out of range.
+        If the scene is not of the active variant, has no plenoptic sensor or no integrator, or a parameter is out of
+        range.
     PhysicsError
         If too much of the light is lost; the shares that the guards found are in the metadata under ``guards``.
     """
+    if not isinstance(scene, mi.Scene):
+        raise InputError(
+            f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant {mi.variant()}, "
+            "which is one for the whole process: load the scene after mi.set_variant"
+        )
     if not scene.sensors():
         raise InputError("scene: it has no sensor; add one of type 'plenoptic'")
     sensor = scene.sensors()[0]

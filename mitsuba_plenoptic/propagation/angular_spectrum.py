@@ -17,12 +17,13 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from .._backend import array_module
+from .._backend import array_module, one_at_a_time
 from ..errors import InputError, require_number
 from . import guards
 from .fft import Field, array_types, fft2_packed, pack, unpack
 
 
+@one_at_a_time
 def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, overwrite: bool = False) -> Field:
     r"""Propagate a field from one plane to a parallel one.
 

@@ -8,6 +8,7 @@ CuPy lay out ``complex64``, and a Dr.Jit kernel takes the halves apart again at 
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -18,6 +19,10 @@ import scipy.fft
 from numpy.typing import NDArray
 
 Field = NDArray[np.complex64]
+
+_rest = threading.Lock()
+_resting = 0
+_busy_threads = 0
 
 
 def worker_count() -> int:
@@ -31,14 +36,23 @@ def worker_count() -> int:
 def resting_drjit() -> Iterator[None]:
     """Keep Dr.Jit's own threads off the processor cores while another library uses them.
 
-    Its idle workers wait actively for up to 20 ms, during which a threaded FFT would get half of every core.
+    Its idle workers wait actively for up to 20 ms, during which a threaded FFT would get half of every core. The
+    number of its threads is one for the whole process: the first of several Python threads to come here sets it to
+    one, and the last to leave restores it.
     """
-    threads = dr.thread_count()
-    dr.set_thread_count(1)
+    global _resting, _busy_threads
+    with _rest:
+        if _resting == 0:
+            _busy_threads = dr.thread_count()
+            dr.set_thread_count(1)
+        _resting += 1
     try:
         yield
     finally:
-        dr.set_thread_count(threads)
+        with _rest:
+            _resting -= 1
+            if _resting == 0:
+                dr.set_thread_count(_busy_threads)
 
 
 def fft2(field: Field, *, inverse: bool = False, workers: int | None = None) -> Field:

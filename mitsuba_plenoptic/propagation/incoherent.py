@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._backend import one_at_a_time
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from . import guards
@@ -42,6 +43,7 @@ _PLACE_BLOCK = 4096
 _TRIAL = 4
 
 
+@one_at_a_time
 def incoherent_sum(
     camera: PlenopticCamera,
     positions: Any,
@@ -135,6 +137,7 @@ class Cost:
     memory: float
 
 
+@one_at_a_time
 def estimate_cost(
     camera: PlenopticCamera,
     positions: Any,

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._backend import one_at_a_time
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from . import full_field, guards
@@ -15,6 +16,7 @@ from .incoherent import METHODS, incoherent_sum
 from .sampling import check_positions, check_wavelength
 
 
+@one_at_a_time
 def point_spread_function(
     camera: PlenopticCamera, position: Any, *, wavelength: float, method: str = "patch"
 ) -> NDArray[np.float32]:
@@ -53,6 +55,7 @@ def point_spread_function(
     raise InputError(f"method = {method!r}: it must be one of {', '.join(METHODS)}")
 
 
+@one_at_a_time
 def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -> PointFields:
     """Propagate the light of one scene point and keep its complex field at the pupil, the MLA and the detector.
 

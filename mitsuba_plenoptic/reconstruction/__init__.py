@@ -7,6 +7,7 @@ from typing import Any, overload
 
 import numpy as np
 
+from .._backend import one_at_a_time
 from ..camera import PlenopticCamera, image_distance
 from ..capture import Capture
 from ..errors import InputError, require_count, require_number
@@ -51,6 +52,7 @@ def reconstruct(
     oversample: int = ...,
     progress: Callable[[int, int], None] | None = ...,
 ) -> list[Reconstruction]: ...
+@one_at_a_time
 def reconstruct(
     capture: Capture | np.ndarray,
     distance: float | Sequence[float],

@@ -351,8 +351,22 @@ def pupil_fields(
         cell = cell * (y.tilt[j] * microlens)[:, :, None]
         cell *= (x.tilt[i] * microlens)[:, None, :]
         # One product for the whole batch: many small ones would each wait for the threads of the BLAS.
-        fields = np.tensordot(np.tensordot(cell, tile.to_pupil, (1, 1)), tile.to_pupil, (1, 1))
+        product = _product if len(batch) > 1 else _product_without_blas
+        fields = product(product(cell, tile.to_pupil), tile.to_pupil)
     return np.ascontiguousarray(fields)
+
+
+def _product(fields: Field, matrix: Field) -> Field:
+    """Multiply a matrix (p, i) with fields (n, i, j) over i, and turn them: (n, j, p)."""
+    return np.tensordot(fields, matrix, (1, 1))
+
+
+def _product_without_blas(fields: Field, matrix: Field) -> Field:
+    """Do what `_product` does with the same bits on any number of threads.
+
+    So has `white_throughput`, by which every image is divided.
+    """
+    return np.einsum("nij,pi->njp", fields, matrix)
 
 
 def _patches(fields: Field, tile: Tile, x: LensAxis, y: LensAxis, batch: np.ndarray, distance: float) -> np.ndarray:
