@@ -130,7 +130,7 @@ def render_capture(
     spp : int, optional
         Samples per pixel, or by waves light paths per radiator. Default: those of the sensor's sampler.
     seed : int
-        Seed of the random numbers; the same seed gives the same capture.
+        Seed of the random numbers; the same seed gives the same bits, on any number of threads and in any process.
     progress : callable, optional
         Called with what is done and how much there is: samples per pixel or, by waves, radiators.
     **wave

@@ -86,7 +86,8 @@ def reconstruct(
         For waves: wavelength in nanometres, or one for each of three channels. Default: the capture's own.
     interleave : int or "auto"
         For ``partial``: a subset is every `interleave`-th lens along both axes. 2 makes four waves; 1 is ``coherent``;
-        ``"auto"`` is the limit of large periods, where no two lenses interfere.
+        ``"auto"`` is the limit of large periods, where no two lenses interfere; its last bits follow the number of the
+        BLAS's threads.
     footprint : {"lens", "point"}
         For rays: whether a pixel spreads over what its whole lens sees, or goes to one bin.
     relay : bool
