@@ -18,7 +18,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import scipy
-from benchmarks import captures, growth, point_spreads, reconstructions, steps
+from benchmarks import captures, growth, point_spreads, reconstructions, steps, workers
 from benchmarks.table import markdown
 
 from mitsuba_plenoptic.propagation.fft import worker_count
@@ -36,6 +36,7 @@ def main() -> None:
         "gpu": lambda: steps.run_gpu(sizes, arguments.runs),
         "point-spreads": lambda: [*point_spreads.bare(arguments.runs), *point_spreads.peers()],
         "sharing": lambda: [*point_spreads.sharing(), *point_spreads.estimates()],
+        "workers": lambda: workers.run(arguments.runs),
         "captures": lambda: [
             *captures.samples_per_second(arguments.resolution, arguments.runs),
             *captures.command(arguments.resolution, 16),
