@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._backend import backend
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from .accuracy import DEFAULT_ACCURACY, band_for, check_accuracy, wavefront_step
@@ -105,7 +106,7 @@ def incoherent_sum(
         image = _sum_full_fields(camera, points, factors, wavelength, report)
     else:
         work = _PatchSum(camera, points, factors, masks, wavelength, accuracy)
-        image = work.run(threads or worker_count(), report)
+        image = work.run(_threads(threads), report)
     return image[..., 0] if np.ndim(weights) == 1 else image
 
 
@@ -165,7 +166,12 @@ def estimate_cost(
         check_wavelength(wavelength),
         check_accuracy(accuracy),
     )
-    return work.cost(threads or worker_count())
+    return work.cost(_threads(threads))
+
+
+def _threads(threads: int | None) -> int:
+    """Threads that transform: all cores, or one to give a CUDA device its work."""
+    return 1 if backend().is_cuda else threads or worker_count()
 
 
 def _check_weights(weights: Any, count: int) -> NDArray[np.float64]:
@@ -320,8 +326,10 @@ class _PatchSum:
                 of_size = [chunk for chunk in self.chunks if samples[chunk[0]] == size]
                 some = of_size[len(of_size) // 2][:_TRIAL]
                 _sum_batch(*self._prepare(some[:1]))  # compiles the kernels
+                backend().synchronize()
                 start = time.perf_counter()
                 _sum_batch(*self._prepare(some))
+                backend().synchronize()
                 taken = time.perf_counter() - start
                 seconds += taken / len(some) * sum(len(chunk) for chunk in of_size) / threads
         return Cost(len(self.factors), len(samples), seconds, memory)
@@ -341,7 +349,7 @@ class _PatchSum:
         """Add all chunks and integrate over the pixels."""
         self._check_memory(self.memory(threads))
         box, channels = self.window.samples, self.factors.shape[1]
-        fine = np.zeros((channels, box.rows, box.columns), np.float32)
+        fine = backend().arrays.zeros((channels, box.rows, box.columns), np.float32)
         done = self.total - len(self.factors)
         report(done, self.total)
         with resting_drjit(), ThreadPoolExecutor(threads) as pool:
@@ -358,13 +366,15 @@ class _PatchSum:
         left, top = pixels.left - camera.crop_offset[0], pixels.top - camera.crop_offset[1]
         target = image[top : top + pixels.rows, left : left + pixels.columns]
         for channel, intensity in enumerate(fine):
-            target[..., channel] = integrate_pixels(
-                intensity,
-                grid.pitch,
-                (box.left * grid.pitch, box.top * grid.pitch),
-                camera.pixel_size,
-                (pixels.left * camera.pixel_size, pixels.top * camera.pixel_size),
-                (pixels.rows, pixels.columns),
+            target[..., channel] = backend().to_host(
+                integrate_pixels(
+                    intensity,
+                    grid.pitch,
+                    (box.left * grid.pitch, box.top * grid.pitch),
+                    camera.pixel_size,
+                    (pixels.left * camera.pixel_size, pixels.top * camera.pixel_size),
+                    (pixels.rows, pixels.columns),
+                )
             )
         return np.maximum(image, 0, out=image)
 
