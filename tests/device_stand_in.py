@@ -14,6 +14,11 @@ from mitsuba_plenoptic._backend import Backend
 
 _dr_numpy = dr.ArrayBase.numpy
 
+_FUNCTIONS = (
+    "add", "ascontiguousarray", "copyto", "empty", "eye", "moveaxis", "multiply", "ones", "repeat", "sqrt", "square",
+    "tensordot", "where", "zeros",
+)  # fmt: skip
+
 
 class DeviceArray:
     """An array that only the stand-in's functions and its own operators can read."""
@@ -144,30 +149,18 @@ class StandIn:
 
     def __init__(self):
         self.to_host = []
-        names = [
-            "empty",
-            "zeros",
-            "ones",
-            "eye",
-            "repeat",
-            "tensordot",
-            "moveaxis",
-            "ascontiguousarray",
-            "copyto",
-            "multiply",
-            "add",
-            "square",
-            "sqrt",
-            "where",
-        ]
         arrays = SimpleNamespace(
-            **{name: _function(getattr(np, name)) for name in names},
+            **{name: _function(getattr(np, name)) for name in _FUNCTIONS},
             ndarray=DeviceArray,
             asarray=self._asarray,
             array=self._array,
             asnumpy=self._asnumpy,
             from_dlpack=lambda array: DeviceArray(_dr_numpy(array)),
-            cuda=SimpleNamespace(Device=lambda: SimpleNamespace(synchronize=lambda: None)),
+            cuda=SimpleNamespace(
+                Device=lambda: SimpleNamespace(synchronize=lambda: None),
+                Event=lambda: SimpleNamespace(record=lambda: None, synchronize=lambda: None),
+                get_elapsed_time=lambda start, end: 1.0,
+            ),
         )
         transforms = SimpleNamespace(
             **{name: _transform(getattr(scipy.fft, name)) for name in ("fft", "ifft", "rfft", "irfft")},

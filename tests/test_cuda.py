@@ -1,5 +1,8 @@
 """The route through CUDA: with a stand-in for CuPy, so that every line of it runs anywhere; and on a device."""
 
+import importlib
+from pathlib import Path
+
 import device_stand_in
 import drjit as dr
 import mitsuba as mi
@@ -90,6 +93,18 @@ def test_the_estimate_waits_for_the_device(device, monkeypatch):
     monkeypatch.setattr(_backend.Backend, "synchronize", lambda self: waits.append(self))
     cost = estimate_cost(CAMERA, POSITIONS, wavelength=633)
     assert cost.seconds > 0 and waits == [device.backend] * len(waits) and len(waits) >= 2
+
+
+def test_the_benchmark_of_the_device_runs(device, monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "tools")
+    gpu = importlib.import_module("benchmarks.gpu")
+    expected = {32: propagate(gpu.beam(32), gpu.PITCH, gpu.DISTANCE, gpu.WAVELENGTH)}
+    rows = gpu.steps(expected, 1, copied=1000)
+    rows += gpu.letters({"resolution": "128", "detector_width": "0.256"}, 1)
+    assert len(rows) == 8 and all(row.ours > 0 for row in rows)
+    if not dr.has_backend(dr.JitBackend.CUDA):
+        (row,) = gpu.run([1024], 1)
+        assert "no CUDA device here" in row.note and gpu.COMMAND in row.note
 
 
 def test_without_cupy_waves_on_cuda_are_refused_with_the_remedy(monkeypatch):
