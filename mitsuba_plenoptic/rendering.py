@@ -71,7 +71,11 @@ def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Map
             known = sorted(set(re.findall(r"<default\s+name=\"(\w+)\"", text)))
             raise InputError(f"parameter {name}: the scene {path} has none of that name ({', '.join(known)})")
     try:
-        loaded = mi.load_file(str(path), **{name: str(value) for name, value in (parameters or {}).items()})
+        # Mitsuba's optimisation lists merged shapes and emitters in an order that changes from run to run, and with
+        # it the random numbers that each gets.
+        loaded = mi.load_file(
+            str(path), optimize=False, **{name: str(value) for name, value in (parameters or {}).items()}
+        )
     except InputError:
         raise
     except (RuntimeError, ValueError, TypeError) as error:
