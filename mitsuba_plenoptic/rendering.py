@@ -16,7 +16,9 @@ import numpy as np
 from . import _llvm
 from .camera import PlenopticCamera
 from .capture import MODELS, Capture
+from .checkpoint import Checkpoint
 from .errors import InputError, require_count
+from .propagation.batches import BatchMap
 
 DEFAULT_VARIANT = "llvm_ad_mono"
 
@@ -112,6 +114,8 @@ def render_capture(
     spp: int | None = None,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
+    checkpoint: Checkpoint | None = None,
+    batch_map: BatchMap | None = None,
     **wave: Any,
 ) -> Capture:
     """Render what the scene's first sensor, a plenoptic camera, records.
@@ -129,6 +133,10 @@ def render_capture(
         Seed of the random numbers; the same seed gives the same capture.
     progress : callable, optional
         Called with what is done and how much there is: samples per pixel or, by waves, radiators.
+    checkpoint : Checkpoint, optional
+        By waves: what has been done is kept in its file, and taken from there. Rays are too quick to need one.
+    batch_map : callable, optional
+        By waves: computes the parts of the sums, for example `distributed.Cluster`. Default: threads of this process.
     **wave
         Parameters of ``plenoptic_wave``: ``wavelength``, ``radiators_per_lens``, ``passes``, ``method``,
         ``occlusion``, ``accuracy``.
@@ -146,10 +154,15 @@ def render_capture(
     spp = require_count("spp", sensor.sampler().sample_count() if spp is None else spp)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
     wavelengths = getattr(integrator, "wavelengths", None)
+    metadata = _provenance(scene, integrator, seed=seed, spp=spp)
     if wavelengths is None:
+        if batch_map:
+            raise InputError("batch_map: workers are of use for model 'wave' only")
         image = _render_passes(scene, sensor, integrator, camera, spp, seed, progress)
     else:
-        integrator.progress = progress
+        if checkpoint:
+            checkpoint.run = {**metadata, "camera": camera.to_dict()}
+        integrator.progress, integrator.checkpoint, integrator.batch_map = progress, checkpoint, batch_map
         image = np.array(integrator.render(scene, sensor, seed=seed, spp=spp))
     if image.shape[2] == 1:
         image = image[..., 0]
@@ -158,7 +171,6 @@ def render_capture(
             f"film: it has {image.shape[2]} channels; a capture needs pixel_format 'luminance' or 'rgb' and an "
             "integrator without extra outputs"
         )
-    metadata = _provenance(scene, integrator, seed=seed, spp=spp)
     if wavelengths is None:
         return Capture(image, camera, None, "ray", metadata)
     return Capture(image, camera, wavelengths if len(wavelengths) > 1 else wavelengths[0], "wave", metadata)

@@ -54,8 +54,9 @@ class Part:
 class Batch(Protocol):
     """A part of a sum that is still to be computed. Holds plain arrays and can be pickled."""
 
-    def __len__(self) -> int:
-        """Tell the number of propagations, which is about proportional to the time."""
+    @property
+    def samples(self) -> int:
+        """Samples of all its fields, to which the time is about proportional."""
 
     def prepare(self) -> Callable[[], Part]:
         """Run what Dr.Jit does, and give the rest: a function that any thread may call."""

@@ -256,8 +256,10 @@ class _FullField:
     factors: NDArray[np.float32]  # of the channels
     wavelength: float
 
-    def __len__(self) -> int:
-        return 1
+    @property
+    def samples(self) -> int:
+        """Those on the detector."""
+        return math.prod(self.camera.shape)
 
     def prepare(self) -> Callable[[], Part]:
         """Do all of it."""
@@ -470,8 +472,10 @@ class _Chunk:
     masks: NDArray[np.bool_] | None
     copies: list[Copies]
 
-    def __len__(self) -> int:
-        return len(self.copies)
+    @property
+    def samples(self) -> int:
+        """Those of all patches."""
+        return int((self.placement.samples**2).sum())
 
     def fields(self) -> PatchBatch:
         """Make the fields."""
