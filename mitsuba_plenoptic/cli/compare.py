@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ..camera import require_wavelength
 from ..errors import require_count, require_number
 from ._common import Definitions, ResumeOnly, parse_definitions
 from ._stages import stage_lines
@@ -57,7 +58,7 @@ def compare(
         scene=scene,
         distances=tuple(sorted({require_number("distance", value, positive=True) for value in distance})),
         parameters=parse_definitions(define),
-        wavelength=require_number("wavelength", wavelength, positive=True),
+        wavelength=require_wavelength(wavelength),
         radiators_per_lens=require_count("radiators_per_lens", radiators_per_lens),
         spp=require_count("spp", spp),
         paths=require_count("spp", spp),

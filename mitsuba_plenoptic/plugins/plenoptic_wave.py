@@ -12,9 +12,9 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, require_wavelength
 from ..checkpoint import Checkpoint, Snapshot, digest
-from ..errors import InputError, require_number
+from ..errors import InputError, shown
 from ..propagation.accuracy import DEFAULT_ACCURACY, check_accuracy
 from ..propagation.batches import BatchMap
 from ..propagation.incoherent import METHODS, estimate_cost, incoherent_sum
@@ -274,14 +274,14 @@ def _read_wavelengths(props: Any) -> tuple[float, ...]:
         parts = [float(part) if isinstance(part, str) else part for part in parts]
     except ValueError:
         raise InputError(
-            f"{NAME}: wavelength = {value!r}: it must be nanometres, or three of them separated by commas"
+            f"{NAME}: wavelength = {shown(value)}: it must be nanometres, or three of them separated by commas"
         ) from None
-    wavelengths = tuple(require_number(f"{NAME}: wavelength", part, positive=True) for part in parts)
+    wavelengths = tuple(require_wavelength(part, f"{NAME}: wavelength") for part in parts)
     if len(wavelengths) == 1 and mi.is_rgb:
         wavelengths *= 3
     channels = 3 if mi.is_rgb else 1
     if len(wavelengths) != channels:
         raise InputError(
-            f"{NAME}: wavelength = {value!r}: variant {mi.variant()} has {channels} channel{'s' * (channels > 1)}"
+            f"{NAME}: wavelength = {shown(value)}: variant {mi.variant()} has {channels} channel{'s' * (channels > 1)}"
         )
     return wavelengths

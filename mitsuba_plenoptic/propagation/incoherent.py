@@ -183,7 +183,10 @@ def estimate_cost(
 
 
 def _check_weights(weights: Any, count: int) -> NDArray[np.float64]:
-    factors = np.asarray(weights, np.float64)
+    try:
+        factors = np.asarray(weights, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"weights: they must be numbers, ({count},) or ({count}, channels)") from None
     if factors.ndim not in (1, 2) or len(factors) != count:
         raise InputError(f"weights of shape {factors.shape}: it must be ({count},) or ({count}, channels)")
     if not np.isfinite(factors).all() or (factors < 0).any():
