@@ -9,6 +9,7 @@ import scipy.fft
 import xarray as xr
 
 from ..errors import InputError
+from ..limits import require_memory
 from .geometry import require_light_field, view_steps
 
 # Gridding kernel: a Kaiser-Bessel window this many samples wide on a grid with twice as many samples as views.
@@ -16,9 +17,6 @@ _WIDTH = 6
 _OVERSAMPLING = 2
 # P. J. Beatty et al., "Rapid gridding reconstruction with a minimal oversampling ratio" (2005), equation 5.
 _BETA = math.pi * math.sqrt((_WIDTH / _OVERSAMPLING) ** 2 * (_OVERSAMPLING - 0.5) ** 2 - 0.8)
-
-# A spectrum of more than this many complex numbers (4 GiB) is refused.
-_MAX_SIZE = 2**29
 
 
 class FourierRefocuser:
@@ -53,10 +51,8 @@ class FourierRefocuser:
         self._grid = tuple(scipy.fft.next_fast_len(max(_WIDTH, _OVERSAMPLING * n)) for n in views)
         self._field = tuple(scipy.fft.next_fast_len(n + 2 * self._margin, real=True) for n in field)
         size = self._grid[0] * self._grid[1] * self._field[0] * (self._field[1] // 2 + 1) * (3 if lf.ndim == 5 else 1)
-        if size > _MAX_SIZE:
-            raise InputError(
-                f"light field of shape {lf.shape}: its spectrum of {size} numbers is too large; use 'shift'"
-            )
+        # The spectrum before and after its last transform.
+        require_memory(16.0 * size, f"spectrum of a light field of shape {lf.shape}", lambda _: "method 'shift'")
         # Views count by their mean share of the pupil.
         weight = np.asarray(lf["weight"].values).mean(axis=(2, 3))
         weight = weight / max(weight.sum(), np.finfo(np.float32).tiny)

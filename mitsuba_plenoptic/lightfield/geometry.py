@@ -24,6 +24,7 @@ import xarray as xr
 
 from .. import rays
 from ..camera import PlenopticCamera, image_distance
+from ..capture import require_pixels
 from ..errors import InputError, require_number
 from .grid import LensGrid
 
@@ -58,7 +59,13 @@ def light_field(
     xarray.DataArray
         With the coordinate `weight`, and in `attrs` the parameters of the camera under ``camera`` and of the
         micro-images under ``grid``, both None where unknown.
+
+    Raises
+    ------
+    InputError
+        If a value is NaN, infinite or above 1e30 in magnitude.
     """
+    require_pixels("light field", values)
     coordinates: dict[str, Any] = {"weight": (DIMS, weight)}
     for axis, (angular, spatial) in enumerate((("u", "s"), ("v", "t"))):
         views, size = values.shape[DIMS.index(angular)], values.shape[DIMS.index(spatial)]
@@ -129,7 +136,7 @@ def require_light_field(lf: Any) -> xr.DataArray:
     Raises
     ------
     InputError
-        If it is not a DataArray with the dimensions v, u, t, s and the coordinate `weight`.
+        If it is not a DataArray of finite numbers with the dimensions v, u, t, s and the coordinate `weight`.
     """
     if not isinstance(lf, xr.DataArray):
         raise InputError(f"light field of type {type(lf).__name__}: it must be an xarray.DataArray, as decode() gives")
@@ -137,6 +144,9 @@ def require_light_field(lf: Any) -> xr.DataArray:
         raise InputError(
             f"light field with dimensions {lf.dims}: they must be v, u, t, s[, c], with a coordinate weight"
         )
+    if lf.dtype.kind not in "fiu":
+        raise InputError(f"light field of type {lf.dtype}: it must hold real numbers")
+    require_pixels("light field", lf.values)
     return lf
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import InputError, require_number
+from ..limits import require_memory
 from .fourier import FourierRefocuser
 from .geometry import disparity as disparity_at
 from .geometry import require_light_field, view_steps
@@ -110,6 +111,8 @@ def focal_stack(
         refocus_at = FourierRefocuser(lf, max(abs(value) for value in disparities)).refocus
     else:
         refocus_at = lambda value: shift_and_add(lf, value)  # noqa: E731
+    images = 8.0 * lf.sizes["t"] * lf.sizes["s"] * lf.sizes.get("c", 1)
+    require_memory(2 * images * len(disparities), f"focal stack of {len(disparities)} distances")
     planes = []
     for done, value in enumerate(disparities):
         if progress:

@@ -18,6 +18,7 @@ import drjit as dr
 import numpy as np
 
 from .._backend import array_module, backend_of
+from ..limits import require_memory
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,8 @@ def axis_bins(low: np.ndarray, high: np.ndarray, pupil: np.ndarray, count: int, 
     width = high - low
     spread = width > 1e-9
     reach = int(np.max(np.where(spread, np.ceil(high), first + 1) - first, initial=1))
+    # For every pixel of the axis and bin that it reaches: bin, overlap, share, weight and what is made of them.
+    require_memory(64.0 * pixels.size * reach, f"{pixels.size} pixels of an axis, each spread over {reach} bins")
     bins = first[:, None] + np.arange(reach)
     overlap = np.minimum(high[:, None], bins + 1) - np.maximum(low[:, None], bins)
     share = overlap.clip(min=0) / np.where(spread, width, 1)[:, None]
@@ -100,6 +103,9 @@ def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.
     """
     types, arrays = array_module(), backend_of(image).arrays
     _, columns, channels = image.shape
+    if not (x.weight.size and y.weight.size):
+        # No pixel meets a bin.
+        return arrays.zeros((y.count, x.count, channels), np.float32)
     values = types.Float(arrays.ascontiguousarray(image).reshape(-1))
     by_row = _sum_columns(types, values, x, radius**2 - y.pupil**2, columns, channels)
     sums = _sum_rows(types, by_row, y, x.count * channels)

@@ -21,8 +21,7 @@ import numpy as np
 
 from .. import lattice, rays
 from ..camera import PlenopticCamera
-from ..errors import InputError
-from ..propagation.sampling import MEMORY_LIMIT, fast_length, in_millimetres, mla_cosine
+from ..propagation.sampling import check_memory, fast_length, in_millimetres, mla_cosine
 
 GUARD = 1.05
 """Directions held over those that geometry needs, for the light that edges diffract."""
@@ -165,10 +164,7 @@ def plan(
     (x1, x2, xs), (y1, y2, ys) = axes
     made = Plan(subsamples, Leg(x1, y1), Leg(x2, y2), tuple(Leg(x, y) for x, y in zip(xs, ys, strict=True)))
     needed = max(leg.memory for leg in (made.detector, made.main_lens, *made.objects))
-    if needed > MEMORY_LIMIT:
-        raise InputError(
-            f"camera: its wave reconstruction would need {needed / 2**30:.1f} GiB, at most {MEMORY_LIMIT / 2**30:.0f}"
-        )
+    check_memory(needed, f"camera with {subsamples} field samples a pixel; its wave reconstruction")
     return made
 
 

@@ -30,7 +30,7 @@ from .._backend import backend
 from ..camera import PlenopticCamera
 from ..propagation.angular_spectrum import advance
 from ..propagation.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, unpack
-from ..propagation.sampling import fast_length, in_millimetres, pupil_turns
+from ..propagation.sampling import check_memory, fast_length, in_millimetres, pupil_turns
 from ._elements import converging_phase, detector_lens, lens_phase
 from ._plan import GUARD, field_subsamples
 
@@ -78,6 +78,7 @@ def reconstruct_lens_by_lens(
         Power in each bin, in pixel values times pixels.
     """
     tile = Tile(camera, wavelength, tile_lenses(camera, distances), oversample)
+    check_memory(tile.memory, "wave reconstruction lens by lens")
     x, y = (LensAxis(camera, wavelength, tile, axis) for axis in (0, 1))
     lenses = _lit_lenses(image, x, y)
     libraries = backend()
@@ -125,6 +126,7 @@ def white_throughput(camera: PlenopticCamera, wavelength: float, *, relay: bool 
     inside = (camera.micro_image_diameter / 2 - np.hypot(px, py[:, None])) / camera.pixel_size
     image = np.clip(inside + 0.5, 0, 1)
     tile = Tile(camera, wavelength, _THROUGHPUT_LENSES, 1)
+    check_memory(tile.memory, "wave reconstruction of a white micro-image")
     x, y = (LensAxis(camera, wavelength, tile, axis) for axis in (0, 1))
     place = np.array([[int(np.flatnonzero(axis.index == 0)[0]) for axis in (y, x)]])
     arrays = backend().arrays
@@ -170,8 +172,13 @@ class Tile:
     @cached_property
     def cell(self) -> np.ndarray:
         """MLA coordinates from a lens's centre, within its cell."""
-        count = math.ceil(self.camera.mla_pitch / self.pitch - 1e-6)
+        count = self.cell_samples
         return (np.arange(count) - (count - 1) / 2) * self.pitch
+
+    @property
+    def cell_samples(self) -> int:
+        """Samples across a cell."""
+        return math.ceil(self.camera.mla_pitch / self.pitch - 1e-6)
 
     @cached_property
     def pixels(self) -> int:
@@ -216,8 +223,13 @@ class Tile:
     @cached_property
     def pupil(self) -> np.ndarray:
         """Pupil coordinates along an axis, in millimetres."""
-        count = min(self.object_samples, 2 * math.ceil(self.camera.aperture_radius / self.pupil_pitch) + 1)
+        count = self.pupil_samples
         return (np.arange(count) - (count - 1) / 2) * self.pupil_pitch
+
+    @property
+    def pupil_samples(self) -> int:
+        """Samples across the pupil."""
+        return min(self.object_samples, 2 * math.ceil(self.camera.aperture_radius / self.pupil_pitch) + 1)
 
     @cached_property
     def to_pupil(self) -> Field:
@@ -237,6 +249,15 @@ class Tile:
     def transformed(self) -> int:
         """Samples that the Fourier transforms of one lens go through."""
         return 4 * self.padded**2 + self.object_samples * (self.object_samples + self.pupil.size)
+
+    @property
+    def memory(self) -> float:
+        """Bytes of the fields of one batch on the way, and of the matrices that serve all."""
+        matrices = 32.0 * self.cell_samples * self.pupil_samples + 16.0 * self.padded**2
+        # What `LensAxis` holds of each lens.
+        lenses = sum(size / self.camera.pixels_per_lens + 2 for size in self.camera.crop_size)
+        axes = lenses * 24 * (self.padded + self.cell_samples)
+        return matrices + axes + self.batch * (16.0 * self.padded**2 + 24.0 * self.object_samples**2)
 
     @property
     def batch(self) -> int:
