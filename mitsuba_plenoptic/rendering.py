@@ -29,8 +29,8 @@ DEFAULT_VARIANT = "llvm_ad_mono"
 # sample each stay at 0.25 GiB beside the film.
 _RAYS_PER_PASS = 2**24
 
-# More samples would take weeks.
-_MOST_SAMPLES = 2**24
+MOST_SAMPLES = 2**24
+"""Samples per pixel, and light paths per radiator, at most."""
 
 # Bytes a pixel while a film is rendered: its block of red, green, blue and weight, what is developed of it, the copy
 # of that, and the sum of passes, each of up to four numbers.
@@ -176,7 +176,7 @@ def render_capture(
         raise InputError(
             f"integrator: it has the extra outputs {', '.join(integrator.aov_names())}; a capture needs one without"
         )
-    spp = require_count("spp", sensor.sampler().sample_count() if spp is None else spp, maximum=_MOST_SAMPLES)
+    spp = require_count("spp", sensor.sampler().sample_count() if spp is None else spp, maximum=MOST_SAMPLES)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
     wavelengths = getattr(integrator, "wavelengths", None)
     _require_film_memory(camera)

@@ -179,8 +179,8 @@ def _grids(
     reach = growth * camera.detector_distance * bent / math.sqrt(max(1e-3, 1 - bent**2))
     margin = math.ceil(reach / p)
     width = np.array([camera.detector_width, camera.detector_height])
-    start = -width / 2 + (np.array(camera.crop_offset) - margin) * p
     pixels = [fast_length(size + 2 * margin) for size in camera.crop_size]
+    start = -width / 2 + (np.array(camera.crop_offset) - margin) * p
     # The window of the way to the MLA, square and on the same grid of pixels.
     low = np.minimum(-camera.aperture_radius, np.minimum(place - half_width, start))
     high = np.maximum(camera.aperture_radius, np.maximum(place + half_width, start + np.array(pixels) * p))

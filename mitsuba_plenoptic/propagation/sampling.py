@@ -6,6 +6,7 @@ Directions are direction cosines, as the angular spectrum has them; the lenses a
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -172,15 +173,15 @@ def check_wavelength(wavelength: Any) -> float:
     return require_wavelength(wavelength)
 
 
-def check_memory(bytes_needed: float, what: str) -> None:
-    """Refuse work that needs more than `MEMORY_LIMIT`.
+def check_memory(bytes_needed: float, what: str, fits: Callable[[float], str | None] | None = None) -> None:
+    """Refuse work that needs more than `MEMORY_LIMIT`, or than `memory_limit`; see `require_memory`.
 
     Raises
     ------
     InputError
         With the estimate.
     """
-    require_memory(bytes_needed, what, limit=min(MEMORY_LIMIT, memory_limit()))
+    require_memory(bytes_needed, what, fits, limit=min(MEMORY_LIMIT, memory_limit()))
 
 
 def _format(point: NDArray[np.float64]) -> str:

@@ -253,7 +253,10 @@ class Tile:
     @property
     def memory(self) -> float:
         """Bytes of the fields of one batch on the way, and of the matrices that serve all."""
-        matrices = 32.0 * self.cell_samples * self.pupil_samples + 16.0 * self.padded**2
+        bins = self.lenses * self.oversample
+        matrices = (
+            32.0 * self.cell_samples * self.pupil_samples + 16.0 * self.padded**2 + 8.0 * bins * self.object_samples
+        )
         # What `LensAxis` holds of each lens.
         lenses = sum(size / self.camera.pixels_per_lens + 2 for size in self.camera.crop_size)
         axes = lenses * 24 * (self.padded + self.cell_samples)
