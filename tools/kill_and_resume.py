@@ -1,8 +1,8 @@
 """Kill a small wave capture at random moments, resume it, and compare with a capture that was left in peace.
 
-Each trial starts the command, kills it (SIGKILL) at a random moment between its start and its end, and resumes it until
-it ends; now and then the resumed run is killed too. Checkpoints are written after every batch instead of every ten
-seconds. Prints a table; the exit status is 1 if a single bit differs.
+Each trial starts the command, kills it (SIGKILL) at a random moment between the beginning of the sum and its end, and
+resumes it until it ends; now and then the resumed run is killed too. Checkpoints are written after every batch instead
+of every ten seconds. Prints a table; the exit status is 1 if a single bit differs.
 
     python tools/kill_and_resume.py [--kills 20] [--seed 0]
 """
@@ -47,8 +47,16 @@ def finish(process: subprocess.Popen[str]) -> str:
     return errors
 
 
+def await_sum(process: subprocess.Popen[str]) -> None:
+    """Wait until a run tells what is to come, just before it begins."""
+    assert process.stderr
+    while (line := process.stderr.readline()) and "point spreads" not in line:
+        pass
+
+
 def kill_after(process: subprocess.Popen[str], seconds: float) -> bool:
-    """Kill a run after some seconds; tell whether it was still running."""
+    """Kill a run some seconds after the beginning of its sum; tell whether it was still running."""
+    await_sum(process)
     try:
         process.wait(seconds)
     except subprocess.TimeoutExpired:
@@ -68,10 +76,12 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         clean, output = Path(name) / "clean.exr", Path(name) / "raw.exr"
         checkpoint = Path(f"{output}.checkpoint")
+        process = start(clean)
+        await_sum(process)
         begun = time.perf_counter()
-        print(finish(start(clean)).strip())
+        finish(process)
         duration = time.perf_counter() - begun
-        print(f"the clean run took {duration:.1f} s\n")
+        print(f"The clean run took {duration:.1f} s from the beginning of its sum.\n")
         print("| trial | killed after, s | checkpoint, KiB | resumed from it | same bits |\n|---|---|---|---|---|")
         for trial in range(1, arguments.kills + 1):
             moments = [rng.uniform(0, duration)]

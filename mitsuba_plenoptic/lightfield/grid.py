@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from .. import lattice, rays
-from ..camera import PlenopticCamera
-from ..errors import InputError, require_count, require_number
+from ..camera import MOST_PIXELS, PlenopticCamera
+from ..errors import InputError, require_count, require_number, require_pair
+from ..limits import require_memory
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,8 @@ class LensGrid:
     Raises
     ------
     InputError
-        If a number is not finite, a spacing is not positive, or a count is not a positive whole number.
+        If a number is not finite, a spacing is not from 1e-3 to 1e6 pixels, an offset is beyond 1e9 pixels, a
+        rotation is beyond a full turn, or a count is not a whole number from 1 to 1048576.
     """
 
     spacing: tuple[float, float]
@@ -54,12 +56,13 @@ class LensGrid:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        put("spacing", tuple(require_number("spacing", value, positive=True) for value in self.spacing))
-        put("offset", tuple(require_number("offset", value) for value in self.offset))
-        put("shape", tuple(require_count("shape", value) for value in self.shape))
-        put("rotation", require_number("rotation", self.rotation))
-        if self.shifted_rows not in (None, 0, 1):
-            raise InputError(f"shifted_rows = {self.shifted_rows!r}: it must be 0, 1 or None")
+        x_and_y = "(along a row, between rows)"
+        put("spacing", tuple(_spacing(value) for value in require_pair("spacing", self.spacing, x_and_y)))
+        put("offset", tuple(_offset(value) for value in require_pair("offset", self.offset, "(column, row)")))
+        put("shape", tuple(_count(value) for value in require_pair("shape", self.shape, "(rows, columns)")))
+        put("rotation", require_number("rotation", self.rotation, minimum=-math.tau, maximum=math.tau))
+        if self.shifted_rows is not None:
+            put("shifted_rows", require_count("shifted_rows", self.shifted_rows, minimum=0, maximum=1))
 
     @property
     def pitch(self) -> float:
@@ -79,6 +82,7 @@ class LensGrid:
         -------
         (rows, columns, 2) float64 array
         """
+        require_memory(48.0 * self.shape[0] * self.shape[1], f"grid of {self.shape[0]} x {self.shape[1]} lenses")
         row, column = np.indices(self.shape, dtype=np.float64)
         if self.shifted_rows is not None:
             column += 0.5 * (row % 2 == self.shifted_rows)
@@ -88,6 +92,18 @@ class LensGrid:
             [self.offset[0] + cosine * along - sine * across, self.offset[1] + sine * along + cosine * across],
             axis=-1,
         )
+
+
+def _spacing(value: Any) -> float:
+    return require_number("spacing", require_number("spacing", value, positive=True), minimum=1e-3, maximum=1e6)
+
+
+def _offset(value: Any) -> float:
+    return require_number("offset", value, minimum=-1e9, maximum=1e9)
+
+
+def _count(value: Any) -> int:
+    return require_count("shape", value, maximum=MOST_PIXELS)
 
 
 def bin_grid(camera: PlenopticCamera) -> LensGrid:
@@ -104,6 +120,11 @@ def bin_grid(camera: PlenopticCamera) -> LensGrid:
     start, count = [], []
     spacing = camera.micro_image_pitch / camera.pixel_size
     for axis, lenses in enumerate(camera.lens_count):
+        if camera.pixels_per_lens < 1:
+            raise InputError(
+                f"mla_pitch = {camera.mla_pitch:g}: it is less than a pixel of {camera.pixel_size:g}, so that no "
+                "micro-image is resolved"
+            )
         index = np.arange(lenses) - lenses // 2
         centre = lattice.cell_centre(index.astype(np.float64), camera.mla_pitch)
         p = rays.chief_detector_point(centre, camera.mla_distance, camera.detector_distance)

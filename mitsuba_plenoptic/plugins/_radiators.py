@@ -18,6 +18,8 @@ import scipy.stats.qmc
 
 from .. import lattice, rays
 from ..camera import PlenopticCamera
+from ..errors import InputError
+from ..limits import largest_fitting, require_memory
 
 # Cells of the pupil's bounding square, along an axis, whose visibility is found by one shadow ray each.
 PUPIL_CELLS = 16
@@ -28,6 +30,10 @@ _MARGIN = 3
 
 # Child light paths or shadow rays traced at once.
 _LANES = 2**22
+
+# Bytes of a light path on its way, and of a radiator with its mask.
+_LANE_BYTES = 256
+_RADIATOR_BYTES = 2 * (40 + PUPIL_CELLS**2)
 
 # Where the radiator of a ray that leaves the scene is put, in focal lengths: far enough to be collimated.
 _INFINITY = 1e6
@@ -135,20 +141,38 @@ def find_radiators(
         Whether to find by shadow rays which part of the pupil each radiator sees.
     """
     window = LensWindow.of(camera)
+    _require_memory(window, len(pairs), spp)
     lenses = max(1, _LANES // (len(pairs) * spp))
-    found = [
-        _trace_lenses(
-            scene, sensor, child, camera, window, pairs,
-            range(start, min(start + lenses, window.lenses)), spp, seed + start, wavelength, occlusion,
+    found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    held = 0
+    for start in range(0, window.lenses, lenses):
+        some = range(start, min(start + lenses, window.lenses))
+        found.append(
+            _trace_lenses(scene, sensor, child, camera, window, pairs, some, spp, seed + start, wavelength, occlusion)
         )
-        for start in range(0, window.lenses, lenses)
-    ]  # fmt: skip
+        # How many shine is known as they are found; the parts and their concatenation are alive at once.
+        held += 2 * sum(array.nbytes for array in found[-1])
+        require_memory(held, f"{held // _RADIATOR_BYTES} radiators or more in {some.stop} of {window.lenses} lenses")
     positions = np.concatenate([part[0] for part in found])
     radiance = np.concatenate([part[1] for part in found])
     masks = np.concatenate([part[2] for part in found]) if occlusion else None
     if masks is not None and masks.all():
         masks = None
     return Radiators(positions, radiance, _sampled_share(positions, masks, camera, window), masks)
+
+
+def _require_memory(window: LensWindow, pairs: int, spp: int) -> None:
+    """Refuse what one lens's light paths take, of all of which a batch holds at least one."""
+
+    def memory(per_lens: int) -> float:
+        return _LANE_BYTES * max(_LANES, float(per_lens) ** 2 * spp)
+
+    def fitting(limit: float) -> str | None:
+        largest = largest_fitting(memory, limit, per_lens)
+        return f"radiators_per_lens = {largest}" if largest else None
+
+    per_lens = math.isqrt(pairs)
+    require_memory(memory(per_lens), f"{per_lens} x {per_lens} radiators of {spp} light paths in a lens", fitting)
 
 
 def _trace_lenses(
@@ -190,6 +214,9 @@ def _trace_lenses(
     channels = [radiance[0]] if wavelength is not None else list(radiance)
     means = np.stack([dr.block_sum(channel, spp).numpy() / spp for channel in channels], axis=-1)
 
+    bad = int(np.count_nonzero(~np.isfinite(means).all(axis=-1)))
+    if bad:
+        raise InputError(f"scene: the radiance of {bad} radiators is NaN or infinite: all must be finite")
     shining = np.flatnonzero(means.max(axis=-1) > 0).astype(np.uint32)
     if shining.size == 0:
         return np.empty((0, 3)), np.empty((0, means.shape[1])), np.empty((0, PUPIL_CELLS, PUPIL_CELLS), bool)

@@ -12,9 +12,9 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, require_wavelength
 from ..checkpoint import Checkpoint, Snapshot, digest
-from ..errors import InputError, require_number
+from ..errors import InputError, shown
 from ..propagation.accuracy import DEFAULT_ACCURACY, check_accuracy
 from ..propagation.batches import BatchMap
 from ..propagation.incoherent import METHODS, estimate_cost, incoherent_sum
@@ -26,6 +26,9 @@ NAME = "plenoptic_wave"
 _log = logging.getLogger(__name__)
 
 DEFAULT_WAVELENGTH = 633.0
+
+MOST_RADIATORS = 256
+"""Radiators per lens and axis at most."""
 
 # Dominant wavelengths of the sRGB primaries (IEC 61966-2-1), for variants of three channels.
 RGB_WAVELENGTHS = (611.4, 549.1, 464.3)
@@ -106,7 +109,7 @@ def make_class() -> type:
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             self.wavelengths = _read_wavelengths(props)
-            self.radiators_per_lens = read_count(props, NAME, "radiators_per_lens", 8, maximum=256)
+            self.radiators_per_lens = read_count(props, NAME, "radiators_per_lens", 8, maximum=MOST_RADIATORS)
             self.passes = read_count(props, NAME, "passes", 1)
             self.method = read_choice(props, NAME, "method", METHODS)
             self.occlusion = read_flag(props, NAME, "occlusion", True)
@@ -274,14 +277,14 @@ def _read_wavelengths(props: Any) -> tuple[float, ...]:
         parts = [float(part) if isinstance(part, str) else part for part in parts]
     except ValueError:
         raise InputError(
-            f"{NAME}: wavelength = {value!r}: it must be nanometres, or three of them separated by commas"
+            f"{NAME}: wavelength = {shown(value)}: it must be nanometres, or three of them separated by commas"
         ) from None
-    wavelengths = tuple(require_number(f"{NAME}: wavelength", part, positive=True) for part in parts)
+    wavelengths = tuple(require_wavelength(part, f"{NAME}: wavelength") for part in parts)
     if len(wavelengths) == 1 and mi.is_rgb:
         wavelengths *= 3
     channels = 3 if mi.is_rgb else 1
     if len(wavelengths) != channels:
         raise InputError(
-            f"{NAME}: wavelength = {value!r}: variant {mi.variant()} has {channels} channel{'s' * (channels > 1)}"
+            f"{NAME}: wavelength = {shown(value)}: variant {mi.variant()} has {channels} channel{'s' * (channels > 1)}"
         )
     return wavelengths

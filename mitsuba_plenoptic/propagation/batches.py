@@ -16,6 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from .._backend import backend
 from .fft import resting_drjit, worker_count
 
 
@@ -43,7 +44,7 @@ class Part:
     box : Box
         Where it lies on the grid.
     sums : float32 array (channels, rows, columns)
-        The sum there; it is zero elsewhere.
+        The sum there, on the backend's device; it is zero elsewhere.
     """
 
     box: Box
@@ -88,7 +89,7 @@ class PartialSum:
     batches : int
         The batches that are in it: the first ones.
     sums : float32 array (channels, rows, columns)
-        Their sum.
+        Their sum, on the backend's device.
     """
 
     batches: int
@@ -101,11 +102,11 @@ class Threads:
     Parameters
     ----------
     count : int, optional
-        Default: all cores this process may use.
+        Default: all cores this process may use, or one to give a CUDA device its work.
     """
 
     def __init__(self, count: int | None = None) -> None:
-        self.workers = self.threads = count or worker_count()
+        self.workers = self.threads = 1 if backend().is_cuda else count or worker_count()
 
     def __call__(self, batches: Iterable[Batch]) -> Generator[Part, None, None]:
         """Compute the batches, a few ahead of the one that is due."""

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from .._backend import backend
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from .accuracy import DEFAULT_ACCURACY, band_for, check_accuracy, wavefront_step
@@ -182,7 +183,10 @@ def estimate_cost(
 
 
 def _check_weights(weights: Any, count: int) -> NDArray[np.float64]:
-    factors = np.asarray(weights, np.float64)
+    try:
+        factors = np.asarray(weights, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"weights: they must be numbers, ({count},) or ({count}, channels)") from None
     if factors.ndim not in (1, 2) or len(factors) != count:
         raise InputError(f"weights of shape {factors.shape}: it must be ({count},) or ({count}, channels)")
     if not np.isfinite(factors).all() or (factors < 0).any():
@@ -204,6 +208,7 @@ def _check_masks(masks: Any, count: int) -> NDArray[np.bool_] | None:
 class _Sum(Protocol):
     """What the two methods have in common: a sum of batches on a box of some grid."""
 
+    arrays: Any  # NumPy, or CuPy for parts that lie on a CUDA device
     box: Box
     channels: int
     total: int  # radiators, those that are left out too
@@ -224,7 +229,7 @@ def _add_up(
     keep: Callable[[PartialSum], None] | None,
 ) -> NDArray[np.float32]:
     shape = (work.channels, work.box.rows, work.box.columns)
-    start = start or PartialSum(0, np.zeros(shape, np.float32))
+    start = start or PartialSum(0, work.arrays.zeros(shape, np.float32))
     if start.sums.shape != shape or not 0 <= start.batches <= len(work.radiators):
         raise InputError(
             f"start: {start.batches} batches of shape {start.sums.shape}: this sum has {len(work.radiators)} of "
@@ -233,15 +238,16 @@ def _add_up(
     done = work.total - int(work.radiators[start.batches :].sum())
     if progress:
         progress(done, work.total)
+    sums = work.arrays.asarray(start.sums)
     with contextlib.closing(batch_map(work.batches(start.batches))) as parts:
         for index, part in enumerate(parts, start.batches):
-            add(part, work.box, start.sums)
+            add(part, work.box, sums)
             if keep:
-                keep(PartialSum(index + 1, start.sums))
+                keep(PartialSum(index + 1, sums))
             done += int(work.radiators[index])
             if progress:
                 progress(done, work.total)
-    return work.image(start.sums)
+    return work.image(sums)
 
 
 @dataclass(frozen=True)
@@ -280,6 +286,7 @@ class _FullFieldSum:
         wavelength: float,
     ) -> None:
         self.camera, self.wavelength = camera, wavelength
+        self.arrays: Any = np
         self.box, self.total, self.channels = _pixels(camera), len(points), factors.shape[1]
         lit = factors.any(1)
         self.points, self.factors = points[lit], factors[lit].astype(np.float32)
@@ -318,7 +325,7 @@ class _PatchSum:
         wavelength: float,
         accuracy: float,
     ) -> None:
-        self.camera, self.masks = camera, masks
+        self.camera, self.masks, self.arrays = camera, masks, backend().arrays
         self.total, self.channels = len(points), factors.shape[1]
         lit = np.flatnonzero(factors.any(1))
         self.grid = Grid.of(camera, wavelength, band_for(accuracy, len(points)), points)
@@ -396,8 +403,10 @@ class _PatchSum:
             some = of_size[len(of_size) // 2][:_TRIAL]
             with resting_drjit():
                 self._batch(some[:1]).prepare()()  # compiles the kernels
+                backend().synchronize()
                 start = time.perf_counter()
                 self._batch(some).prepare()()
+                backend().synchronize()
                 taken = time.perf_counter() - start
             seconds += taken / len(some) * sum(len(chunk) for chunk in of_size) / batch_map.workers
         return Cost(len(self.factors), len(samples), seconds, memory)
@@ -423,13 +432,15 @@ class _PatchSum:
         left, top = pixels.left - camera.crop_offset[0], pixels.top - camera.crop_offset[1]
         target = image[top : top + pixels.rows, left : left + pixels.columns]
         for channel, intensity in enumerate(sums):
-            target[..., channel] = integrate_pixels(
-                intensity,
-                grid.pitch,
-                (box.left * grid.pitch, box.top * grid.pitch),
-                camera.pixel_size,
-                (pixels.left * camera.pixel_size, pixels.top * camera.pixel_size),
-                (pixels.rows, pixels.columns),
+            target[..., channel] = backend().to_host(
+                integrate_pixels(
+                    intensity,
+                    grid.pitch,
+                    (box.left * grid.pitch, box.top * grid.pitch),
+                    camera.pixel_size,
+                    (pixels.left * camera.pixel_size, pixels.top * camera.pixel_size),
+                    (pixels.rows, pixels.columns),
+                )
             )
         return np.maximum(image, 0, out=image)
 

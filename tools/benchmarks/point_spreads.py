@@ -132,12 +132,12 @@ def _transforms(batch: PatchBatch, count: int) -> Callable[[], None]:
         for _ in range(-(-count // batch.together)):
             transform(work.rows, 2)
             transform(work.rows, 2)
-            for block in _blocks(n, m):
+            for block in _blocks(n, m, batch.sizes.block):
                 columns = work.columns[:, : block.stop - block.start]
                 transform(columns, 2)
                 transform(columns, 2)
                 transform(columns[..., :n], 2)
-            for block in _blocks(n, n):
+            for block in _blocks(n, n, batch.sizes.block):
                 transform(work.field[..., block], 1)
 
     return run
