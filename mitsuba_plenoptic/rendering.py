@@ -16,9 +16,11 @@ import numpy as np
 from . import _llvm
 from .camera import PlenopticCamera
 from .capture import MODELS, Capture
+from .checkpoint import Checkpoint
 from .errors import InputError, require_count
 from .files import require_file
 from .limits import largest_fitting, require_memory
+from .propagation.batches import BatchMap
 from .scene_file import check_scene_file
 
 DEFAULT_VARIANT = "llvm_ad_mono"
@@ -85,7 +87,9 @@ def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Map
             known = sorted(set(re.findall(r"<default\s+name=\"(\w+)\"", text)))
             raise InputError(f"parameter {name}: the scene {path} has none of that name ({', '.join(known)})")
     try:
-        loaded = mi.load_file(str(path), **parameters)
+        # Mitsuba's optimisation lists merged shapes and emitters in an order that changes from run to run, and with
+        # it the random numbers that each gets.
+        loaded = mi.load_file(str(path), optimize=False, **parameters)
     except InputError:
         raise
     except (RuntimeError, ValueError, TypeError) as error:
@@ -130,6 +134,8 @@ def render_capture(
     spp: int | None = None,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
+    checkpoint: Checkpoint | None = None,
+    batch_map: BatchMap | None = None,
     **wave: Any,
 ) -> Capture:
     """Render what the scene's first sensor, a plenoptic camera, records.
@@ -147,6 +153,10 @@ def render_capture(
         Seed of the random numbers; the same seed gives the same capture.
     progress : callable, optional
         Called with what is done and how much there is: samples per pixel or, by waves, radiators.
+    checkpoint : Checkpoint, optional
+        By waves: what has been done is kept in its file, and taken from there. Rays are too quick to need one.
+    batch_map : callable, optional
+        By waves: computes the parts of the sums, for example `distributed.Cluster`. Default: threads of this process.
     **wave
         Parameters of ``plenoptic_wave``: ``wavelength``, ``radiators_per_lens``, ``passes``, ``method``,
         ``occlusion``, ``accuracy``.
@@ -170,10 +180,15 @@ def render_capture(
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
     wavelengths = getattr(integrator, "wavelengths", None)
     _require_film_memory(camera, spp)
+    metadata = _provenance(scene, integrator, seed=seed, spp=spp)
     if wavelengths is None:
+        if batch_map:
+            raise InputError("batch_map: workers are of use for model 'wave' only")
         image = _render_passes(scene, sensor, integrator, camera, spp, seed, progress)
     else:
-        integrator.progress = progress
+        if checkpoint:
+            checkpoint.run = {**metadata, "camera": camera.to_dict()}
+        integrator.progress, integrator.checkpoint, integrator.batch_map = progress, checkpoint, batch_map
         image = np.array(integrator.render(scene, sensor, seed=seed, spp=spp))
     if image.shape[2] == 1:
         image = image[..., 0]
@@ -182,7 +197,6 @@ def render_capture(
             f"film: it has {image.shape[2]} channels; a capture needs pixel_format 'luminance' or 'rgb' and an "
             "integrator without extra outputs"
         )
-    metadata = _provenance(scene, integrator, seed=seed, spp=spp)
     if wavelengths is None:
         return Capture(image, camera, None, "ray", metadata)
     return Capture(image, camera, wavelengths if len(wavelengths) > 1 else wavelengths[0], "wave", metadata)

@@ -17,9 +17,9 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from .._backend import array_module
+from .._backend import array_module, backend
 from ..errors import InputError, require_number
-from .fft import Field, array_types, fft2_packed, pack, unpack
+from .fft import Field, array_types, as_field, as_words, fft2_packed, pack, unpack
 
 
 def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, overwrite: bool = False) -> Field:
@@ -43,22 +43,26 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
     Returns
     -------
     complex64 array (rows, columns)
-        The field in the new plane, without the carrier :math:`\exp(i k d)`.
+        The field in the new plane, without the carrier :math:`\exp(i k d)`; where `field` is: with a CUDA variant a
+        CuPy array never leaves the device.
 
     Raises
     ------
     InputError
         If the field is not a two-dimensional finite array, or a number is out of range.
     """
-    samples = np.array(field, np.complex64, order="C", copy=None if overwrite else True)
+    libraries = backend()
+    on_device = libraries.is_cuda and isinstance(field, libraries.arrays.ndarray)
+    arrays = libraries.arrays if on_device else np
+    samples = arrays.array(field, np.complex64, order="C", copy=None if overwrite else True)
     if samples.ndim != 2 or samples.size == 0:
         raise InputError(f"field of shape {samples.shape}: it must have rows and columns")
     pitch, distance, wavelength = _check(pitch, distance, wavelength)
-    packed = array_module().UInt64(samples.reshape(-1).view(np.uint64))
-    packed = _step(packed, samples.shape, pitch, distance, wavelength)
-    result = packed.numpy().view(np.complex64).reshape(samples.shape)
+    packed = _step(libraries.types.UInt64(as_words(samples)), samples.shape, pitch, distance, wavelength)
+    result = as_field(packed, samples.shape)
+    result = result if on_device else libraries.to_host(result)
     # Every sample of a transform depends on every other: one that is not finite leaves none that is.
-    if not np.isfinite(result[0, 0]):
+    if not np.isfinite(complex(result[0, 0])):
         raise InputError("field: its samples must be finite")
     return result
 
@@ -93,9 +97,9 @@ def advance(
     -------
     complex64 array (rows, columns)
     """
-    packed = array_module().UInt64(spectrum.reshape(-1).view(np.uint64))
+    packed = array_module().UInt64(as_words(spectrum))
     packed = _advance(packed, spectrum.shape, pitch, distance, wavelength, shift, part)
-    return packed.numpy().view(np.complex64).reshape(spectrum.shape)
+    return as_field(packed, spectrum.shape)
 
 
 def propagate_differentiable(

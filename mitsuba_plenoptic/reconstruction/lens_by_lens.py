@@ -24,19 +24,19 @@ from functools import cached_property
 
 import drjit as dr
 import numpy as np
-import scipy.fft
 
 from .. import lattice, rays
-from .._backend import array_module
+from .._backend import backend
 from ..camera import MOST_PIXELS, PlenopticCamera
 from ..errors import InputError
 from ..propagation.angular_spectrum import advance
-from ..propagation.fft import Field, fft2, pack, resting_drjit, unpack, worker_count
+from ..propagation.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, unpack
 from ..propagation.sampling import check_memory, fast_length, in_millimetres, pupil_turns
 from ._elements import converging_phase, detector_lens, lens_phase
 from ._plan import GUARD, field_subsamples
 
-_BATCH_SAMPLES = 2**20
+# Samples that are transformed together, on the processor and on a CUDA device.
+_BATCH_SAMPLES, _CUDA_BATCH_SAMPLES = 2**20, 2**25
 
 _THROUGHPUT_LENSES = 25
 
@@ -82,10 +82,11 @@ def reconstruct_lens_by_lens(
     check_memory(tile.memory, "wave reconstruction lens by lens")
     x, y = (LensAxis(camera, wavelength, tile, axis) for axis in (0, 1))
     lenses = _lit_lenses(image, x, y)
-    amplitude = np.sqrt(image)
+    libraries = backend()
+    amplitude = libraries.arrays.sqrt(libraries.arrays.asarray(image))
     # Every lens puts its patch among the bins of all lenses, and a margin for those at the edge.
     shape = [(axis.index.size + tile.lenses - 1) * oversample for axis in (y, x)]
-    totals = [np.zeros(shape) for _ in distances]
+    totals = [libraries.arrays.zeros(shape) for _ in distances]
     for place in range(0, len(lenses), tile.batch):
         batch = lenses[place : place + tile.batch]
         fields = pupil_fields(amplitude, tile, x, y, batch, relay=relay)
@@ -138,9 +139,11 @@ def white_throughput(camera: PlenopticCamera, wavelength: float, *, relay: bool 
     check_memory(tile.memory, "wave reconstruction of a white micro-image")
     x, y = (LensAxis(camera, wavelength, tile, axis) for axis in (0, 1))
     place = np.array([[int(np.flatnonzero(axis.index == 0)[0]) for axis in (y, x)]])
-    field = pupil_fields(np.sqrt(image).astype(np.float32), tile, x, y, place, relay=relay)[0]
+    arrays = backend().arrays
+    amplitude = arrays.asarray(np.sqrt(image).astype(np.float32))
+    field = pupil_fields(amplitude, tile, x, y, place, relay=relay)[0]
     inside = (camera.aperture_radius - np.hypot(tile.pupil, tile.pupil[:, None])) / tile.pupil_pitch
-    power = float((np.abs(field) ** 2 * np.clip(inside + 0.5, 0, 1)).sum()) * tile.pupil_pitch**2
+    power = float((abs(field) ** 2 * arrays.asarray(np.clip(inside + 0.5, 0, 1))).sum()) * tile.pupil_pitch**2
     return power / (image.sum() * camera.pixel_size**2)
 
 
@@ -250,12 +253,13 @@ class Tile:
         r"""From the cell to the pupil along an axis, :math:`\exp(-i k P \mu / b) d\mu / (\lambda b)^{1/2}`."""
         wave_path = in_millimetres(self.wavelength) * self.camera.mla_distance
         turns = np.outer(self.pupil, self.cell) / wave_path
-        return (np.exp(-2j * math.pi * turns) * (self.pitch / math.sqrt(wave_path))).astype(np.complex64)
+        matrix = np.exp(-2j * math.pi * turns) * (self.pitch / math.sqrt(wave_path))
+        return backend().arrays.asarray(matrix.astype(np.complex64))
 
     @cached_property
     def transfer(self) -> Field:
         """Transfer function from detector to MLA."""
-        ones = np.ones((self.padded, self.padded), np.complex64)
+        ones = backend().arrays.ones((self.padded, self.padded), np.complex64)
         return advance(ones, self.pitch, self.camera.detector_distance, self.wavelength)
 
     @property
@@ -278,7 +282,8 @@ class Tile:
     @property
     def batch(self) -> int:
         """Lenses that are transformed together."""
-        return max(1, _BATCH_SAMPLES // max(self.object_samples, self.padded) ** 2)
+        samples = _CUDA_BATCH_SAMPLES if backend().is_cuda else _BATCH_SAMPLES
+        return max(1, samples // max(self.object_samples, self.padded) ** 2)
 
 
 class LensAxis:
@@ -365,26 +370,28 @@ def pupil_fields(
     -------
     complex64 array (n, pupil, pupil)
     """
+    arrays = backend().arrays
     j, i = batch.T
     size = x.source.shape[1]
-    field = np.zeros((len(batch), tile.padded, tile.padded), np.complex64)
-    field[:, :size, :size] = amplitude[y.pixel[j][:, :, None], x.pixel[i][:, None, :]]
-    field[:, :size, :size] *= y.source[j][:, :, None]
-    field[:, :size, :size] *= x.source[i][:, None, :]
+    field = arrays.zeros((len(batch), tile.padded, tile.padded), np.complex64)
+    row, column = arrays.asarray(y.pixel[j]), arrays.asarray(x.pixel[i])
+    field[:, :size, :size] = amplitude[row[:, :, None], column[:, None, :]]
+    field[:, :size, :size] *= arrays.asarray(y.source[j])[:, :, None]
+    field[:, :size, :size] *= arrays.asarray(x.source[i])[:, None, :]
     with resting_drjit():
         field = fft2(field)
         field *= tile.transfer
-        field *= y.shift[j][:, :, None]
-        field *= x.shift[i][:, None, :]
+        field *= arrays.asarray(y.shift[j])[:, :, None]
+        field *= arrays.asarray(x.shift[i])[:, None, :]
         cell = fft2(field, inverse=True)[:, : tile.cell.size, : tile.cell.size]
         microlens = (
             lens_phase(tile.cell, tile.camera.mla_focal_length, tile.wavelength) if relay else np.ones(1, np.complex64)
         )
-        cell = cell * (y.tilt[j] * microlens)[:, :, None]
-        cell *= (x.tilt[i] * microlens)[:, None, :]
+        cell = cell * arrays.asarray(y.tilt[j] * microlens)[:, :, None]
+        cell *= arrays.asarray(x.tilt[i] * microlens)[:, None, :]
         # One product for the whole batch: many small ones would each wait for the threads of the BLAS.
-        fields = np.tensordot(np.tensordot(cell, tile.to_pupil, (1, 1)), tile.to_pupil, (1, 1))
-    return np.ascontiguousarray(fields)
+        fields = arrays.tensordot(arrays.tensordot(cell, tile.to_pupil, (1, 1)), tile.to_pupil, (1, 1))
+    return arrays.ascontiguousarray(fields)
 
 
 def _patches(fields: Field, tile: Tile, x: LensAxis, y: LensAxis, batch: np.ndarray, distance: float) -> np.ndarray:
@@ -392,17 +399,17 @@ def _patches(fields: Field, tile: Tile, x: LensAxis, y: LensAxis, batch: np.ndar
     camera = tile.camera
     focused = _aim(fields, tile, x.centre[batch[:, 1]], y.centre[batch[:, 0]], distance)
     count, size = tile.pupil.size, tile.object_samples
-    padded = np.zeros((len(batch), size, size), np.complex64)
+    arrays = backend().arrays
+    padded = arrays.zeros((len(batch), size, size), np.complex64)
     padded[:, :count, :count] = focused
     with resting_drjit():
-        rows = scipy.fft.fft(padded[:, :count], axis=2, overwrite_x=True, workers=worker_count())
-        padded[:, :count] = rows
-        padded = scipy.fft.fft(padded, axis=1, overwrite_x=True, workers=worker_count())
+        padded[:, :count] = fft(padded[:, :count], axis=2)
+        padded = fft(padded, axis=1)
     intensity = padded.real**2
     intensity += padded.imag**2
     per_bin = tile.samples // tile.oversample
-    bins = np.repeat(np.eye(size // per_bin, dtype=np.float32), per_bin, axis=1)
-    sums = np.tensordot(np.tensordot(intensity, bins, (1, 1)), bins, (1, 1))
+    bins = arrays.repeat(arrays.eye(size // per_bin, dtype=np.float32), per_bin, axis=1)
+    sums = arrays.tensordot(arrays.tensordot(intensity, bins, (1, 1)), bins, (1, 1))
     sample = camera.bin_size(distance) / tile.samples
     scale = tile.pupil_pitch**2 / (in_millimetres(tile.wavelength) * distance) * sample / camera.pixel_size
     # The object is upside down in camera coordinates: bins grow with -X.
@@ -411,7 +418,7 @@ def _patches(fields: Field, tile: Tile, x: LensAxis, y: LensAxis, batch: np.ndar
 
 def _aim(fields: Field, tile: Tile, cx: np.ndarray, cy: np.ndarray, distance: float) -> Field:
     """Multiply pupil fields by the way from the lens's centre to its image's, the main lens, and the pupil."""
-    types = array_module()
+    types = backend().types
     camera, wave = tile.camera, in_millimetres(tile.wavelength)
     n, count = len(cx), tile.pupil.size
     index = dr.arange(types.UInt32, n * count * count)
@@ -436,9 +443,8 @@ def _aim(fields: Field, tile: Tile, cx: np.ndarray, cy: np.ndarray, distance: fl
     # The edge of the pupil is softened over one sample.
     within = types.Float((camera.aperture_radius - dr.sqrt(square)) / tile.pupil_pitch)
     coverage = dr.clip(within + 0.5, 0, 1)
-    packed = types.UInt64(fields.reshape(-1).view(np.uint64))
-    aimed = pack(unpack(packed) * types.Complex2f(cosine, sine) * coverage)
-    return aimed.numpy().view(np.complex64).reshape(fields.shape)
+    aimed = unpack(types.UInt64(as_words(fields))) * types.Complex2f(cosine, sine) * coverage
+    return as_field(pack(aimed), fields.shape)
 
 
 def _on_bins(total: np.ndarray, camera: PlenopticCamera, tile: Tile, x: LensAxis, y: LensAxis) -> np.ndarray:
@@ -453,5 +459,5 @@ def _on_bins(total: np.ndarray, camera: PlenopticCamera, tile: Tile, x: LensAxis
         kept = slice(max(first, 0), min(end, count))
         into.append(slice(kept.start * tile.oversample, kept.stop * tile.oversample))
         out.append(slice((kept.start - first) * tile.oversample, (kept.stop - first) * tile.oversample))
-    image[tuple(into)] = total[tuple(out)]
+    image[tuple(into)] = backend().to_host(total[tuple(out)])
     return image

@@ -16,8 +16,9 @@ import scipy.fft
 from mitsuba_plenoptic import PlenopticCamera, load_scene
 from mitsuba_plenoptic.plugins._radiators import find_radiators, sample_pairs
 from mitsuba_plenoptic.propagation.accuracy import DEFAULT_ACCURACY
+from mitsuba_plenoptic.propagation.batches import Threads
 from mitsuba_plenoptic.propagation.fft import resting_drjit
-from mitsuba_plenoptic.propagation.incoherent import _PatchSum, estimate_cost, incoherent_sum
+from mitsuba_plenoptic.propagation.incoherent import _add_up, _PatchSum, estimate_cost, incoherent_sum
 from mitsuba_plenoptic.propagation.patch import PatchBatch, Workspace, _blocks
 
 from .table import Row, side_by_side
@@ -101,8 +102,11 @@ def bare(runs: int) -> list[Row]:
         image = rng.uniform(-0.2, 0.2, (count, 2))
         positions = np.column_stack([-image * g / camera.mla_distance, np.full(count, g)])
         work = _PatchSum(camera, positions, np.ones((count, 1)), None, WAVELENGTH, 0.0)
-        batch = work._prepare(work.chunks[0])[0]
-        works = {"FFTs": _transforms(batch, count), "ours": lambda work=work: work.run(1, lambda done, total: None)}
+        batch = work._batch(work.chunks[0]).fields()
+        works = {
+            "FFTs": _transforms(batch, count),
+            "ours": lambda work=work: _add_up(work, Threads(1), None, None, None),
+        }
         with resting_drjit():
             timings = side_by_side(works, runs)
         ours, theirs = timings["ours"], timings["FFTs"]
@@ -128,12 +132,12 @@ def _transforms(batch: PatchBatch, count: int) -> Callable[[], None]:
         for _ in range(-(-count // batch.together)):
             transform(work.rows, 2)
             transform(work.rows, 2)
-            for block in _blocks(n, m):
+            for block in _blocks(n, m, batch.sizes.block):
                 columns = work.columns[:, : block.stop - block.start]
                 transform(columns, 2)
                 transform(columns, 2)
                 transform(columns[..., :n], 2)
-            for block in _blocks(n, n):
+            for block in _blocks(n, n, batch.sizes.block):
                 transform(work.field[..., block], 1)
 
     return run
