@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 import OpenEXR
 
+from ._exr_header import DamageError, Part, check_exr
 from .errors import InputError
-from .files import atomic_output
+from .files import atomic_output, require_file
+from .limits import require_memory
 
 ATTRIBUTE = "mitsuba_plenoptic"
-
-# Captures of 16384 x 16384 pixels fit; a header that claims more is damaged or hostile.
-_MAX_PIXELS = 2**28
 
 
 def write_exr(
@@ -58,7 +57,7 @@ def write_exr(
         with atomic_output(path) as temporary:
             OpenEXR.File(header, _channels(image)).write(str(temporary))
     except (RuntimeError, OSError) as error:
-        raise InputError(f"{path}: it cannot be written: {_one_line(error)}") from None
+        raise InputError(f"{path}: it cannot be written: {error}") from None
 
 
 def write_exr_parts(path: str | Path, parts: Mapping[str, np.ndarray], attributes: dict[str, Any]) -> None:
@@ -95,7 +94,7 @@ def write_exr_parts(path: str | Path, parts: Mapping[str, np.ndarray], attribute
         with atomic_output(path) as temporary:
             OpenEXR.File(written).write(str(temporary))
     except (RuntimeError, OSError) as error:
-        raise InputError(f"{path}: it cannot be written: {_one_line(error)}") from None
+        raise InputError(f"{path}: it cannot be written: {error}") from None
 
 
 def _largest(parts: Mapping[str, np.ndarray]) -> tuple[int, int]:
@@ -115,42 +114,48 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, dict[str, Any]]:
     Raises
     ------
     InputError
-        If the file does not exist, is no whole OpenEXR file, or was not written by this package.
+        If the file does not exist, is no whole OpenEXR file, was not written by this package, or its pixels would take
+        more memory than is allowed.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file")
+    path = require_file(path)
     try:
-        header = OpenEXR.File(str(path), header_only=True).header()
-        text = header.get(ATTRIBUTE)
-        if text is None:
-            raise InputError(
-                f"{path}: it has no attribute '{ATTRIBUTE}' in its header, so its camera is unknown; "
-                "read the pixels yourself and give reconstruct(..., camera=...)"
-            )
-        low, high = header["dataWindow"]
-        columns, rows = (int(high[i]) - int(low[i]) + 1 for i in (0, 1))
-        if columns * rows > _MAX_PIXELS:
-            raise InputError(f"{path}: {columns} x {rows} pixels: at most {_MAX_PIXELS} are read")
-        attributes = json.loads(text)
+        (part, *_) = check_exr(path, lambda parts: _allow(path, parts))
+        attributes = json.loads(part.text[ATTRIBUTE])
         if not isinstance(attributes, dict):
             raise ValueError(f"attribute '{ATTRIBUTE}' is not a JSON object")
         found = OpenEXR.File(str(path), separate_channels=True).channels()
-        planes = [found[name].pixels for name in ("Y", *"RGB") if name in found]
-        if len(planes) not in (1, 3):
-            raise ValueError(f"it has the channels {', '.join(found)} instead of Y or R, G, B")
+        names = _image_channels(part)
+        image = np.empty((part.rows, part.columns, len(names)), dtype=np.float32)
+        for index, name in enumerate(names):
+            image[..., index] = found.pop(name).pixels
     except InputError:
         raise
     except Exception as error:
         # OpenEXR tells of damage by several exception types; all mean the same to the user.
-        raise InputError(f"{path}: it cannot be read as an OpenEXR image, or is damaged: {_one_line(error)}") from None
-    image = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
-    return np.asarray(image, dtype=np.float32), attributes
+        raise InputError(f"{path}: it cannot be read as an OpenEXR image, or is damaged: {error}") from None
+    return image if len(names) == 3 else image[..., 0], attributes
+
+
+def _allow(path: Path, parts: list[Part]) -> None:
+    """Refuse what is not of this package or takes too much memory, before pixels are read."""
+    part = parts[0]
+    if ATTRIBUTE not in part.text:
+        raise InputError(
+            f"{path}: it has no attribute '{ATTRIBUTE}' in its header, so its camera is unknown; "
+            "read the pixels yourself and give reconstruct(..., camera=...)"
+        )
+    pixels = part.rows * part.columns
+    # The library's arrays, and ours.
+    needed = sum(part.size for part in parts) + 4 * pixels * len(_image_channels(part))
+    require_memory(needed, f"{path}: {part.columns} x {part.rows} pixels of {len(part.channels)} channels")
+
+
+def _image_channels(part: Part) -> tuple[str, ...]:
+    for names in (("Y",), ("R", "G", "B")):
+        if set(names) <= set(part.channels) and len(set("YRGB") & set(part.channels)) == len(names):
+            return names
+    raise DamageError(f"it has the channels {', '.join(part.channels)} instead of Y or R, G, B")
 
 
 def _window(x: int, y: int, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array([x, y], dtype=np.int32), np.array([x + columns - 1, y + rows - 1], dtype=np.int32)
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())

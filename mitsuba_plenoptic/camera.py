@@ -6,9 +6,21 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from .errors import InputError, require_count, require_number
+from .errors import InputError, require_count, require_number, require_pair, shown
 
 LENS_MODELS = ("ideal", "parabolic")
+
+SHORTEST, LONGEST = 1e-9, 1e9
+"""Bounds of every length in scene units: a picometre and a thousand kilometres in millimetres.
+
+Between them no product or quotient of a camera's numbers leaves what a float holds.
+"""
+
+MOST_PIXELS = 2**20
+"""Pixels along an axis of a detector, at most; pixel coordinates stay exact in single precision."""
+
+WAVELENGTHS = (1.0, 1e6)
+"""Bounds of a wavelength in nanometres, from soft X-rays to a millimetre."""
 
 
 @dataclass(frozen=True, init=False)
@@ -50,7 +62,8 @@ class PlenopticCamera:
     Raises
     ------
     InputError
-        If a value is not a number, not finite, not positive, or the crop window leaves the detector.
+        If a length is not a number from 1e-9 to 1e9 (`focus_distance` may be infinite), a side of the detector is not
+        from 1 to 1048576 pixels, or the crop window leaves the detector.
     """
 
     focal_length: float
@@ -84,28 +97,24 @@ class PlenopticCamera:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        put("focal_length", require_number("focal_length", focal_length, positive=True))
-        put("aperture_radius", require_number("aperture_radius", aperture_radius, positive=True))
+        put("focal_length", _length("focal_length", focal_length))
+        put("aperture_radius", _length("aperture_radius", aperture_radius))
         if mla_distance is not None and focus_distance is not None:
             raise InputError(
-                f"mla_distance = {mla_distance!r} and focus_distance = {focus_distance!r}: give one of the two"
+                f"mla_distance = {shown(mla_distance)} and focus_distance = {shown(focus_distance)}: "
+                "give one of the two"
             )
         if focus_distance is not None:
             mla_distance = image_distance(
-                self.focal_length,
-                require_number("focus_distance", focus_distance, positive=True, finite=False),
-                name="focus_distance",
+                self.focal_length, _length("focus_distance", focus_distance, finite=False), name="focus_distance"
             )
-        put(
-            "mla_distance",
-            require_number("mla_distance", 120.0 if mla_distance is None else mla_distance, positive=True),
-        )
-        put("mla_focal_length", require_number("mla_focal_length", mla_focal_length, positive=True))
-        put("mla_pitch", require_number("mla_pitch", mla_pitch, positive=True))
+        put("mla_distance", _length("mla_distance", 120.0 if mla_distance is None else mla_distance))
+        put("mla_focal_length", _length("mla_focal_length", mla_focal_length))
+        put("mla_pitch", _length("mla_pitch", mla_pitch))
         if detector_distance is None:
             detector_distance = self.mla_focal_length
-        put("detector_distance", require_number("detector_distance", detector_distance, positive=True))
-        put("detector_width", require_number("detector_width", detector_width, positive=True))
+        put("detector_distance", _length("detector_distance", detector_distance))
+        put("detector_width", _length("detector_width", detector_width))
         put("resolution", _pair("resolution", resolution, minimum=1))
         put("crop_offset", _pair("crop_offset", crop_offset, minimum=0))
         if crop_size is None:
@@ -121,7 +130,7 @@ class PlenopticCamera:
                     f"within the resolution {self.resolution}"
                 )
         if lens_model not in LENS_MODELS:
-            raise InputError(f"lens_model = {lens_model!r}: it must be one of {', '.join(LENS_MODELS)}")
+            raise InputError(f"lens_model = {shown(lens_model)}: it must be one of {', '.join(LENS_MODELS)}")
         put("lens_model", lens_model)
 
     # -- to and from other forms ---------------------------------------------------------------------
@@ -151,6 +160,8 @@ class PlenopticCamera:
             If a name is unknown or missing, or a value is out of range.
         """
         names = set(cls.__dataclass_fields__)
+        if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
+            raise InputError(f"camera = {shown(values)}: it must be camera parameters by name")
         for name in sorted(set(values) ^ names):
             rule = "is not a camera parameter" if name in values else "is missing from the camera parameters"
             raise InputError(f"{name}: it {rule}")
@@ -161,7 +172,16 @@ class PlenopticCamera:
         return asdict(self)
 
     def replace(self, **changes: Any) -> PlenopticCamera:
-        """Return a copy of the camera with some parameters changed."""
+        """Return a copy of the camera with some parameters changed.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown or a value is out of range.
+        """
+        for name in changes:
+            if name not in self.__dataclass_fields__ and name != "focus_distance":
+                raise InputError(f"{name}: it is not a camera parameter")
         values = self.to_dict() | changes
         if "focus_distance" in changes:
             values.pop("mla_distance") if "mla_distance" not in changes else None
@@ -235,6 +255,20 @@ class PlenopticCamera:
     def pixels_per_lens(self) -> float:
         """Microlens pitch in pixels; need not be a whole number."""
         return self.mla_pitch / self.pixel_size
+
+    def require_resolved(self) -> None:
+        """Refuse a camera whose lenses are narrower than a pixel, for work that goes from lens to lens.
+
+        Raises
+        ------
+        InputError
+            If they are.
+        """
+        if self.pixels_per_lens < 1:
+            raise InputError(
+                f"mla_pitch = {self.mla_pitch:g}: it is less than a pixel of {self.pixel_size:g}, so that no "
+                "micro-image is resolved"
+            )
 
     @property
     def lens_count(self) -> tuple[int, int]:
@@ -348,12 +382,37 @@ def image_distance(focal_length: float, distance: float, *, name: str = "distanc
     """
     if not distance > focal_length:
         raise InputError(f"{name} = {distance:g}: it must be greater than the focal length {focal_length:g}")
-    return 1 / (1 / focal_length - 1 / distance)
+    if LONGEST < distance < math.inf:
+        raise InputError(f"{name} = {distance:g}: it must be at most {LONGEST:g}")
+    power = 1 / focal_length - 1 / distance
+    if power * LONGEST < 1:
+        raise InputError(
+            f"{name} = {distance!r}: its image lies too far behind a lens of focal length {focal_length:g}, at more "
+            f"than {LONGEST:g}"
+        )
+    return 1 / power
+
+
+def require_wavelength(value: Any, name: str = "wavelength") -> float:
+    """Return a wavelength in nanometres as a float.
+
+    Raises
+    ------
+    InputError
+        If it is not a number from 1 to 1e6.
+    """
+    number = require_number(name, value, positive=True)
+    return require_number(name, number, minimum=WAVELENGTHS[0], maximum=WAVELENGTHS[1])
+
+
+def _length(name: str, value: Any, *, finite: bool = True) -> float:
+    number = require_number(name, value, positive=True, finite=finite)
+    return require_number(name, number, minimum=SHORTEST, maximum=LONGEST, finite=finite)
 
 
 def _pair(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
-    try:
-        first, second = value
-    except (TypeError, ValueError):
-        raise InputError(f"{name} = {value!r}: it must be a pair (columns, rows)") from None
-    return require_count(name, first, minimum=minimum), require_count(name, second, minimum=minimum)
+    columns, rows = require_pair(name, value, "(columns, rows)")
+    return (
+        require_count(name, columns, minimum=minimum, maximum=MOST_PIXELS),
+        require_count(name, rows, minimum=minimum, maximum=MOST_PIXELS),
+    )

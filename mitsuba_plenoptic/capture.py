@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 
 from ._exr import read_exr, write_exr
-from .camera import PlenopticCamera
-from .errors import InputError, require_number
+from .camera import PlenopticCamera, require_wavelength
+from .errors import InputError, shown
 
 MODELS = ("ray", "wave")
+
+BRIGHTEST = 1e30
+"""Magnitude of a pixel at most: what is summed and squared of it stays within single precision's 3e38."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,12 +24,13 @@ class Capture:
 
     Parameters
     ----------
-    image : (rows, columns[, channels]) array
-        Pixel values, mean radiance over the pixel's lens; kept as float32.
+    image : (rows, columns[, 1 or 3]) array
+        Pixel values, mean radiance over the pixel's lens; kept as float32. All are finite and at most 1e30 in
+        magnitude: a capture with NaN or infinity is never made, by whatever way its pixels come.
     camera : PlenopticCamera
         The camera; its `shape` is the image's.
     wavelength : float or tuple of three floats, optional
-        Wavelength in nanometres, one a channel where there are three; None for a ray capture.
+        Wavelength in nanometres, 1 to 1e6, one for all channels or one for each; None for a ray capture.
     model : {"ray", "wave"}
         How light was propagated.
     metadata : dict
@@ -35,7 +39,8 @@ class Capture:
     Raises
     ------
     InputError
-        If the image does not fit the camera, or the model or wavelength is not a valid one.
+        If the image does not fit the camera or holds a pixel that is not allowed, or the model, a wavelength or the
+        metadata is not a valid one.
     """
 
     image: np.ndarray
@@ -46,8 +51,8 @@ class Capture:
 
     def __post_init__(self) -> None:
         if not isinstance(self.camera, PlenopticCamera):
-            raise InputError(f"camera = {self.camera!r}: it must be a PlenopticCamera")
-        image = np.asarray(self.image)
+            raise InputError(f"camera = {shown(self.camera)}: it must be a PlenopticCamera")
+        image = as_array("image", self.image)
         if image.dtype.kind not in "fiu":
             raise InputError(f"image of type {image.dtype}: it must hold real numbers")
         if image.ndim not in (2, 3) or image.shape[:2] != self.camera.shape:
@@ -55,14 +60,54 @@ class Capture:
                 f"image of shape {image.shape}: the camera records {self.camera.shape[0]} rows and "
                 f"{self.camera.shape[1]} columns"
             )
+        channels = image.shape[2] if image.ndim == 3 else 1
+        if channels not in (1, 3):
+            raise InputError(f"image of shape {image.shape}: a capture has 1 channel or 3")
+        require_pixels("image", image)
         object.__setattr__(self, "image", np.asarray(image, dtype=np.float32))
         if self.model not in MODELS:
-            raise InputError(f"model = {self.model!r}: it must be one of {', '.join(MODELS)}")
+            raise InputError(f"model = {shown(self.model)}: it must be one of {', '.join(MODELS)}")
         if isinstance(self.wavelength, (tuple, list)):
-            wavelengths = tuple(require_number("wavelength", value, positive=True) for value in self.wavelength)
-            object.__setattr__(self, "wavelength", wavelengths)
+            if len(self.wavelength) != channels:
+                raise InputError(f"wavelength = {shown(self.wavelength)}: the image has {channels} channels")
+            object.__setattr__(self, "wavelength", tuple(require_wavelength(value) for value in self.wavelength))
         elif self.wavelength is not None:
-            object.__setattr__(self, "wavelength", require_number("wavelength", self.wavelength, positive=True))
+            object.__setattr__(self, "wavelength", require_wavelength(self.wavelength))
+        if not isinstance(self.metadata, dict):
+            raise InputError(f"metadata = {shown(self.metadata)}: it must be a dictionary")
+
+
+def as_array(name: str, values: Any) -> np.ndarray:
+    """Give the array of something that should be one.
+
+    Raises
+    ------
+    InputError
+        If it has no regular shape.
+    """
+    try:
+        return np.asarray(values)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name}: it must be an array: {error}") from None
+
+
+def require_pixels(name: str, image: np.ndarray) -> None:
+    """Refuse an image with a pixel that is not finite or whose magnitude is above `BRIGHTEST`.
+
+    Raises
+    ------
+    InputError
+        With their number and the place of the first.
+    """
+    # The largest and the smallest value tell of every NaN too, and cost far less than a test of each.
+    if image.size == 0 or max(float(image.max()), -float(image.min())) <= BRIGHTEST:
+        return
+    bad = ~np.isfinite(image)
+    what, rule = "NaN or infinite", "finite"
+    if not bad.any():
+        bad, what, rule = np.abs(image) > BRIGHTEST, "too large", f"{BRIGHTEST:g} at most in magnitude"
+    first = ", ".join(str(index) for index in np.argwhere(bad)[0])
+    raise InputError(f"{name}: {bad.sum()} of its pixels are {what}, the first at ({first}): all must be {rule}")
 
 
 def write_capture(path: str | Path, capture: Capture) -> None:
@@ -98,7 +143,7 @@ def read_capture(path: str | Path) -> Capture:
     image, attributes = read_exr(path)
     try:
         if attributes.get("kind") != "capture":
-            raise InputError(f"it holds a {attributes.get('kind')!r}, not a capture")
+            raise InputError(f"it holds a {shown(attributes.get('kind'))}, not a capture")
         if not isinstance(attributes.get("camera"), dict):
             raise InputError("its header has no camera")
         return Capture(
@@ -106,7 +151,7 @@ def read_capture(path: str | Path) -> Capture:
             camera=PlenopticCamera.from_dict(attributes["camera"]),
             wavelength=attributes.get("wavelength"),
             model=attributes.get("model", ""),
-            metadata=attributes.get("metadata") or {},
+            metadata=attributes.get("metadata", {}),
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from None

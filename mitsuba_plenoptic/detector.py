@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 
 from .capture import Capture
-from .errors import InputError, require_count, require_number
+from .errors import InputError, require_count, require_number, shown
+
+# Bounds of what is counted or multiplied, so that no product leaves what a float holds.
+_SMALLEST, _LARGEST = 1e-9, 1e9
 
 # Rows of the image exposed at once, by their number of values.
 _CHUNK = 2**22
@@ -30,9 +33,9 @@ class Detector:
     Parameters
     ----------
     quantum_efficiency : float
-        Share :math:`\eta` of photons that free an electron, above 0 to 1.
+        Share :math:`\eta` of photons that free an electron, 1e-9 to 1.
     full_well : float
-        Electrons at which a pixel saturates.
+        Electrons at which a pixel saturates, 1 to 1e9; so many are also the most of the following.
     dark_electrons : float
         Mean number :math:`\mu_d` of electrons that come without light during the exposure.
     read_noise : float
@@ -40,7 +43,7 @@ class Detector:
     bits : int
         Bits of a digital number, 1 to 16.
     gain : float, optional
-        Digital numbers per electron, K. Default: the full well is the largest number.
+        Digital numbers per electron, K, at least 1e-9. Default: the full well is the largest number.
     black_level : int, optional
         Digital number without any electron. Default: four standard deviations of the dark noise, so that it is not
         cut off.
@@ -63,22 +66,20 @@ class Detector:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        put("quantum_efficiency", require_number("quantum_efficiency", self.quantum_efficiency, positive=True))
-        if self.quantum_efficiency > 1:
-            raise InputError(f"quantum_efficiency = {self.quantum_efficiency:g}: it must be at most 1")
-        put("full_well", require_number("full_well", self.full_well, positive=True))
-        put("dark_electrons", require_number("dark_electrons", self.dark_electrons, minimum=0))
-        put("read_noise", require_number("read_noise", self.read_noise, minimum=0))
+        put("quantum_efficiency", _positive("quantum_efficiency", self.quantum_efficiency, maximum=1))
+        put("full_well", require_number("full_well", self.full_well, minimum=1, maximum=_LARGEST))
+        put("dark_electrons", require_number("dark_electrons", self.dark_electrons, minimum=0, maximum=_LARGEST))
+        put("read_noise", require_number("read_noise", self.read_noise, minimum=0, maximum=_LARGEST))
         put("bits", require_count("bits", self.bits, maximum=16))
         top = 2**self.bits - 1
         if self.black_level is None:
             noise = math.hypot(self.read_noise, math.sqrt(self.dark_electrons))
-            scale = top / self.full_well if self.gain is None else require_number("gain", self.gain, positive=True)
+            scale = top / self.full_well if self.gain is None else _positive("gain", self.gain)
             put("black_level", min(math.ceil(4 * scale * noise), top // 2))
         put("black_level", require_count("black_level", self.black_level, minimum=0, maximum=top - 1))
         if self.gain is None:
             put("gain", (top - self.black_level) / self.full_well)
-        put("gain", require_number("gain", self.gain, positive=True))
+        put("gain", _positive("gain", self.gain))
 
     def digital_numbers(self, photons: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         """Expose pixels that so many photons hit on average.
@@ -103,6 +104,10 @@ class Detector:
         return np.clip(numbers, 0, 2**self.bits - 1).astype(np.uint16)
 
 
+def _positive(name: str, value: Any, maximum: float = _LARGEST) -> float:
+    return require_number(name, require_number(name, value, positive=True), minimum=_SMALLEST, maximum=maximum)
+
+
 def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 0) -> Capture:
     """Record a noise-free capture with a real detector.
 
@@ -117,7 +122,7 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     detector : Detector
         The image sensor.
     photons : float
-        Photons that hit a pixel of value 1 during the exposure.
+        Photons that hit a pixel of value 1 during the exposure, 1e-9 to 1e9.
     seed : int
         Seed of the noise; the same seed gives the same image.
 
@@ -129,9 +134,11 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     Raises
     ------
     InputError
-        If an argument is out of range or a pixel is not finite.
+        If an argument is out of range.
     """
-    photons = require_number("photons", photons, positive=True)
+    if not isinstance(capture, Capture) or not isinstance(detector, Detector):
+        raise InputError(f"expose({shown(capture)}, {shown(detector)}): it takes a Capture and a Detector")
+    photons = _positive("photons", photons)
     seed = require_count("seed", seed, minimum=0)
     generator = np.random.default_rng(seed)
     image = capture.image
@@ -140,8 +147,6 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     rows = max(1, _CHUNK // (image[0].size))
     for start in range(0, len(image), rows):
         part = image[start : start + rows].astype(np.float64)
-        if not np.isfinite(part).all():
-            raise InputError("capture: some of its pixels are NaN or infinite: all must be finite")
         numbers = detector.digital_numbers(photons * np.maximum(part, 0), generator)
         electrons = (numbers.astype(np.float64) - detector.black_level) / detector.gain - detector.dark_electrons
         result[start : start + rows] = electrons / (detector.quantum_efficiency * photons)

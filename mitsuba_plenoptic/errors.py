@@ -5,13 +5,61 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
+_LONGEST = 1000
+"""Characters of a message; names and values that come from files may be of any length."""
+
+_LONGEST_VALUE = 80
+
 
 class InputError(ValueError):
-    """A user's mistake, told in one line that names the thing, its value and the rule."""
+    """A user's mistake, told in one line that names the thing, its value and the rule.
+
+    Whatever files and arguments put into the message, it stays one line of printable characters.
+    """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(printable(message, _LONGEST))
+
+
+def printable(text: str, longest: int | None = None) -> str:
+    """Make one line that no terminal acts on: white space becomes a space, other control characters escapes.
+
+    Parameters
+    ----------
+    text : str
+        Text from anywhere.
+    longest : int, optional
+        Characters to keep.
+    """
+    if longest is not None and len(text) > longest:
+        text = f"{text[: longest - 3]}..."
+    if text.isprintable():
+        return text
+    return "".join(
+        c if c.isprintable() else " " if c.isspace() else c.encode("unicode_escape", "surrogatepass").decode()
+        for c in text
+    )
+
+
+def shown(value: Any) -> str:
+    """Show a value in a message: its representation, shortened."""
+    try:
+        text = repr(value)
+    except Exception as error:  # such as an int of more digits than Python prints
+        text = f"{type(value).__name__} ({error})"
+    return printable(" ".join(text.split()), _LONGEST_VALUE)
 
 
 def require_number(
-    name: str, value: Any, *, minimum: float | None = None, positive: bool = False, finite: bool = True
+    name: str,
+    value: Any,
+    *,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    positive: bool = False,
+    finite: bool = True,
 ) -> float:
     """Return `value` as a float, or say in one line what is wrong with it.
 
@@ -21,8 +69,8 @@ def require_number(
         What the message calls the number.
     value : Any
         What the user gave. Booleans and strings are refused, not converted.
-    minimum : float, optional
-        Smallest allowed value.
+    minimum, maximum : float, optional
+        Smallest and largest allowed value; the largest does not rule out infinity, `finite` does.
     positive : bool
         Whether the number must be greater than zero.
     finite : bool
@@ -33,19 +81,38 @@ def require_number(
     InputError
         If the value is not a number or breaks a rule.
     """
-    if isinstance(value, (bool, str, bytes)) or value is None:
-        raise InputError(f"{name} = {value!r}: it must be a number")
+    if isinstance(value, (bool, np.bool_, str, bytes, bytearray)) or value is None:
+        raise InputError(f"{name} = {shown(value)}: it must be a number")
     try:
         number = float(value)
+    except OverflowError:
+        raise InputError(f"{name} = {shown(value)}: it must be finite") from None
     except (TypeError, ValueError):
-        raise InputError(f"{name} = {value!r}: it must be a number") from None
+        raise InputError(f"{name} = {shown(value)}: it must be a number") from None
     if math.isnan(number) or (finite and math.isinf(number)):
         raise InputError(f"{name} = {number:g}: it must be finite")
     if positive and number <= 0:
         raise InputError(f"{name} = {number:g}: it must be greater than 0")
     if minimum is not None and number < minimum:
         raise InputError(f"{name} = {number:g}: it must be at least {minimum:g}")
+    if maximum is not None and maximum < number < math.inf:
+        raise InputError(f"{name} = {number:g}: it must be at most {maximum:g}")
     return number
+
+
+def require_pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:
+    """Return the two entries of a pair, to be checked by whom they are for.
+
+    Raises
+    ------
+    InputError
+        If it has not two.
+    """
+    try:
+        first, second = value
+    except (TypeError, ValueError):
+        raise InputError(f"{name} = {shown(value)}: it must be a pair {meaning}") from None
+    return first, second
 
 
 def require_count(name: str, value: Any, *, minimum: int = 1, maximum: int | None = None) -> int:
@@ -58,7 +125,7 @@ def require_count(name: str, value: Any, *, minimum: int = 1, maximum: int | Non
     """
     number = require_number(name, value)
     if number != int(number):
-        raise InputError(f"{name} = {value!r}: it must be a whole number")
+        raise InputError(f"{name} = {shown(value)}: it must be a whole number")
     if number < minimum:
         raise InputError(f"{name} = {int(number)}: it must be at least {minimum}")
     if maximum is not None and number > maximum:

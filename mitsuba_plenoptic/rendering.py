@@ -17,14 +17,27 @@ from . import _llvm
 from ._backend import one_at_a_time
 from .camera import PlenopticCamera
 from .capture import MODELS, Capture
+from .checkpoint import Checkpoint
 from .errors import InputError, require_count
+from .files import require_file
+from .limits import largest_fitting, require_memory
 from .propagation import guards
+from .propagation.batches import BatchMap
+from .scene_file import check_scene_file
 
 DEFAULT_VARIANT = "llvm_ad_mono"
 
 # Rays traced at once: their random states take 16 bytes each, so that the paper's 4096 x 4096 pixels with one
 # sample each stay at 0.25 GiB beside the film.
 _RAYS_PER_PASS = 2**24
+
+MOST_SAMPLES = 2**24
+"""Samples per pixel, and light paths per radiator, at most."""
+
+# Bytes a pixel while a film is rendered: its block of red, green, blue and weight, what is developed of it, the copy
+# of that, and the sum of passes, each of up to four numbers.
+_PIXEL_BYTES = 4 * 4 * 4
+_RAY_BYTES = 16
 
 
 def scene_path(name: str) -> Path:
@@ -63,21 +76,23 @@ def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Map
     Raises
     ------
     InputError
-        If there is no such scene or variant, or Mitsuba refuses the scene: one line with the place in the file.
+        If there is no such scene or variant, the file does what `mitsuba_plenoptic.scene_file` forbids, or Mitsuba
+        refuses the scene: one line with the place in the file.
     """
-    path = Path(scene) if Path(scene).is_file() else scene_path(str(scene))
+    path = _find(scene)
     set_variant(variant)
-    text = path.read_text(errors="replace")
-    for name in parameters or {}:
+    parameters = {str(name): str(value) for name, value in (parameters or {}).items()}
+    check_scene_file(path, parameters)
+    text = path.read_text()
+    for name in parameters:
         # Mitsuba takes a misspelled name in silence.
         if f"${name}" not in text and "<include" not in text:
             known = sorted(set(re.findall(r"<default\s+name=\"(\w+)\"", text)))
             raise InputError(f"parameter {name}: the scene {path} has none of that name ({', '.join(known)})")
     try:
-        # Not optimized: Mitsuba merges meshes in an order that differs from run to run, and with it the order of shapes
-        # and lamps, so that the same seed would not give the same image.
-        values = {name: str(value) for name, value in (parameters or {}).items()}
-        loaded = mi.load_file(str(path), optimize=False, **values)
+        # Mitsuba's optimisation lists merged shapes and emitters in an order that changes from run to run, and with
+        # it the random numbers that each gets.
+        loaded = mi.load_file(str(path), optimize=False, **parameters)
     except InputError:
         raise
     except (RuntimeError, ValueError, TypeError) as error:
@@ -86,6 +101,14 @@ def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Map
     # The name that captures carry in their metadata.
     loaded.set_id(path.name)
     return loaded
+
+
+def _find(scene: str | Path) -> Path:
+    """Tell the file of a scene, which a file's name or a built-in name means."""
+    text = str(scene)
+    if re.fullmatch(r"[\w-]{1,64}", text) and not Path(text).exists():
+        return scene_path(text)
+    return require_file(scene)
 
 
 @one_at_a_time
@@ -116,6 +139,8 @@ def render_capture(
     spp: int | None = None,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
+    checkpoint: Checkpoint | None = None,
+    batch_map: BatchMap | None = None,
     **wave: Any,
 ) -> Capture:
     """Render what the scene's first sensor, a plenoptic camera, records.
@@ -133,6 +158,10 @@ def render_capture(
         Seed of the random numbers; the same seed gives the same bits, on any number of threads and in any process.
     progress : callable, optional
         Called with what is done and how much there is: samples per pixel or, by waves, radiators.
+    checkpoint : Checkpoint, optional
+        By waves: what has been done is kept in its file, and taken from there. Rays are too quick to need one.
+    batch_map : callable, optional
+        By waves: computes the parts of the sums, for example `distributed.Cluster`. Default: threads of this process.
     **wave
         Parameters of ``plenoptic_wave``: ``wavelength``, ``radiators_per_lens``, ``passes``, ``method``,
         ``occlusion``, ``accuracy``.
@@ -140,8 +169,8 @@ def render_capture(
     Raises
     ------
     InputError
-        If the scene is not of the active variant, has no plenoptic sensor or no integrator, or a parameter is out of
-        range.
+        If the scene is not of the active variant, has no plenoptic sensor or no integrator, a parameter is out of
+        range, the capture would take more memory than is allowed, or a pixel comes out as NaN or infinity.
     PhysicsError
         If too much of the light is lost; the shares that the guards found are in the metadata under ``guards``.
     """
@@ -155,16 +184,27 @@ def render_capture(
     sensor = scene.sensors()[0]
     camera = PlenopticCamera.from_sensor(sensor)
     integrator = _integrator(scene, model, wave)
-    spp = require_count("spp", sensor.sampler().sample_count() if spp is None else spp)
+    if integrator.aov_names():
+        raise InputError(
+            f"integrator: it has the extra outputs {', '.join(integrator.aov_names())}; a capture needs one without"
+        )
+    spp = require_count("spp", sensor.sampler().sample_count() if spp is None else spp, maximum=MOST_SAMPLES)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
     wavelengths = getattr(integrator, "wavelengths", None)
+    _require_film_memory(camera, spp)
+    metadata = _provenance(scene, integrator, seed=seed, spp=spp)
     with guards.watch() as shares:
         if wavelengths is None:
+            if batch_map:
+                raise InputError("batch_map: workers are of use for model 'wave' only")
             guards.judge(guards.CROSSTALK, sensor.crosstalk_missed())
             image = _render_passes(scene, sensor, integrator, camera, spp, seed, progress)
         else:
-            integrator.progress = progress
+            if checkpoint:
+                checkpoint.run = {**metadata, "camera": camera.to_dict()}
+            integrator.progress, integrator.checkpoint, integrator.batch_map = progress, checkpoint, batch_map
             image = np.array(integrator.render(scene, sensor, seed=seed, spp=spp))
+    metadata["guards"] = shares
     if image.shape[2] == 1:
         image = image[..., 0]
     elif image.shape[2] != 3:
@@ -172,7 +212,6 @@ def render_capture(
             f"film: it has {image.shape[2]} channels; a capture needs pixel_format 'luminance' or 'rgb' and an "
             "integrator without extra outputs"
         )
-    metadata = _provenance(scene, integrator, seed=seed, spp=spp, guards=shares)
     if wavelengths is None:
         return Capture(image, camera, None, "ray", metadata)
     return Capture(image, camera, wavelengths if len(wavelengths) > 1 else wavelengths[0], "wave", metadata)
@@ -200,6 +239,21 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
         return mi.load_dict({"type": "plenoptic_wave", **own, **wave, "child": child})
     except RuntimeError as error:
         raise InputError(_sentence(error)) from None
+
+
+def _require_film_memory(camera: PlenopticCamera, spp: int) -> None:
+    """Refuse a film too large to render, before Mitsuba allocates it."""
+    rows, columns = camera.shape
+
+    def memory(width: int) -> float:
+        pixels = float(width) * max(1, round(width * rows / columns))
+        return _PIXEL_BYTES * pixels + _RAY_BYTES * max(min(_RAYS_PER_PASS, pixels * spp), pixels)
+
+    def fitting(limit: float) -> str | None:
+        width = largest_fitting(memory, limit, columns)
+        return f"{width} x {max(1, round(width * rows / columns))} pixels" if width else None
+
+    require_memory(memory(columns), f"capture of {columns} x {rows} pixels", fitting)
 
 
 def _render_passes(

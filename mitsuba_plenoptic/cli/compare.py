@@ -7,8 +7,11 @@ from typing import Annotated
 
 import typer
 
+from ..camera import require_wavelength
 from ..errors import require_count, require_number
-from ._common import Definitions, parse_definitions
+from ..plugins.plenoptic_wave import MOST_RADIATORS
+from ..rendering import MOST_SAMPLES
+from ._common import Definitions, ResumeOnly, parse_definitions
 from ._stages import stage_lines
 
 
@@ -28,6 +31,7 @@ def compare(
     spp: Annotated[
         int, typer.Option(metavar="N", help="Samples per pixel by rays, light paths per radiator by waves.")
     ] = 16,
+    resume: ResumeOnly = False,
     define: Definitions = None,
     variant: Annotated[
         str,
@@ -38,7 +42,8 @@ def compare(
 
     Writes figures, captures and reconstructions, all numbers and report.html,
     which shows them in a browser. The ray capture has parabolic lenses, so that
-    diffraction is its only difference from the wave capture.
+    diffraction is its only difference from the wave capture. A run that was
+    stopped goes on where it stood.
 
     [bold]Examples:[/bold]
 
@@ -55,14 +60,14 @@ def compare(
         scene=scene,
         distances=tuple(sorted({require_number("distance", value, positive=True) for value in distance})),
         parameters=parse_definitions(define),
-        wavelength=require_number("wavelength", wavelength, positive=True),
-        radiators_per_lens=require_count("radiators_per_lens", radiators_per_lens),
-        spp=require_count("spp", spp),
-        paths=require_count("spp", spp),
+        wavelength=require_wavelength(wavelength),
+        radiators_per_lens=require_count("radiators_per_lens", radiators_per_lens, maximum=MOST_RADIATORS),
+        spp=require_count("spp", spp, maximum=MOST_SAMPLES),
+        paths=spp,
         variant=variant,
     )
     with stage_lines() as (notify, finished):
-        results = compute(settings, output, notify=notify, finished=finished)
+        results = compute(settings, output, notify=notify, finished=finished, resume=resume)
     found = results["captures"]
     typer.echo(f"Rays against waves: {found['psnr']:.1f} dB, SSIM {found['ssim']:.3f}, energy {found['energy']:.3f}")
     typer.echo(f"{output / 'report.html'}: open it in a browser")

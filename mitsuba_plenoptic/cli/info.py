@@ -11,9 +11,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, require_wavelength
 from ..capture import Capture
-from ..errors import InputError, require_number
+from ..errors import InputError, printable
 from ..rendering import load_scene
 from ..report.design_sheet import Row, design_sheet, design_warnings
 from ._common import Definitions, load_capture, parse_definitions
@@ -45,7 +45,7 @@ def info(
       mitsuba-plenoptic info raw.exr
     """
     if wavelength is not None:
-        wavelength = require_number("wavelength", wavelength, positive=True)
+        wavelength = require_wavelength(wavelength)
     parameters = parse_definitions(define)
     capture = load_capture(source) if source.lower().endswith(".exr") else None
     if capture is None:
@@ -63,7 +63,7 @@ def info(
     if capture is not None:
         console.print("[bold]Capture[/bold]")
         for name, fact in _origin(capture).items():
-            console.print(f"  {name}: {escape(fact)}", soft_wrap=True)
+            console.print(f"  {escape(printable(name))}: {escape(printable(fact))}", soft_wrap=True)
     for warning in design_warnings(camera, wavelength):
         console.print(f"[bold]Warning:[/bold] {escape(warning)}.", soft_wrap=True)
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,21 @@ import scipy.io
 import xarray as xr
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
-from ..files import atomic_output
+from ..errors import InputError, require_number
+from ..files import atomic_output, require_file
 from ..lightfield.geometry import light_field, require_light_field
 from ..lightfield.grid import LensGrid, bin_grid
+from ..limits import require_memory
+from ._matlab5 import NUMERIC, read_variables
 
-# Fits a Lytro Illum's 15 x 15 x 434 x 625 x 4 numbers; a header that claims far more is damaged or hostile.
-_MAX_SIZE = 2**29
+# Bytes of a light field's number while it is read: as stored (at most 8), and twice in single precision.
+_NUMBER_BYTES = 8 + 4 + 4
+
+# Bytes of a variable other than the light field: a camera or a lens grid takes a few thousand.
+_SMALL = 2**20
+
+# What is read of a lens grid.
+_MODEL = ("HSpacing", "VSpacing", "HOffset", "VOffset", "Rot", "UMax", "VMax", "FirstPosShiftRow", "Orientation")
 
 # MATLAB's version 5 files hold at most so many bytes in one variable.
 _MAX_BYTES = 2**31 - 1
@@ -100,9 +109,7 @@ def read_lftoolbox(path: str | Path) -> xr.DataArray:
     InputError
         If the file does not exist, is damaged, too large, or holds no light field.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file")
+    path = require_file(path)
     with path.open("rb") as file:
         is_hdf5 = b"MATLAB 7.3" in file.read(128)
     try:
@@ -112,7 +119,7 @@ def read_lftoolbox(path: str | Path) -> xr.DataArray:
         raise InputError(f"{path}: {error}") from None
     except Exception as error:
         # Damage shows as many exception types; all mean the same to the user.
-        raise InputError(f"{path}: it cannot be read as a light field: {' '.join(str(error).split())}") from None
+        raise InputError(f"{path}: it cannot be read as a light field: {error}") from None
 
 
 def _from_variables(found: dict[str, Any]) -> xr.DataArray:
@@ -130,7 +137,7 @@ def _from_variables(found: dict[str, Any]) -> xr.DataArray:
     else:
         seen = values.reshape(*values.shape[:2], -1).any(axis=2)
         weight = np.broadcast_to(seen[:, :, None, None], values.shape[:4]).astype(np.float32)
-    values = values * np.float32(found.get("MaxLum", 1.0))
+    values = values * np.float32(require_number("MaxLum", found.get("MaxLum", 1.0), positive=True))
     values = np.ascontiguousarray(values if values.shape[4] == 3 else values[..., 0])
     model, text = found.get("LensletGridModel"), found.get("Camera")
     lenses = None if model is None else _from_model(model)
@@ -144,16 +151,27 @@ def _from_variables(found: dict[str, Any]) -> xr.DataArray:
 def _check(shape: tuple[int, ...]) -> None:
     if len(shape) not in (4, 5) or (len(shape) == 5 and shape[4] not in (1, 2, 3, 4)) or min(shape) < 1:
         raise InputError(f"LF has the shape {shape}: it must be (t, s, v, u, c) with 1 to 4 channels")
-    if np.prod(shape, dtype=np.float64) > _MAX_SIZE:
-        raise InputError(f"LF has the shape {shape}: at most {_MAX_SIZE} numbers are read")
+    require_memory(_NUMBER_BYTES * float(np.prod(shape, dtype=np.float64)), f"LF has the shape {shape}")
 
 
 def _read_version_5(path: Path) -> dict[str, Any]:
-    sizes = {name: shape for name, shape, _ in scipy.io.whosmat(str(path))}
+    names = ("LF", "LensletGridModel", "Camera", "MaxLum")
+    sizes: dict[str, tuple[int, ...]] = {}
+    with path.open("rb") as file:
+        for name, variable in read_variables(file):
+            if name in names:
+                if name in sizes:
+                    raise InputError(f"it has two variables {name}")
+                sizes[name] = variable.shape
+                if name == "LF":
+                    if variable.kind not in NUMERIC:
+                        raise InputError("LF is not an array of numbers")
+                    _check(variable.shape)
+                variable.require_size(8 * math.prod(variable.shape) + _SMALL if name == "LF" else _SMALL)
     if "LF" not in sizes:
         raise InputError("it has no variable LF")
-    _check(sizes["LF"])
-    small = [name for name in ("LensletGridModel", "Camera", "MaxLum") if np.prod(sizes.get(name, (0,))) == 1]
+    # One number, one structure, or one line of text.
+    small = [name for name in names[1:] if sizes.get(name, (0, 0))[0] == 1]
     found = scipy.io.loadmat(str(path), variable_names=["LF", *small], simplify_cells=True)
     return {name: found[name] for name in ("LF", *small)}
 
@@ -164,20 +182,50 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
     except ImportError:
         raise InputError("a MATLAB 7.3 file needs the package h5py; install it, or save with '-v7' in MATLAB") from None
     with h5py.File(path, "r") as file:
-        if "LF" not in file:
+        stored = _dataset(h5py, file, "LF")
+        if stored is None:
             raise InputError("it has no variable LF")
         # HDF5 lists MATLAB's dimensions in the opposite order.
-        _check(file["LF"].shape[::-1])
-        found: dict[str, Any] = {"LF": np.transpose(file["LF"][()])}
-        if "MaxLum" in file:
-            found["MaxLum"] = float(file["MaxLum"][0, 0])
-        if "LensletGridModel" in file:
-            group = file["LensletGridModel"]
-            model: dict[str, Any] = {name: float(group[name][0, 0]) for name in group if group[name].shape == (1, 1)}
-            if "Orientation" in group and group["Orientation"].size <= 16:
-                model["Orientation"] = "".join(chr(code) for code in group["Orientation"][()].ravel())
-            found["LensletGridModel"] = model
+        _check(stored.shape[::-1])
+        found: dict[str, Any] = {"LF": np.transpose(stored[()])}
+        largest = _dataset(h5py, file, "MaxLum")
+        if largest is not None:
+            found["MaxLum"] = float(largest[0, 0])
+        if isinstance(file.get("LensletGridModel", getlink=True), h5py.HardLink):
+            found["LensletGridModel"] = _read_model(h5py, file["LensletGridModel"])
     return found
+
+
+def _read_model(h5py: Any, group: Any) -> dict[str, Any]:
+    model: dict[str, Any] = {}
+    for name in _MODEL:
+        stored = _dataset(h5py, group, name)
+        if stored is not None and stored.size <= 16:
+            values = stored[()].ravel()
+            model[name] = "".join(map(chr, values)) if name == "Orientation" else float(values[0])
+    return model
+
+
+def _dataset(h5py: Any, group: Any, name: str) -> Any:
+    """Give an array of numbers that lies in this very file, or None if there is none of the name.
+
+    HDF5 can link to other files, keep data in other files and assemble them from other files; of a light field from a
+    stranger that would read files of the user's.
+    """
+    if not isinstance(group, h5py.Group):
+        raise InputError("its lens grid is not a structure")
+    link = group.get(name, getlink=True)
+    if link is None:
+        return None
+    stored = group[name] if isinstance(link, h5py.HardLink) else None
+    if not isinstance(stored, h5py.Dataset) or stored.is_virtual or stored.external:
+        raise InputError(f"{name} is not an array in the file itself: links to other files are not followed")
+    if stored.dtype.kind not in "fiu" or stored.dtype.itemsize > 8:
+        raise InputError(f"{name} is not an array of numbers")
+    # A chunk is decompressed whole, however little of it the array uses.
+    if stored.chunks and math.prod(stored.chunks) > max(stored.size, 1) + _SMALL:
+        raise InputError(f"{name} is stored in chunks of {stored.chunks}, larger than itself")
+    return stored
 
 
 def _to_model(grid: LensGrid) -> dict[str, Any]:

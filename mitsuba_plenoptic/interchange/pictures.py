@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
-from PIL import Image
 
 from ..errors import InputError
-from ..files import atomic_output
+from ..files import atomic_output, require_file
+from ..limits import require_memory
 
-# A Lytro Illum's picture has 41 million pixels; a header that claims far more is damaged or hostile.
-_MAX_PIXELS = 2**28
+# Bytes of a pixel while it is read: up to four channels of 16 bits, and these and three of them in single precision.
+_PIXEL_BYTES = 8 + 16 + 12
 
 
 def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
@@ -33,17 +34,12 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
     Raises
     ------
     InputError
-        If the file does not exist, is not a PNG, is damaged or too large.
+        If the file does not exist, is not a PNG, is damaged, or would take more memory than is allowed.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file")
+    path = require_file(path)
     try:
-        # The header alone, before anything is allocated.
-        with Image.open(path, formats=["PNG"]) as header:
-            columns, rows = header.size
-        if columns * rows > _MAX_PIXELS:
-            raise InputError(f"{path}: {columns} x {rows} pixels: at most {_MAX_PIXELS} are read")
+        columns, rows = _size(path)
+        require_memory(float(_PIXEL_BYTES) * columns * rows, f"{path}: {columns} x {rows} pixels")
         bitmap = mi.Bitmap(str(path))
         bitmap.set_srgb_gamma(not linear)
         grey = bitmap.pixel_format() in (mi.Bitmap.PixelFormat.Y, mi.Bitmap.PixelFormat.YA)
@@ -53,8 +49,18 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
         raise
     except Exception as error:
         # Damage shows as several exception types; all mean the same to the user.
-        raise InputError(f"{path}: it cannot be read as a PNG picture: {' '.join(str(error).split())}") from None
+        raise InputError(f"{path}: it cannot be read as a PNG picture: {error}") from None
     return values[..., 0] if values.ndim == 3 and values.shape[2] == 1 else values
+
+
+def _size(path: Path) -> tuple[int, int]:
+    """Columns and rows that the header claims: of all chunks the first, and nothing is allocated for it."""
+    with path.open("rb") as file:
+        head = file.read(24)
+    if len(head) < 24 or head[:8] != b"\x89PNG\r\n\x1a\n" or head[12:16] != b"IHDR":
+        raise ValueError("it does not begin as a PNG file")
+    columns, rows = struct.unpack(">II", head[16:])
+    return columns, rows
 
 
 def write_picture(path: str | Path, image: np.ndarray) -> None:

@@ -9,8 +9,9 @@ import scipy.sparse
 import xarray as xr
 
 from ..camera import PlenopticCamera
-from ..capture import Capture
-from ..errors import InputError
+from ..capture import Capture, as_array, require_pixels
+from ..errors import InputError, shown
+from ..limits import require_memory
 from .geometry import light_field, pupil_step
 from .grid import LensGrid, bin_grid, lens_grid
 from .white import white_image
@@ -61,6 +62,10 @@ def decode(
         camera = camera or capture.camera
         capture = capture.image
     image = _image("capture", capture)
+    if camera is not None and not isinstance(camera, PlenopticCamera):
+        raise InputError(f"camera = {shown(camera)}: it must be a PlenopticCamera")
+    if grid is not None and not isinstance(grid, LensGrid):
+        raise InputError(f"grid = {shown(grid)}: it must be a LensGrid")
     if camera is None and grid is None:
         raise InputError(
             "camera = None: a plain array needs its camera, or the grid of its micro-images and a white image"
@@ -80,6 +85,7 @@ def decode(
     elif grid is not None:
         lenses, bins = grid, _upright(grid)
     half, alone = _window(camera, lenses)
+    _require_memory(image, bins, lenses, half)
     resampling = None if lenses == bins else _between_lenses(lenses, bins)
 
     light = _sample(image, lenses, half, resampling, bins)
@@ -92,14 +98,24 @@ def decode(
     return light_field(light if light.shape[-1] == 3 else light[..., 0], np.minimum(share, 1), camera, bins, lenses)
 
 
+def _require_memory(image: np.ndarray, bins: LensGrid, lenses: LensGrid, half: int) -> None:
+    """Refuse a light field too large, before it is sampled."""
+    views, channels = 2 * half + 1, image.shape[2]
+    # Light and white, each as sampled and in the order of the light field.
+    samples = (math.prod(bins.shape) + math.prod(lenses.shape)) * views**2 * (channels + 1)
+    require_memory(
+        4.0 * samples + 4.0 * image.size,
+        f"light field of {views} x {views} views of {bins.shape[1]} x {bins.shape[0]} pixels",
+    )
+
+
 def _image(name: str, values: np.ndarray) -> np.ndarray:
-    image = np.asarray(values)
+    image = as_array(name, values)
     if image.dtype.kind not in "fiu" or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3)):
         raise InputError(
             f"{name} of type {image.dtype} and shape {image.shape}: it must be an image of 1 or 3 channels"
         )
-    if not np.isfinite(image.sum(dtype=np.float64)):
-        raise InputError(f"{name}: some of its pixels are NaN or infinite: all must be finite")
+    require_pixels(name, image)
     return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False)
 
 

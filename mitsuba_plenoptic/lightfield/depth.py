@@ -9,6 +9,7 @@ import scipy.ndimage
 import xarray as xr
 
 from ..errors import InputError, require_count, require_number
+from ..limits import require_memory
 from .geometry import depth_range, disparity, distance_of, require_light_field, view_steps
 from .refocus import channel_planes, shift_and_add, shifted
 
@@ -71,6 +72,12 @@ def depth_map(
     planes = require_count("planes", planes, minimum=3, maximum=1024)
     if not near < far:
         raise InputError(f"near = {near:g}, far = {far:g}: near must be less than far")
+    bins, channels = lf.sizes["t"] * lf.sizes["s"], lf.sizes.get("c", 1)
+    require_memory(
+        4.0 * bins * planes * (channels + 1),
+        f"depth map of {planes} planes",
+        lambda limit: f"planes = {int(limit // (4 * bins * (channels + 1)))}",
+    )
     slopes = np.linspace(disparity(lf, near), disparity(lf, far), planes)
     cost = np.empty((planes, *lf.shape[2:4]), dtype=np.float32)
     image = np.empty((planes, *lf.shape[2:]), dtype=np.float32)

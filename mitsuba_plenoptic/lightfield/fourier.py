@@ -8,7 +8,8 @@ import numpy as np
 import scipy.fft
 import xarray as xr
 
-from ..errors import InputError
+from ..errors import InputError, require_number
+from ..limits import require_memory
 from .geometry import require_light_field, view_steps
 
 # Gridding kernel: a Kaiser-Bessel window this many samples wide on a grid with twice as many samples as views.
@@ -16,9 +17,6 @@ _WIDTH = 6
 _OVERSAMPLING = 2
 # P. J. Beatty et al., "Rapid gridding reconstruction with a minimal oversampling ratio" (2005), equation 5.
 _BETA = math.pi * math.sqrt((_WIDTH / _OVERSAMPLING) ** 2 * (_OVERSAMPLING - 0.5) ** 2 - 0.8)
-
-# A spectrum of more than this many complex numbers (4 GiB) is refused.
-_MAX_SIZE = 2**29
 
 
 class FourierRefocuser:
@@ -41,22 +39,22 @@ class FourierRefocuser:
     Raises
     ------
     InputError
-        If the spectrum would not fit: four times as many complex numbers as the light field has samples.
+        If the disparity is not a number, or the spectrum would not fit: four times as many complex numbers as the
+        light field has samples.
     """
 
     def __init__(self, lf: xr.DataArray, max_disparity: float) -> None:
         self._lf = require_light_field(lf)
+        max_disparity = abs(require_number("max_disparity", max_disparity, minimum=-1e6, maximum=1e6))
         self._steps = view_steps(lf, "v"), view_steps(lf, "u")
-        self._margin = math.ceil(abs(max_disparity) * max(np.abs(steps).max() for steps in self._steps)) + 1
-        self._max_disparity = abs(max_disparity)
+        self._margin = math.ceil(max_disparity * max(np.abs(steps).max() for steps in self._steps)) + 1
+        self._max_disparity = max_disparity
         views, field = lf.shape[:2], lf.shape[2:4]
         self._grid = tuple(scipy.fft.next_fast_len(max(_WIDTH, _OVERSAMPLING * n)) for n in views)
         self._field = tuple(scipy.fft.next_fast_len(n + 2 * self._margin, real=True) for n in field)
         size = self._grid[0] * self._grid[1] * self._field[0] * (self._field[1] // 2 + 1) * (3 if lf.ndim == 5 else 1)
-        if size > _MAX_SIZE:
-            raise InputError(
-                f"light field of shape {lf.shape}: its spectrum of {size} numbers is too large; use 'shift'"
-            )
+        # The spectrum before and after its last transform.
+        require_memory(16.0 * size, f"spectrum of a light field of shape {lf.shape}", lambda _: "method 'shift'")
         # Views count by their mean share of the pupil.
         weight = np.asarray(lf["weight"].values).mean(axis=(2, 3))
         weight = weight / max(weight.sum(), np.finfo(np.float32).tiny)

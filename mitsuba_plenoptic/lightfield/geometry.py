@@ -24,6 +24,7 @@ import xarray as xr
 
 from .. import rays
 from ..camera import PlenopticCamera, image_distance
+from ..capture import require_pixels
 from ..errors import InputError, require_number
 from .grid import LensGrid
 
@@ -58,7 +59,16 @@ def light_field(
     xarray.DataArray
         With the coordinate `weight`, and in `attrs` the parameters of the camera under ``camera`` and of the
         micro-images under ``grid``, both None where unknown.
+
+    Raises
+    ------
+    InputError
+        If a value is NaN, infinite or above 1e30 in magnitude, or a weight is not from 0 to 1.
     """
+    require_pixels("light field", values)
+    # Written so that NaN is refused.
+    if weight.size and not (weight.min() >= 0 and weight.max() <= 1):
+        raise InputError("light field: a weight is not from 0 to 1")
     coordinates: dict[str, Any] = {"weight": (DIMS, weight)}
     for axis, (angular, spatial) in enumerate((("u", "s"), ("v", "t"))):
         views, size = values.shape[DIMS.index(angular)], values.shape[DIMS.index(spatial)]
@@ -129,7 +139,7 @@ def require_light_field(lf: Any) -> xr.DataArray:
     Raises
     ------
     InputError
-        If it is not a DataArray with the dimensions v, u, t, s and the coordinate `weight`.
+        If it is not a DataArray of finite numbers with the dimensions v, u, t, s and the coordinate `weight`.
     """
     if not isinstance(lf, xr.DataArray):
         raise InputError(f"light field of type {type(lf).__name__}: it must be an xarray.DataArray, as decode() gives")
@@ -137,6 +147,9 @@ def require_light_field(lf: Any) -> xr.DataArray:
         raise InputError(
             f"light field with dimensions {lf.dims}: they must be v, u, t, s[, c], with a coordinate weight"
         )
+    if lf.dtype.kind not in "fiu":
+        raise InputError(f"light field of type {lf.dtype}: it must hold real numbers")
+    require_pixels("light field", lf.values)
     return lf
 
 

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from .. import lattice, rays
-from ..camera import PlenopticCamera
-from ..errors import InputError, require_count, require_number
+from ..camera import MOST_PIXELS, PlenopticCamera
+from ..errors import InputError, require_count, require_number, require_pair
+from ..limits import require_memory
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,8 @@ class LensGrid:
     Raises
     ------
     InputError
-        If a number is not finite, a spacing is not positive, or a count is not a positive whole number.
+        If a number is not finite, a spacing is not from 1e-3 to 1e6 pixels, an offset is beyond 1e9 pixels, a
+        rotation is beyond a full turn, or a count is not a whole number from 1 to 1048576.
     """
 
     spacing: tuple[float, float]
@@ -54,12 +56,13 @@ class LensGrid:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        put("spacing", tuple(require_number("spacing", value, positive=True) for value in self.spacing))
-        put("offset", tuple(require_number("offset", value) for value in self.offset))
-        put("shape", tuple(require_count("shape", value) for value in self.shape))
-        put("rotation", require_number("rotation", self.rotation))
-        if self.shifted_rows not in (None, 0, 1):
-            raise InputError(f"shifted_rows = {self.shifted_rows!r}: it must be 0, 1 or None")
+        x_and_y = "(along a row, between rows)"
+        put("spacing", tuple(_spacing(value) for value in require_pair("spacing", self.spacing, x_and_y)))
+        put("offset", tuple(_offset(value) for value in require_pair("offset", self.offset, "(column, row)")))
+        put("shape", tuple(_count(value) for value in require_pair("shape", self.shape, "(rows, columns)")))
+        put("rotation", require_number("rotation", self.rotation, minimum=-math.tau, maximum=math.tau))
+        if self.shifted_rows is not None:
+            put("shifted_rows", require_count("shifted_rows", self.shifted_rows, minimum=0, maximum=1))
 
     @property
     def pitch(self) -> float:
@@ -79,6 +82,7 @@ class LensGrid:
         -------
         (rows, columns, 2) float64 array
         """
+        require_memory(48.0 * self.shape[0] * self.shape[1], f"grid of {self.shape[0]} x {self.shape[1]} lenses")
         row, column = np.indices(self.shape, dtype=np.float64)
         if self.shifted_rows is not None:
             column += 0.5 * (row % 2 == self.shifted_rows)
@@ -90,6 +94,18 @@ class LensGrid:
         )
 
 
+def _spacing(value: Any) -> float:
+    return require_number("spacing", require_number("spacing", value, positive=True), minimum=1e-3, maximum=1e6)
+
+
+def _offset(value: Any) -> float:
+    return require_number("offset", value, minimum=-1e9, maximum=1e9)
+
+
+def _count(value: Any) -> int:
+    return require_count("shape", value, maximum=MOST_PIXELS)
+
+
 def bin_grid(camera: PlenopticCamera) -> LensGrid:
     """Give the centres on the detector of the bins that a light field of this camera has: one a lens, upright.
 
@@ -99,8 +115,9 @@ def bin_grid(camera: PlenopticCamera) -> LensGrid:
     Raises
     ------
     InputError
-        If no micro-image is centred in the recorded window.
+        If no micro-image is centred in the recorded window, or a lens is less than a pixel wide.
     """
+    camera.require_resolved()
     start, count = [], []
     spacing = camera.micro_image_pitch / camera.pixel_size
     for axis, lenses in enumerate(camera.lens_count):

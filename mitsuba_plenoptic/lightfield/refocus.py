@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import InputError, require_number
+from ..limits import require_memory
 from .fourier import FourierRefocuser
 from .geometry import disparity as disparity_at
 from .geometry import require_light_field, view_steps
@@ -33,8 +34,14 @@ def shift_and_add(lf: xr.DataArray, disparity: float) -> xr.DataArray:
     -------
     xarray.DataArray
         Dimensions t, s[, c]; 0 where no view sees the place.
+
+    Raises
+    ------
+    InputError
+        If it is no light field, or the disparity is not a number from -1e6 to 1e6.
     """
     lf = require_light_field(lf)
+    disparity = require_number("disparity", disparity, minimum=-1e6, maximum=1e6)
     weight = np.asarray(lf["weight"].values)
     planes = [weight] + [plane * weight for plane in channel_planes(lf)]
     v, u = view_steps(lf, "v"), view_steps(lf, "u")
@@ -110,6 +117,8 @@ def focal_stack(
         refocus_at = FourierRefocuser(lf, max(abs(value) for value in disparities)).refocus
     else:
         refocus_at = lambda value: shift_and_add(lf, value)  # noqa: E731
+    images = 8.0 * lf.sizes["t"] * lf.sizes["s"] * lf.sizes.get("c", 1)
+    require_memory(2 * images * len(disparities), f"focal stack of {len(disparities)} distances")
     planes = []
     for done, value in enumerate(disparities):
         if progress:
@@ -140,33 +149,28 @@ def like_view(lf: xr.DataArray, image: np.ndarray, name: str, **attributes: Any)
 
 def shifted(values: np.ndarray, shift: float, axis: int) -> np.ndarray:
     """Read an array at `shift` samples further along an axis, linearly; 0 comes in from outside."""
-    whole = int(np.floor(shift))
-    part = np.float32(shift - whole)
-    result = _moved(values, whole, axis) * (1 - part)
-    if part:
-        result += _moved(values, whole + 1, axis) * part
-    return result
-
-
-def _moved(values: np.ndarray, count: int, axis: int) -> np.ndarray:
-    """Read an array at `count` whole samples further."""
-    size = values.shape[axis]
     result = np.zeros_like(values)
-    kept = max(0, size - abs(count))
-    source = [slice(None)] * values.ndim
-    target = [slice(None)] * values.ndim
-    source[axis] = slice(count, count + kept) if count >= 0 else slice(0, kept)
-    target[axis] = slice(0, kept) if count >= 0 else slice(-count, -count + kept)
-    result[tuple(target)] = values[tuple(source)]
+    _add_shifted(result, values, shift, axis)
     return result
+
+
+def _add_shifted(total: np.ndarray, values: np.ndarray, shift: float, axis: int) -> None:
+    """Add what `shifted` reads."""
+    whole, size, before = int(np.floor(shift)), values.shape[axis], (slice(None),) * axis
+    part = np.float32(shift - whole)
+    for count, share in ((whole, 1 - part), (whole + 1, part)):
+        kept = size - abs(count)
+        if kept > 0 and share > 0:
+            source = values[(*before, slice(max(count, 0), max(count, 0) + kept))]
+            total[(*before, slice(max(-count, 0), max(-count, 0) + kept))] += source if share == 1 else source * share
 
 
 def _gather(values: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
     """Sum views (v, u, t, s), each read at its shift."""
     by_column = np.zeros(values.shape[1:], dtype=np.float64)
     for row, shift in zip(values, down, strict=True):
-        by_column += shifted(row, shift, axis=1)
+        _add_shifted(by_column, row, shift, axis=1)
     total = np.zeros(values.shape[2:], dtype=np.float64)
     for column, shift in zip(by_column, across, strict=True):
-        total += shifted(column, shift, axis=1)
+        _add_shifted(total, column, shift, axis=1)
     return total

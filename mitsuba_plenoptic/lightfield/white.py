@@ -7,11 +7,16 @@ import math
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..errors import InputError
+from ..limits import require_memory
 from .geometry import pupil_step
 from .grid import LensGrid, lens_grid
 
 # Points across a pixel for the area of what the pupil's edge leaves of it: exact to 0.2 % of the pixel.
 _POINTS = 8
+
+# Pixels times points of lenses, an hour.
+_MOST_WORK = 1e11
 
 
 def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.ndarray:
@@ -31,6 +36,11 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     Returns
     -------
     (rows, columns) float32 array
+
+    Raises
+    ------
+    InputError
+        If micro-images are so wide or so much out of focus that it would take an hour, or too much memory.
     """
     grid = lens_grid(camera) if grid is None else grid
     radius = camera.aperture_radius / pupil_step(camera)
@@ -38,10 +48,20 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     # Full width, in pixels, over which the lens smears a pixel's view of the pupil.
     smear = camera.mla_pitch * abs(1 + b / z - b / camera.mla_focal_length) / pupil_step(camera)
     points = 1 + 2 * round(smear)
-    shifts = ((np.arange(points) + 0.5) / points - 0.5) * smear
 
     half = math.ceil(radius + smear / 2 + 1)
     rows, columns = camera.shape
+    work = float(min(grid.shape[0], rows + 2 * half)) * grid.shape[1] * (2 * half + 1) ** 2 * points**2
+    if not work <= _MOST_WORK:
+        raise InputError(
+            f"camera: its white image takes {work:.2g} evaluations, at most {_MOST_WORK:.2g} are made: micro-images "
+            f"are {2 * radius:.3g} pixels wide and smeared over {smear:.3g}"
+        )
+    require_memory(
+        4.0 * (rows + 2 * half) * (columns + 2 * half) + 64.0 * grid.shape[1] * (2 * half + 1) ** 2,
+        f"white image of {columns} x {rows} pixels, {2 * half + 1} x {2 * half + 1} for each lens",
+    )
+    shifts = ((np.arange(points) + 0.5) / points - 0.5) * smear
     image = np.zeros((rows + 2 * half, columns + 2 * half), dtype=np.float32)
     window = np.arange(-half, half + 1)
     for row in grid.centres():

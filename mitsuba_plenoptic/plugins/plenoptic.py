@@ -176,6 +176,8 @@ def make_class() -> type:
             self._update()
 
         def _update(self) -> None:
+            if not np.isfinite(self.world_transform().matrix.numpy()).all():
+                raise InputError(f"{NAME}: to_world: its numbers must be finite")
             if dr.any(self.world_transform().has_scale()):
                 raise InputError(f"{NAME}: to_world: it must not scale; give lengths in scene units instead")
             # Opaque values are kernel inputs, so that changing one does not compile the kernels again.

@@ -6,15 +6,18 @@ import logging
 import math
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
-from ..camera import PlenopticCamera
-from ..errors import InputError, require_number
+from ..camera import PlenopticCamera, require_wavelength
+from ..checkpoint import Checkpoint, Snapshot, digest
+from ..errors import InputError, shown
 from ..propagation import guards
 from ..propagation.accuracy import DEFAULT_ACCURACY, check_accuracy
+from ..propagation.batches import BatchMap
 from ..propagation.incoherent import METHODS, estimate_cost, incoherent_sum
 from ._properties import read_choice, read_count, read_flag, read_plain
 from ._radiators import Radiators, find_radiators, sample_pairs
@@ -24,6 +27,9 @@ NAME = "plenoptic_wave"
 _log = logging.getLogger(__name__)
 
 DEFAULT_WAVELENGTH = 633.0
+
+MOST_RADIATORS = 256
+"""Radiators per lens and axis at most."""
 
 # Dominant wavelengths of the sRGB primaries (IEC 61966-2-1), for variants of three channels.
 RGB_WAVELENGTHS = (611.4, 549.1, 464.3)
@@ -104,7 +110,7 @@ def make_class() -> type:
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             self.wavelengths = _read_wavelengths(props)
-            self.radiators_per_lens = read_count(props, NAME, "radiators_per_lens", 8, maximum=256)
+            self.radiators_per_lens = read_count(props, NAME, "radiators_per_lens", 8, maximum=MOST_RADIATORS)
             self.passes = read_count(props, NAME, "passes", 1)
             self.method = read_choice(props, NAME, "method", METHODS)
             self.occlusion = read_flag(props, NAME, "occlusion", True)
@@ -116,8 +122,11 @@ def make_class() -> type:
             kind = self.child.class_name() if hasattr(self.child, "class_name") else type(self.child).__name__
             if not isinstance(self.child, mi.SamplingIntegrator) or kind in _LIGHT_TRACERS:
                 raise InputError(f"{NAME}: nested {kind}: it cannot tell the radiance along a ray; use path or direct")
-            # Called with the radiators done and their number; see `mitsuba_plenoptic.render_capture`.
+            # For long runs, set by `mitsuba_plenoptic.render_capture`: called with the radiators done and their
+            # number, computes the batches of the sums, keeps what is done.
             self.progress: Callable[[int, int], None] | None = None
+            self.batch_map: BatchMap | None = None
+            self.checkpoint: Checkpoint | None = None
 
         def render(
             self,
@@ -179,12 +188,26 @@ def make_class() -> type:
                 )
             if self.method == "patch":
                 self._estimate(camera, sets[0], len(jobs))
-            image = np.zeros((*camera.shape, len(self.wavelengths)), dtype=np.float32)
+            state = self._begin(camera, sets)
             done = 0
-            for radiators, channel in jobs:
-                image[..., channel] += self._sum(camera, radiators, channel, done, total)
+            for number, (radiators, channel) in enumerate(jobs):
+                if number >= state.sums:
+                    state = replace(state, sums=number)
+                    state.image[..., channel] += self._sum(camera, radiators, channel, state, done, total)
+                    state = replace(state, partial=None)
                 done += len(radiators.positions)
-            return image
+            return state.image
+
+        def _begin(self, camera: PlenopticCamera, sets: list[Radiators]) -> Snapshot:
+            """Begin with nothing, or where the checkpoint stands."""
+            if self.checkpoint:
+                arrays = [array for r in sets for array in (r.positions, r.radiance, r.share, r.masks)]
+                found = self.checkpoint.begin(
+                    radiators=sum(len(r.positions) for r in sets), scene_digest=digest(*arrays)
+                )
+                if found:
+                    return found
+            return Snapshot(0, np.zeros((*camera.shape, len(self.wavelengths)), dtype=np.float32), None)
 
         def _estimate(self, camera: PlenopticCamera, radiators: Radiators, jobs: int) -> None:
             """Tell what is to come, or refuse it if memory would not do."""
@@ -194,6 +217,7 @@ def make_class() -> type:
                 wavelength=self.wavelengths[0],
                 accuracy=self.accuracy,
                 pupil_masks=radiators.masks,
+                batch_map=self.batch_map,
             )
             _log.info(
                 "%d radiators, %d point spreads, about %.0f s and %.1f GiB",
@@ -204,14 +228,14 @@ def make_class() -> type:
             )
 
         def _sum(
-            self, camera: PlenopticCamera, radiators: Radiators, channel: int, done: int, total: int
+            self, camera: PlenopticCamera, radiators: Radiators, channel: int, state: Snapshot, done: int, total: int
         ) -> np.ndarray:
             """Sum the point spreads of one set in one channel."""
             b, z = camera.mla_distance, camera.detector_distance
             cell = camera.mla_pitch**2 / self.radiators_per_lens**2
             pupil = math.pi * camera.aperture_radius**2
             scale = cell * pupil * z**2 / (b**2 * camera.mla_pitch**2 * camera.pixel_size**2 * self.passes)
-            progress = self.progress
+            progress, checkpoint = self.progress, self.checkpoint
             return incoherent_sum(
                 camera,
                 radiators.positions,
@@ -221,6 +245,9 @@ def make_class() -> type:
                 accuracy=self.accuracy,
                 pupil_masks=radiators.masks,
                 progress=progress and (lambda some, _: progress(done + some, total)),
+                batch_map=self.batch_map,
+                start=state.partial,
+                keep=None if checkpoint is None else (lambda some: checkpoint.save(replace(state, partial=some))),
             )
 
         def parameters(self) -> dict[str, Any]:
@@ -252,14 +279,14 @@ def _read_wavelengths(props: Any) -> tuple[float, ...]:
         parts = [float(part) if isinstance(part, str) else part for part in parts]
     except ValueError:
         raise InputError(
-            f"{NAME}: wavelength = {value!r}: it must be nanometres, or three of them separated by commas"
+            f"{NAME}: wavelength = {shown(value)}: it must be nanometres, or three of them separated by commas"
         ) from None
-    wavelengths = tuple(require_number(f"{NAME}: wavelength", part, positive=True) for part in parts)
+    wavelengths = tuple(require_wavelength(part, f"{NAME}: wavelength") for part in parts)
     if len(wavelengths) == 1 and mi.is_rgb:
         wavelengths *= 3
     channels = 3 if mi.is_rgb else 1
     if len(wavelengths) != channels:
         raise InputError(
-            f"{NAME}: wavelength = {value!r}: variant {mi.variant()} has {channels} channel{'s' * (channels > 1)}"
+            f"{NAME}: wavelength = {shown(value)}: variant {mi.variant()} has {channels} channel{'s' * (channels > 1)}"
         )
     return wavelengths

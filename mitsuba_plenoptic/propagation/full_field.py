@@ -22,14 +22,14 @@ from dataclasses import dataclass
 
 import drjit as dr
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
-from .._backend import array_module
+from .._backend import backend
 from ..camera import PlenopticCamera
+from ..errors import InputError
 from . import guards
 from .angular_spectrum import advance
-from .fft import Field, fft2, pack, resting_drjit, worker_count
+from .fft import Field, as_field, fft, fft2, irfft, pack, resting_drjit, rfft
 from .microlens import transmission, transmission_table
 from .sampling import (
     check_memory,
@@ -140,7 +140,7 @@ def full_field(
     spectrum = _detector_spectrum(camera, wavelength, grids, mla.samples, microlenses)
     del mla
     dr.flush_malloc_cache()
-    return _pixel_integrals(camera, spectrum, grids)
+    return backend().to_host(_pixel_integrals(camera, spectrum, grids))
 
 
 def point_fields(
@@ -159,7 +159,8 @@ def point_fields(
     spectrum = _detector_spectrum(camera, wavelength, grids, mla.samples.copy(), microlenses)
     with resting_drjit():
         detector = fft2(spectrum, inverse=True)
-    return PointFields(pupil, mla, SampledField(detector, mla.origin, mla.pitch))
+    planes = (pupil, mla, SampledField(detector, mla.origin, mla.pitch))
+    return PointFields(*(SampledField(backend().to_host(p.samples), p.origin, p.pitch) for p in planes))
 
 
 def _grids(
@@ -180,8 +181,8 @@ def _grids(
     reach = growth * camera.detector_distance * bent / math.sqrt(max(1e-3, 1 - bent**2))
     margin = math.ceil(reach / p)
     width = np.array([camera.detector_width, camera.detector_height])
-    start = -width / 2 + (np.array(camera.crop_offset) - margin) * p
     pixels = [fast_length(size + 2 * margin) for size in camera.crop_size]
+    start = -width / 2 + (np.array(camera.crop_offset) - margin) * p
     # The window of the way to the MLA, square and on the same grid of pixels.
     low = np.minimum(-camera.aperture_radius, np.minimum(place - half_width, start))
     high = np.maximum(camera.aperture_radius, np.maximum(place + half_width, start + np.array(pixels) * p))
@@ -211,7 +212,7 @@ def _grids(
 def _pupil_field(
     camera: PlenopticCamera, position: NDArray[np.float64], wavelength: float, grids: _Grids
 ) -> SampledField:
-    types = array_module()
+    types = backend().types
     count = grids.wide_pupil
     pitch = grids.pitch * grids.wide_mla / count
     index = dr.arange(types.UInt32, count * count)
@@ -227,9 +228,12 @@ def _pupil_field(
     cover = types.Float(dr.clip((camera.aperture_radius - dr.sqrt(Px * Px + Py * Py)) / step + 0.5, 0, 1))
     bright = types.Float(g / (length * length))
     power = dr.sum(types.Float64(bright * bright * cover))[0] * pitch**2
+    if not 0 < power < math.inf:
+        raise InputError(
+            f"aperture_radius = {camera.aperture_radius:g}: no light passes it on a grid of samples {pitch:g} apart"
+        )
     field = types.Complex2f(cosine, sine) * (bright * cover / math.sqrt(power))
-    samples = pack(field).numpy().view(np.complex64).reshape(count, count)
-    return SampledField(samples, grids.wide_origin, pitch)
+    return SampledField(as_field(pack(field), (count, count)), grids.wide_origin, pitch)
 
 
 def _at_mla(camera: PlenopticCamera, wavelength: float, grids: _Grids, pupil: SampledField) -> SampledField:
@@ -239,10 +243,11 @@ def _at_mla(camera: PlenopticCamera, wavelength: float, grids: _Grids, pupil: Sa
     guards.judge(guards.UNDERSAMPLED, guards.band_edge_share(spectrum))
     spectrum = advance(spectrum, pupil.pitch, camera.mla_distance, wavelength)
     (left, top), (columns, rows) = grids.offset, grids.count
-    samples = np.empty((rows, columns), np.complex64)
+    arrays = backend().arrays
+    samples = arrays.empty((rows, columns), np.complex64)
     with resting_drjit():
         # axis by axis, so that rows and columns outside the spectrum and the window are never transformed
-        partial = np.empty((rows, spectrum.shape[1]), np.complex64)
+        partial = arrays.empty((rows, spectrum.shape[1]), np.complex64)
         rim, in_rim = guards.rim(grids.wide_mla), 0.0
         for block in _blocks(spectrum.shape[1]):
             tall = _interpolate(spectrum[:, block], grids.wide_mla, axis=0)
@@ -261,7 +266,7 @@ def _detector_spectrum(
 ) -> Field:
     """Spectrum on the detector of the field that reaches the MLA, whose memory is used."""
     if microlenses:
-        along_x, along_y = _microlens_phases(camera, wavelength, grids)
+        along_x, along_y = map(backend().arrays.asarray, _microlens_phases(camera, wavelength, grids))
         before = guards.power(some := guards.some_rows(samples))
         samples *= along_x[None, :]
         samples *= along_y[:, None]
@@ -282,13 +287,14 @@ def _interpolate(spectrum: Field, count: int, axis: int) -> Field:
     size = spectrum.shape[axis]
     shape = list(spectrum.shape)
     shape[axis] = count
-    padded = np.zeros(shape, np.complex64)
-    source, target = np.moveaxis(spectrum, axis, 0), np.moveaxis(padded, axis, 0)
+    arrays = backend().arrays
+    padded = arrays.zeros(shape, np.complex64)
+    source, target = arrays.moveaxis(spectrum, axis, 0), arrays.moveaxis(padded, axis, 0)
     positive = (size + 1) // 2
     target[:positive] = source[:positive]
     target[count - (size - positive) :] = source[positive:]
     padded *= np.float32(count / size)
-    return scipy.fft.ifft(padded, axis=axis, overwrite_x=True, workers=worker_count())
+    return fft(padded, axis=axis, inverse=True)
 
 
 def _microlens_phases(camera: PlenopticCamera, wavelength: float, grids: _Grids) -> tuple[NDArray[np.complex64], ...]:
@@ -302,26 +308,28 @@ def _microlens_phases(camera: PlenopticCamera, wavelength: float, grids: _Grids)
 
 def _pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: _Grids) -> NDArray[np.float32]:
     """Integrate the intensity over the recorded pixels, exactly for the band-limited field."""
+    arrays = backend().arrays
     height, width = camera.shape
     with resting_drjit():
         partial = _interpolate(spectrum, 2 * spectrum.shape[0], axis=0)
-        rows = np.empty((partial.shape[0], width), np.float32)
+        rows = arrays.empty((partial.shape[0], width), np.float32)
         for block in _blocks(partial.shape[0]):
             parts = _interpolate(partial[block], 2 * partial.shape[1], axis=1).view(np.float32)
-            np.multiply(parts, parts, out=parts)
+            arrays.multiply(parts, parts, out=parts)
             rows[block] = _along_pixels(parts[:, 0::2] + parts[:, 1::2], grids, width)
         del partial
-        psf = np.empty((height, width), np.float32)
+        psf = arrays.empty((height, width), np.float32)
         for block in _blocks(width):
-            psf[:, block] = _along_pixels(np.ascontiguousarray(rows[:, block].T), grids, height).T
+            psf[:, block] = _along_pixels(arrays.ascontiguousarray(rows[:, block].T), grids, height).T
     return psf
 
 
 def _along_pixels(intensity: NDArray[np.float32], grids: _Grids, count: int) -> NDArray[np.float32]:
     """Integrate rows of the doubled grid over the recorded pixels, by their spectrum times the pixel's sinc."""
-    size, per_pixel, workers = intensity.shape[1], 2 * grids.per_pixel, worker_count()
-    spectrum = scipy.fft.rfft(intensity, axis=1, workers=workers)
-    spectrum *= (np.sinc(np.fft.rfftfreq(size) * per_pixel) * per_pixel * grids.pitch / 2).astype(np.float32)
-    integrals = scipy.fft.irfft(spectrum, size, axis=1, overwrite_x=True, workers=workers)
+    size, per_pixel = intensity.shape[1], 2 * grids.per_pixel
+    spectrum = rfft(intensity, axis=1)
+    pixel = np.sinc(np.fft.rfftfreq(size) * per_pixel) * per_pixel * grids.pitch / 2
+    spectrum *= backend().arrays.asarray(pixel.astype(np.float32))
+    integrals = irfft(spectrum, size, axis=1)
     first = grids.margin * per_pixel + grids.per_pixel
     return integrals[:, first::per_pixel][:, :count]

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import drjit as dr
 import numpy as np
 
+from .._backend import backend_of
 from ..errors import InputError
-from .fft import Field, array_types
+from .fft import Field, as_field
 
 _EDGE = 1 / 8
 """Outer part of a window or a spectrum, which should be dark. A field that fills all evenly has 23 % there."""
@@ -244,7 +244,7 @@ class StepGuard:
         rows = rows[chosen]
         self._band_edge = band_edge_share(waves, rows, weight)
         if self._cosine**2 * 2 > 1:
-            lost = self._cosine**2 * (rows[:, None] ** 2 + columns**2) >= 1
+            lost = backend_of(waves).arrays.asarray(self._cosine**2 * (rows[:, None] ** 2 + columns**2) >= 1)
             self._evanescent = share(
                 (weight * _power_by_row(waves * lost)).sum(), (weight * _power_by_row(waves)).sum()
             )
@@ -352,20 +352,14 @@ def share(part: float, whole: float) -> float:
 
 def _packed_rows(packed: Any, shape: tuple[int, ...], chosen: np.ndarray | None) -> Field:
     """Give some or all rows of a field held as 64-bit words."""
-    if chosen is not None and dr.backend_v(packed) == dr.JitBackend.CUDA:
-        # only they come to the host
-        types, columns = array_types(packed), shape[1]
-        rows = types.UInt32(np.repeat(chosen.astype(np.uint32) * columns, columns))
-        packed = dr.gather(types.UInt64, packed, rows + types.UInt32(np.tile(np.arange(columns), len(chosen))))
-        shape, chosen = (len(chosen), columns), None
-    field = packed.numpy().view(np.complex64).reshape(shape)
-    return field if chosen is None else field[chosen]
+    field = as_field(packed, shape)
+    return field if chosen is None else field[backend_of(field).arrays.asarray(chosen)]
 
 
 def _power_by_row(field: Field) -> np.ndarray:
-    """Sum of the squared moduli of each row; float64 (rows,)."""
-    parts = field.view(np.float32)
-    return np.einsum("ij,ij->i", parts, parts).astype(np.float64)
+    """Sum of the squared moduli of each row, on the host; float64 (rows,)."""
+    libraries, parts = backend_of(field), field.view(np.float32)
+    return libraries.to_host(libraries.arrays.einsum("ij,ij->i", parts, parts)).astype(np.float64)
 
 
 def _rounded(number: float) -> float:

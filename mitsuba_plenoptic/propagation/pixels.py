@@ -8,6 +8,8 @@ import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
 
+from .._backend import backend_of
+
 _HALF_WIDTH = 6
 _KAISER = 7.0
 _NODES = 8
@@ -29,7 +31,7 @@ def integrate_pixels(
     Parameters
     ----------
     intensity : float32 array (rows, columns)
-        Samples per square millimetre.
+        Samples per square millimetre; of CuPy if they lie on a CUDA device, where the integrals are then.
     pitch : float
         Distance between samples in millimetres.
     origin : (float, float)
@@ -45,11 +47,14 @@ def integrate_pixels(
     -------
     float32 array of that shape
     """
+    libraries = backend_of(intensity)
     along_y, along_x = (
         _weights(count, pixel_size, (first_edge[axis] - origin[axis]) / pitch, pitch, samples)
         for axis, count, samples in ((1, shape[0], intensity.shape[0]), (0, shape[1], intensity.shape[1]))
     )
-    return np.ascontiguousarray((along_x @ (along_y @ intensity).T).T)
+    if libraries.is_cuda:
+        along_y, along_x = (libraries.sparse.csr_matrix(weights) for weights in (along_y, along_x))
+    return libraries.arrays.ascontiguousarray((along_x @ (along_y @ intensity).T).T)
 
 
 def _weights(count: int, pixel_size: float, start: float, pitch: float, samples: int) -> scipy.sparse.csr_array:

@@ -6,6 +6,7 @@ Directions are direction cosines, as the angular spectrum has them; the lenses a
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,11 +15,18 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
-from ..errors import InputError, require_number
+from ..camera import SHORTEST, PlenopticCamera, require_wavelength
+from ..errors import InputError
+from ..limits import memory_limit, require_memory
 
 MEMORY_LIMIT = 4 * 2**30
 """Bytes that one propagation may take."""
+
+_LONGEST = 2**31
+"""Samples of a field along an axis."""
+
+_FARTHEST = 1e16
+"""Coordinates of a scene point at most, in millimetres; beyond the longest focal length this is infinity."""
 
 _MM_PER_NM = 1e-6
 _RIM_ANGLES = 32
@@ -113,8 +121,28 @@ def in_millimetres(wavelength: float) -> float:
 
 
 def fast_length(minimum: float, multiple: int = 1) -> int:
-    """Smallest length that an FFT does quickly, at least `minimum` and a multiple of `multiple`."""
-    return multiple * int(scipy.fft.next_fast_len(math.ceil(minimum / multiple), real=True))
+    """Smallest length that an FFT does quickly, at least `minimum` and a multiple of `multiple`.
+
+    Raises
+    ------
+    InputError
+        If it is longer than any memory holds.
+    """
+    check_samples(minimum, "along an axis")
+    return multiple * int(scipy.fft.next_fast_len(max(1, math.ceil(minimum / multiple)), real=True))
+
+
+def check_samples(count: float, where: str) -> None:
+    """Refuse a field of more samples in a row than any memory holds, before they are counted in integers.
+
+    Raises
+    ------
+    InputError
+        With the number.
+    """
+    # Written so that NaN is refused.
+    if not count <= _LONGEST:
+        raise InputError(f"a field of {count:.3g} samples {where}: at most {_LONGEST} can be computed")
 
 
 def check_positions(positions: Any) -> NDArray[np.float64]:
@@ -127,7 +155,7 @@ def check_positions(positions: Any) -> NDArray[np.float64]:
     """
     try:
         points = np.asarray(positions, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError("position: it must be numbers (X, Y, g)") from None
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f"positions of shape {points.shape}: it must be (n, 3), for X, Y and g")
@@ -137,6 +165,12 @@ def check_positions(positions: Any) -> NDArray[np.float64]:
     behind = points[:, 2] <= 0
     if behind.any():
         raise InputError(f"position = {_format(points[behind][0])}: its distance g must be greater than 0")
+    beyond = (np.abs(points) > _FARTHEST).any(1) | (points[:, 2] < SHORTEST)
+    if beyond.any():
+        raise InputError(
+            f"position = {_format(points[beyond][0])}: its coordinates must be {_FARTHEST:g} at most, and g at least "
+            f"{SHORTEST:g}"
+        )
     return points
 
 
@@ -146,24 +180,20 @@ def check_wavelength(wavelength: Any) -> float:
     Raises
     ------
     InputError
-        If it is not a positive finite number.
+        If it is not a number from 1 to 1e6.
     """
-    return require_number("wavelength", wavelength, positive=True)
+    return require_wavelength(wavelength)
 
 
-def check_memory(bytes_needed: float, what: str) -> None:
-    """Refuse work that needs more than `MEMORY_LIMIT`.
+def check_memory(bytes_needed: float, what: str, fits: Callable[[float], str | None] | None = None) -> None:
+    """Refuse work that needs more than `MEMORY_LIMIT`, or than `memory_limit`; see `require_memory`.
 
     Raises
     ------
     InputError
         With the estimate.
     """
-    if bytes_needed > MEMORY_LIMIT:
-        raise InputError(
-            f"{what}: it would need {bytes_needed / 2**30:.1f} GiB of memory, at most "
-            f"{MEMORY_LIMIT / 2**30:.0f} GiB are allowed"
-        )
+    require_memory(bytes_needed, what, fits, limit=min(MEMORY_LIMIT, memory_limit()))
 
 
 def _format(point: NDArray[np.float64]) -> str:

@@ -8,9 +8,10 @@ from typing import Any, overload
 import numpy as np
 
 from .._backend import one_at_a_time
-from ..camera import PlenopticCamera, image_distance
-from ..capture import Capture
-from ..errors import InputError, require_count, require_number
+from ..camera import PlenopticCamera, image_distance, require_wavelength
+from ..capture import Capture, as_array
+from ..errors import InputError, require_count, require_number, shown
+from ..limits import largest_fitting, require_memory
 from ..propagation import guards
 from .ray import reconstruct_ray
 from .result import Reconstruction, write_reconstruction
@@ -115,17 +116,23 @@ def reconstruct(
     capture = _as_capture(capture, camera)
     camera = capture.camera
     if method not in METHODS:
-        raise InputError(f"method = {method!r}: it must be one of {', '.join(METHODS)}")
+        raise InputError(f"method = {shown(method)}: it must be one of {', '.join(METHODS)}")
     if footprint not in FOOTPRINTS:
-        raise InputError(f"footprint = {footprint!r}: it must be one of {', '.join(FOOTPRINTS)}")
-    if interleave != "auto":
+        raise InputError(f"footprint = {shown(footprint)}: it must be one of {', '.join(FOOTPRINTS)}")
+    if not (isinstance(interleave, str) and interleave == "auto"):
         interleave = _require_interleave(interleave, camera)
     oversample = require_count("oversample", oversample)
+    if isinstance(distance, (str, bytes)):
+        raise InputError(f"distance = {shown(distance)}: it must be a number or several")
     single = np.ndim(distance) == 0
     distances = [require_number("distance", value) for value in ([distance] if single else distance)]  # type: ignore[union-attr]
     for value in distances:
         image_distance(camera.focal_length, value)
-    _require_pixels(capture.image, negative=method == "ray")
+    if method != "ray":
+        _require_positive(capture.image)
+    if not distances:
+        raise InputError("distance = []: give at least one")
+    _require_memory(camera, distances, oversample, capture.image, waves=method != "ray")
     planes = capture.image if capture.image.ndim == 3 else capture.image[..., None]
 
     options: dict[str, Any] = {"oversample": oversample}
@@ -179,6 +186,31 @@ def reconstruct(
     return results[0] if single else results
 
 
+def _require_memory(
+    camera: PlenopticCamera, distances: Sequence[float], oversample: int, image: np.ndarray, *, waves: bool
+) -> None:
+    """Refuse images too large, before anything is allocated."""
+    columns, rows = camera.lens_count
+    channels = image.shape[2] if image.ndim == 3 else 1
+
+    def memory(oversample: int) -> float:
+        bins = columns * rows * float(oversample) ** 2
+        # By rays one axis is binned before the other; by waves powers are summed in double precision.
+        work = 12 * bins if waves else 4 * channels * (bins + image.shape[0] * columns * oversample)
+        return 4 * channels * bins * (len(distances) + 1) + work
+
+    def fitting(limit: float) -> str | None:
+        largest = largest_fitting(memory, limit, oversample)
+        return f"oversample = {largest}" if largest else None
+
+    what = f"images of {columns * oversample} x {rows * oversample} bins at {len(distances)} distances"
+    require_memory(memory(oversample), what, fitting)
+    # Dr.Jit counts in 32 bits.
+    values = channels * columns * oversample * max(rows * oversample, image.shape[0])
+    if not waves and values >= 2**32:
+        raise InputError(f"{what}: {values} values are summed at once, at most {2**32 - 1} can be")
+
+
 def _as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) -> Capture:
     if isinstance(capture, Capture):
         if camera is None:
@@ -186,7 +218,7 @@ def _as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) -
         return Capture(capture.image, camera, capture.wavelength, capture.model, capture.metadata)
     if camera is None:
         raise InputError("camera = None: a plain array needs the camera that recorded it, reconstruct(..., camera=...)")
-    return Capture(np.asarray(capture), camera)
+    return Capture(as_array("capture", capture), camera)
 
 
 def _require_interleave(interleave: Any, camera: PlenopticCamera) -> int:
@@ -195,19 +227,13 @@ def _require_interleave(interleave: Any, camera: PlenopticCamera) -> int:
         return require_count("interleave", interleave, maximum=lenses)
     except InputError:
         raise InputError(
-            f"interleave = {interleave!r}: it must be 'auto' or a whole number from 1 to {lenses}, "
+            f"interleave = {shown(interleave)}: it must be 'auto' or a whole number from 1 to {lenses}, "
             "the lenses along an axis"
         ) from None
 
 
-def _require_pixels(image: np.ndarray, *, negative: bool) -> None:
-    """Refuse pixels that are not finite and, unless allowed, those that are negative."""
-    # The sum is not finite if any pixel is not, and costs far less than a test of each.
-    if not np.isfinite(image.sum(dtype=np.float64 if image.size < 2**20 else np.float32)):
-        bad = int(image.size - np.isfinite(image).sum())
-        if bad:
-            raise InputError(f"capture: {bad} of its pixels are NaN or infinite: all must be finite")
-    if not negative and image.min() < 0:
+def _require_positive(image: np.ndarray) -> None:
+    if image.min() < 0:
         bad = int((image < 0).sum())
         raise InputError(f"capture: {bad} of its pixels are negative: a wave's amplitude is their square root")
 
@@ -221,8 +247,8 @@ def _wavelengths(capture: Capture, wavelength: Any, channels: int) -> list[float
         )
     values = [given] * channels if np.ndim(given) == 0 else list(given)
     if len(values) != channels:
-        raise InputError(f"wavelength = {given!r}: the capture has {channels} channels; give one, or one for each")
-    return [require_number("wavelength", value, positive=True) for value in values]
+        raise InputError(f"wavelength = {shown(given)}: the capture has {channels} channels; give one, or one for each")
+    return [require_wavelength(value) for value in values]
 
 
 def _report(progress: Callable[[int, int], None] | None, done: int, total: int) -> None:

@@ -34,6 +34,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from .. import lattice, rays
+from .._backend import backend
 from ..camera import PlenopticCamera
 from ..propagation import guards
 from ..propagation.fft import Field
@@ -81,10 +82,11 @@ def reconstruct_subsets(
         Power in each bin, in pixel values times pixels.
     """
     columns, rows = (count * oversample for count in camera.lens_count)
-    totals = [np.zeros((rows, columns)) for _ in distances]
+    libraries = backend()
+    totals = [libraries.arrays.zeros((rows, columns)) for _ in distances]
     lit = lit_window(image, camera)
     if lit is None:
-        return totals
+        return [libraries.to_host(total) for total in totals]
     grids = plan(camera, wavelength, distances, lit)
     workspace = Workspace()
     fields = _pupil_fields(image, camera, wavelength, grids, lit, interleave, relay, workspace)
@@ -101,7 +103,7 @@ def reconstruct_subsets(
         axes = ((0, grids.detector.x), (1, grids.detector.y))
         if all(light == kept for light, kept in (object_extent(camera, distance, *axis) for axis in axes)):
             guards.judge(guards.OBJECT, 1 - guards.share(float(total.sum()), passed))
-    return totals
+    return [libraries.to_host(total) for total in totals]
 
 
 def lit_window(image: np.ndarray, camera: PlenopticCamera) -> tuple[tuple[int, int], tuple[int, int]] | None:
@@ -131,11 +133,12 @@ def _pupil_fields(
         slice(first - offset, end - offset)
         for (first, end), offset in zip(lit[::-1], camera.crop_offset[::-1], strict=True)
     )
-    amplitude = np.sqrt(image[rows, columns])
+    arrays = workspace.libraries.arrays
+    amplitude = arrays.sqrt(arrays.asarray(image[rows, columns]))
     for axis in (0, 1) if grids.subsamples > 1 else ():
-        amplitude = np.repeat(amplitude, grids.subsamples, axis)
+        amplitude = arrays.repeat(amplitude, grids.subsamples, axis)
     element = [_microlenses(camera, wavelength, axis, relay) for axis in (grids.detector.x, grids.detector.y)]
-    pupil = _pupil(camera, grids.main_lens)
+    pupil = arrays.asarray(_pupil(camera, grids.main_lens))
     for j in range(interleave):
         for i in range(interleave):
             x = _subset_source(camera, wavelength, grids.detector.x, interleave, i)
@@ -164,7 +167,7 @@ def _object_image(
     field = propagate_leg(field, y, x, leg, distance, wavelength, workspace, "plane")
     # Real and imaginary parts are binned side by side, in the memory they have.
     parts = field.view(np.float32).reshape(*field.shape, 2)
-    np.square(parts, out=parts)
+    workspace.libraries.arrays.square(parts, out=parts)
     bin_x, bin_y = (
         _sample_bins(camera, distance, axis, count * oversample, oversample)
         for axis, count in zip((leg.x, leg.y), camera.lens_count, strict=True)

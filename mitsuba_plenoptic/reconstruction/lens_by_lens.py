@@ -24,19 +24,20 @@ from functools import cached_property
 
 import drjit as dr
 import numpy as np
-import scipy.fft
 
 from .. import lattice, rays
-from .._backend import array_module
-from ..camera import PlenopticCamera
+from .._backend import backend
+from ..camera import MOST_PIXELS, PlenopticCamera
+from ..errors import InputError
 from ..propagation import guards
 from ..propagation.angular_spectrum import advance
-from ..propagation.fft import Field, fft2, pack, resting_drjit, unpack, worker_count
-from ..propagation.sampling import fast_length, in_millimetres, pupil_turns
+from ..propagation.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, unpack
+from ..propagation.sampling import check_memory, fast_length, in_millimetres, pupil_turns
 from ._elements import converging_phase, detector_lens, lens_phase
 from ._plan import GUARD, field_subsamples
 
-_BATCH_SAMPLES = 2**20
+# Samples that are transformed together, on the processor and on a CUDA device.
+_BATCH_SAMPLES, _CUDA_BATCH_SAMPLES = 2**20, 2**25
 
 _THROUGHPUT_LENSES = 25
 
@@ -79,12 +80,14 @@ def reconstruct_lens_by_lens(
         Power in each bin, in pixel values times pixels.
     """
     tile = Tile(camera, wavelength, tile_lenses(camera, distances), oversample)
+    check_memory(tile.memory, "wave reconstruction lens by lens")
     x, y = (LensAxis(camera, wavelength, tile, axis) for axis in (0, 1))
     lenses = _lit_lenses(image, x, y)
-    amplitude = np.sqrt(image)
+    libraries = backend()
+    amplitude = libraries.arrays.sqrt(libraries.arrays.asarray(image))
     # Every lens puts its patch among the bins of all lenses, and a margin for those at the edge.
     shape = [(axis.index.size + tile.lenses - 1) * oversample for axis in (y, x)]
-    totals = [np.zeros(shape) for _ in distances]
+    totals = [libraries.arrays.zeros(shape) for _ in distances]
     in_rim = [0.0 for _ in distances]
     for place in range(0, len(lenses), tile.batch):
         batch = lenses[place : place + tile.batch]
@@ -120,8 +123,17 @@ def white_throughput(camera: PlenopticCamera, wavelength: float, *, relay: bool 
     relay : bool
         Whether the microlenses act in the MLA plane.
     """
-    # The micro-image of the lens beside the axis, in the four lenses around that.
+    # The micro-image of the lens beside the axis, in the four lenses around that. A smaller detector than those does
+    # not change what comes back of it.
     around = math.ceil(2 * camera.micro_image_pitch / camera.pixel_size)
+    if around > MOST_PIXELS // 2:
+        raise InputError(
+            f"mla_pitch = {camera.mla_pitch:g}: a micro-image of {around // 2} pixels is too wide for waves"
+        )
+    whole = (max(camera.resolution[0], 2 * around), max(camera.resolution[1], 2 * around))
+    camera = camera.replace(
+        resolution=whole, detector_width=whole[0] * camera.pixel_size, crop_offset=(0, 0), crop_size=whole
+    )
     first = [max(0, size // 2 - around) for size in camera.resolution]
     size = [min(size, 2 * around) for size in camera.resolution]
     camera = camera.replace(crop_offset=tuple(first), crop_size=tuple(size))
@@ -133,11 +145,14 @@ def white_throughput(camera: PlenopticCamera, wavelength: float, *, relay: bool 
     inside = (camera.micro_image_diameter / 2 - np.hypot(px, py[:, None])) / camera.pixel_size
     image = np.clip(inside + 0.5, 0, 1)
     tile = Tile(camera, wavelength, _THROUGHPUT_LENSES, 1)
+    check_memory(tile.memory, "wave reconstruction of a white micro-image")
     x, y = (LensAxis(camera, wavelength, tile, axis) for axis in (0, 1))
     place = np.array([[int(np.flatnonzero(axis.index == 0)[0]) for axis in (y, x)]])
-    field = pupil_fields(np.sqrt(image).astype(np.float32), tile, x, y, place, relay=relay)[0]
+    arrays = backend().arrays
+    amplitude = arrays.asarray(np.sqrt(image).astype(np.float32))
+    field = pupil_fields(amplitude, tile, x, y, place, relay=relay)[0]
     inside = (camera.aperture_radius - np.hypot(tile.pupil, tile.pupil[:, None])) / tile.pupil_pitch
-    power = float((np.abs(field) ** 2 * np.clip(inside + 0.5, 0, 1)).sum()) * tile.pupil_pitch**2
+    power = float((abs(field) ** 2 * arrays.asarray(np.clip(inside + 0.5, 0, 1))).sum()) * tile.pupil_pitch**2
     return power / (image.sum() * camera.pixel_size**2)
 
 
@@ -171,13 +186,23 @@ class Tile:
     @cached_property
     def pitch(self) -> float:
         """Distance of samples on detector and MLA, in millimetres."""
-        return self.camera.pixel_size / field_subsamples(self.camera, self.wavelength)
+        return self.camera.pixel_size / self.subsamples
+
+    @cached_property
+    def subsamples(self) -> int:
+        """Samples across a pixel."""
+        return field_subsamples(self.camera, self.wavelength)
 
     @cached_property
     def cell(self) -> np.ndarray:
         """MLA coordinates from a lens's centre, within its cell."""
-        count = math.ceil(self.camera.mla_pitch / self.pitch - 1e-6)
+        count = self.cell_samples
         return (np.arange(count) - (count - 1) / 2) * self.pitch
+
+    @property
+    def cell_samples(self) -> int:
+        """Samples across a cell."""
+        return math.ceil(self.camera.mla_pitch / self.pitch - 1e-6)
 
     @cached_property
     def pixels(self) -> int:
@@ -189,7 +214,9 @@ class Tile:
         """Samples of the window from detector to MLA: what wraps round misses the cell."""
         source = self.pixels * self.camera.pixel_size + self._chief_shift
         spread = self.camera.detector_distance * in_millimetres(self.wavelength) / (2 * self.pitch)
-        return fast_length(((source + self.camera.mla_pitch) / 2 + self._chief_shift + spread) / self.pitch)
+        window = (source + self.camera.mla_pitch) / 2 + self._chief_shift + spread
+        # The pixels themselves must have room.
+        return fast_length(max(window / self.pitch, self.pixels * self.subsamples))
 
     @property
     def _chief_shift(self) -> float:
@@ -222,20 +249,26 @@ class Tile:
     @cached_property
     def pupil(self) -> np.ndarray:
         """Pupil coordinates along an axis, in millimetres."""
-        count = min(self.object_samples, 2 * math.ceil(self.camera.aperture_radius / self.pupil_pitch) + 1)
+        count = self.pupil_samples
         return (np.arange(count) - (count - 1) / 2) * self.pupil_pitch
+
+    @property
+    def pupil_samples(self) -> int:
+        """Samples across the pupil."""
+        return min(self.object_samples, 2 * math.ceil(self.camera.aperture_radius / self.pupil_pitch) + 1)
 
     @cached_property
     def to_pupil(self) -> Field:
         r"""From the cell to the pupil along an axis, :math:`\exp(-i k P \mu / b) d\mu / (\lambda b)^{1/2}`."""
         wave_path = in_millimetres(self.wavelength) * self.camera.mla_distance
         turns = np.outer(self.pupil, self.cell) / wave_path
-        return (np.exp(-2j * math.pi * turns) * (self.pitch / math.sqrt(wave_path))).astype(np.complex64)
+        matrix = np.exp(-2j * math.pi * turns) * (self.pitch / math.sqrt(wave_path))
+        return backend().arrays.asarray(matrix.astype(np.complex64))
 
     @cached_property
     def transfer(self) -> Field:
         """Transfer function from detector to MLA."""
-        ones = np.ones((self.padded, self.padded), np.complex64)
+        ones = backend().arrays.ones((self.padded, self.padded), np.complex64)
         return advance(ones, self.pitch, self.camera.detector_distance, self.wavelength)
 
     @property
@@ -244,9 +277,22 @@ class Tile:
         return 4 * self.padded**2 + self.object_samples * (self.object_samples + self.pupil.size)
 
     @property
+    def memory(self) -> float:
+        """Bytes of the fields of one batch on the way, and of the matrices that serve all."""
+        bins = self.lenses * self.oversample
+        matrices = (
+            32.0 * self.cell_samples * self.pupil_samples + 16.0 * self.padded**2 + 8.0 * bins * self.object_samples
+        )
+        # What `LensAxis` holds of each lens.
+        lenses = sum(size / self.camera.pixels_per_lens + 2 for size in self.camera.crop_size)
+        axes = lenses * 24 * (self.padded + self.cell_samples)
+        return matrices + axes + self.batch * (16.0 * self.padded**2 + 24.0 * self.object_samples**2)
+
+    @property
     def batch(self) -> int:
         """Lenses that are transformed together."""
-        return max(1, _BATCH_SAMPLES // max(self.object_samples, self.padded) ** 2)
+        samples = _CUDA_BATCH_SAMPLES if backend().is_cuda else _BATCH_SAMPLES
+        return max(1, samples // max(self.object_samples, self.padded) ** 2)
 
 
 class LensAxis:
@@ -281,7 +327,7 @@ class LensAxis:
         self.centre = lattice.cell_centre(self.index.astype(np.float64), camera.mla_pitch)
         edge = rays.chief_detector_point(self.index * camera.mla_pitch, camera.mla_distance, camera.detector_distance)
         pixel = np.floor(edge / camera.pixel_size + half + 1e-9).astype(np.int64)[:, None] + np.arange(tile.pixels)
-        subsamples = round(camera.pixel_size / tile.pitch)
+        subsamples = tile.subsamples
         fine = (pixel[..., None] + (np.arange(subsamples) + 0.5) / subsamples).reshape(self.index.size, -1)
         p = (fine - half) * camera.pixel_size
         recorded = (pixel >= offset) & (pixel < offset + size)
@@ -333,32 +379,34 @@ def pupil_fields(
     -------
     complex64 array (n, pupil, pupil)
     """
+    arrays = backend().arrays
     j, i = batch.T
     size = x.source.shape[1]
-    field = np.zeros((len(batch), tile.padded, tile.padded), np.complex64)
-    field[:, :size, :size] = amplitude[y.pixel[j][:, :, None], x.pixel[i][:, None, :]]
-    field[:, :size, :size] *= y.source[j][:, :, None]
-    field[:, :size, :size] *= x.source[i][:, None, :]
+    field = arrays.zeros((len(batch), tile.padded, tile.padded), np.complex64)
+    row, column = arrays.asarray(y.pixel[j]), arrays.asarray(x.pixel[i])
+    field[:, :size, :size] = amplitude[row[:, :, None], column[:, None, :]]
+    field[:, :size, :size] *= arrays.asarray(y.source[j])[:, :, None]
+    field[:, :size, :size] *= arrays.asarray(x.source[i])[:, None, :]
     with resting_drjit():
         field = fft2(field)
         field *= tile.transfer
-        field *= y.shift[j][:, :, None]
-        field *= x.shift[i][:, None, :]
+        field *= arrays.asarray(y.shift[j])[:, :, None]
+        field *= arrays.asarray(x.shift[i])[:, None, :]
         cell = fft2(field, inverse=True)[:, : tile.cell.size, : tile.cell.size]
         microlens = (
             lens_phase(tile.cell, tile.camera.mla_focal_length, tile.wavelength) if relay else np.ones(1, np.complex64)
         )
-        cell = cell * (y.tilt[j] * microlens)[:, :, None]
-        cell *= (x.tilt[i] * microlens)[:, None, :]
+        cell = cell * arrays.asarray(y.tilt[j] * microlens)[:, :, None]
+        cell *= arrays.asarray(x.tilt[i] * microlens)[:, None, :]
         # One product for the whole batch: many small ones would each wait for the threads of the BLAS.
         product = _product if len(batch) > 1 else _product_without_blas
         fields = product(product(cell, tile.to_pupil), tile.to_pupil)
-    return np.ascontiguousarray(fields)
+    return arrays.ascontiguousarray(fields)
 
 
 def _product(fields: Field, matrix: Field) -> Field:
     """Multiply a matrix (p, i) with fields (n, i, j) over i, and turn them: (n, j, p)."""
-    return np.tensordot(fields, matrix, (1, 1))
+    return backend().arrays.tensordot(fields, matrix, (1, 1))
 
 
 def _product_without_blas(fields: Field, matrix: Field) -> Field:
@@ -366,7 +414,7 @@ def _product_without_blas(fields: Field, matrix: Field) -> Field:
 
     So has `white_throughput`, by which every image is divided.
     """
-    return np.einsum("nij,pi->njp", fields, matrix)
+    return backend().arrays.einsum("nij,pi->njp", fields, matrix)
 
 
 def _patches(fields: Field, tile: Tile, x: LensAxis, y: LensAxis, batch: np.ndarray, distance: float) -> np.ndarray:
@@ -374,17 +422,17 @@ def _patches(fields: Field, tile: Tile, x: LensAxis, y: LensAxis, batch: np.ndar
     camera = tile.camera
     focused = _aim(fields, tile, x.centre[batch[:, 1]], y.centre[batch[:, 0]], distance)
     count, size = tile.pupil.size, tile.object_samples
-    padded = np.zeros((len(batch), size, size), np.complex64)
+    arrays = backend().arrays
+    padded = arrays.zeros((len(batch), size, size), np.complex64)
     padded[:, :count, :count] = focused
     with resting_drjit():
-        rows = scipy.fft.fft(padded[:, :count], axis=2, overwrite_x=True, workers=worker_count())
-        padded[:, :count] = rows
-        padded = scipy.fft.fft(padded, axis=1, overwrite_x=True, workers=worker_count())
+        padded[:, :count] = fft(padded[:, :count], axis=2)
+        padded = fft(padded, axis=1)
     intensity = padded.real**2
     intensity += padded.imag**2
     per_bin = tile.samples // tile.oversample
-    bins = np.repeat(np.eye(size // per_bin, dtype=np.float32), per_bin, axis=1)
-    sums = np.tensordot(np.tensordot(intensity, bins, (1, 1)), bins, (1, 1))
+    bins = arrays.repeat(arrays.eye(size // per_bin, dtype=np.float32), per_bin, axis=1)
+    sums = arrays.tensordot(arrays.tensordot(intensity, bins, (1, 1)), bins, (1, 1))
     sample = camera.bin_size(distance) / tile.samples
     scale = tile.pupil_pitch**2 / (in_millimetres(tile.wavelength) * distance) * sample / camera.pixel_size
     # The object is upside down in camera coordinates: bins grow with -X.
@@ -393,7 +441,7 @@ def _patches(fields: Field, tile: Tile, x: LensAxis, y: LensAxis, batch: np.ndar
 
 def _aim(fields: Field, tile: Tile, cx: np.ndarray, cy: np.ndarray, distance: float) -> Field:
     """Multiply pupil fields by the way from the lens's centre to its image's, the main lens, and the pupil."""
-    types = array_module()
+    types = backend().types
     camera, wave = tile.camera, in_millimetres(tile.wavelength)
     n, count = len(cx), tile.pupil.size
     index = dr.arange(types.UInt32, n * count * count)
@@ -418,9 +466,8 @@ def _aim(fields: Field, tile: Tile, cx: np.ndarray, cy: np.ndarray, distance: fl
     # The edge of the pupil is softened over one sample.
     within = types.Float((camera.aperture_radius - dr.sqrt(square)) / tile.pupil_pitch)
     coverage = dr.clip(within + 0.5, 0, 1)
-    packed = types.UInt64(fields.reshape(-1).view(np.uint64))
-    aimed = pack(unpack(packed) * types.Complex2f(cosine, sine) * coverage)
-    return aimed.numpy().view(np.complex64).reshape(fields.shape)
+    aimed = unpack(types.UInt64(as_words(fields))) * types.Complex2f(cosine, sine) * coverage
+    return as_field(pack(aimed), fields.shape)
 
 
 def _on_bins(total: np.ndarray, camera: PlenopticCamera, tile: Tile, x: LensAxis, y: LensAxis) -> np.ndarray:
@@ -435,5 +482,5 @@ def _on_bins(total: np.ndarray, camera: PlenopticCamera, tile: Tile, x: LensAxis
         kept = slice(max(first, 0), min(end, count))
         into.append(slice(kept.start * tile.oversample, kept.stop * tile.oversample))
         out.append(slice((kept.start - first) * tile.oversample, (kept.stop - first) * tile.oversample))
-    image[tuple(into)] = total[tuple(out)]
+    image[tuple(into)] = backend().to_host(total[tuple(out)])
     return image

@@ -1,0 +1,1 @@
+"""Bad input, generated: what `tools/fuzz.py` runs."""
