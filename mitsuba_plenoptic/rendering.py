@@ -179,7 +179,7 @@ def render_capture(
     spp = require_count("spp", sensor.sampler().sample_count() if spp is None else spp, maximum=MOST_SAMPLES)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
     wavelengths = getattr(integrator, "wavelengths", None)
-    _require_film_memory(camera)
+    _require_film_memory(camera, spp)
     metadata = _provenance(scene, integrator, seed=seed, spp=spp)
     if wavelengths is None:
         if batch_map:
@@ -226,13 +226,13 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
         raise InputError(_sentence(error)) from None
 
 
-def _require_film_memory(camera: PlenopticCamera) -> None:
+def _require_film_memory(camera: PlenopticCamera, spp: int) -> None:
     """Refuse a film too large to render, before Mitsuba allocates it."""
     rows, columns = camera.shape
 
     def memory(width: int) -> float:
         pixels = float(width) * max(1, round(width * rows / columns))
-        return _PIXEL_BYTES * pixels + _RAY_BYTES * max(_RAYS_PER_PASS, pixels)
+        return _PIXEL_BYTES * pixels + _RAY_BYTES * max(min(_RAYS_PER_PASS, pixels * spp), pixels)
 
     def fitting(limit: float) -> str | None:
         width = largest_fitting(memory, limit, columns)

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from .._backend import backend
 from ..camera import PlenopticCamera
+from ..errors import InputError
 from .angular_spectrum import advance
 from .fft import Field, as_field, fft, fft2, irfft, pack, resting_drjit, rfft
 from .microlens import transmission, transmission_table
@@ -226,6 +227,10 @@ def _pupil_field(
     cover = types.Float(dr.clip((camera.aperture_radius - dr.sqrt(Px * Px + Py * Py)) / step + 0.5, 0, 1))
     bright = types.Float(g / (length * length))
     power = dr.sum(types.Float64(bright * bright * cover))[0] * pitch**2
+    if not 0 < power < math.inf:
+        raise InputError(
+            f"aperture_radius = {camera.aperture_radius:g}: no light passes it on a grid of samples {pitch:g} apart"
+        )
     field = types.Complex2f(cosine, sine) * (bright * cover / math.sqrt(power))
     return SampledField(as_field(pack(field), (count, count)), grids.wide_origin, pitch)
 

@@ -128,9 +128,21 @@ def fast_length(minimum: float, multiple: int = 1) -> int:
     InputError
         If it is longer than any memory holds.
     """
-    if not minimum <= _LONGEST:
-        raise InputError(f"a field of {minimum:.3g} samples along an axis: at most {_LONGEST} can be transformed")
-    return multiple * int(scipy.fft.next_fast_len(math.ceil(minimum / multiple), real=True))
+    check_samples(minimum, "along an axis")
+    return multiple * int(scipy.fft.next_fast_len(max(1, math.ceil(minimum / multiple)), real=True))
+
+
+def check_samples(count: float, where: str) -> None:
+    """Refuse a field of more samples in a row than any memory holds, before they are counted in integers.
+
+    Raises
+    ------
+    InputError
+        With the number.
+    """
+    # Written so that NaN is refused.
+    if not count <= _LONGEST:
+        raise InputError(f"a field of {count:.3g} samples {where}: at most {_LONGEST} can be computed")
 
 
 def check_positions(positions: Any) -> NDArray[np.float64]:

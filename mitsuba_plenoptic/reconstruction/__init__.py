@@ -112,7 +112,7 @@ def reconstruct(
         raise InputError(f"method = {shown(method)}: it must be one of {', '.join(METHODS)}")
     if footprint not in FOOTPRINTS:
         raise InputError(f"footprint = {shown(footprint)}: it must be one of {', '.join(FOOTPRINTS)}")
-    if interleave != "auto":
+    if not (isinstance(interleave, str) and interleave == "auto"):
         interleave = _require_interleave(interleave, camera)
     oversample = require_count("oversample", oversample)
     if isinstance(distance, (str, bytes)):

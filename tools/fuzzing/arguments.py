@@ -59,7 +59,7 @@ def _names(folder: Path) -> set[str]:
 
 
 def _render(random: np.random.Generator, folder: Path, raw: Path) -> list[Any]:
-    whole: dict[str, Any] = {"-o": folder / "out.exr", "--spp": 1, "-D": "resolution=16"}
+    whole: dict[str, Any] = {"-o": folder / "out.exr", "--spp": 1, "-D": "resolution=256"}
     scene: Any = "white"
     bad: dict[str, Any] = pick(
         random,
@@ -191,7 +191,7 @@ def _info(random: np.random.Generator, folder: Path, raw: Path) -> list[Any]:
 
 
 def _compare(random: np.random.Generator, folder: Path, raw: Path) -> list[Any]:
-    whole: dict[str, Any] = {"-o": folder / "out", "--distance": 240, "--spp": 1, "-D": "resolution=16"}
+    whole: dict[str, Any] = {"-o": folder / "out", "--distance": 240, "--spp": 1, "-D": "resolution=256"}
     bad = pick(
         random,
         (
