@@ -18,7 +18,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import scipy
-from benchmarks import captures, gpu, growth, point_spreads, reconstructions, steps
+from benchmarks import captures, gpu, growth, point_spreads, reconstructions, shares, steps
 from benchmarks.table import markdown
 
 from mitsuba_plenoptic.propagation.fft import worker_count
@@ -51,6 +51,7 @@ def main() -> None:
             *captures.command(arguments.resolution, 16),
         ],
         "reconstructions": lambda: reconstructions.run(arguments.runs),
+        "shares": shares.run,
         "growth": lambda: growth.run(sizes, arguments.runs),
     }
     parser.add_argument("--only", action="append", choices=sections, help="a section; default: all")
