@@ -3,12 +3,13 @@
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: help demo test slow lint clean llvm
+.PHONY: help demo test slow fuzz lint clean llvm
 
 help:
 	@echo "make demo   capture and refocus the letters by rays and by waves; demo/report.html (a few minutes)"
 	@echo "make test   run the tests"
 	@echo "make slow   run the tests that take minutes"
+	@echo "make fuzz   give the package 10,000 bad inputs; fuzz/report.md tells what became of them (a few minutes)"
 	@echo "make lint   check format, style and types"
 	@echo "make clean  remove what make made"
 
@@ -20,6 +21,10 @@ test: $(VENV)/.ready llvm
 
 slow: $(VENV)/.ready llvm
 	$(BIN)/python -m pytest -m slow
+
+# SEED=... draws others, COUNT=... more of them.
+fuzz: $(VENV)/.ready llvm
+	$(BIN)/python tools/fuzz.py --count $(or $(COUNT),10000) --seed $(or $(SEED),0) -o fuzz
 
 lint: $(VENV)/.ready
 	$(BIN)/ruff format --check .
@@ -44,5 +49,7 @@ clean:
 	find . -name __pycache__ -type d -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 	rm -rf demo/data
 	rm -f $(addprefix demo/,report.html results.json fig2.png fig4.png methods.png interference.png captures.png)
+	rm -f fuzz/report.md fuzz/report.json
+	if [ -d fuzz ]; then rmdir --ignore-fail-on-non-empty fuzz; fi
 	if [ -d demo ]; then rmdir --ignore-fail-on-non-empty demo; fi
 	if [ -f $(VENV)/.made-by-make ]; then rm -rf $(VENV); fi

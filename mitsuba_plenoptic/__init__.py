@@ -15,7 +15,9 @@ _llvm.choose()
 from . import plugins as plugins
 from .camera import PlenopticCamera
 from .capture import Capture, read_capture, write_capture
+from .checkpoint import Checkpoint
 from .detector import Detector, expose
+from .distributed import Cluster
 from .errors import InputError
 from .lightfield import decode
 from .propagation.point_spread import point_spread_function
@@ -26,6 +28,8 @@ __version__ = importlib.metadata.version("mitsuba-plenoptic")
 
 __all__ = [
     "Capture",
+    "Checkpoint",
+    "Cluster",
     "Detector",
     "InputError",
     "PlenopticCamera",

@@ -256,6 +256,20 @@ class PlenopticCamera:
         """Microlens pitch in pixels; need not be a whole number."""
         return self.mla_pitch / self.pixel_size
 
+    def require_resolved(self) -> None:
+        """Refuse a camera whose lenses are narrower than a pixel, for work that goes from lens to lens.
+
+        Raises
+        ------
+        InputError
+            If they are.
+        """
+        if self.pixels_per_lens < 1:
+            raise InputError(
+                f"mla_pitch = {self.mla_pitch:g}: it is less than a pixel of {self.pixel_size:g}, so that no "
+                "micro-image is resolved"
+            )
+
     @property
     def lens_count(self) -> tuple[int, int]:
         """Lenses across the full detector and down it; also the bins of a reconstruction.

@@ -29,8 +29,8 @@ DEFAULT_VARIANT = "llvm_ad_mono"
 # sample each stay at 0.25 GiB beside the film.
 _RAYS_PER_PASS = 2**24
 
-# More samples would take weeks.
-_MOST_SAMPLES = 2**24
+MOST_SAMPLES = 2**24
+"""Samples per pixel, and light paths per radiator, at most."""
 
 # Bytes a pixel while a film is rendered: its block of red, green, blue and weight, what is developed of it, the copy
 # of that, and the sum of passes, each of up to four numbers.
@@ -176,10 +176,10 @@ def render_capture(
         raise InputError(
             f"integrator: it has the extra outputs {', '.join(integrator.aov_names())}; a capture needs one without"
         )
-    spp = require_count("spp", sensor.sampler().sample_count() if spp is None else spp, maximum=_MOST_SAMPLES)
+    spp = require_count("spp", sensor.sampler().sample_count() if spp is None else spp, maximum=MOST_SAMPLES)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
     wavelengths = getattr(integrator, "wavelengths", None)
-    _require_film_memory(camera)
+    _require_film_memory(camera, spp)
     metadata = _provenance(scene, integrator, seed=seed, spp=spp)
     if wavelengths is None:
         if batch_map:
@@ -226,13 +226,13 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
         raise InputError(_sentence(error)) from None
 
 
-def _require_film_memory(camera: PlenopticCamera) -> None:
+def _require_film_memory(camera: PlenopticCamera, spp: int) -> None:
     """Refuse a film too large to render, before Mitsuba allocates it."""
     rows, columns = camera.shape
 
     def memory(width: int) -> float:
         pixels = float(width) * max(1, round(width * rows / columns))
-        return _PIXEL_BYTES * pixels + _RAY_BYTES * max(_RAYS_PER_PASS, pixels)
+        return _PIXEL_BYTES * pixels + _RAY_BYTES * max(min(_RAYS_PER_PASS, pixels * spp), pixels)
 
     def fitting(limit: float) -> str | None:
         width = largest_fitting(memory, limit, columns)

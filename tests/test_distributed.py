@@ -14,6 +14,7 @@ from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.distributed import Cluster
 from mitsuba_plenoptic.propagation.batches import PartialSum
 from mitsuba_plenoptic.propagation.incoherent import estimate_cost, incoherent_sum
+from mitsuba_plenoptic.report.sweep import SweepSettings, sweep
 
 pytest.importorskip("distributed")
 
@@ -94,6 +95,16 @@ def test_a_capture_on_workers_has_the_same_bits(cluster):
     alone, shared = (render_capture(scene, batch_map=batch_map, **options).image for batch_map in (None, cluster))
     assert alone.any()
     np.testing.assert_array_equal(shared, alone)
+
+
+def test_a_sweep_on_workers_has_the_same_bits(cluster, tmp_path):
+    pytest.importorskip("h5netcdf")
+    small = {"resolution": "128", "detector_width": "0.256", "letter_scale": "0.03"}
+    settings = SweepSettings("letters", parameters=small, model="wave", spp=1, radiators_per_lens=2)
+    grid = {"wavelength": [500, 633]}
+    alone = sweep(settings, grid, tmp_path / "alone.nc").load()
+    assert alone.capture.any()
+    assert sweep(settings, grid, tmp_path / "shared.nc", batch_map=cluster).load().equals(alone)
 
 
 def test_no_more_batches_are_under_way_than_keep_the_workers_busy(cluster, tiny_groups):

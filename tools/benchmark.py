@@ -18,7 +18,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import scipy
-from benchmarks import captures, gpu, growth, point_spreads, reconstructions, shares, steps
+from benchmarks import captures, gpu, growth, point_spreads, reconstructions, shares, steps, workers
 from benchmarks.table import markdown
 
 from mitsuba_plenoptic.propagation.fft import worker_count
@@ -46,6 +46,7 @@ def main() -> None:
             [row for scene in arguments.scene for row in point_spreads.whole(scene)]
             or [*point_spreads.sharing(), *point_spreads.estimates()]
         ),
+        "workers": lambda: workers.run(arguments.runs),
         "captures": lambda: [
             *captures.samples_per_second(arguments.resolution, arguments.runs),
             *captures.command(arguments.resolution, 16),

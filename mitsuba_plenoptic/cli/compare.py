@@ -9,6 +9,8 @@ import typer
 
 from ..camera import require_wavelength
 from ..errors import require_count, require_number
+from ..plugins.plenoptic_wave import MOST_RADIATORS
+from ..rendering import MOST_SAMPLES
 from ._common import Definitions, ResumeOnly, parse_definitions
 from ._stages import stage_lines
 
@@ -59,9 +61,9 @@ def compare(
         distances=tuple(sorted({require_number("distance", value, positive=True) for value in distance})),
         parameters=parse_definitions(define),
         wavelength=require_wavelength(wavelength),
-        radiators_per_lens=require_count("radiators_per_lens", radiators_per_lens),
-        spp=require_count("spp", spp),
-        paths=require_count("spp", spp),
+        radiators_per_lens=require_count("radiators_per_lens", radiators_per_lens, maximum=MOST_RADIATORS),
+        spp=require_count("spp", spp, maximum=MOST_SAMPLES),
+        paths=spp,
         variant=variant,
     )
     with stage_lines() as (notify, finished):

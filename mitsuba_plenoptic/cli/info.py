@@ -13,7 +13,7 @@ from rich.table import Table
 
 from ..camera import PlenopticCamera, require_wavelength
 from ..capture import Capture
-from ..errors import InputError
+from ..errors import InputError, printable
 from ..rendering import load_scene
 from ..report.design_sheet import Row, design_sheet, design_warnings
 from ._common import Definitions, load_capture, parse_definitions
@@ -63,7 +63,7 @@ def info(
     if capture is not None:
         console.print("[bold]Capture[/bold]")
         for name, fact in _origin(capture).items():
-            console.print(f"  {name}: {escape(fact)}", soft_wrap=True)
+            console.print(f"  {escape(printable(name))}: {escape(printable(fact))}", soft_wrap=True)
     for warning in design_warnings(camera, wavelength):
         console.print(f"[bold]Warning:[/bold] {escape(warning)}.", soft_wrap=True)
 

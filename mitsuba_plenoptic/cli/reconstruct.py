@@ -91,7 +91,7 @@ def reconstruct(
             distance,
             method=method,
             wavelength=wavelength,
-            interleave=int(interleave) if interleave.isdecimal() else interleave,
+            interleave=int(interleave) if interleave.isdecimal() and len(interleave) < 10 else interleave,
             footprint=footprint,
             relay=relay,
             oversample=oversample,

@@ -22,7 +22,7 @@ import scipy.io
 import xarray as xr
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import InputError, require_number
 from ..files import atomic_output, require_file
 from ..lightfield.geometry import light_field, require_light_field
 from ..lightfield.grid import LensGrid, bin_grid
@@ -137,7 +137,7 @@ def _from_variables(found: dict[str, Any]) -> xr.DataArray:
     else:
         seen = values.reshape(*values.shape[:2], -1).any(axis=2)
         weight = np.broadcast_to(seen[:, :, None, None], values.shape[:4]).astype(np.float32)
-    values = values * np.float32(found.get("MaxLum", 1.0))
+    values = values * np.float32(require_number("MaxLum", found.get("MaxLum", 1.0), positive=True))
     values = np.ascontiguousarray(values if values.shape[4] == 3 else values[..., 0])
     model, text = found.get("LensletGridModel"), found.get("Camera")
     lenses = None if model is None else _from_model(model)

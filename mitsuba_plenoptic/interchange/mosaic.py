@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import InputError, require_count
-from ..lightfield.geometry import light_field
+from ..lightfield.geometry import light_field, require_light_field
 from ..lightfield.views import lens_mosaic, view_mosaic
 from .pictures import read_picture, write_picture
 
@@ -38,6 +38,7 @@ def write_mosaic(path: str | Path, lf: xr.DataArray, *, layout: str = "lenses") 
         If the layout is unknown or the file cannot be written.
     """
     _require_layout(layout)
+    lf = require_light_field(lf)
     peak = float(np.max(lf.values, initial=0)) or 1.0
     mosaic = lens_mosaic(lf) if layout == "lenses" else view_mosaic(lf)
     write_picture(path, mosaic / peak)

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.fft
 import xarray as xr
 
-from ..errors import InputError
+from ..errors import InputError, require_number
 from ..limits import require_memory
 from .geometry import require_light_field, view_steps
 
@@ -39,14 +39,16 @@ class FourierRefocuser:
     Raises
     ------
     InputError
-        If the spectrum would not fit: four times as many complex numbers as the light field has samples.
+        If the disparity is not a number, or the spectrum would not fit: four times as many complex numbers as the
+        light field has samples.
     """
 
     def __init__(self, lf: xr.DataArray, max_disparity: float) -> None:
         self._lf = require_light_field(lf)
+        max_disparity = abs(require_number("max_disparity", max_disparity, minimum=-1e6, maximum=1e6))
         self._steps = view_steps(lf, "v"), view_steps(lf, "u")
-        self._margin = math.ceil(abs(max_disparity) * max(np.abs(steps).max() for steps in self._steps)) + 1
-        self._max_disparity = abs(max_disparity)
+        self._margin = math.ceil(max_disparity * max(np.abs(steps).max() for steps in self._steps)) + 1
+        self._max_disparity = max_disparity
         views, field = lf.shape[:2], lf.shape[2:4]
         self._grid = tuple(scipy.fft.next_fast_len(max(_WIDTH, _OVERSAMPLING * n)) for n in views)
         self._field = tuple(scipy.fft.next_fast_len(n + 2 * self._margin, real=True) for n in field)

@@ -63,9 +63,12 @@ def light_field(
     Raises
     ------
     InputError
-        If a value is NaN, infinite or above 1e30 in magnitude.
+        If a value is NaN, infinite or above 1e30 in magnitude, or a weight is not from 0 to 1.
     """
     require_pixels("light field", values)
+    # Written so that NaN is refused.
+    if weight.size and not (weight.min() >= 0 and weight.max() <= 1):
+        raise InputError("light field: a weight is not from 0 to 1")
     coordinates: dict[str, Any] = {"weight": (DIMS, weight)}
     for axis, (angular, spatial) in enumerate((("u", "s"), ("v", "t"))):
         views, size = values.shape[DIMS.index(angular)], values.shape[DIMS.index(spatial)]

@@ -115,16 +115,12 @@ def bin_grid(camera: PlenopticCamera) -> LensGrid:
     Raises
     ------
     InputError
-        If no micro-image is centred in the recorded window.
+        If no micro-image is centred in the recorded window, or a lens is less than a pixel wide.
     """
+    camera.require_resolved()
     start, count = [], []
     spacing = camera.micro_image_pitch / camera.pixel_size
     for axis, lenses in enumerate(camera.lens_count):
-        if camera.pixels_per_lens < 1:
-            raise InputError(
-                f"mla_pitch = {camera.mla_pitch:g}: it is less than a pixel of {camera.pixel_size:g}, so that no "
-                "micro-image is resolved"
-            )
         index = np.arange(lenses) - lenses // 2
         centre = lattice.cell_centre(index.astype(np.float64), camera.mla_pitch)
         p = rays.chief_detector_point(centre, camera.mla_distance, camera.detector_distance)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import scipy.ndimage
 
+from ..capture import as_array, require_pixels
 from ..errors import InputError
 from .grid import LensGrid
 
@@ -51,11 +52,13 @@ def estimate_lens_grid(white: np.ndarray) -> LensGrid:
     InputError
         If the array is not an image, or shows no lattice of at least 4 x 4 micro-images.
     """
-    image = np.asarray(white, dtype=np.float32)
+    given = as_array("white", white)
+    if given.dtype.kind not in "fiu" or given.ndim not in (2, 3) or min(given.shape[:2]) < 16 or not given.size:
+        raise InputError(f"white of type {given.dtype} and shape {given.shape}: it must be an image, 16 x 16 or larger")
+    require_pixels("white", given)
+    image = given.astype(np.float32, copy=False)
     if image.ndim == 3:
         image = image.mean(axis=2)
-    if image.ndim != 2 or min(image.shape) < 16 or not np.isfinite(image.sum(dtype=np.float64)):
-        raise InputError(f"white of shape {np.shape(white)}: it must be an image of finite numbers, 16 x 16 or larger")
     vectors, origin = _guess(image)
     vectors, shifted = _axes(vectors)
     origin, vectors = _fit(image, origin, vectors, shifted)

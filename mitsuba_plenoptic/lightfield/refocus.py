@@ -34,8 +34,14 @@ def shift_and_add(lf: xr.DataArray, disparity: float) -> xr.DataArray:
     -------
     xarray.DataArray
         Dimensions t, s[, c]; 0 where no view sees the place.
+
+    Raises
+    ------
+    InputError
+        If it is no light field, or the disparity is not a number from -1e6 to 1e6.
     """
     lf = require_light_field(lf)
+    disparity = require_number("disparity", disparity, minimum=-1e6, maximum=1e6)
     weight = np.asarray(lf["weight"].values)
     planes = [weight] + [plane * weight for plane in channel_planes(lf)]
     v, u = view_steps(lf, "v"), view_steps(lf, "u")

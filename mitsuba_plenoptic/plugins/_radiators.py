@@ -149,6 +149,7 @@ def find_radiators(
         Whether to find by shadow rays which part of the pupil each radiator sees.
     """
     window = LensWindow.of(camera)
+    camera.require_resolved()
     _require_memory(window, len(pairs), spp)
     lenses = max(1, _LANES // (len(pairs) * spp))
     found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
@@ -175,10 +176,11 @@ def _unpacked(masks: np.ndarray) -> np.ndarray:
 
 
 def _require_memory(window: LensWindow, pairs: int, spp: int) -> None:
-    """Refuse what one lens's light paths take, of all of which a batch holds at least one."""
+    """Refuse light paths that do not fit: a batch holds those of one lens or more."""
 
     def memory(per_lens: int) -> float:
-        return _LANE_BYTES * max(_LANES, float(per_lens) ** 2 * spp)
+        paths = float(per_lens) ** 2 * spp
+        return _LANE_BYTES * max(min(_LANES, paths * window.lenses), paths)
 
     def fitting(limit: float) -> str | None:
         largest = largest_fitting(memory, limit, per_lens)

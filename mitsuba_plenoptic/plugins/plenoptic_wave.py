@@ -27,6 +27,9 @@ _log = logging.getLogger(__name__)
 
 DEFAULT_WAVELENGTH = 633.0
 
+MOST_RADIATORS = 256
+"""Radiators per lens and axis at most."""
+
 # Dominant wavelengths of the sRGB primaries (IEC 61966-2-1), for variants of three channels.
 RGB_WAVELENGTHS = (611.4, 549.1, 464.3)
 
@@ -106,7 +109,7 @@ def make_class() -> type:
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             self.wavelengths = _read_wavelengths(props)
-            self.radiators_per_lens = read_count(props, NAME, "radiators_per_lens", 8, maximum=256)
+            self.radiators_per_lens = read_count(props, NAME, "radiators_per_lens", 8, maximum=MOST_RADIATORS)
             self.passes = read_count(props, NAME, "passes", 1)
             self.method = read_choice(props, NAME, "method", METHODS)
             self.occlusion = read_flag(props, NAME, "occlusion", True)

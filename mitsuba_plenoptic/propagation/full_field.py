@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from .._backend import backend
 from ..camera import PlenopticCamera
+from ..errors import InputError
 from .angular_spectrum import advance
 from .fft import Field, as_field, fft, fft2, irfft, pack, resting_drjit, rfft
 from .microlens import transmission, transmission_table
@@ -179,8 +180,8 @@ def _grids(
     reach = growth * camera.detector_distance * bent / math.sqrt(max(1e-3, 1 - bent**2))
     margin = math.ceil(reach / p)
     width = np.array([camera.detector_width, camera.detector_height])
-    start = -width / 2 + (np.array(camera.crop_offset) - margin) * p
     pixels = [fast_length(size + 2 * margin) for size in camera.crop_size]
+    start = -width / 2 + (np.array(camera.crop_offset) - margin) * p
     # The window of the way to the MLA, square and on the same grid of pixels.
     low = np.minimum(-camera.aperture_radius, np.minimum(place - half_width, start))
     high = np.maximum(camera.aperture_radius, np.maximum(place + half_width, start + np.array(pixels) * p))
@@ -226,6 +227,10 @@ def _pupil_field(
     cover = types.Float(dr.clip((camera.aperture_radius - dr.sqrt(Px * Px + Py * Py)) / step + 0.5, 0, 1))
     bright = types.Float(g / (length * length))
     power = dr.sum(types.Float64(bright * bright * cover))[0] * pitch**2
+    if not 0 < power < math.inf:
+        raise InputError(
+            f"aperture_radius = {camera.aperture_radius:g}: no light passes it on a grid of samples {pitch:g} apart"
+        )
     field = types.Complex2f(cosine, sine) * (bright * cover / math.sqrt(power))
     return SampledField(as_field(pack(field), (count, count)), grids.wide_origin, pitch)
 

@@ -35,7 +35,7 @@ from .._backend import backend
 from ..camera import PlenopticCamera
 from .fft import Field, as_field, fft, pack
 from .microlens import transmission_table
-from .sampling import fast_length, footprint, in_millimetres, mla_cosine, pupil_turns
+from .sampling import check_samples, fast_length, footprint, in_millimetres, mla_cosine, pupil_turns
 
 _WIDTH_PER_BLUR = 1.2
 _WIDTH_STEP = 1.06
@@ -120,6 +120,7 @@ class Grid:
         cosine = camera.aperture_radius * float(powers.max(initial=1 / camera.mla_distance))
         half_band = band.cone * (cosine + mla_cosine(camera))
         largest = in_millimetres(wavelength) / (2 * half_band)
+        check_samples(camera.micro_image_pitch / largest, "from lens to lens")
         pitch = camera.micro_image_pitch / math.ceil(camera.micro_image_pitch / largest)
         origin = (-camera.detector_width / 2, -camera.detector_height / 2)
         return cls(camera, wavelength, band, cosine, pitch, origin)
@@ -159,6 +160,7 @@ def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
     blur = 2 * image.half_width.max(1)
     spread = grid.band.margin * airy
     width = np.maximum(_WIDTH_PER_BLUR * blur + spread / 3, spread) + np.abs(walk).max(1)
+    check_samples(float((np.abs(image.centre) + width[:, None]).max(initial=0)) / grid.pitch, "from the axis")
     samples = _ladder(width / grid.pitch)
     corner = np.rint((image.centre + walk / 2 - np.array(grid.origin)) / grid.pitch).astype(np.int64)
     step = lam / (samples * grid.pitch)

@@ -6,6 +6,7 @@ Directions are direction cosines, as the angular spectrum has them; the lenses a
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -127,9 +128,21 @@ def fast_length(minimum: float, multiple: int = 1) -> int:
     InputError
         If it is longer than any memory holds.
     """
-    if not minimum <= _LONGEST:
-        raise InputError(f"a field of {minimum:.3g} samples along an axis: at most {_LONGEST} can be transformed")
-    return multiple * int(scipy.fft.next_fast_len(math.ceil(minimum / multiple), real=True))
+    check_samples(minimum, "along an axis")
+    return multiple * int(scipy.fft.next_fast_len(max(1, math.ceil(minimum / multiple)), real=True))
+
+
+def check_samples(count: float, where: str) -> None:
+    """Refuse a field of more samples in a row than any memory holds, before they are counted in integers.
+
+    Raises
+    ------
+    InputError
+        With the number.
+    """
+    # Written so that NaN is refused.
+    if not count <= _LONGEST:
+        raise InputError(f"a field of {count:.3g} samples {where}: at most {_LONGEST} can be computed")
 
 
 def check_positions(positions: Any) -> NDArray[np.float64]:
@@ -172,15 +185,15 @@ def check_wavelength(wavelength: Any) -> float:
     return require_wavelength(wavelength)
 
 
-def check_memory(bytes_needed: float, what: str) -> None:
-    """Refuse work that needs more than `MEMORY_LIMIT`.
+def check_memory(bytes_needed: float, what: str, fits: Callable[[float], str | None] | None = None) -> None:
+    """Refuse work that needs more than `MEMORY_LIMIT`, or than `memory_limit`; see `require_memory`.
 
     Raises
     ------
     InputError
         With the estimate.
     """
-    require_memory(bytes_needed, what, limit=min(MEMORY_LIMIT, memory_limit()))
+    require_memory(bytes_needed, what, fits, limit=min(MEMORY_LIMIT, memory_limit()))
 
 
 def _format(point: NDArray[np.float64]) -> str:

@@ -8,7 +8,7 @@ from typing import Any, overload
 import numpy as np
 
 from ..camera import PlenopticCamera, image_distance, require_wavelength
-from ..capture import Capture
+from ..capture import Capture, as_array
 from ..errors import InputError, require_count, require_number, shown
 from ..limits import largest_fitting, require_memory
 from .ray import reconstruct_ray
@@ -112,7 +112,7 @@ def reconstruct(
         raise InputError(f"method = {shown(method)}: it must be one of {', '.join(METHODS)}")
     if footprint not in FOOTPRINTS:
         raise InputError(f"footprint = {shown(footprint)}: it must be one of {', '.join(FOOTPRINTS)}")
-    if interleave != "auto":
+    if not (isinstance(interleave, str) and interleave == "auto"):
         interleave = _require_interleave(interleave, camera)
     oversample = require_count("oversample", oversample)
     if isinstance(distance, (str, bytes)):
@@ -208,7 +208,7 @@ def _as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) -
         return Capture(capture.image, camera, capture.wavelength, capture.model, capture.metadata)
     if camera is None:
         raise InputError("camera = None: a plain array needs the camera that recorded it, reconstruct(..., camera=...)")
-    return Capture(np.asarray(capture), camera)
+    return Capture(as_array("capture", capture), camera)
 
 
 def _require_interleave(interleave: Any, camera: PlenopticCamera) -> int:

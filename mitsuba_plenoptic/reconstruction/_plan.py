@@ -21,6 +21,7 @@ import numpy as np
 
 from .. import lattice, rays
 from ..camera import PlenopticCamera
+from ..limits import largest_fitting
 from ..propagation.sampling import check_memory, fast_length, in_millimetres, mla_cosine
 
 GUARD = 1.05
@@ -113,6 +114,11 @@ class Plan:
     main_lens: Leg
     objects: tuple[Leg, ...]
 
+    @property
+    def memory(self) -> float:
+        """Bytes of the leg that takes most."""
+        return max(leg.memory for leg in (self.detector, self.main_lens, *self.objects))
+
 
 def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
     r"""Field samples across a pixel on the detector.
@@ -159,13 +165,32 @@ def plan(
     InputError
         If the work would need more than 4 GiB.
     """
+    made = _legs(camera, wavelength, distances, lit)
+
+    def fitting(limit: float) -> str | None:
+        def memory(count: int) -> float:
+            middles = [(first + end) // 2 for first, end in lit]
+            first = [max(middle - count // 2, 0) for middle in middles]
+            part = tuple((start, start + count) for start in first)
+            return _legs(camera, wavelength, distances, (part[0], part[1])).memory
+
+        count = largest_fitting(memory, limit, min(end - first for first, end in lit))
+        return f"a window of {count} x {count} lit pixels" if count else None
+
+    check_memory(made.memory, f"camera with {made.subsamples} field samples a pixel; its wave reconstruction", fitting)
+    return made
+
+
+def _legs(
+    camera: PlenopticCamera,
+    wavelength: float,
+    distances: Sequence[float],
+    lit: tuple[tuple[int, int], tuple[int, int]],
+) -> Plan:
     subsamples = field_subsamples(camera, wavelength)
     axes = [_axis_plan(camera, wavelength, distances, axis, lit[axis], subsamples) for axis in (0, 1)]
     (x1, x2, xs), (y1, y2, ys) = axes
-    made = Plan(subsamples, Leg(x1, y1), Leg(x2, y2), tuple(Leg(x, y) for x, y in zip(xs, ys, strict=True)))
-    needed = max(leg.memory for leg in (made.detector, made.main_lens, *made.objects))
-    check_memory(needed, f"camera with {subsamples} field samples a pixel; its wave reconstruction")
-    return made
+    return Plan(subsamples, Leg(x1, y1), Leg(x2, y2), tuple(Leg(x, y) for x, y in zip(xs, ys, strict=True)))
 
 
 def _axis_plan(
@@ -185,11 +210,12 @@ def _axis_plan(
     count = (lit[1] - lit[0]) * subsamples
     first = (lit[0] - camera.resolution[axis] / 2) * camera.pixel_size + pitch / 2
     spread = math.ceil(z * wave / (2 * pitch) / pitch)
-    padded = fast_length(count + 2 * spread)
     cells = lattice.cell_index(rays.chief_point(first + pitch * np.array([0, count - 1.0]), b, z), camera.mla_pitch)
     low, high = cells * camera.mla_pitch + np.array([0, camera.mla_pitch])
     wanted = math.ceil((high - low) / pitch - 1e-6)  # whole cells often are whole numbers of samples
     start = (low + high) / 2 - (wanted - 1) / 2 * pitch
+    # Few pixels may belong to wide cells.
+    padded = fast_length(max(count + 2 * spread, wanted))
     detector = AxisLeg(first, pitch, count, padded, padded, float(start), wanted)
 
     # MLA to main lens.
@@ -199,7 +225,7 @@ def _axis_plan(
     slopes += [(radius + max(map(abs, light))) / g for g, (light, _) in zip(distances, ends, strict=True)]
     steepest = GUARD * max(slopes)
     main_lens = _leg(
-        detector.destination[0],
+        detector.start,
         pitch,
         wanted,
         window=half_mla + b * steepest + radius,

@@ -27,7 +27,8 @@ import numpy as np
 
 from .. import lattice, rays
 from .._backend import backend
-from ..camera import PlenopticCamera
+from ..camera import MOST_PIXELS, PlenopticCamera
+from ..errors import InputError
 from ..propagation.angular_spectrum import advance
 from ..propagation.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, unpack
 from ..propagation.sampling import check_memory, fast_length, in_millimetres, pupil_turns
@@ -113,8 +114,17 @@ def white_throughput(camera: PlenopticCamera, wavelength: float, *, relay: bool 
     relay : bool
         Whether the microlenses act in the MLA plane.
     """
-    # The micro-image of the lens beside the axis, in the four lenses around that.
+    # The micro-image of the lens beside the axis, in the four lenses around that. A smaller detector than those does
+    # not change what comes back of it.
     around = math.ceil(2 * camera.micro_image_pitch / camera.pixel_size)
+    if around > MOST_PIXELS // 2:
+        raise InputError(
+            f"mla_pitch = {camera.mla_pitch:g}: a micro-image of {around // 2} pixels is too wide for waves"
+        )
+    whole = (max(camera.resolution[0], 2 * around), max(camera.resolution[1], 2 * around))
+    camera = camera.replace(
+        resolution=whole, detector_width=whole[0] * camera.pixel_size, crop_offset=(0, 0), crop_size=whole
+    )
     first = [max(0, size // 2 - around) for size in camera.resolution]
     size = [min(size, 2 * around) for size in camera.resolution]
     camera = camera.replace(crop_offset=tuple(first), crop_size=tuple(size))
@@ -167,7 +177,12 @@ class Tile:
     @cached_property
     def pitch(self) -> float:
         """Distance of samples on detector and MLA, in millimetres."""
-        return self.camera.pixel_size / field_subsamples(self.camera, self.wavelength)
+        return self.camera.pixel_size / self.subsamples
+
+    @cached_property
+    def subsamples(self) -> int:
+        """Samples across a pixel."""
+        return field_subsamples(self.camera, self.wavelength)
 
     @cached_property
     def cell(self) -> np.ndarray:
@@ -190,7 +205,9 @@ class Tile:
         """Samples of the window from detector to MLA: what wraps round misses the cell."""
         source = self.pixels * self.camera.pixel_size + self._chief_shift
         spread = self.camera.detector_distance * in_millimetres(self.wavelength) / (2 * self.pitch)
-        return fast_length(((source + self.camera.mla_pitch) / 2 + self._chief_shift + spread) / self.pitch)
+        window = (source + self.camera.mla_pitch) / 2 + self._chief_shift + spread
+        # The pixels themselves must have room.
+        return fast_length(max(window / self.pitch, self.pixels * self.subsamples))
 
     @property
     def _chief_shift(self) -> float:
@@ -253,7 +270,10 @@ class Tile:
     @property
     def memory(self) -> float:
         """Bytes of the fields of one batch on the way, and of the matrices that serve all."""
-        matrices = 32.0 * self.cell_samples * self.pupil_samples + 16.0 * self.padded**2
+        bins = self.lenses * self.oversample
+        matrices = (
+            32.0 * self.cell_samples * self.pupil_samples + 16.0 * self.padded**2 + 8.0 * bins * self.object_samples
+        )
         # What `LensAxis` holds of each lens.
         lenses = sum(size / self.camera.pixels_per_lens + 2 for size in self.camera.crop_size)
         axes = lenses * 24 * (self.padded + self.cell_samples)
@@ -298,7 +318,7 @@ class LensAxis:
         self.centre = lattice.cell_centre(self.index.astype(np.float64), camera.mla_pitch)
         edge = rays.chief_detector_point(self.index * camera.mla_pitch, camera.mla_distance, camera.detector_distance)
         pixel = np.floor(edge / camera.pixel_size + half + 1e-9).astype(np.int64)[:, None] + np.arange(tile.pixels)
-        subsamples = round(camera.pixel_size / tile.pitch)
+        subsamples = tile.subsamples
         fine = (pixel[..., None] + (np.arange(subsamples) + 0.5) / subsamples).reshape(self.index.size, -1)
         p = (fine - half) * camera.pixel_size
         recorded = (pixel >= offset) & (pixel < offset + size)

@@ -59,7 +59,7 @@ def _names(folder: Path) -> set[str]:
 
 
 def _render(random: np.random.Generator, folder: Path, raw: Path) -> list[Any]:
-    whole: dict[str, Any] = {"-o": folder / "out.exr", "--spp": 1, "-D": "resolution=16"}
+    whole: dict[str, Any] = {"-o": folder / "out.exr", "--spp": 1, "-D": "resolution=256"}
     scene: Any = "white"
     bad: dict[str, Any] = pick(
         random,
@@ -71,7 +71,7 @@ def _render(random: np.random.Generator, folder: Path, raw: Path) -> list[Any]:
             {"--model": "wave", "--wavelength": pick(random, (*LENGTH_TEXTS, "0.1", "1,2,3", ",", "1e7"))},
             {"--model": "wave", "--radiators-per-lens": pick(random, (*COUNTS, "257"))},
             {"--model": "ray", "--wavelength": "633"},
-            {"--variant": pick(random, ("nosuch", "", "scalar_rgb", "cuda_ad_mono", "llvm_ad_mono "))},
+            {"--variant": pick(random, ("nosuch", "scalar_rgb", "cuda_ad_mono", "llvm_ad_mono "))},
             {"-D": f"{pick(random, LENGTHS)}={pick(random, LENGTH_TEXTS)}"},
             {"-D": f"resolution={pick(random, (*NUMBERS, '1.5', '99999999999', '1048577', '65536'))}"},
             {"-D": f"spp={pick(random, (*NOT_NUMBER_TEXTS, *NOT_POSITIVE_TEXTS[:2], '1.5'))}", "--spp": None},
@@ -191,7 +191,7 @@ def _info(random: np.random.Generator, folder: Path, raw: Path) -> list[Any]:
 
 
 def _compare(random: np.random.Generator, folder: Path, raw: Path) -> list[Any]:
-    whole: dict[str, Any] = {"-o": folder / "out", "--distance": 240, "--spp": 1, "-D": "resolution=16"}
+    whole: dict[str, Any] = {"-o": folder / "out", "--distance": 240, "--spp": 1, "-D": "resolution=256"}
     bad = pick(
         random,
         (

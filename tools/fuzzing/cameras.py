@@ -24,6 +24,7 @@ LENGTHS = (
     "detector_distance",
     "detector_width",
 )
+PAIRS = ("resolution", "crop_offset", "crop_size")
 BAD_LENGTHS = (*NOT_NUMBERS, *NOT_FINITE, *NOT_POSITIVE, *TOO_SMALL, *TOO_LARGE)
 BAD_PAIRS: tuple[Any, ...] = (
     None, 4096, (), (1,), (1, 2, 3), "ab", (64, "64"), (64, None), (64, 2**21), (10**400, 64), (64, 64.5), {"a": 1},
@@ -44,7 +45,7 @@ def bad_parameter(random: np.random.Generator) -> dict[str, Any]:
     if kind < 0.8:
         return {"lens_model": pick(random, ("thick", "", None, 3, [], "IDEAL", "ideal ", b"ideal", {}, float("nan")))}
     if kind < 0.95:
-        name = pick(random, ("resolution", "crop_offset", "crop_size"))
+        name = pick(random, PAIRS)
         bad_pairs = BAD_PAIRS if name != "crop_size" else BAD_PAIRS[1:]
         smallest = -1 if name == "crop_offset" else 0
         pairs = [*bad_pairs, (smallest, 5), (5, smallest), (pick(random, NOT_WHOLE), 5), (5, pick(random, NOT_FINITE))]

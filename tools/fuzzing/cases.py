@@ -83,7 +83,7 @@ def judge(case: Case) -> Outcome:
     except Refused as refusal:
         return Outcome("refused", str(refusal))
     except TooLong:
-        return Outcome("too long", f"more than {SECONDS} s: {''.join(traceback.format_exc().splitlines(True)[-4:])}")
+        return Outcome("too long", f"more than {SECONDS} s: {''.join(traceback.format_exc().splitlines(True)[-24:])}")
     except BaseException:
         return Outcome("traceback", "".join(traceback.format_exc().splitlines(True)[-6:]))
     if case.forbidden:

@@ -91,7 +91,7 @@ JSON_VALUES: tuple[tuple[str, tuple[Any, ...]], ...] = (
     ("model", ("magic", "", None, 3, [], {}, "RAY", "\x1b]0;title\x07")),
     ("metadata", ("text", 3, ["a"], True, 1.5)),
     ("camera", (None, 3, [], "camera", {}, [1, 2])),
-    ("wavelength", (-1, 0, "633", [], [633.0], [1.0, 2.0], {}, True, float("nan"), float("inf"), 1e300, [0, 0, 0])),
+    ("wavelength", (-1, 0, "633", [], [1.0, 2.0], {}, True, float("nan"), float("inf"), 1e300, [0, 0, 0])),
 )
 BROKEN_JSON: tuple[tuple[bytes, str], ...] = (
     (b"{", "unfinished"),

@@ -36,7 +36,7 @@ KINDS: dict[str, tuple[int, Generator]] = {
 }
 """Kinds of input with their shares."""
 
-LIMIT_GIB = 1
+LIMIT_GIB = 0.25
 """What the package is told that it may take."""
 
 _ADDRESS_SPACE = 12 * 2**30
