@@ -155,9 +155,9 @@ def read_grid(path: Path) -> dict[str, list[Any]]:
     except ImportError:
         raise InputError("grid: YAML needs PyYAML: pip install 'mitsuba-plenoptic[sweep]'") from None
     path = require_file(path)
+    if path.stat().st_size > _LARGEST_FILE:
+        raise InputError(f"{path}: {path.stat().st_size} bytes: a grid has at most {_LARGEST_FILE}")
     try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise InputError(f"{path}: {path.stat().st_size} bytes: a grid has at most {_LARGEST_FILE}")
         text = path.read_text()
         node = yaml.compose(text, Loader=yaml.SafeLoader)
         content = yaml.safe_load(text)
