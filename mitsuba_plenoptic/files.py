@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -75,3 +77,10 @@ def atomic_output(path: str | Path) -> Iterator[Path]:
         temporary = Path(folder) / path.name
         yield temporary
         temporary.replace(path)
+
+
+def remove_leftovers(path: str | Path) -> None:
+    """Remove what `atomic_output` of the same file left behind in a process that was killed."""
+    path = Path(path)
+    for folder in path.parent.glob(f".{glob.escape(path.name)}.*"):
+        shutil.rmtree(folder, ignore_errors=True)

@@ -14,11 +14,15 @@ import mitsuba as mi
 import numpy as np
 
 from . import _llvm
+from ._backend import one_at_a_time
 from .camera import PlenopticCamera
 from .capture import MODELS, Capture
+from .checkpoint import Checkpoint
 from .errors import InputError, require_count
 from .files import require_file
 from .limits import largest_fitting, require_memory
+from .propagation import guards
+from .propagation.batches import BatchMap
 from .scene_file import check_scene_file
 
 DEFAULT_VARIANT = "llvm_ad_mono"
@@ -52,6 +56,7 @@ def scene_path(name: str) -> Path:
     return path
 
 
+@one_at_a_time
 def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Mapping[str, str] | None = None) -> Any:
     """Load a scene file, or a built-in scene by its name.
 
@@ -85,7 +90,9 @@ def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Map
             known = sorted(set(re.findall(r"<default\s+name=\"(\w+)\"", text)))
             raise InputError(f"parameter {name}: the scene {path} has none of that name ({', '.join(known)})")
     try:
-        loaded = mi.load_file(str(path), **parameters)
+        # Mitsuba's optimisation lists merged shapes and emitters in an order that changes from run to run, and with
+        # it the random numbers that each gets.
+        loaded = mi.load_file(str(path), optimize=False, **parameters)
     except InputError:
         raise
     except (RuntimeError, ValueError, TypeError) as error:
@@ -104,13 +111,14 @@ def _find(scene: str | Path) -> Path:
     return require_file(scene)
 
 
+@one_at_a_time
 def set_variant(variant: str | None) -> None:
     """Set a Mitsuba variant, or the default one if none is named and none is active.
 
     Raises
     ------
     InputError
-        If it does not exist or cannot work here.
+        If it does not exist or cannot work here, or this process was forked from one in which Dr.Jit was at work.
     """
     variant = variant or mi.variant() or DEFAULT_VARIANT
     if variant not in mi.variants():
@@ -123,6 +131,7 @@ def set_variant(variant: str | None) -> None:
         mi.set_variant(variant)
 
 
+@one_at_a_time
 def render_capture(
     scene: Any,
     *,
@@ -130,6 +139,8 @@ def render_capture(
     spp: int | None = None,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
+    checkpoint: Checkpoint | None = None,
+    batch_map: BatchMap | None = None,
     **wave: Any,
 ) -> Capture:
     """Render what the scene's first sensor, a plenoptic camera, records.
@@ -144,9 +155,13 @@ def render_capture(
     spp : int, optional
         Samples per pixel, or by waves light paths per radiator. Default: those of the sensor's sampler.
     seed : int
-        Seed of the random numbers; the same seed gives the same capture.
+        Seed of the random numbers; the same seed gives the same bits, on any number of threads and in any process.
     progress : callable, optional
         Called with what is done and how much there is: samples per pixel or, by waves, radiators.
+    checkpoint : Checkpoint, optional
+        By waves: what has been done is kept in its file, and taken from there. Rays are too quick to need one.
+    batch_map : callable, optional
+        By waves: computes the parts of the sums, for example `distributed.Cluster`. Default: threads of this process.
     **wave
         Parameters of ``plenoptic_wave``: ``wavelength``, ``radiators_per_lens``, ``passes``, ``method``,
         ``occlusion``, ``accuracy``.
@@ -154,9 +169,16 @@ def render_capture(
     Raises
     ------
     InputError
-        If the scene has no plenoptic sensor or no integrator, a parameter is out of range, the capture would take more
-        memory than is allowed, or a pixel comes out as NaN or infinity.
+        If the scene is not of the active variant, has no plenoptic sensor or no integrator, a parameter is out of
+        range, the capture would take more memory than is allowed, or a pixel comes out as NaN or infinity.
+    PhysicsError
+        If too much of the light is lost; the shares that the guards found are in the metadata under ``guards``.
     """
+    if not isinstance(scene, mi.Scene):
+        raise InputError(
+            f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant {mi.variant()}, "
+            "which is one for the whole process: load the scene after mi.set_variant"
+        )
     if not scene.sensors():
         raise InputError("scene: it has no sensor; add one of type 'plenoptic'")
     sensor = scene.sensors()[0]
@@ -170,11 +192,19 @@ def render_capture(
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
     wavelengths = getattr(integrator, "wavelengths", None)
     _require_film_memory(camera, spp)
-    if wavelengths is None:
-        image = _render_passes(scene, sensor, integrator, camera, spp, seed, progress)
-    else:
-        integrator.progress = progress
-        image = np.array(integrator.render(scene, sensor, seed=seed, spp=spp))
+    metadata = _provenance(scene, integrator, seed=seed, spp=spp)
+    with guards.watch() as shares:
+        if wavelengths is None:
+            if batch_map:
+                raise InputError("batch_map: workers are of use for model 'wave' only")
+            guards.judge(guards.CROSSTALK, sensor.crosstalk_missed())
+            image = _render_passes(scene, sensor, integrator, camera, spp, seed, progress)
+        else:
+            if checkpoint:
+                checkpoint.run = {**metadata, "camera": camera.to_dict()}
+            integrator.progress, integrator.checkpoint, integrator.batch_map = progress, checkpoint, batch_map
+            image = np.array(integrator.render(scene, sensor, seed=seed, spp=spp))
+    metadata["guards"] = shares
     if image.shape[2] == 1:
         image = image[..., 0]
     elif image.shape[2] != 3:
@@ -182,7 +212,6 @@ def render_capture(
             f"film: it has {image.shape[2]} channels; a capture needs pixel_format 'luminance' or 'rgb' and an "
             "integrator without extra outputs"
         )
-    metadata = _provenance(scene, integrator, seed=seed, spp=spp)
     if wavelengths is None:
         return Capture(image, camera, None, "ray", metadata)
     return Capture(image, camera, wavelengths if len(wavelengths) > 1 else wavelengths[0], "wave", metadata)

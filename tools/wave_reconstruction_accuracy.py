@@ -1,9 +1,14 @@
 """Wave reconstructions of the letters: against Mitsuba's thin lens, and against the limit without interference.
 
 Takes a ray and a wave capture of the letters (renders those that are not given), refocuses them by all methods, and
-writes two tables and a picture. Agreement: correlation and PSNR with a `thinlens` render of one pixel a bin, one scale
-factor per method. Interference: RMS distance from the image in which every lens is propagated alone, over the mean, in
-the letters out of focus; that limit is made with full fields at a period at which no two lenses of a subset overlap.
+writes two tables and a picture.
+
+Agreement: correlation and PSNR with a `thinlens` render of one pixel a bin, one scale factor per method. Beside the
+PSNR stands the highest that any picture of that correlation can have, with a scale and an offset of its own:
+-10 log10(v (1 - c^2)), v the reference's variance over its squared peak.
+
+Interference: RMS distance from the image in which every lens is propagated alone, over the mean, in the letters out of
+focus; that limit is made with full fields at a period at which no two lenses of a subset overlap.
 
     python tools/wave_reconstruction_accuracy.py --output out [--capture wave.exr] [--ray-capture ray.exr]
 """
@@ -86,6 +91,7 @@ def _agreement(captures: dict[str, Capture], references: list[np.ndarray], outpu
                     "method": name,
                     "distance": g,
                     "psnr_db": round(psnr, 2),
+                    "psnr_limit_db": round(_psnr_limit(correlation, reference), 2),
                     "correlation": round(correlation, 5),
                     "scale": round(scale, 4),
                     "best_shift": best_shift(image, reference),
@@ -96,6 +102,12 @@ def _agreement(captures: dict[str, Capture], references: list[np.ndarray], outpu
     sheet = np.repeat(np.repeat(np.concatenate(pictures, 0), 3, 0), 3, 1)
     write_png(output / "wave_reconstructions.png", sheet, peak=max(float(r.max()) for r in references))
     return rows
+
+
+def _psnr_limit(correlation: float, reference: np.ndarray) -> float:
+    """Highest PSNR of any picture of this correlation: what a line fitted to the reference leaves."""
+    left = np.var(reference) * (1 - correlation**2)
+    return float(10 * math.log10(reference.max() ** 2 / left))
 
 
 def _interference(capture: Capture, periods: list[int], limit_period: int) -> list[dict[str, Any]]:
@@ -131,12 +143,12 @@ def _distance(image: np.ndarray, limit: np.ndarray, bins: np.ndarray) -> float:
 
 def _markdown(table: list[dict[str, Any]], interference: list[dict[str, Any]], limit_period: int) -> str:
     lines = [
-        "| method | g (mm) | PSNR (dB) | correlation | scale | best shift | s, all distances |",
-        "|---|---|---|---|---|---|---|",
+        "| method | g (mm) | PSNR (dB) | limit (dB) | correlation | scale | best shift | s, all distances |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     lines += [
-        f"| {r['method']} | {r['distance']:g} | {r['psnr_db']:.1f} | {r['correlation']:.4f} | {r['scale']:.3f} "
-        f"| {r['best_shift']} | {r['seconds_for_all_distances']:.1f} |"
+        f"| {r['method']} | {r['distance']:g} | {r['psnr_db']:.1f} | {r['psnr_limit_db']:.1f} "
+        f"| {r['correlation']:.4f} | {r['scale']:.3f} | {r['best_shift']} | {r['seconds_for_all_distances']:.1f} |"
         for r in table
     ]
     places = list(interference[0])[1:]

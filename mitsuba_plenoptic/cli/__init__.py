@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from ..errors import InputError
-from . import compare, convert, depth, doctor, epi, expose, info, reconstruct, render, reproduce, stack, views
+from . import compare, convert, depth, doctor, epi, expose, info, reconstruct, render, reproduce, stack, sweep, views
 
 PROGRAM = "mitsuba-plenoptic"
 
@@ -58,6 +58,7 @@ app.command("stack")(stack.stack)
 app.command("depth")(depth.depth)
 app.command("expose")(expose.expose)
 app.command("convert")(convert.convert)
+app.command("sweep")(sweep.sweep)
 app.command("compare")(compare.compare)
 app.command("reproduce")(reproduce.reproduce)
 app.command("info")(info.info)

@@ -15,6 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from ..capture import Capture, read_capture
 from ..errors import InputError
+from ..propagation.batches import BatchMap
 
 Definitions = Annotated[
     list[str] | None,
@@ -32,6 +33,42 @@ Variant = Annotated[
         metavar="NAME",
         show_default="llvm_ad_mono",
         help="Mitsuba variant, for example llvm_ad_rgb or cuda_ad_mono.",
+    ),
+]
+
+Resume = Annotated[
+    bool,
+    typer.Option(
+        "--resume",
+        help="Go on from the checkpoint of a wave capture that was stopped; refuse one of another scene, camera or "
+        "version.",
+    ),
+]
+
+# Of commands that always go on where they stood.
+ResumeOnly = Annotated[
+    bool,
+    typer.Option(
+        "--resume",
+        help="Refuse the checkpoint of another scene, camera or version, if the folder holds one, instead of "
+        "replacing it.",
+    ),
+]
+
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        show_default="threads of one process",
+        help="By waves: sum on so many processes of this machine; the capture has the same bits.",
+    ),
+]
+
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="By waves: sum on the workers of this Dask scheduler, for example tcp://10.0.0.1:8786.",
     ),
 ]
 
@@ -63,6 +100,24 @@ def parse_definitions(definitions: list[str] | None) -> dict[str, str]:
             raise InputError(f"-D {text}: write it as -D NAME=VALUE")
         parameters[name] = value
     return parameters
+
+
+@contextlib.contextmanager
+def batches_on(workers: int | None, scheduler: str | None) -> Iterator[BatchMap | None]:
+    """Start or reach the workers that are asked for; yields None if none are.
+
+    Raises
+    ------
+    InputError
+        If they cannot be had.
+    """
+    if workers is None and scheduler is None:
+        yield None
+        return
+    from ..distributed import Cluster
+
+    with Cluster(workers=workers, scheduler=scheduler) as cluster:
+        yield cluster
 
 
 @contextlib.contextmanager

@@ -11,7 +11,7 @@ from ..camera import require_wavelength
 from ..errors import require_count, require_number
 from ..plugins.plenoptic_wave import MOST_RADIATORS
 from ..rendering import MOST_SAMPLES
-from ._common import Definitions, parse_definitions
+from ._common import Definitions, ResumeOnly, parse_definitions
 from ._stages import stage_lines
 
 
@@ -31,6 +31,7 @@ def compare(
     spp: Annotated[
         int, typer.Option(metavar="N", help="Samples per pixel by rays, light paths per radiator by waves.")
     ] = 16,
+    resume: ResumeOnly = False,
     define: Definitions = None,
     variant: Annotated[
         str,
@@ -41,7 +42,8 @@ def compare(
 
     Writes figures, captures and reconstructions, all numbers and report.html,
     which shows them in a browser. The ray capture has parabolic lenses, so that
-    diffraction is its only difference from the wave capture.
+    diffraction is its only difference from the wave capture. A run that was
+    stopped goes on where it stood.
 
     [bold]Examples:[/bold]
 
@@ -65,7 +67,7 @@ def compare(
         variant=variant,
     )
     with stage_lines() as (notify, finished):
-        results = compute(settings, output, notify=notify, finished=finished)
+        results = compute(settings, output, notify=notify, finished=finished, resume=resume)
     found = results["captures"]
     typer.echo(f"Rays against waves: {found['psnr']:.1f} dB, SSIM {found['ssim']:.3f}, energy {found['energy']:.3f}")
     typer.echo(f"{output / 'report.html'}: open it in a browser")

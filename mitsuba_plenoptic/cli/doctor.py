@@ -14,6 +14,8 @@ from .. import _llvm
 
 PACKAGES = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy", "scipy", "OpenEXR")
 SUPPORTED = ("llvm_ad_", "cuda_ad_")
+CUPY = ("cupy-cuda12x", "cupy-cuda13x", "cupy")
+MISSING = "not installed"
 
 
 def doctor() -> None:
@@ -44,6 +46,8 @@ def doctor() -> None:
     _section("GPU")
     _line("device", _nvidia_device() or "no NVIDIA driver")
     _line("CUDA", "usable" if cuda else "not usable")
+    cupy = next((found for name in CUPY if (found := _version(name)) != MISSING), None)
+    _line("CuPy", cupy or f'{MISSING}; for waves on CUDA: pip install "mitsuba-plenoptic[cuda]"')
 
     _section("Variants")
     for variant in mitsuba.variants():
@@ -71,7 +75,7 @@ def _version(name: str) -> str:
     try:
         return version(name)
     except PackageNotFoundError:
-        return "not installed"
+        return MISSING
 
 
 def _nvidia_device() -> str | None:

@@ -9,10 +9,11 @@ from typing import Annotated
 import typer
 
 from ..capture import MODELS, write_capture
+from ..checkpoint import SUFFIX, Checkpoint
 from ..errors import InputError
-from ..files import require_writable
+from ..files import remove_leftovers, require_writable
 from ..rendering import load_scene, render_capture
-from ._common import Definitions, Variant, parse_definitions, progress_bar
+from ._common import Definitions, Resume, Scheduler, Variant, Workers, batches_on, parse_definitions, progress_bar
 
 
 def render(
@@ -51,6 +52,17 @@ def render(
             help="By waves: incoherent point sources per microlens and axis.",
         ),
     ] = None,
+    resume: Resume = False,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            show_default="FILE.exr.checkpoint",
+            help="By waves: where to keep what is done until the capture is written.",
+        ),
+    ] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     define: Definitions = None,
     variant: Variant = None,
 ) -> None:
@@ -58,7 +70,8 @@ def render(
 
     The scene needs a sensor of type [bold]plenoptic[/bold]. The capture is
     written as float32 OpenEXR, which any EXR viewer shows; its header holds
-    the camera and how it was made.
+    the camera and how it was made. A long wave capture keeps a checkpoint
+    beside the output, from which [bold]--resume[/bold] goes on after a crash.
 
     [bold]Examples:[/bold]
 
@@ -68,6 +81,8 @@ def render(
 
       mitsuba-plenoptic render letters -o small.exr -D resolution=1024
 
+      mitsuba-plenoptic render letters -o wave.exr --model wave --resume
+
       mitsuba-plenoptic render my_scene.xml -o colour.exr --variant llvm_ad_rgb
     """
     parameters = parse_definitions(define)
@@ -75,13 +90,26 @@ def render(
     if output.suffix.lower() != ".exr":
         raise InputError(f"{output}: a capture is written as OpenEXR; give a name that ends in .exr")
     require_writable(output)
-    loaded = load_scene(scene, variant=variant, parameters=parameters)
+    if resume:
+        remove_leftovers(output)
+    checkpoint = require_writable(checkpoint or output.with_name(output.name + SUFFIX))
     options = {"wavelength": wavelength, "radiators_per_lens": radiators_per_lens}
     wave = {name: value for name, value in options.items() if value is not None}
-    start = time.perf_counter()
-    with progress_bar("Rendering") as progress:
-        capture = render_capture(loaded, model=model, spp=spp, seed=seed, progress=progress, **wave)
-    seconds = time.perf_counter() - start
-    write_capture(output, capture)
+    with Checkpoint(checkpoint, "resume" if resume else "refuse") as kept, batches_on(workers, scheduler) as batch_map:
+        loaded = load_scene(scene, variant=variant, parameters=parameters)
+        start = time.perf_counter()
+        with progress_bar("Rendering") as progress:
+            capture = render_capture(
+                loaded,
+                model=model,
+                spp=spp,
+                seed=seed,
+                progress=progress,
+                checkpoint=kept,
+                batch_map=batch_map,
+                **wave,
+            )
+        seconds = time.perf_counter() - start
+        write_capture(output, capture)
     rows, columns = capture.camera.shape
     typer.echo(f"{output}: capture of {columns} x {rows} pixels, rendered in {seconds:.1f} s")

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ._common import ResumeOnly
 from ._stages import stage_lines
 
 
@@ -21,12 +22,14 @@ def reproduce(
             help="A detector of half the width with letters of half the size, or the paper's 4096 x 4096 pixels.",
         ),
     ] = "quick",
+    resume: ResumeOnly = False,
 ) -> None:
     """Compute the paper's figures, timing and conclusions again.
 
     Writes figures, captures and reconstructions, all numbers and report.html,
     which shows them in a browser. What the folder already holds and is still
-    valid is kept, so that a run that was stopped goes on where it stood.
+    valid is kept, so that a run that was stopped goes on where it stood, even
+    in the midst of the wave capture.
 
     [bold]Examples:[/bold]
 
@@ -38,7 +41,7 @@ def reproduce(
     from ..report.reproduce import reproduce as compute
 
     with stage_lines() as (notify, finished):
-        results = compute(output, preset=preset, notify=notify, finished=finished)
+        results = compute(output, preset=preset, notify=notify, finished=finished, resume=resume)
     for claim in results["claims"]:
         typer.echo(f"{claim['verdict']:<10} {claim['statement']}")
     typer.echo(f"{output / 'report.html'}: open it in a browser")

@@ -118,7 +118,8 @@ def focal_stack(
     else:
         refocus_at = lambda value: shift_and_add(lf, value)  # noqa: E731
     images = 8.0 * lf.sizes["t"] * lf.sizes["s"] * lf.sizes.get("c", 1)
-    require_memory(2 * images * len(disparities), f"focal stack of {len(disparities)} distances")
+    # Views are moved in copies.
+    require_memory(6.0 * lf.size + 2 * images * len(disparities), f"focal stack of {len(disparities)} distances")
     planes = []
     for done, value in enumerate(disparities):
         if progress:
@@ -149,33 +150,28 @@ def like_view(lf: xr.DataArray, image: np.ndarray, name: str, **attributes: Any)
 
 def shifted(values: np.ndarray, shift: float, axis: int) -> np.ndarray:
     """Read an array at `shift` samples further along an axis, linearly; 0 comes in from outside."""
-    whole = int(np.floor(shift))
-    part = np.float32(shift - whole)
-    result = _moved(values, whole, axis) * (1 - part)
-    if part:
-        result += _moved(values, whole + 1, axis) * part
-    return result
-
-
-def _moved(values: np.ndarray, count: int, axis: int) -> np.ndarray:
-    """Read an array at `count` whole samples further."""
-    size = values.shape[axis]
     result = np.zeros_like(values)
-    kept = max(0, size - abs(count))
-    source = [slice(None)] * values.ndim
-    target = [slice(None)] * values.ndim
-    source[axis] = slice(count, count + kept) if count >= 0 else slice(0, kept)
-    target[axis] = slice(0, kept) if count >= 0 else slice(-count, -count + kept)
-    result[tuple(target)] = values[tuple(source)]
+    _add_shifted(result, values, shift, axis)
     return result
+
+
+def _add_shifted(total: np.ndarray, values: np.ndarray, shift: float, axis: int) -> None:
+    """Add what `shifted` reads."""
+    whole, size, before = int(np.floor(shift)), values.shape[axis], (slice(None),) * axis
+    part = np.float32(shift - whole)
+    for count, share in ((whole, 1 - part), (whole + 1, part)):
+        kept = size - abs(count)
+        if kept > 0 and share > 0:
+            source = values[(*before, slice(max(count, 0), max(count, 0) + kept))]
+            total[(*before, slice(max(-count, 0), max(-count, 0) + kept))] += source if share == 1 else source * share
 
 
 def _gather(values: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
     """Sum views (v, u, t, s), each read at its shift."""
     by_column = np.zeros(values.shape[1:], dtype=np.float64)
     for row, shift in zip(values, down, strict=True):
-        by_column += shifted(row, shift, axis=1)
+        _add_shifted(by_column, row, shift, axis=1)
     total = np.zeros(values.shape[2:], dtype=np.float64)
     for column, shift in zip(by_column, across, strict=True):
-        total += shifted(column, shift, axis=1)
+        _add_shifted(total, column, shift, axis=1)
     return total

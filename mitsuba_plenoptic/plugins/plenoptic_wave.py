@@ -6,14 +6,18 @@ import logging
 import math
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera, require_wavelength
+from ..checkpoint import Checkpoint, Snapshot, digest
 from ..errors import InputError, shown
+from ..propagation import guards
 from ..propagation.accuracy import DEFAULT_ACCURACY, check_accuracy
+from ..propagation.batches import BatchMap
 from ..propagation.incoherent import METHODS, estimate_cost, incoherent_sum
 from ._properties import read_choice, read_count, read_flag, read_plain
 from ._radiators import Radiators, find_radiators, sample_pairs
@@ -118,8 +122,11 @@ def make_class() -> type:
             kind = self.child.class_name() if hasattr(self.child, "class_name") else type(self.child).__name__
             if not isinstance(self.child, mi.SamplingIntegrator) or kind in _LIGHT_TRACERS:
                 raise InputError(f"{NAME}: nested {kind}: it cannot tell the radiance along a ray; use path or direct")
-            # Called with the radiators done and their number; see `mitsuba_plenoptic.render_capture`.
+            # For long runs, set by `mitsuba_plenoptic.render_capture`: called with the radiators done and their
+            # number, computes the batches of the sums, keeps what is done.
             self.progress: Callable[[int, int], None] | None = None
+            self.batch_map: BatchMap | None = None
+            self.checkpoint: Checkpoint | None = None
 
         def render(
             self,
@@ -141,7 +148,8 @@ def make_class() -> type:
                     'use <rfilter type="box"/>'
                 )
             seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
-            image = self._capture(scene, sensor, camera, seed, spp or sensor.sampler().sample_count())
+            with guards.watch():
+                image = self._capture(scene, sensor, camera, seed, spp or sensor.sampler().sample_count())
 
             film.prepare([])
             rows, columns = camera.shape
@@ -180,12 +188,31 @@ def make_class() -> type:
                 )
             if self.method == "patch":
                 self._estimate(camera, sets[0], len(jobs))
-            image = np.zeros((*camera.shape, len(self.wavelengths)), dtype=np.float32)
+            state = self._begin(camera, sets, len(jobs))
             done = 0
-            for radiators, channel in jobs:
-                image[..., channel] += self._sum(camera, radiators, channel, done, total)
+            for number, (radiators, channel) in enumerate(jobs):
+                if number >= state.sums:
+                    state = replace(state, sums=number)
+                    state.image[..., channel] += self._sum(camera, radiators, channel, state, done, total)
+                    state = replace(state, partial=None)
                 done += len(radiators.positions)
-            return image
+            return state.image
+
+        def _begin(self, camera: PlenopticCamera, sets: list[Radiators], jobs: int) -> Snapshot:
+            """Begin with nothing, or where the checkpoint stands."""
+            if self.checkpoint:
+                arrays = [array for r in sets for array in (r.positions, r.radiance, r.share, r.masks)]
+                found = self.checkpoint.begin(
+                    radiators=sum(len(r.positions) for r in sets), scene_digest=digest(*arrays)
+                )
+                if found:
+                    if found.sums >= jobs or found.image.shape != (*camera.shape, len(self.wavelengths)):
+                        raise InputError(
+                            f"{self.checkpoint.path}: it is damaged: {found.sums} sums of an image of shape "
+                            f"{found.image.shape} are not a part of {jobs}"
+                        )
+                    return found
+            return Snapshot(0, np.zeros((*camera.shape, len(self.wavelengths)), dtype=np.float32), None)
 
         def _estimate(self, camera: PlenopticCamera, radiators: Radiators, jobs: int) -> None:
             """Tell what is to come, or refuse it if memory would not do."""
@@ -195,6 +222,7 @@ def make_class() -> type:
                 wavelength=self.wavelengths[0],
                 accuracy=self.accuracy,
                 pupil_masks=radiators.masks,
+                batch_map=self.batch_map,
             )
             _log.info(
                 "%d radiators, %d point spreads, about %.0f s and %.1f GiB",
@@ -205,7 +233,7 @@ def make_class() -> type:
             )
 
         def _sum(
-            self, camera: PlenopticCamera, radiators: Radiators, channel: int, done: int, total: int
+            self, camera: PlenopticCamera, radiators: Radiators, channel: int, state: Snapshot, done: int, total: int
         ) -> np.ndarray:
             """Sum the point spreads of one set in one channel."""
             b, z = camera.mla_distance, camera.detector_distance
@@ -213,7 +241,7 @@ def make_class() -> type:
             cell = lattice.cell_area / self.radiators_per_lens**2
             pupil = math.pi * camera.aperture_radius**2
             scale = cell * pupil * z**2 / (b**2 * lattice.lens_area * camera.pixel_size**2 * self.passes)
-            progress = self.progress
+            progress, checkpoint = self.progress, self.checkpoint
             return incoherent_sum(
                 camera,
                 radiators.positions,
@@ -223,6 +251,9 @@ def make_class() -> type:
                 accuracy=self.accuracy,
                 pupil_masks=radiators.masks,
                 progress=progress and (lambda some, _: progress(done + some, total)),
+                batch_map=self.batch_map,
+                start=state.partial,
+                keep=None if checkpoint is None else (lambda some: checkpoint.save(replace(state, partial=some))),
             )
 
         def parameters(self) -> dict[str, Any]:

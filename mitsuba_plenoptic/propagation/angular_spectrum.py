@@ -17,11 +17,13 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from .._backend import array_module
+from .._backend import array_module, backend, one_at_a_time
 from ..errors import InputError, require_number
-from .fft import Field, array_types, fft2_packed, pack, unpack
+from . import guards
+from .fft import Field, array_types, as_field, as_words, fft2_packed, pack, unpack
 
 
+@one_at_a_time
 def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, overwrite: bool = False) -> Field:
     r"""Propagate a field from one plane to a parallel one.
 
@@ -43,23 +45,33 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
     Returns
     -------
     complex64 array (rows, columns)
-        The field in the new plane, without the carrier :math:`\exp(i k d)`.
+        The field in the new plane, without the carrier :math:`\exp(i k d)`; where `field` is: with a CUDA variant a
+        CuPy array never leaves the device.
 
     Raises
     ------
     InputError
         If the field is not a two-dimensional finite array, or a number is out of range.
+    PhysicsError
+        If the field is under-sampled, or leaves its window (see `guards`, which warn long before that).
     """
-    samples = np.array(field, np.complex64, order="C", copy=None if overwrite else True)
+    libraries = backend()
+    on_device = libraries.is_cuda and isinstance(field, libraries.arrays.ndarray)
+    arrays = libraries.arrays if on_device else np
+    samples = arrays.array(field, np.complex64, order="C", copy=None if overwrite else True)
     if samples.ndim != 2 or samples.size == 0:
         raise InputError(f"field of shape {samples.shape}: it must have rows and columns")
     pitch, distance, wavelength = _check(pitch, distance, wavelength)
-    packed = array_module().UInt64(samples.reshape(-1).view(np.uint64))
-    packed = _step(packed, samples.shape, pitch, distance, wavelength)
-    result = packed.numpy().view(np.complex64).reshape(samples.shape)
+    shape, guard = samples.shape, guards.StepGuard(samples, pitch, wavelength)
+    packed = fft2_packed(libraries.types.UInt64(as_words(samples)), shape)
+    guard.see_spectrum(packed)
+    packed = _advance(packed, shape, pitch, distance, wavelength)
+    result = as_field(fft2_packed(packed, shape, inverse=True), shape)
+    result = result if on_device else libraries.to_host(result)
     # Every sample of a transform depends on every other: one that is not finite leaves none that is.
-    if not np.isfinite(result[0, 0]):
+    if not np.isfinite(complex(result[0, 0])):
         raise InputError("field: its samples must be finite")
+    guard.see_result(result)
     return result
 
 
@@ -93,9 +105,9 @@ def advance(
     -------
     complex64 array (rows, columns)
     """
-    packed = array_module().UInt64(spectrum.reshape(-1).view(np.uint64))
+    packed = array_module().UInt64(as_words(spectrum))
     packed = _advance(packed, spectrum.shape, pitch, distance, wavelength, shift, part)
-    return packed.numpy().view(np.complex64).reshape(spectrum.shape)
+    return as_field(packed, spectrum.shape)
 
 
 def propagate_differentiable(

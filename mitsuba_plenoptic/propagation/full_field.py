@@ -22,14 +22,14 @@ from dataclasses import dataclass
 
 import drjit as dr
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
-from .._backend import array_module
+from .._backend import backend
 from ..camera import PlenopticCamera
 from ..errors import InputError
+from . import guards
 from .angular_spectrum import advance
-from .fft import Field, fft2, pack, resting_drjit, worker_count
+from .fft import Field, as_field, fft, fft2, irfft, pack, resting_drjit, rfft
 from .microlens import is_separable, plane_transmission, transmission, transmission_table
 from .sampling import (
     check_memory,
@@ -140,7 +140,7 @@ def full_field(
     spectrum = _detector_spectrum(camera, wavelength, grids, mla.samples, microlenses)
     del mla
     dr.flush_malloc_cache()
-    return _pixel_integrals(camera, spectrum, grids)
+    return backend().to_host(_pixel_integrals(camera, spectrum, grids))
 
 
 def point_fields(
@@ -159,7 +159,8 @@ def point_fields(
     spectrum = _detector_spectrum(camera, wavelength, grids, mla.samples.copy(), microlenses)
     with resting_drjit():
         detector = fft2(spectrum, inverse=True)
-    return PointFields(pupil, mla, SampledField(detector, mla.origin, mla.pitch))
+    planes = (pupil, mla, SampledField(detector, mla.origin, mla.pitch))
+    return PointFields(*(SampledField(backend().to_host(p.samples), p.origin, p.pitch) for p in planes))
 
 
 def _grids(
@@ -211,7 +212,7 @@ def _grids(
 def _pupil_field(
     camera: PlenopticCamera, position: NDArray[np.float64], wavelength: float, grids: _Grids
 ) -> SampledField:
-    types = array_module()
+    types = backend().types
     count = grids.wide_pupil
     pitch = grids.pitch * grids.wide_mla / count
     index = dr.arange(types.UInt32, count * count)
@@ -232,26 +233,30 @@ def _pupil_field(
             f"aperture_radius = {camera.aperture_radius:g}: no light passes it on a grid of samples {pitch:g} apart"
         )
     field = types.Complex2f(cosine, sine) * (bright * cover / math.sqrt(power))
-    samples = pack(field).numpy().view(np.complex64).reshape(count, count)
-    return SampledField(samples, grids.wide_origin, pitch)
+    return SampledField(as_field(pack(field), (count, count)), grids.wide_origin, pitch)
 
 
 def _at_mla(camera: PlenopticCamera, wavelength: float, grids: _Grids, pupil: SampledField) -> SampledField:
     """Propagate to the MLA, onto the finer grid there, and keep the detector's window."""
     with resting_drjit():
         spectrum = fft2(pupil.samples.copy())
+    guards.judge(guards.UNDERSAMPLED, guards.band_edge_share(spectrum))
     spectrum = advance(spectrum, pupil.pitch, camera.mla_distance, wavelength)
     (left, top), (columns, rows) = grids.offset, grids.count
-    samples = np.empty((rows, columns), np.complex64)
+    arrays = backend().arrays
+    samples = arrays.empty((rows, columns), np.complex64)
     with resting_drjit():
         # axis by axis, so that rows and columns outside the spectrum and the window are never transformed
-        partial = np.empty((rows, spectrum.shape[1]), np.complex64)
+        partial = arrays.empty((rows, spectrum.shape[1]), np.complex64)
+        rim, in_rim = guards.rim(grids.wide_mla), 0.0
         for block in _blocks(spectrum.shape[1]):
             tall = _interpolate(spectrum[:, block], grids.wide_mla, axis=0)
             partial[:, block] = tall[top : top + rows]
+            in_rim += guards.power(tall[:rim]) + guards.power(tall[-rim:])
         for block in _blocks(rows):
             wide = _interpolate(partial[block], grids.wide_mla, axis=1)
             samples[block] = wide[:, left : left + columns]
+    guards.judge_window(guards.share(in_rim, guards.power(spectrum) * grids.wide_mla / spectrum.shape[0] ** 2))
     origin = (grids.wide_origin[0] + left * grids.pitch, grids.wide_origin[1] + top * grids.pitch)
     return SampledField(samples, origin, grids.pitch)
 
@@ -261,9 +266,12 @@ def _detector_spectrum(
 ) -> Field:
     """Spectrum on the detector of the field that reaches the MLA, whose memory is used."""
     if microlenses and is_separable(camera):
-        along_x, along_y = _microlens_phases(camera, wavelength, grids)
+        along_x, along_y = map(backend().arrays.asarray, _microlens_phases(camera, wavelength, grids))
+        before = guards.power(some := guards.some_rows(samples))
         samples *= along_x[None, :]
         samples *= along_y[:, None]
+        if camera.lattice.fill == 1:
+            guards.judge(guards.MICROLENS, 1 - guards.power(some) / before if before else 0.0)
     elif microlenses:
         _apply_plane(camera, wavelength, grids, samples)
     with resting_drjit():
@@ -282,13 +290,14 @@ def _interpolate(spectrum: Field, count: int, axis: int) -> Field:
     size = spectrum.shape[axis]
     shape = list(spectrum.shape)
     shape[axis] = count
-    padded = np.zeros(shape, np.complex64)
-    source, target = np.moveaxis(spectrum, axis, 0), np.moveaxis(padded, axis, 0)
+    arrays = backend().arrays
+    padded = arrays.zeros(shape, np.complex64)
+    source, target = arrays.moveaxis(spectrum, axis, 0), arrays.moveaxis(padded, axis, 0)
     positive = (size + 1) // 2
     target[:positive] = source[:positive]
     target[count - (size - positive) :] = source[positive:]
     padded *= np.float32(count / size)
-    return scipy.fft.ifft(padded, axis=axis, overwrite_x=True, workers=worker_count())
+    return fft(padded, axis=axis, inverse=True)
 
 
 def _microlens_phases(camera: PlenopticCamera, wavelength: float, grids: _Grids) -> tuple[NDArray[np.complex64], ...]:
@@ -302,8 +311,9 @@ def _microlens_phases(camera: PlenopticCamera, wavelength: float, grids: _Grids)
 
 def _apply_plane(camera: PlenopticCamera, wavelength: float, grids: _Grids, samples: Field) -> None:
     """Multiply a field by the transmission of microlenses that are no product of two axes."""
-    types = array_module()
+    types = backend().types
     lenses = plane_transmission(camera, wavelength, grids.bend)
+    before = guards.power(some := guards.some_rows(samples))
     left, top = (start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
     columns = grids.count[0]
     for block in _blocks(grids.count[1]):
@@ -311,33 +321,35 @@ def _apply_plane(camera: PlenopticCamera, wavelength: float, grids: _Grids, samp
         row = index // dr.opaque(types.UInt32, columns)
         x = types.Float64(index - row * columns) * grids.pitch + dr.opaque(types.Float64, left)
         y = types.Float64(row) * grids.pitch + dr.opaque(types.Float64, top + block.start * grids.pitch)
-        packed = pack(lenses.at(x, y))
-        dr.eval(packed)
-        samples[block] *= packed.numpy().view(np.complex64).reshape(-1, columns)
+        samples[block] *= as_field(pack(lenses.at(x, y)), (block.stop - block.start, columns))
+    if camera.lattice.lens_area == camera.lattice.cell_area:
+        guards.judge(guards.MICROLENS, 1 - guards.power(some) / before if before else 0.0)
 
 
 def _pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: _Grids) -> NDArray[np.float32]:
     """Integrate the intensity over the recorded pixels, exactly for the band-limited field."""
+    arrays = backend().arrays
     height, width = camera.shape
     with resting_drjit():
         partial = _interpolate(spectrum, 2 * spectrum.shape[0], axis=0)
-        rows = np.empty((partial.shape[0], width), np.float32)
+        rows = arrays.empty((partial.shape[0], width), np.float32)
         for block in _blocks(partial.shape[0]):
             parts = _interpolate(partial[block], 2 * partial.shape[1], axis=1).view(np.float32)
-            np.multiply(parts, parts, out=parts)
+            arrays.multiply(parts, parts, out=parts)
             rows[block] = _along_pixels(parts[:, 0::2] + parts[:, 1::2], grids, width)
         del partial
-        psf = np.empty((height, width), np.float32)
+        psf = arrays.empty((height, width), np.float32)
         for block in _blocks(width):
-            psf[:, block] = _along_pixels(np.ascontiguousarray(rows[:, block].T), grids, height).T
+            psf[:, block] = _along_pixels(arrays.ascontiguousarray(rows[:, block].T), grids, height).T
     return psf
 
 
 def _along_pixels(intensity: NDArray[np.float32], grids: _Grids, count: int) -> NDArray[np.float32]:
     """Integrate rows of the doubled grid over the recorded pixels, by their spectrum times the pixel's sinc."""
-    size, per_pixel, workers = intensity.shape[1], 2 * grids.per_pixel, worker_count()
-    spectrum = scipy.fft.rfft(intensity, axis=1, workers=workers)
-    spectrum *= (np.sinc(np.fft.rfftfreq(size) * per_pixel) * per_pixel * grids.pitch / 2).astype(np.float32)
-    integrals = scipy.fft.irfft(spectrum, size, axis=1, overwrite_x=True, workers=workers)
+    size, per_pixel = intensity.shape[1], 2 * grids.per_pixel
+    spectrum = rfft(intensity, axis=1)
+    pixel = np.sinc(np.fft.rfftfreq(size) * per_pixel) * per_pixel * grids.pitch / 2
+    spectrum *= backend().arrays.asarray(pixel.astype(np.float32))
+    integrals = irfft(spectrum, size, axis=1)
     first = grids.margin * per_pixel + grids.per_pixel
     return integrals[:, first::per_pixel][:, :count]

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .._backend import backend, one_at_a_time
 from ..camera import PlenopticCamera
 from ..errors import InputError
+from . import guards
 from .accuracy import DEFAULT_ACCURACY, band_for, check_accuracy, wavefront_step
-from .fft import resting_drjit, worker_count
+from .batches import Batch, BatchMap, Box, InTurn, Part, PartialSum, Threads, add
+from .fft import resting_drjit
 from .full_field import full_field
 from .microlens import is_separable, turn
 from .patch import Copies, Grid, PatchBatch, Placement, Tile, Workspace, place
@@ -42,6 +45,7 @@ _PLACE_BLOCK = 4096
 _TRIAL = 4
 
 
+@one_at_a_time
 def incoherent_sum(
     camera: PlenopticCamera,
     positions: Any,
@@ -53,10 +57,13 @@ def incoherent_sum(
     pupil_masks: Any = None,
     progress: Progress | None = None,
     threads: int | None = None,
+    batch_map: BatchMap | None = None,
+    start: PartialSum | None = None,
+    keep: Callable[[PartialSum], None] | None = None,
 ) -> NDArray[np.float32]:
     """Add the point spreads of radiators, each with a weight.
 
-    The bits of the result do not depend on the number of threads.
+    The bits of the result depend neither on the number of threads or workers nor on whether the sum was continued.
 
     Parameters
     ----------
@@ -81,6 +88,12 @@ def incoherent_sum(
         Called with the numbers of radiators.
     threads : int, optional
         Default: all cores this process may use.
+    batch_map : callable, optional
+        Computes the batches of the sum elsewhere; see `BatchMap`. Default: on threads of this process.
+    start : PartialSum, optional
+        What `keep` was given in a sum of the same inputs, to go on from there. Its array is added to.
+    keep : callable, optional
+        Called after every batch with the sum so far, whose array the next batch changes.
 
     Returns
     -------
@@ -91,6 +104,8 @@ def incoherent_sum(
     ------
     InputError
         If an input has a wrong shape or value, or the work would need too much memory.
+    PhysicsError
+        If too much of the light is lost (see `guards`).
     """
     wavelength = check_wavelength(wavelength)
     points = check_positions(positions)
@@ -99,14 +114,18 @@ def incoherent_sum(
     if method not in METHODS:
         raise InputError(f"method = {method!r}: it must be one of {', '.join(METHODS)}")
     accuracy = check_accuracy(accuracy)
-    report = progress or (lambda done, total: None)
+    if method == "full_field" and masks is not None:
+        raise InputError("pupil_masks: method 'full_field' knows none, use 'patch'")
+    work: _Sum
     if method == "full_field":
-        if masks is not None:
-            raise InputError("pupil_masks: method 'full_field' knows none, use 'patch'")
-        image = _sum_full_fields(camera, points, factors, wavelength, report)
+        work = _FullFieldSum(camera, points, factors, wavelength)
+        batch_map = batch_map or InTurn()
     else:
+        batch_map = batch_map or Threads(threads)
         work = _PatchSum(camera, points, factors, masks, wavelength, accuracy)
-        image = work.run(threads or worker_count(), report)
+        work.check_memory(batch_map)
+    with guards.watch():
+        image = _add_up(work, batch_map, progress, start, keep)
     return image[..., 0] if np.ndim(weights) == 1 else image
 
 
@@ -132,6 +151,7 @@ class Cost:
     memory: float
 
 
+@one_at_a_time
 def estimate_cost(
     camera: PlenopticCamera,
     positions: Any,
@@ -139,13 +159,13 @@ def estimate_cost(
     wavelength: float,
     accuracy: float = DEFAULT_ACCURACY,
     pupil_masks: Any = None,
-    threads: int | None = None,
+    batch_map: BatchMap | None = None,
 ) -> Cost:
     """Estimate what `incoherent_sum` by patches will take, by doing a little of it.
 
     Parameters
     ----------
-    camera, positions, wavelength, accuracy, pupil_masks, threads
+    camera, positions, wavelength, accuracy, pupil_masks, batch_map
         As for `incoherent_sum`.
 
     Returns
@@ -156,6 +176,8 @@ def estimate_cost(
     ------
     InputError
         If an input has a wrong shape or value, or the work would need too much memory.
+    PhysicsError
+        If too much of the light would be lost.
     """
     points = check_positions(positions)
     work = _PatchSum(
@@ -166,7 +188,7 @@ def estimate_cost(
         check_wavelength(wavelength),
         check_accuracy(accuracy),
     )
-    return work.cost(threads or worker_count())
+    return work.cost(batch_map or Threads())
 
 
 def _check_weights(weights: Any, count: int) -> NDArray[np.float64]:
@@ -192,51 +214,127 @@ def _check_masks(masks: Any, count: int) -> NDArray[np.bool_] | None:
     return opened
 
 
-def _sum_full_fields(
-    camera: PlenopticCamera,
-    points: NDArray[np.float64],
-    factors: NDArray[np.float64],
-    wavelength: float,
-    report: Progress,
+class _Sum(Protocol):
+    """What the two methods have in common: a sum of batches on a box of some grid."""
+
+    arrays: Any  # NumPy, or CuPy for parts that lie on a CUDA device
+    box: Box
+    channels: int
+    total: int  # radiators, those that are left out too
+    radiators: NDArray[np.int64]  # of each batch
+
+    def batches(self, first: int) -> Iterator[Batch]:
+        """Give the batches from one on, in their order."""
+
+    def sent(self, batch: int) -> float:
+        """Sum of a batch's samples if no light were lost; 0 if that is looked at elsewhere."""
+
+    def image(self, sums: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Turn the sum, (channels, rows, columns), into (rows, columns, channels) of pixels."""
+
+
+def _add_up(
+    work: _Sum,
+    batch_map: BatchMap,
+    progress: Progress | None,
+    start: PartialSum | None,
+    keep: Callable[[PartialSum], None] | None,
 ) -> NDArray[np.float32]:
-    image = np.zeros((*camera.shape, factors.shape[1]), np.float32)
-    for done, (point, factor) in enumerate(zip(points, factors, strict=True), 1):
-        if factor.any():
-            psf = full_field(camera, point, wavelength)
-            for channel, weight in enumerate(factor):
-                image[..., channel] += np.float32(weight) * psf
-        report(done, len(points))
-    return image
+    shape = (work.channels, work.box.rows, work.box.columns)
+    start = start or PartialSum(0, work.arrays.zeros(shape, np.float32))
+    if start.sums.shape != shape or not 0 <= start.batches <= len(work.radiators):
+        raise InputError(
+            f"start: {start.batches} batches of shape {start.sums.shape}: this sum has {len(work.radiators)} of "
+            f"shape {shape}"
+        )
+    done = work.total - int(work.radiators[start.batches :].sum())
+    if progress:
+        progress(done, work.total)
+    sums = work.arrays.asarray(start.sums)
+    arrived = sent = 0.0
+    with contextlib.closing(batch_map(work.batches(start.batches))) as parts:
+        for index, part in enumerate(parts, start.batches):
+            add(part, work.box, sums)
+            arrived += float(part.sums.sum(dtype=np.float64))
+            sent += work.sent(index)
+            if keep:
+                keep(PartialSum(index + 1, sums))
+            done += int(work.radiators[index])
+            if progress:
+                progress(done, work.total)
+    if sent:
+        guards.judge(guards.PATCH, 1 - arrived / sent)
+    return work.image(sums)
 
 
 @dataclass(frozen=True)
-class _Box:
-    """A rectangle of the grid: first sample and size, along x and y."""
+class _FullField:
+    """One radiator by the slow route: a batch."""
 
-    left: int
-    top: int
-    columns: int
-    rows: int
+    camera: PlenopticCamera
+    position: NDArray[np.float64]
+    factors: NDArray[np.float32]  # of the channels
+    wavelength: float
 
-    @classmethod
-    def between(cls, low: NDArray[np.int64], high: NDArray[np.int64]) -> _Box:
-        """Make the rectangle of two corners, the second one outside."""
-        return cls(*(int(number) for number in (*low, *(high - low))))
+    @property
+    def samples(self) -> int:
+        """Those on the detector."""
+        return math.prod(self.camera.shape)
+
+    def prepare(self) -> Callable[[], Part]:
+        """Do all of it."""
+        psf = full_field(self.camera, self.position, self.wavelength)
+        part = Part(_pixels(self.camera), self.factors[:, None, None] * psf)
+        return lambda: part
+
+
+def _pixels(camera: PlenopticCamera) -> Box:
+    return Box(*camera.crop_offset, *camera.crop_size)
+
+
+class _FullFieldSum:
+    """Radiators one by one, on the recorded pixels."""
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        points: NDArray[np.float64],
+        factors: NDArray[np.float64],
+        wavelength: float,
+    ) -> None:
+        self.camera, self.wavelength = camera, wavelength
+        self.arrays: Any = np
+        self.box, self.total, self.channels = _pixels(camera), len(points), factors.shape[1]
+        lit = factors.any(1)
+        self.points, self.factors = points[lit], factors[lit].astype(np.float32)
+        self.radiators = np.ones(len(self.points), np.int64)
+
+    def batches(self, first: int) -> Iterator[Batch]:
+        """Give one batch a radiator."""
+        for point, factors in zip(self.points[first:], self.factors[first:], strict=True):
+            yield _FullField(self.camera, point, factors, self.wavelength)
+
+    def sent(self, batch: int) -> float:
+        """Give 0: what a full field loses is found where it is computed."""
+        return 0.0
+
+    def image(self, sums: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Put the channels last."""
+        return np.ascontiguousarray(sums.transpose(1, 2, 0))
 
 
 @dataclass(frozen=True)
 class _Window:
     """The part of the detector that is computed: its pixels, and the samples that they feel."""
 
-    pixels: _Box
-    samples: _Box
+    pixels: Box
+    samples: Box
 
 
 class _PatchSum:
     """Radiators gathered into patterns, and patterns into chunks of one patch size and neighbourhood.
 
-    Each chunk is added into a tile of its own, in the order of its patterns, and the tiles into the image in the
-    order of the chunks: so the result does not depend on which thread does what.
+    Each chunk is a batch: it is added into a tile of its own, in the order of its patterns.
     """
 
     def __init__(
@@ -248,7 +346,8 @@ class _PatchSum:
         wavelength: float,
         accuracy: float,
     ) -> None:
-        self.camera, self.total, self.masks = camera, len(points), masks
+        self.camera, self.masks, self.arrays = camera, masks, backend().arrays
+        self.total, self.channels = len(points), factors.shape[1]
         lit = np.flatnonzero(factors.any(1))
         self.grid = Grid.of(camera, wavelength, band_for(accuracy, len(points)), points)
         step = wavefront_step(accuracy, camera, points[lit])
@@ -259,7 +358,7 @@ class _PatchSum:
         low = placement.corner[patterns.pattern] + shifts
         high = low + placement.samples[patterns.pattern, None]
         self.window = self._window(low, high)
-        box = self.window.samples
+        self.box = box = self.window.samples
         start, size = np.array([box.left, box.top]), np.array([box.columns, box.rows])
         seen = ((high > start) & (low < start + size)).all(1)
         # the radiators that are seen, pattern by pattern
@@ -271,6 +370,8 @@ class _PatchSum:
         self.positions, self.placement = patterns.positions[kept], _take(placement, kept)
         self.mask_of = lit[order[self.first]]
         self.chunks = self._sort(patterns.zone[kept])
+        members = self.last - self.first
+        self.radiators = np.array([members[chunk].sum() for chunk in self.chunks], np.int64)
 
     def _window(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> _Window:
         """Bound the recorded pixels that patches reach, and the samples that these feel."""
@@ -284,7 +385,7 @@ class _PatchSum:
         felt = self._turned(start * p, stop * p, -self.grid.rotation)
         first = np.floor(felt[0] / pitch).astype(np.int64) - _EDGE
         last = np.ceil(felt[1] / pitch).astype(np.int64) + _EDGE
-        return _Window(_Box.between(start, stop), _Box.between(first, last))
+        return _Window(Box.between(start, stop), Box.between(first, last))
 
     def _turned(
         self, low: NDArray[np.float64], high: NDArray[np.float64], degrees: float
@@ -320,34 +421,40 @@ class _PatchSum:
             chunks += [group[start : start + size] for start in range(0, len(group), size)]
         return chunks
 
-    def memory(self, threads: int) -> float:
-        """Bytes that `run` takes."""
-        channels, box = self.factors.shape[1], self.window.samples
-        image = 4.0 * channels * (box.rows * box.columns + 2 * math.prod(self.camera.shape))
+    def memory(self, batch_map: BatchMap) -> float:
+        """Bytes that the sum takes in this process."""
+        box = self.box
+        image = 4.0 * self.channels * (box.rows * box.columns + 2 * math.prod(self.camera.shape))
         if self.grid.rotation != 0:
             image += 12.0 * box.rows * box.columns
         samples = float(self.placement.samples.max(initial=0))
-        tile = samples * 4 / 3 + LARGEST_ZONE * float(self.grid.lens_samples.max())
-        return image + (threads + 1) * (4 * channels * tile**2 + 10 * samples**2 + 2 * _CHUNK_BYTES)
+        tile = 4 * self.channels * (samples * 4 / 3 + LARGEST_ZONE * float(self.grid.lens_samples.max())) ** 2
+        return image + (batch_map.workers + 1) * tile + (batch_map.threads + 1) * (10 * samples**2 + 2 * _CHUNK_BYTES)
 
-    def cost(self, threads: int) -> Cost:
-        """Estimate what `run` takes from a few patterns of each patch size."""
-        memory = self.memory(threads)
-        self._check_memory(memory)
+    def cost(self, batch_map: BatchMap) -> Cost:
+        """Estimate what the sum takes from a few patterns of each patch size."""
+        memory = self.check_memory(batch_map)
         samples = self.placement.samples
-        seconds = 0.0
-        with resting_drjit():
-            for size in np.unique(samples):
-                of_size = [chunk for chunk in self.chunks if samples[chunk[0]] == size]
-                some = of_size[len(of_size) // 2][:_TRIAL]
-                _sum_batch(*self._prepare(some[:1]))  # compiles the kernels
+        seconds = arrived = sent = 0.0
+        for size in np.unique(samples):
+            of_size = [chunk for chunk in self.chunks if samples[chunk[0]] == size]
+            some = of_size[len(of_size) // 2][:_TRIAL]
+            with resting_drjit():
+                self._batch(some[:1]).prepare()()  # compiles the kernels
+                backend().synchronize()
                 start = time.perf_counter()
-                _sum_batch(*self._prepare(some))
+                part = self._batch(some).prepare()()
+                backend().synchronize()
                 taken = time.perf_counter() - start
-                seconds += taken / len(some) * sum(len(chunk) for chunk in of_size) / threads
+            arrived += float(part.sums.sum(dtype=np.float64))
+            sent += self._sent(some)
+            seconds += taken / len(some) * sum(len(chunk) for chunk in of_size) / batch_map.workers
+        guards.require(guards.PATCH, 1 - arrived / sent if sent else 0.0)
         return Cost(len(self.factors), len(samples), seconds, memory)
 
-    def _check_memory(self, memory: float) -> None:
+    def check_memory(self, batch_map: BatchMap) -> float:
+        """Return the bytes that the sum takes, or refuse them."""
+        memory = self.memory(batch_map)
         largest, patterns = int(self.placement.samples.max(initial=0)), len(self.positions)
         what = f"{self.total} radiators by patches of {largest} x {largest} samples"
         check_memory(memory, what)
@@ -357,37 +464,34 @@ class _PatchSum:
                 f"{what}: {patterns} patches, the largest of {each / 2**30:.2f} GiB, {memory / 2**30:.1f} GiB at a "
                 f"time; for more than {_CHUNK} patches each may take {_PATCH_LIMIT / 2**30:.2f} GiB"
             )
+        return memory
 
-    def run(self, threads: int, report: Progress) -> NDArray[np.float32]:
-        """Add all chunks and integrate over the pixels."""
-        self._check_memory(self.memory(threads))
-        box, channels = self.window.samples, self.factors.shape[1]
-        fine = np.zeros((channels, box.rows, box.columns), np.float32)
-        done = self.total - len(self.factors)
-        report(done, self.total)
-        with resting_drjit(), ThreadPoolExecutor(threads) as pool:
-            for chunk, (tile, sums) in self._tiles(pool, threads):
-                _add(fine, box, tile, sums)
-                done += int((self.last - self.first)[chunk].sum())
-                report(done, self.total)
-        return self._integrate(fine)
+    def sent(self, batch: int) -> float:
+        """Sum of a batch's samples if all the power through the pupil were on its patches."""
+        return self._sent(self.chunks[batch])
 
-    def _integrate(self, fine: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _sent(self, chunk: NDArray[np.int64]) -> float:
+        if self.camera.lattice.lens_area < self.camera.lattice.cell_area:
+            return 0.0  # how much of it falls on what is opaque between the lenses is not known beforehand
+        seen = chunk if self.masks is None else chunk[self.masks[self.mask_of[chunk]].any((1, 2))]
+        power = sum(self.factors[self.first[pattern] : self.last[pattern]].sum() for pattern in seen)
+        return float(power) / self.grid.pitch.prod()
+
+    def image(self, sums: NDArray[np.float32]) -> NDArray[np.float32]:
         """Integrate the sum over the recorded pixels."""
-        camera, grid, pixels, box = self.camera, self.grid, self.window.pixels, self.window.samples
-        image = np.zeros((*camera.shape, len(fine)), np.float32)
+        camera, grid, pixels, box = self.camera, self.grid, self.window.pixels, self.box
+        image = np.zeros((*camera.shape, self.channels), np.float32)
         left, top = pixels.left - camera.crop_offset[0], pixels.top - camera.crop_offset[1]
         target = image[top : top + pixels.rows, left : left + pixels.columns]
         edge = pixels.left * camera.pixel_size, pixels.top * camera.pixel_size
         pitch = float(grid.pitch[0]), float(grid.pitch[1])
         origin = box.left * pitch[0], box.top * pitch[1]
-        for channel, intensity in enumerate(fine):
+        for channel, intensity in enumerate(sums):
             samples, steps, start = intensity, pitch, origin
             if grid.rotation != 0:
                 samples, steps, start = self._upright(intensity, pitch, origin, edge)
-            target[..., channel] = integrate_pixels(
-                samples, steps, start, camera.pixel_size, edge, (pixels.rows, pixels.columns)
-            )
+            integrals = integrate_pixels(samples, steps, start, camera.pixel_size, edge, (pixels.rows, pixels.columns))
+            target[..., channel] = backend().to_host(integrals)
         return np.maximum(image, 0, out=image)
 
     def _upright(
@@ -413,22 +517,13 @@ class _PatchSum:
         )
         return turned, (step, step), start
 
-    def _tiles(
-        self, pool: ThreadPoolExecutor, threads: int
-    ) -> Iterator[tuple[NDArray[np.int64], tuple[_Box, NDArray[np.float32]]]]:
-        """Yield the sums of the chunks in their order, computing a few ahead."""
-        pending: deque[tuple[NDArray[np.int64], Future[Any]]] = deque()
-        for chunk in self.chunks:
-            pending.append((chunk, pool.submit(_sum_batch, *self._prepare(chunk))))
-            if len(pending) > threads:
-                first, future = pending.popleft()
-                yield first, future.result()
-        while pending:
-            first, future = pending.popleft()
-            yield first, future.result()
+    def batches(self, first: int) -> Iterator[Batch]:
+        """Give the chunks as batches."""
+        for chunk in self.chunks[first:]:
+            yield self._batch(chunk)
 
-    def _prepare(self, chunk: NDArray[np.int64]) -> tuple[PatchBatch, list[Copies]]:
-        """Make the fields of a chunk, scaled by their largest weights, and the weights relative to these."""
+    def _batch(self, chunk: NDArray[np.int64]) -> _Chunk:
+        """Describe a chunk: its fields are scaled by their largest weights, and the weights relative to these."""
         amplitudes = np.empty(len(chunk))
         copies = []
         for index, pattern in enumerate(chunk):
@@ -439,28 +534,41 @@ class _PatchSum:
             amplitudes[index] = math.sqrt(weights.max())
             copies.append(Copies(shifts, (weights / weights.max()).astype(np.float32)))
         masks = None if self.masks is None else self.masks[self.mask_of[chunk]]
-        batch = PatchBatch(self.grid, _take(self.placement, chunk), self.positions[chunk], amplitudes, masks)
-        return batch, copies
+        return _Chunk(self.grid, _take(self.placement, chunk), self.positions[chunk], amplitudes, masks, copies)
 
 
-def _sum_batch(batch: PatchBatch, copies: list[Copies]) -> tuple[_Box, NDArray[np.float32]]:
+@dataclass(frozen=True)
+class _Chunk:
+    """A batch of patterns of one patch size and neighbourhood; attributes as of `PatchBatch` and `Tile`."""
+
+    grid: Grid
+    placement: Placement
+    positions: NDArray[np.float64]
+    amplitudes: NDArray[np.float64]
+    masks: NDArray[np.bool_] | None
+    copies: list[Copies]
+
+    @property
+    def samples(self) -> int:
+        """Those of all patches."""
+        return int((self.placement.samples**2).sum())
+
+    def fields(self) -> PatchBatch:
+        """Make the fields."""
+        return PatchBatch(self.grid, self.placement, self.positions, self.amplitudes, self.masks)
+
+    def prepare(self) -> Callable[[], Part]:
+        """Make the fields, and give the function that adds their intensities."""
+        return partial(_sum_batch, self.fields(), self.copies)
+
+
+def _sum_batch(batch: PatchBatch, copies: list[Copies]) -> Part:
     """Add the intensities of a batch into one tile."""
     tile, work = Tile(batch, copies), Workspace(batch)
     for start in range(0, len(copies), batch.together):
         batch.add(start, min(len(copies), start + batch.together), work, tile)
     sums = tile.intensity()
-    return _Box(*tile.corner, sums.shape[2], sums.shape[1]), sums
-
-
-def _add(image: NDArray[np.float32], box: _Box, tile: _Box, sums: NDArray[np.float32]) -> None:
-    """Add a tile to the part of the grid that is kept."""
-    left, top = max(box.left, tile.left), max(box.top, tile.top)
-    right = min(box.left + box.columns, tile.left + tile.columns)
-    bottom = min(box.top + box.rows, tile.top + tile.rows)
-    if left < right and top < bottom:
-        image[:, top - box.top : bottom - box.top, left - box.left : right - box.left] += sums[
-            :, top - tile.top : bottom - tile.top, left - tile.left : right - tile.left
-        ]
+    return Part(Box(*tile.corner, sums.shape[2], sums.shape[1]), sums)
 
 
 def _place_all(grid: Grid, points: NDArray[np.float64]) -> Placement:

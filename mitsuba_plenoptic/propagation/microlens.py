@@ -26,9 +26,9 @@ import scipy.fft
 import scipy.special
 from numpy.typing import NDArray
 
-from .._backend import array_module
+from .._backend import array_module, backend_of
 from ..camera import PlenopticCamera
-from .fft import Field, pack, unpack, worker_count
+from .fft import Field, as_field, pack, unpack, worker_count
 from .sampling import fast_length, in_millimetres
 
 _TABLE_LENGTH = 2**14
@@ -176,8 +176,7 @@ def _lenses(camera: PlenopticCamera, wavelength: float, shape: list[int]) -> Fie
         for place, side, count in zip((column, row), period(camera), shape[::-1], strict=True)
     )
     packed = pack(lenses_at(camera.replace(mla_rotation=0.0, mla_offset=(0.0, 0.0)), wavelength, x, y))
-    dr.eval(packed)
-    return packed.numpy().view(np.complex64).reshape(shape)
+    return np.asarray(backend_of(packed).to_host(as_field(packed, tuple(shape))))
 
 
 def lenses_at(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> Any:
@@ -266,7 +265,11 @@ class PlaneTransmission:
         return types.Complex2f(real, imaginary)
 
 
-@functools.lru_cache(maxsize=4)
 def plane_transmission(camera: PlenopticCamera, wavelength: float, cosine: float) -> PlaneTransmission:
-    """Return the transmission of a lattice; the last few are kept."""
+    """Return the transmission of a lattice on the active processor; the last few are kept."""
+    return _plane_transmission(array_module(), camera, wavelength, cosine)
+
+
+@functools.lru_cache(maxsize=4)
+def _plane_transmission(types: Any, camera: PlenopticCamera, wavelength: float, cosine: float) -> PlaneTransmission:
     return PlaneTransmission(camera, wavelength, cosine)

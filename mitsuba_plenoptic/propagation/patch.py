@@ -33,20 +33,37 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
-from .._backend import array_module
+from .._backend import backend
 from ..camera import PlenopticCamera
-from .fft import Field, pack
+from .fft import Field, as_field, fft, pack
 from .microlens import is_separable, plane_transmission, transmission_table, turn, upright
 from .sampling import check_samples, fast_length, footprint, in_millimetres, pupil_turns, scattered_cosine
 
 _WIDTH_PER_BLUR = 1.2
 _WIDTH_STEP = 1.06
-_GROUP_SAMPLES = 2**17
-_BLOCK_SAMPLES = 2**16
 _RIM_ANGLES = 16
+
+
+@dataclass(frozen=True)
+class _Sizes:
+    """How much is done at a time.
+
+    Attributes
+    ----------
+    group : int
+        Samples of the fields that are transformed together: so many that the calls cost little.
+    block : int
+        Samples of a block, which stays in a core's own cache; on CUDA there is nothing to gain from blocks.
+    """
+
+    group: int
+    block: int
+
+
+_PROCESSOR = _Sizes(group=2**17, block=2**16)
+_CUDA = _Sizes(group=2**25, block=2**31)
 
 
 @dataclass(frozen=True)
@@ -199,12 +216,12 @@ class Workspace:
     """Memory for the transforms of a batch's radiators."""
 
     def __init__(self, batch: PatchBatch) -> None:
-        count, m = batch.together, batch.mla_samples
-        self.rows = np.empty((count, batch.pupil.shape[1], m), np.complex64)
-        longest = max(_largest(_blocks(size, m)) for size in (batch.samples, m))
-        self.columns = np.empty((count, longest, m), np.complex64)
-        self.plane = np.empty((0 if batch.separable else count, m, batch.samples), np.complex64)
-        self.field = np.empty((count, batch.samples, batch.samples), np.complex64)
+        arrays, count, m = batch.libraries.arrays, batch.together, batch.mla_samples
+        self.rows = arrays.empty((count, batch.pupil.shape[1], m), np.complex64)
+        longest = max(_largest(_blocks(size, m, batch.sizes.block)) for size in (batch.samples, m))
+        self.columns = arrays.empty((count, longest, m), np.complex64)
+        self.plane = arrays.empty((0 if batch.separable else count, m, batch.samples), np.complex64)
+        self.field = arrays.empty((count, batch.samples, batch.samples), np.complex64)
 
 
 @dataclass(frozen=True)
@@ -247,29 +264,29 @@ class Tile:
             ]
             for corner, copy in zip(corners, copies, strict=True)
         ]
-        self._scratch = np.empty((2, _BLOCK_SAMPLES), np.float32)
-        self._squares = np.empty(2 * _BLOCK_SAMPLES, np.float32)
-        self._sums = np.zeros((copies[0].weights.shape[1], int(size[0]), int(size[1])), np.float32)
+        self._arrays = arrays = batch.libraries.arrays
+        self._block = min(batch.sizes.block, batch.samples**2)
+        self._scratch = arrays.empty((2, self._block), np.float32)
+        self._squares = arrays.empty(2 * self._block, np.float32)
+        self._sums = arrays.zeros((copies[0].weights.shape[1], int(size[0]), int(size[1])), np.float32)
 
     def add(self, field: Field, along_y: slice, radiator: int) -> None:
         """Add the intensity of some columns of a radiator's field, (along x, along y)."""
-        for start, stop in itertools.pairwise([*range(0, len(field), self._rows(field)), len(field)]):
+        arrays = self._arrays
+        rows = max(1, self._block // field.shape[1])
+        for start, stop in itertools.pairwise([*range(0, len(field), rows), len(field)]):
             part = field[start:stop]
             intensity, weighted = self._scratch[:, : part.size].reshape(2, *part.shape)
             squares = self._squares[: 2 * part.size].reshape(len(part), -1)
-            np.copyto(squares.view(np.complex64), part)
-            np.multiply(squares, squares, out=squares)
-            np.add(squares[:, ::2], squares[:, 1::2], out=intensity)
+            arrays.copyto(squares.view(np.complex64), part)
+            arrays.multiply(squares, squares, out=squares)
+            arrays.add(squares[:, ::2], squares[:, 1::2], out=intensity)
             for x, y, channel, weight in self._targets[radiator]:
                 target = self._sums[channel, x + start : x + stop, y + along_y.start : y + along_y.stop]
                 if weight == 1:
                     target += intensity
                 else:
-                    target += np.multiply(intensity, weight, out=weighted)
-
-    @staticmethod
-    def _rows(field: Field) -> int:
-        return max(1, _BLOCK_SAMPLES // field.shape[1])
+                    target += arrays.multiply(intensity, weight, out=weighted)
 
     def intensity(self) -> NDArray[np.float32]:
         """Return the sum, (channels, rows, columns)."""
@@ -301,6 +318,8 @@ class PatchBatch:
         amplitudes: NDArray[np.float64],
         masks: NDArray[np.bool_] | None,
     ) -> None:
+        self.libraries = backend()
+        self.sizes = _CUDA if self.libraries.is_cuda else _PROCESSOR
         self.samples = int(placement.samples[0])
         self.corner = placement.corner
         step = in_millimetres(grid.wavelength) / (self.samples * grid.pitch)
@@ -311,8 +330,10 @@ class PatchBatch:
         highest = min(self.samples + half, 2 * self.mla_samples - self.samples - half) / 2 * finest
         self.chief = (placement.first + placement.last) // 2
         self.pupil, power = self._pupil(grid, placement, positions, step, masks)
-        scale = np.zeros(len(positions))
-        np.divide(step.prod() * amplitudes, np.sqrt(power), out=scale, where=power > 0)
+        arrays = self.libraries.arrays
+        lit = power > 0
+        shares = arrays.asarray(step.prod() * amplitudes) / arrays.sqrt(arrays.where(lit, power, 1))
+        scale = arrays.where(lit, shares, 0)
         scale /= in_millimetres(grid.wavelength) * float(self.mla_samples) ** 2
         self.separable = is_separable(grid.camera)
         self.along_x, self.along_y = self._curvature_and_lenses(grid, placement, scale, highest)
@@ -328,7 +349,7 @@ class PatchBatch:
         masks: NDArray[np.bool_] | None,
     ) -> tuple[Field, NDArray[np.float64]]:
         """Plane waves from the pupil, (n, directions, directions), and each radiator's power through it."""
-        types = array_module()
+        types = self.libraries.types
         camera, lam = grid.camera, in_millimetres(grid.wavelength)
         count = len(positions)
         size = int((placement.last - placement.first).max()) + 1
@@ -373,26 +394,28 @@ class PatchBatch:
         sine, cosine = dr.sincos(types.Float(turns - dr.round(turns)) * (2 * math.pi))
         packed = pack(types.Complex2f(cosine, sine) * (bright * cover))
         dr.eval(packed, power)
-        return packed.numpy().view(np.complex64).reshape(count, size, size), power.numpy()
+        return as_field(packed, (count, size, size)), self.libraries.from_drjit(power)
 
     def _curvature_and_lenses(
-        self, grid: Grid, placement: Placement, scale: NDArray[np.float64], highest: float
+        self, grid: Grid, placement: Placement, scale: Any, highest: float
     ) -> tuple[Field, Field]:
         """Factors on the MLA along x and along y, (n, samples); those along y carry the scale.
 
         The microlenses are among them if they are such a product.
         """
-        types = array_module()
+        types = self.libraries.types
         camera, lam = grid.camera, in_millimetres(grid.wavelength)
         table = transmission_table(camera, grid.wavelength, highest) if self.separable else None
         index = dr.arange(types.UInt32, len(scale) * self.mla_samples)
         _, radiator, sample = _split(types, index, len(scale), self.mla_samples)
         square = (placement.image**2).sum(1) + camera.mla_distance**2
         factors = []
-        for axis, size in ((0, np.ones_like(scale)), (1, scale)):
+        for axis, size in ((0, np.ones(len(scale))), (1, scale)):
 
-            def value(numbers: NDArray[Any]) -> Any:
-                return dr.gather(types.Float64, types.Float64(np.ascontiguousarray(numbers)), radiator)
+            def value(numbers: Any) -> Any:
+                if isinstance(numbers, np.ndarray):
+                    numbers = np.ascontiguousarray(numbers)
+                return dr.gather(types.Float64, types.Float64(numbers), radiator)
 
             m = value(self._corner(grid, placement)[:, axis])
             m += types.Float64(sample) * dr.opaque(types.Float64, self._mla_pitch(grid)[axis])
@@ -408,14 +431,12 @@ class PatchBatch:
                 place = (m - camera.mla_offset[axis]) * dr.opaque(types.Float64, 1 / camera.mla_pitch)
                 factor *= _along_axis(types, table, place)
             factor *= types.Float(value(size))
-            packed = pack(factor)
-            dr.eval(packed)
-            factors.append(packed.numpy().view(np.complex64).reshape(len(scale), self.mla_samples))
+            factors.append(as_field(pack(factor), (len(scale), self.mla_samples)))
         return factors[0], factors[1]
 
     def _lenses(self, grid: Grid, placement: Placement, highest: float) -> Field:
         """Transmission of the microlenses, (n, samples along y, samples along x)."""
-        types = array_module()
+        types = self.libraries.types
         count, size = len(placement.image), self.mla_samples
         radiator, row, column = _split(types, dr.arange(types.UInt32, count * size * size), size, size)
         corner, pitch = self._corner(grid, placement), self._mla_pitch(grid)
@@ -424,9 +445,8 @@ class PatchBatch:
             + types.Float64(index) * dr.opaque(types.Float64, pitch[axis])
             for axis, index in ((0, column), (1, row))
         )
-        packed = pack(plane_transmission(grid.camera, grid.wavelength, highest).at(x, y))
-        dr.eval(packed)
-        return packed.numpy().view(np.complex64).reshape(count, size, size)
+        lenses = plane_transmission(grid.camera, grid.wavelength, highest).at(x, y)
+        return as_field(pack(lenses), (count, size, size))
 
     def _corner(self, grid: Grid, placement: Placement) -> NDArray[np.float64]:
         """Places of the first samples on the MLA, (n, 2)."""
@@ -438,7 +458,7 @@ class PatchBatch:
 
     def _transfer(self, grid: Grid, step: NDArray[np.float64]) -> Field:
         """Transfer function from MLA to detector, (along x, along y), of all directions of all the radiators."""
-        types = array_module()
+        types = self.libraries.types
         low, high = self.chief.min(0), self.chief.max(0)
         columns, rows = (int(size) for size in high - low + self.samples)
         index = dr.arange(types.UInt32, rows * columns)
@@ -450,14 +470,13 @@ class PatchBatch:
         waves = grid.camera.detector_distance / in_millimetres(grid.wavelength)
         turns = dr.opaque(types.Float64, waves) * (dr.sqrt(dr.maximum(1 - square, 0)) - 1)
         sine, cosine = dr.sincos(types.Float(turns - dr.round(turns)) * (2 * math.pi))
-        packed = pack(dr.select(square < 1, types.Complex2f(cosine, sine), 0))
-        dr.eval(packed)
-        return np.ascontiguousarray(packed.numpy().view(np.complex64).reshape(rows, columns).T)
+        transfer = as_field(pack(dr.select(square < 1, types.Complex2f(cosine, sine), 0)), (rows, columns))
+        return self.libraries.arrays.ascontiguousarray(transfer.T)
 
     @property
     def together(self) -> int:
         """Radiators to transform at a time: small ones in groups, so that the calls cost little."""
-        return max(1, _GROUP_SAMPLES // self.mla_samples**2)
+        return min(len(self.chief), max(1, self.sizes.group // self.mla_samples**2))
 
     def add(self, start: int, stop: int, work: Workspace, tile: Tile) -> None:
         """Transform the fields of radiators start ... stop to the detector and add their intensities to a tile.
@@ -479,9 +498,8 @@ class PatchBatch:
             self._pass_product(start, stop, work)
         else:
             self._pass_plane(start, stop, work, self.lenses)
-        for block in _blocks(n, n):
-            detector = field[..., block]
-            _inverse(detector, axis=1)
+        for block in _blocks(n, n, self.sizes.block):
+            detector = _inverse(field[..., block], axis=1)
             for part, radiator in zip(detector, range(start, stop), strict=True):
                 tile.add(part, block, radiator)
 
@@ -492,14 +510,14 @@ class PatchBatch:
         rows = work.rows[:count]
         rows[..., :directions] = self.pupil[start:stop]
         rows[..., directions:] = 0
-        _inverse(rows, axis=2)
+        rows = _inverse(rows, axis=2)
         rows *= self.along_x[start:stop, None, :]
-        _forward(rows, axis=2)
-        for block in _blocks(n, m):
+        rows = _forward(rows, axis=2)
+        for block in _blocks(n, m, self.sizes.block):
             columns = work.columns[:count, : block.stop - block.start]
             columns[..., :directions] = rows[..., block].transpose(0, 2, 1)
             columns[..., directions:] = 0
-            _inverse(columns, axis=2)
+            columns = _inverse(columns, axis=2)
             columns *= self.along_y[start:stop, None, :]
             self._to_detector(columns, block, start, stop, work)
 
@@ -510,37 +528,34 @@ class PatchBatch:
         rows = work.rows[:count]
         rows[..., :directions] = self.pupil[start:stop].transpose(0, 2, 1)
         rows[..., directions:] = 0
-        _inverse(rows, axis=2)
+        rows = _inverse(rows, axis=2)
         rows *= self.along_y[start:stop, None, :]
-        for block in _blocks(m, m):
+        for block in _blocks(m, m, self.sizes.block):
             columns = work.columns[:count, : block.stop - block.start]
             columns[..., :directions] = rows[..., block].transpose(0, 2, 1)
             columns[..., directions:] = 0
-            _inverse(columns, axis=2)
+            columns = _inverse(columns, axis=2)
             columns *= self.along_x[start:stop, None, :]
             columns *= lenses[start:stop, block]
-            _forward(columns, axis=2)
-            work.plane[:count, block] = columns[..., :n]
-        for block in _blocks(n, m):
+            work.plane[:count, block] = _forward(columns, axis=2)[..., :n]
+        for block in _blocks(n, m, self.sizes.block):
             columns = work.columns[:count, : block.stop - block.start]
-            np.copyto(columns, work.plane[:count, :, block].transpose(0, 2, 1))
+            columns[...] = work.plane[:count, :, block].transpose(0, 2, 1)
             self._to_detector(columns, block, start, stop, work)
 
     def _to_detector(self, columns: Field, block: slice, start: int, stop: int, work: Workspace) -> None:
         """Take some columns of the fields, spectra along x and places on the MLA along y, to the detector along y."""
         n = self.samples
-        _forward(columns, axis=2)
         chief = self.chief[start:stop] - self.chief.min(0)
-        spectrum = columns[..., :n]
+        spectrum = _forward(columns, axis=2)[..., :n]
         for part, (x, y) in zip(spectrum, chief, strict=True):
             part *= self.transfer[x + block.start : x + block.stop, y : y + n]
-        _inverse(spectrum, axis=2)
-        work.field[: stop - start, block] = spectrum
+        work.field[: stop - start, block] = _inverse(spectrum, axis=2)
 
 
-def _blocks(count: int, length: int) -> Iterator[slice]:
-    """Cut `count` rows of some length into blocks of about `_BLOCK_SAMPLES`."""
-    parts = max(1, round(count * length / _BLOCK_SAMPLES))
+def _blocks(count: int, length: int, samples: int) -> Iterator[slice]:
+    """Cut `count` rows of some length into blocks of about so many samples."""
+    parts = max(1, round(count * length / samples))
     edges = [count * part // parts for part in range(parts + 1)]
     return (slice(*pair) for pair in itertools.pairwise(edges))
 
@@ -579,11 +594,11 @@ def _quotient(types: Any, index: Any, divisor: int) -> Any:
     return types.UInt32((types.Float64(index) + 0.5) * dr.opaque(types.Float64, 1 / divisor))
 
 
-def _forward(field: Field, axis: int) -> None:
-    """Transform in place, unscaled."""
-    scipy.fft.fft(field, axis=axis, overwrite_x=True, workers=1)
+def _forward(field: Field, axis: int) -> Field:
+    """Transform unscaled, on this thread alone."""
+    return fft(field, axis=axis, workers=1)
 
 
-def _inverse(field: Field, axis: int) -> None:
-    """Transform back in place, unscaled."""
-    scipy.fft.ifft(field, axis=axis, overwrite_x=True, norm="forward", workers=1)
+def _inverse(field: Field, axis: int) -> Field:
+    """Transform back unscaled, on this thread alone."""
+    return fft(field, axis=axis, inverse=True, norm="forward", workers=1)

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
 
-from .._backend import array_module
+from .._backend import backend_of
 from .microlens import turn
 
 _HALF_WIDTH = 6
@@ -39,7 +39,7 @@ def integrate_pixels(
     Parameters
     ----------
     intensity : float32 array (rows, columns)
-        Samples per square millimetre.
+        Samples per square millimetre; of CuPy if they lie on a CUDA device, where the integrals are then.
     pitch : (float, float)
         Distance between samples along x and y in millimetres.
     origin : (float, float)
@@ -55,11 +55,14 @@ def integrate_pixels(
     -------
     float32 array of that shape
     """
+    libraries = backend_of(intensity)
     along_y, along_x = (
         _weights(count, pixel_size, (first_edge[axis] - origin[axis]) / pitch[axis], pitch[axis], samples)
         for axis, count, samples in ((1, shape[0], intensity.shape[0]), (0, shape[1], intensity.shape[1]))
     )
-    return np.ascontiguousarray((along_x @ (along_y @ intensity).T).T)
+    if libraries.is_cuda:
+        along_y, along_x = (libraries.sparse.csr_matrix(weights) for weights in (along_y, along_x))
+    return libraries.arrays.ascontiguousarray((along_x @ (along_y @ intensity).T).T)
 
 
 def _weights(count: int, pixel_size: float, start: float, pitch: float, samples: int) -> scipy.sparse.csr_array:
@@ -117,15 +120,16 @@ def turn_samples(
     -------
     float32 array of that shape
     """
-    types = array_module()
+    libraries = backend_of(intensity)
+    types, arrays = libraries.types, libraries.arrays
     rows, columns = intensity.shape
     margin = _HALF_WIDTH
-    padded = np.pad(intensity, margin)
+    padded = arrays.pad(intensity, margin)
     samples = types.Float(padded.reshape(-1))
     offsets = np.arange(1 - _HALF_WIDTH, 1 + _HALF_WIDTH)
     parts = (np.arange(_PARTS) + 0.5) / _PARTS
     weights = types.Float(_kernel(parts[:, None] - offsets).astype(np.float32).reshape(-1))
-    result = np.empty(shape, np.float32)
+    result = arrays.empty(shape, np.float32)
     block = max(1, _TURN_BLOCK // shape[1])
     for top in range(0, shape[0], block):
         lines = min(block, shape[0] - top)
@@ -145,7 +149,8 @@ def turn_samples(
             entry.append(types.UInt32(dr.clip((place - below) * _PARTS, 0, _PARTS - 1)) * len(offsets))
             first.append(types.UInt32(dr.clip(below, margin - 1, count + margin - 1)) - (_HALF_WIDTH - 1))
         total = _sum_around(types, samples, weights, first, entry, padded.shape[1], held)
-        result[top : top + lines] = total.numpy().reshape(lines, shape[1])
+        dr.eval(total)
+        result[top : top + lines] = libraries.from_drjit(total).reshape(lines, shape[1])
     return result
 
 

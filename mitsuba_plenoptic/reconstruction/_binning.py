@@ -17,7 +17,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from .._backend import array_module
+from .._backend import array_module, backend_of
 from ..limits import require_memory
 
 
@@ -90,7 +90,7 @@ def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.
     Parameters
     ----------
     image : (rows, columns, channels) float32 array
-        The detector image.
+        The image; of CuPy if it lies on a CUDA device.
     x, y : AxisBins
         Bins of the columns and of the rows.
     radius : float
@@ -99,15 +99,18 @@ def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.
     Returns
     -------
     (y.count, x.count, channels) float32 array
+        Where the image is.
     """
+    types, arrays = array_module(), backend_of(image).arrays
     _, columns, channels = image.shape
     if not (x.weight.size and y.weight.size):
         # No pixel meets a bin.
-        return np.zeros((y.count, x.count, channels), np.float32)
-    backend = array_module()
-    values = backend.Float(np.ascontiguousarray(image).reshape(-1))
-    by_row = _sum_columns(backend, values, x, radius**2 - y.pupil**2, columns, channels)
-    return _sum_rows(backend, by_row, y, x.count * channels).numpy().reshape(y.count, x.count, channels)
+        return arrays.zeros((y.count, x.count, channels), np.float32)
+    values = types.Float(arrays.ascontiguousarray(image).reshape(-1))
+    by_row = _sum_columns(types, values, x, radius**2 - y.pupil**2, columns, channels)
+    sums = _sum_rows(types, by_row, y, x.count * channels)
+    sums = sums.numpy() if isinstance(image, np.ndarray) else backend_of(sums).from_drjit(sums)
+    return sums.reshape(y.count, x.count, channels)
 
 
 def _sum_columns(backend: Any, values: Any, bins: AxisBins, limit: np.ndarray, columns: int, channels: int) -> Any:

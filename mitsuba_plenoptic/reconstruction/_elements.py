@@ -12,7 +12,7 @@ import numpy as np
 from .. import rays
 from .._backend import array_module
 from ..camera import PlenopticCamera
-from ..propagation.fft import Field, pack
+from ..propagation.fft import Field, as_field, pack
 from ..propagation.microlens import lenses_at
 from ..propagation.sampling import in_millimetres
 
@@ -143,5 +143,5 @@ def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any])
             dr.gather(types.Float64, types.Float64(np.ascontiguousarray(y)), row),
         )
     )
-    dr.eval(packed)
-    return np.array(packed.numpy().view(np.complex64).reshape(len(y), len(x)))
+    # what Dr.Jit computed is its own to write to
+    return as_field(packed, (len(y), len(x))).copy()

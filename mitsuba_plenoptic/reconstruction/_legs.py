@@ -7,17 +7,17 @@ out, and so are the frequencies and destination samples that nobody asks for.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
-import scipy.fft
 
+from .._backend import backend
 from ..propagation.angular_spectrum import advance
-from ..propagation.fft import Field, resting_drjit, worker_count
+from ..propagation.fft import Field, fft, resting_drjit
 from ._elements import FieldThrough
 from ._plan import Leg
 
-_BLOCK = 64
+# Rows that are transformed together: in the processor's cache, or so many that a CUDA device is busy.
+_BLOCK, _CUDA_BLOCK = 64, 4096
 
 # Columns a whole number of pages apart would fall on the same few lines of the cache when they are turned.
 _PAGE, _STAGGER = 512, 24
@@ -27,13 +27,15 @@ class Workspace:
     """Memory that is used again: fresh pages would cost nearly as much as the transforms on them."""
 
     def __init__(self) -> None:
+        self.libraries = backend()
+        self.block = _CUDA_BLOCK if self.libraries.is_cuda else _BLOCK
         self._buffers: dict[str, Field] = {}
 
     def array(self, name: str, shape: tuple[int, int]) -> Field:
         """Give an array with any content; it holds until the same name is asked for again."""
         size = shape[0] * shape[1]
         if name not in self._buffers or self._buffers[name].size < size:
-            self._buffers[name] = np.empty(size, np.complex64)
+            self._buffers[name] = self.libraries.arrays.empty(size, np.complex64)
         return self._buffers[name][:size].reshape(shape)
 
 
@@ -91,14 +93,15 @@ def _to_columns(
     workspace: Workspace,
 ) -> None:
     """Transform the lit rows and keep the lowest frequencies, turned into columns."""
-    x = leg.x
-    columns[:, np.flatnonzero(row_factor == 0)] = 0
-    block = workspace.array("block", (_BLOCK, x.padded))
+    x, arrays = leg.x, workspace.libraries.arrays
+    along_x, along_y = arrays.asarray(column_factor), arrays.asarray(row_factor)
+    columns[:, arrays.asarray(np.flatnonzero(row_factor == 0))] = 0
+    block = workspace.array("block", (workspace.block, x.padded))
     low, high = _lowest(x.padded, x.kept)
-    for rows in _lit_blocks(row_factor):
+    for rows in _lit_blocks(row_factor, workspace.block):
         part = block[: rows.stop - rows.start]
-        np.multiply(field[rows], column_factor, out=part[:, : x.count])
-        part[:, : x.count] *= row_factor[rows, None]
+        arrays.multiply(field[rows], along_x, out=part[:, : x.count])
+        part[:, : x.count] *= along_y[rows, None]
         part[:, x.count :] = 0
         part = _fft(part, 1)
         columns[: low.stop, rows] = part[:, low].T
@@ -107,12 +110,12 @@ def _to_columns(
 
 def _across_space(columns: Field, leg: Leg, distance: float, wavelength: float, workspace: Workspace) -> None:
     """Transform columns, multiply by the transfer function, transform back, in place."""
-    x, y = leg.x, leg.y
-    block = workspace.array("block", (_BLOCK, y.padded))
-    spectrum = workspace.array("spectrum", (_BLOCK, y.kept))
+    x, y, together = leg.x, leg.y, workspace.block
+    block = workspace.array("block", (together, y.padded))
+    spectrum = workspace.array("spectrum", (together, y.kept))
     low, high = _lowest(y.padded, y.kept)
-    for place in range(0, x.kept, _BLOCK):
-        size = min(_BLOCK, x.kept - place)
+    for place in range(0, x.kept, together):
+        size = min(together, x.kept - place)
         part = block[:size]
         part[:, : y.count] = columns[place : place + size, : y.count]
         part[:, y.count :] = 0
@@ -132,20 +135,20 @@ def _across_space(columns: Field, leg: Leg, distance: float, wavelength: float, 
 
 def _from_columns(columns: Field, leg: Leg, out: Field, workspace: Workspace) -> Field:
     """Turn columns into rows, transform these back and keep their first samples."""
-    block = workspace.array("block", (_BLOCK, leg.x.kept))
-    for place in range(0, leg.y.wanted, _BLOCK):
-        part = block[: min(_BLOCK, leg.y.wanted - place)]
+    block = workspace.array("block", (workspace.block, leg.x.kept))
+    for place in range(0, leg.y.wanted, workspace.block):
+        part = block[: min(workspace.block, leg.y.wanted - place)]
         part[:] = columns[:, place : place + part.shape[0]].T
         out[place : place + part.shape[0]] = _fft(part, 1, inverse=True)[:, : leg.x.wanted]
     return out
 
 
-def _lit_blocks(row_factor: np.ndarray) -> Iterator[slice]:
+def _lit_blocks(row_factor: np.ndarray, together: int) -> Iterator[slice]:
     """Give the runs of rows that are not dark, cut to blocks."""
     edges = np.flatnonzero(np.diff(row_factor != 0, prepend=False, append=False))
     for first, end in edges.reshape(-1, 2).tolist():
-        for place in range(first, end, _BLOCK):
-            yield slice(place, min(place + _BLOCK, end))
+        for place in range(first, end, together):
+            yield slice(place, min(place + together, end))
 
 
 def _lowest(size: int, kept: int) -> tuple[slice, slice]:
@@ -156,5 +159,4 @@ def _lowest(size: int, kept: int) -> tuple[slice, slice]:
 
 def _fft(field: Field, axis: int, *, inverse: bool = False) -> Field:
     """Transform along one axis in place; forward transforms are divided by the length, inverse ones are not."""
-    transform: Any = scipy.fft.ifft if inverse else scipy.fft.fft
-    return transform(field, axis=axis, norm="forward", overwrite_x=True, workers=worker_count())
+    return fft(field, axis=axis, inverse=inverse, norm="forward")

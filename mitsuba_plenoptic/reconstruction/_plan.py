@@ -219,7 +219,7 @@ def _axis_plan(
 
     # MLA to main lens.
     half_mla = max(abs(low), abs(high))
-    ends = [_object_extent(camera, g, axis, detector) for g in distances]
+    ends = [object_extent(camera, g, axis, detector) for g in distances]
     slopes = [(radius + half_mla) / b]
     slopes += [(radius + max(map(abs, light))) / g for g, (light, _) in zip(distances, ends, strict=True)]
     steepest = GUARD * max(slopes)
@@ -259,7 +259,7 @@ def _cells(camera: PlenopticCamera, ends: np.ndarray, axis: int) -> tuple[float,
     return float(ends[0] - 2 * reach), float(ends[1] + 2 * reach)
 
 
-def _object_extent(
+def object_extent(
     camera: PlenopticCamera, distance: float, axis: int, detector: AxisLeg
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Where the light of the lit lenses arrives in an object plane, and the part of it that lies on bins."""

@@ -43,7 +43,9 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from .. import rays
+from .._backend import backend
 from ..camera import PlenopticCamera
+from ..propagation import guards
 from ..propagation.fft import Field
 from ..propagation.microlens import is_separable
 from ._binning import AxisBins, axis_bins, bin_image
@@ -58,7 +60,7 @@ from ._elements import (
     microlenses,
 )
 from ._legs import Workspace, propagate_leg
-from ._plan import AxisLeg, Leg, Plan, plan
+from ._plan import AxisLeg, Leg, Plan, object_extent, plan
 
 
 def reconstruct_subsets(
@@ -99,18 +101,28 @@ def reconstruct_subsets(
         Power in each bin, in pixel values times pixels.
     """
     columns, rows = (count * oversample for count in camera.bin_count)
-    totals = [np.zeros((rows, columns)) for _ in distances]
+    libraries = backend()
+    totals = [libraries.arrays.zeros((rows, columns)) for _ in distances]
     lit = lit_window(image, camera)
     if lit is None:
-        return totals
+        return [libraries.to_host(total) for total in totals]
     grids = plan(camera, wavelength, distances, lit)
     workspace = Workspace()
     fields = _pupil_fields(image, camera, wavelength, grids, lit, interleave, relay, workspace)
+    area = grids.main_lens.x.new_pitch * grids.main_lens.y.new_pitch / camera.pixel_size**2
+    passed = 0.0
     for done, field in enumerate(fields):
+        passed += guards.power(field) * area
         for total, distance, leg in zip(totals, distances, grids.objects, strict=True):
             total += _object_image(field, camera, distance, wavelength, leg, oversample, workspace)
         progress((done + 1) / interleave**2)
-    return totals
+    guards.judge(guards.PUPIL, 1 - passed / float(image.sum(dtype=np.float64)))
+    for total, distance in zip(totals, distances, strict=True):
+        # where the detector's edge cuts the light there is no telling
+        axes = ((0, grids.detector.x), (1, grids.detector.y))
+        if all(light == kept for light, kept in (object_extent(camera, distance, *axis) for axis in axes)):
+            guards.judge(guards.OBJECT, 1 - guards.share(float(total.sum()), passed))
+    return [libraries.to_host(total) for total in totals]
 
 
 def lit_window(image: np.ndarray, camera: PlenopticCamera) -> tuple[tuple[int, int], tuple[int, int]] | None:
@@ -140,10 +152,11 @@ def _pupil_fields(
         slice(first - offset, end - offset)
         for (first, end), offset in zip(lit[::-1], camera.crop_offset[::-1], strict=True)
     )
-    amplitude = np.sqrt(image[rows, columns])
+    arrays = workspace.libraries.arrays
+    amplitude = arrays.sqrt(arrays.asarray(image[rows, columns]))
     for axis in (0, 1) if grids.subsamples > 1 else ():
-        amplitude = np.repeat(amplitude, grids.subsamples, axis)
-    pupil = _pupil(camera, grids.main_lens)
+        amplitude = arrays.repeat(amplitude, grids.subsamples, axis)
+    pupil = arrays.asarray(_pupil(camera, grids.main_lens))
     for j in range(interleave):
         for i in range(interleave):
             field = _at_mla(amplitude, camera, wavelength, grids.detector, interleave, (i, j), workspace)
@@ -211,7 +224,7 @@ def _object_image(
     field = propagate_leg(field, y, x, leg, distance, wavelength, workspace, "plane")
     # Real and imaginary parts are binned side by side, in the memory they have.
     parts = field.view(np.float32).reshape(*field.shape, 2)
-    np.square(parts, out=parts)
+    workspace.libraries.arrays.square(parts, out=parts)
     bin_x, bin_y = (
         _sample_bins(camera, distance, axis, count * oversample, oversample)
         for axis, count in zip((leg.x, leg.y), camera.bin_count, strict=True)

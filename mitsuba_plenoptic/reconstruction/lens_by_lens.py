@@ -24,22 +24,23 @@ from functools import cached_property
 
 import drjit as dr
 import numpy as np
-import scipy.fft
 import scipy.signal
 
 from .. import rays
-from .._backend import array_module
+from .._backend import backend
 from ..camera import MOST_PIXELS, PlenopticCamera
 from ..errors import InputError
+from ..propagation import guards
 from ..propagation.angular_spectrum import advance
-from ..propagation.fft import Field, fft2, pack, resting_drjit, unpack, worker_count
+from ..propagation.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, unpack
 from ..propagation.sampling import check_memory, fast_length, in_millimetres, pupil_turns
 from ..pupil import PupilShare
 from ._elements import converging_phase, detector_lens, lens_phase
 from ._plan import GUARD, field_subsamples
 from .ray import lenses_fill_bins
 
-_BATCH_SAMPLES = 2**20
+# Samples that are transformed together, on the processor and on a CUDA device.
+_BATCH_SAMPLES, _CUDA_BATCH_SAMPLES = 2**20, 2**25
 
 _THROUGHPUT_LENSES = 25
 
@@ -94,18 +95,27 @@ def reconstruct_lens_by_lens(
     check_memory(tile.memory, "wave reconstruction lens by lens")
     lenses = all_lenses(camera, wavelength, tile)
     lit = lenses.lit(image)
-    amplitude = np.sqrt(image)
+    libraries = backend()
+    amplitude = libraries.arrays.sqrt(libraries.arrays.asarray(image))
     # Every lens puts its patch among the bins of all lenses, and a margin for those at the edge.
     shape = [(count + tile.lenses - 1) * oversample for count in lenses.bins[::-1]]
-    totals = [np.zeros(shape) for _ in distances]
+    totals = [libraries.arrays.zeros(shape) for _ in distances]
+    in_rim = [0.0 for _ in distances]
     for place in range(0, len(lit), tile.batch):
         batch = lenses.batch(lit[place : place + tile.batch])
         fields = pupil_fields(amplitude, tile, batch, relay=relay)
-        for total, distance in zip(totals, distances, strict=True):
-            for column, row, patch in zip(*batch.bin.T, _patches(fields, tile, batch, distance), strict=True):
+        for index, (total, distance) in enumerate(zip(totals, distances, strict=True)):
+            patches = _patches(fields, tile, batch, distance)
+            inner = patches[:, oversample:-oversample, oversample:-oversample]
+            in_rim[index] += float(patches.sum(dtype=np.float64) - inner.sum(dtype=np.float64))
+            for column, row, patch in zip(*batch.bin.T, patches, strict=True):
                 top, left = row * oversample, column * oversample
                 total[top : top + patch.shape[0], left : left + patch.shape[1]] += patch
         progress((place + len(batch.bin)) / len(lit))
+    if len(lit):
+        guards.judge(guards.PUPIL, 1 - float(totals[0].sum()) / float(image.sum(dtype=np.float64)))
+    for total, rim in zip(totals, in_rim, strict=True):
+        guards.judge(guards.OBJECT, guards.share(rim, float(total.sum())))
     return [_on_bins(total, camera, tile, lenses) for total in totals]
 
 
@@ -201,11 +211,15 @@ def white_power(
     Px, Py = ((centre - part.pixel_coordinates(axis)) * to_pupil for axis in (0, 1))
     image = PupilShare(camera)(Px, Py[:, None])
     batch = lenses.batch(np.array([lenses.find(0, 0)]))
-    patch = _patches(pupil_fields(np.sqrt(image), tile, batch, relay=relay), tile, batch, distance)[0]
+    libraries = backend()
+    amplitude = libraries.arrays.asarray(np.sqrt(image))
+    fields = pupil_fields(amplitude, tile, batch, relay=relay)
+    patch = libraries.to_host(_patches(fields, tile, batch, distance)[0]).astype(np.float64)
     everywhere = Aligned(camera, wavelength, tile)
     comb = np.zeros([(count - 1) * oversample + 1 for count in everywhere.bins[::-1]])
     comb[::oversample, ::oversample] = 1
-    return _on_bins(scipy.signal.oaconvolve(comb, patch.astype(np.float64)), camera, tile, everywhere)
+    total = libraries.arrays.asarray(scipy.signal.oaconvolve(comb, patch))
+    return _on_bins(total, camera, tile, everywhere)
 
 
 def _around_axis(camera: PlenopticCamera, around: int) -> PlenopticCamera:
@@ -226,9 +240,11 @@ def _around_axis(camera: PlenopticCamera, around: int) -> PlenopticCamera:
 def _power(image: np.ndarray, lenses: Lenses, which: np.ndarray, *, relay: bool) -> float:
     """Power that one lens sends through the main lens."""
     tile = lenses.tile
-    field = pupil_fields(np.sqrt(image).astype(np.float32), tile, lenses.batch(which), relay=relay)[0]
+    arrays = backend().arrays
+    amplitude = arrays.asarray(np.sqrt(image).astype(np.float32))
+    field = pupil_fields(amplitude, tile, lenses.batch(which), relay=relay)[0]
     inside = (tile.camera.aperture_radius - np.hypot(tile.pupil, tile.pupil[:, None])) / tile.pupil_pitch
-    return float((np.abs(field) ** 2 * np.clip(inside + 0.5, 0, 1)).sum()) * tile.pupil_pitch**2
+    return float((abs(field) ** 2 * arrays.asarray(np.clip(inside + 0.5, 0, 1))).sum()) * tile.pupil_pitch**2
 
 
 def tile_lenses(camera: PlenopticCamera, distances: Sequence[float]) -> int:
@@ -350,12 +366,13 @@ class Tile:
         r"""From the cell to the pupil along an axis, :math:`\exp(-i k P \mu / b) d\mu / (\lambda b)^{1/2}`."""
         wave_path = in_millimetres(self.wavelength) * self.camera.mla_distance
         turns = np.outer(self.pupil, self.cell) / wave_path
-        return (np.exp(-2j * math.pi * turns) * (self.pitch / math.sqrt(wave_path))).astype(np.complex64)
+        matrix = np.exp(-2j * math.pi * turns) * (self.pitch / math.sqrt(wave_path))
+        return backend().arrays.asarray(matrix.astype(np.complex64))
 
     @cached_property
     def transfer(self) -> Field:
         """Transfer function from detector to MLA."""
-        ones = np.ones((self.padded, self.padded), np.complex64)
+        ones = backend().arrays.ones((self.padded, self.padded), np.complex64)
         return advance(ones, self.pitch, self.camera.detector_distance, self.wavelength)
 
     @property
@@ -378,7 +395,8 @@ class Tile:
     @property
     def batch(self) -> int:
         """Lenses that are transformed together."""
-        return max(1, _BATCH_SAMPLES // max(self.object_samples, self.padded) ** 2)
+        samples = _CUDA_BATCH_SAMPLES if backend().is_cuda else _BATCH_SAMPLES
+        return max(1, samples // max(self.object_samples, self.padded) ** 2)
 
 
 class LensAxis:
@@ -653,25 +671,40 @@ def pupil_fields(amplitude: np.ndarray, tile: Tile, batch: LensBatch, *, relay: 
     -------
     complex64 array (n, pupil, pupil)
     """
+    arrays = backend().arrays
     count, size = len(batch.bin), batch.row.shape[1]
-    field = np.zeros((count, tile.padded, tile.padded), np.complex64)
-    field[:, :size, :size] = amplitude[batch.row, batch.column]
+    field = arrays.zeros((count, tile.padded, tile.padded), np.complex64)
+    field[:, :size, :size] = amplitude[arrays.asarray(batch.row), arrays.asarray(batch.column)]
     for factor in batch.source:
-        field[:, :size, :size] *= factor
+        field[:, :size, :size] *= arrays.asarray(factor)
     with resting_drjit():
         field = fft2(field)
         field *= tile.transfer
         for factor in batch.shift:
-            field *= factor
+            field *= arrays.asarray(factor)
         cell = fft2(field, inverse=True)[:, : tile.cell.size, : tile.cell.size]
         microlens = lens_phase(tile.cell, batch.focal_length[:, None], tile.wavelength) if relay else np.complex64(1)
-        cell = cell * (batch.tilt[0] * microlens)[:, :, None]
-        cell *= (batch.tilt[1] * microlens)[:, None, :]
+        cell = cell * arrays.asarray(batch.tilt[0] * microlens)[:, :, None]
+        cell *= arrays.asarray(batch.tilt[1] * microlens)[:, None, :]
         if batch.aperture is not None:
-            cell *= batch.aperture
+            cell *= arrays.asarray(batch.aperture)
         # One product for the whole batch: many small ones would each wait for the threads of the BLAS.
-        fields = np.tensordot(np.tensordot(cell, tile.to_pupil, (1, 1)), tile.to_pupil, (1, 1))
-    return np.ascontiguousarray(fields)
+        product = _product if count > 1 else _product_without_blas
+        fields = product(product(cell, tile.to_pupil), tile.to_pupil)
+    return arrays.ascontiguousarray(fields)
+
+
+def _product(fields: Field, matrix: Field) -> Field:
+    """Multiply a matrix (p, i) with fields (n, i, j) over i, and turn them: (n, j, p)."""
+    return backend().arrays.tensordot(fields, matrix, (1, 1))
+
+
+def _product_without_blas(fields: Field, matrix: Field) -> Field:
+    """Do what `_product` does with the same bits on any number of threads.
+
+    So has `white_throughput`, by which every image is divided.
+    """
+    return backend().arrays.einsum("nij,pi->njp", fields, matrix)
 
 
 def _patches(fields: Field, tile: Tile, batch: LensBatch, distance: float) -> np.ndarray:
@@ -679,17 +712,17 @@ def _patches(fields: Field, tile: Tile, batch: LensBatch, distance: float) -> np
     camera = tile.camera
     focused = _aim(fields, tile, batch, distance)
     count, size = tile.pupil.size, tile.object_samples
-    padded = np.zeros((len(fields), size, size), np.complex64)
+    arrays = backend().arrays
+    padded = arrays.zeros((len(fields), size, size), np.complex64)
     padded[:, :count, :count] = focused
     with resting_drjit():
-        rows = scipy.fft.fft(padded[:, :count], axis=2, overwrite_x=True, workers=worker_count())
-        padded[:, :count] = rows
-        padded = scipy.fft.fft(padded, axis=1, overwrite_x=True, workers=worker_count())
+        padded[:, :count] = fft(padded[:, :count], axis=2)
+        padded = fft(padded, axis=1)
     intensity = padded.real**2
     intensity += padded.imag**2
     per_bin = tile.samples // tile.oversample
-    bins = np.repeat(np.eye(size // per_bin, dtype=np.float32), per_bin, axis=1)
-    sums = np.tensordot(np.tensordot(intensity, bins, (1, 1)), bins, (1, 1))
+    bins = arrays.repeat(arrays.eye(size // per_bin, dtype=np.float32), per_bin, axis=1)
+    sums = arrays.tensordot(arrays.tensordot(intensity, bins, (1, 1)), bins, (1, 1))
     sample = camera.bin_size(distance) / tile.samples
     scale = tile.pupil_pitch**2 / (in_millimetres(tile.wavelength) * distance) * sample / camera.pixel_size
     # The object is upside down in camera coordinates: bins grow with -X.
@@ -698,7 +731,7 @@ def _patches(fields: Field, tile: Tile, batch: LensBatch, distance: float) -> np
 
 def _aim(fields: Field, tile: Tile, batch: LensBatch, distance: float) -> Field:
     """Multiply pupil fields by the way from the lens's centre to its image's, the main lens, and the pupil."""
-    types = array_module()
+    types = backend().types
     camera, wave = tile.camera, in_millimetres(tile.wavelength)
     n, count = len(fields), tile.pupil.size
     index = dr.arange(types.UInt32, n * count * count)
@@ -727,9 +760,8 @@ def _aim(fields: Field, tile: Tile, batch: LensBatch, distance: float) -> Field:
     # The edge of the pupil is softened over one sample.
     within = types.Float((camera.aperture_radius - dr.sqrt(square)) / tile.pupil_pitch)
     coverage = dr.clip(within + 0.5, 0, 1)
-    packed = types.UInt64(fields.reshape(-1).view(np.uint64))
-    aimed = pack(unpack(packed) * types.Complex2f(cosine, sine) * coverage)
-    return aimed.numpy().view(np.complex64).reshape(fields.shape)
+    aimed = unpack(types.UInt64(as_words(fields))) * types.Complex2f(cosine, sine) * coverage
+    return as_field(pack(aimed), fields.shape)
 
 
 def _on_bins(total: np.ndarray, camera: PlenopticCamera, tile: Tile, lenses: Lenses) -> np.ndarray:
@@ -744,5 +776,5 @@ def _on_bins(total: np.ndarray, camera: PlenopticCamera, tile: Tile, lenses: Len
         kept = slice(max(first, 0), min(end, count))
         into.append(slice(kept.start * tile.oversample, kept.stop * tile.oversample))
         out.append(slice((kept.start - first) * tile.oversample, (kept.stop - first) * tile.oversample))
-    image[tuple(into)] = total[tuple(out)]
+    image[tuple(into)] = backend().to_host(total[tuple(out)])
     return image

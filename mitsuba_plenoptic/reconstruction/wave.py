@@ -81,7 +81,10 @@ def reconstruct_wave(
             progress=progress,
         )
     if fine > 1:
-        power = [_over_lenses(total, camera, g, oversample, fine) for total, g in zip(power, distances, strict=True)]
+        power = [
+            _over_lenses(total, camera, oversample, fine, _lens_scale(camera, distance))
+            for total, distance in zip(power, distances, strict=True)
+        ]
     whites = (_white(camera, wavelength, distance, oversample, fine, relay) for distance in distances)
     return [(total / white).astype(np.float32) for total, white in zip(power, whites, strict=True)]
 
@@ -99,19 +102,27 @@ def _white(
         return pixels_per_bin(camera, oversample) * throughput
     # Rays go to points, where waves go to spots: the grid on which they are counted must not show.
     fine *= -(-_RAY_BINS // (oversample * fine))
-    white = _over_lenses(white_bins(camera, distance, oversample * fine), camera, distance, oversample, fine)
+    white = white_bins(camera, distance, oversample * fine)
+    white = _over_lenses(white, camera, oversample, fine, _lens_scale(camera, distance))
     return at_least(white, camera, oversample) * throughput
 
 
-def _over_lenses(power: np.ndarray, camera: PlenopticCamera, distance: float, oversample: int, fine: int) -> np.ndarray:
-    """Spread what comes from each lens over its aperture, which has gathered it, and sum fine bins to bins.
+def _lens_scale(camera: PlenopticCamera, distance: float) -> float:
+    """Part of a lens over which its light is spread: all for an unfocused one, none where a focused one is sharp."""
+    if camera.kind == "unfocused":
+        return 1.0
+    return min(lens_footprint(camera, distance, f2) for f2 in camera.mla_focal_lengths)
 
-    Where a lens lies on every bin this would change nothing in focus; elsewhere the light of all of a lens would go
-    to the one bin that holds its centre, and some bins would get none. A focused lens has gathered it from less.
+
+def _over_lenses(
+    power: np.ndarray, camera: PlenopticCamera, oversample: int, fine: int, scale: float = 1.0
+) -> np.ndarray:
+    """Spread what comes from each lens over its aperture, enlarged by `scale`, and sum fine bins to bins.
+
+    A lens has gathered light over its aperture. Where a lens lies on every bin spreading it would change nothing in
+    focus; elsewhere the light of all of a lens would go to the one bin that holds its centre, and some bins would get
+    none.
     """
-    scale = 1.0
-    if camera.kind != "unfocused":
-        scale = min(lens_footprint(camera, distance, f2) for f2 in camera.mla_focal_lengths)
     aperture = camera.lattice.aperture_image(camera.mla_pitch / (oversample * fine), scale)
     spread = scipy.signal.oaconvolve(power, aperture, mode="same")
     rows, columns = (size // fine for size in power.shape)

@@ -14,7 +14,12 @@ from .stages import Finished, Notify, software, told_seconds, write_json
 
 
 def compare(
-    settings: Settings, output: Path, *, notify: Notify | None = None, finished: Finished | None = None
+    settings: Settings,
+    output: Path,
+    *,
+    notify: Notify | None = None,
+    finished: Finished | None = None,
+    resume: bool = False,
 ) -> dict[str, Any]:
     """Capture a scene by rays and by waves, refocus it in every way, and report how they differ.
 
@@ -29,6 +34,8 @@ def compare(
         Folder to write into; what is in it already and valid is kept.
     notify, finished : callable, optional
         Told of the progress and of the end of each stage; see `stages`.
+    resume : bool
+        Whether to refuse the checkpoint of another capture in the folder, instead of replacing it.
 
     Returns
     -------
@@ -42,7 +49,7 @@ def compare(
     """
     if not settings.distances:
         raise InputError("distance: give at least one to refocus to")
-    store = open_store(output, notify, finished)
+    store = open_store(output, notify, finished, resume=resume)
     experiment = run_experiment(settings, store)
     numbers = measure(experiment)
     zooms = [brightest_zoom(experiment)]

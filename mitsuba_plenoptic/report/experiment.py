@@ -165,15 +165,17 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     ray, ray_key = store.capture(
         "capture_ray",
         {**base, "spp": settings.spp},
-        lambda progress: _grey(render_capture(scene, model="ray", spp=settings.spp, progress=progress)),
+        lambda progress, _: _grey(render_capture(scene, model="ray", spp=settings.spp, progress=progress)),
     )
     if not ray.image.any():
         raise InputError(f"{settings.scene}: the capture is black: its camera sees no light")
     wave, wave_key = store.capture(
         "capture_wave",
         {**base, **wave_options, "spp": settings.paths},
-        lambda progress: _grey(
-            render_capture(scene, model="wave", spp=settings.paths, progress=progress, **wave_options)
+        lambda progress, checkpoint: _grey(
+            render_capture(
+                scene, model="wave", spp=settings.paths, progress=progress, checkpoint=checkpoint, **wave_options
+            )
         ),
     )
     pinhole, _ = store.image(
@@ -214,7 +216,7 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     )
 
 
-def open_store(output: Path, notify: Notify | None, finished: Finished | None) -> StageStore:
+def open_store(output: Path, notify: Notify | None, finished: Finished | None, *, resume: bool = False) -> StageStore:
     """Check, before the work, that the output folder can be made; it is made with the first stage.
 
     Raises
@@ -225,7 +227,7 @@ def open_store(output: Path, notify: Notify | None, finished: Finished | None) -
     there = next(path for path in (output, *output.absolute().parents) if path.exists())
     if not there.is_dir() or not os.access(there, os.W_OK):
         raise InputError(f"{output}: the folder cannot be made: {there} is not a folder that can be written to")
-    return StageStore(output / "data", notify, finished)
+    return StageStore(output / "data", notify, finished, resume=resume)
 
 
 def _refocus(store: StageStore, capture: Capture, key: str, method: Method, distance: float) -> np.ndarray:

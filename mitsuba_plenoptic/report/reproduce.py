@@ -40,7 +40,12 @@ PRESETS = {
 
 
 def reproduce(
-    output: Path, *, preset: str = "quick", notify: Notify | None = None, finished: Finished | None = None
+    output: Path,
+    *,
+    preset: str = "quick",
+    notify: Notify | None = None,
+    finished: Finished | None = None,
+    resume: bool = False,
 ) -> dict[str, Any]:
     """Make the paper's figures 2 and 4, its timing comparison and its conclusions, with a report.
 
@@ -52,6 +57,8 @@ def reproduce(
         A smaller detector and smaller letters, or the paper's.
     notify, finished : callable, optional
         Told of the progress and of the end of each stage; see `stages`.
+    resume : bool
+        Whether to refuse the checkpoint of another capture in the folder, instead of replacing it.
 
     Returns
     -------
@@ -66,7 +73,7 @@ def reproduce(
     if preset not in PRESETS:
         raise InputError(f"preset = {preset!r}: it must be one of {', '.join(PRESETS)}")
     settings, command = PRESETS[preset], f"mitsuba-plenoptic reproduce --preset {preset}"
-    store = open_store(output, notify, finished)
+    store = open_store(output, notify, finished, resume=resume)
     experiment = run_experiment(settings, store)
     numbers = measure(experiment)
     last = settings.distances[-1]

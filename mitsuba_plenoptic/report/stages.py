@@ -7,7 +7,6 @@ carries the key and appears whole or not at all, so that a run that was killed g
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import json
 import re
 import time
@@ -21,8 +20,10 @@ import numpy as np
 
 from .._exr import read_exr, write_exr
 from ..capture import Capture, read_capture, write_capture
+from ..checkpoint import SUFFIX, Checkpoint, Existing
 from ..errors import InputError
 from ..files import atomic_output
+from ..software import software as versions
 
 Value = TypeVar("Value")
 Progress = Callable[[int, int], None]
@@ -43,18 +44,28 @@ class StageStore:
         Told of the progress of a stage.
     finished : callable, optional
         Told when a stage is there.
+    resume : bool
+        Whether a checkpoint that is of another run is refused, instead of being replaced.
     """
 
-    def __init__(self, folder: Path, notify: Notify | None = None, finished: Finished | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        notify: Notify | None = None,
+        finished: Finished | None = None,
+        *,
+        resume: bool = False,
+    ) -> None:
         self.folder = folder
+        self._existing: Existing = "resume" if resume else "resume_if_same"
         self.seconds: dict[str, float] = {}
         self._notify = notify
         self._finished = finished
         self._log = folder / "stages.json"
         self._known = _read_json(self._log)
 
-    def capture(self, name: str, inputs: Any, make: Callable[[Progress], Capture]) -> tuple[Capture, str]:
-        """Give a stage that is a capture, and its key."""
+    def capture(self, name: str, inputs: Any, make: Callable[[Progress, Checkpoint], Capture]) -> tuple[Capture, str]:
+        """Give a stage that is a capture, and its key; while it is under way it has a checkpoint."""
 
         def write(path: Path, value: Capture, key: str) -> None:
             stamped = {**value.metadata, "key": key}
@@ -64,7 +75,8 @@ class StageStore:
             value = read_capture(path)
             return value, value.metadata["key"]
 
-        return self._get(name, ".exr", inputs, make, write, read)
+        with Checkpoint(self.folder / f"{name}{SUFFIX}", self._existing) as checkpoint:
+            return self._get(name, ".exr", inputs, lambda progress: make(progress, checkpoint), write, read)
 
     def image(
         self, name: str, inputs: Any, make: Callable[[Progress], tuple[np.ndarray, dict[str, Any]]]
@@ -133,18 +145,9 @@ def scene_fingerprint(path: Path, parameters: Mapping[str, str]) -> str:
 
 @cache
 def software() -> dict[str, str]:
-    """Tell the versions that results depend on, our own by its source text."""
-    package = Path(__file__).parent.parent
-    sources = sorted(
-        source
-        for source in package.rglob("*.py")
-        if not {"report", "cli"} & set(source.relative_to(package).parts[:-1])
-    )
-    versions = {name: importlib.metadata.version(name) for name in ("mitsuba", "drjit", "numpy", "scipy")}
-    text = hashlib.sha256()
-    for source in [*sources, Path(__file__).with_name("referee.py")]:
-        text.update(source.read_bytes())
-    return {**versions, "mitsuba_plenoptic": text.hexdigest()[:16]}
+    """Tell the versions that stages depend on, our own by the source text."""
+    referee = hashlib.sha256(Path(__file__).with_name("referee.py").read_bytes())
+    return {**versions(), "referee": referee.hexdigest()[:16]}
 
 
 def told_seconds(seconds: dict[str, float]) -> str:

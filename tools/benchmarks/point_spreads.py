@@ -16,8 +16,9 @@ import scipy.fft
 from mitsuba_plenoptic import PlenopticCamera, load_scene
 from mitsuba_plenoptic.plugins._radiators import find_radiators, sample_pairs
 from mitsuba_plenoptic.propagation.accuracy import DEFAULT_ACCURACY
+from mitsuba_plenoptic.propagation.batches import Threads
 from mitsuba_plenoptic.propagation.fft import resting_drjit
-from mitsuba_plenoptic.propagation.incoherent import _PatchSum, estimate_cost, incoherent_sum
+from mitsuba_plenoptic.propagation.incoherent import _add_up, _PatchSum, estimate_cost, incoherent_sum
 from mitsuba_plenoptic.propagation.patch import PatchBatch, Workspace, _blocks
 
 from .table import Row, side_by_side
@@ -32,7 +33,7 @@ _PARTS = (
     ("still life, table", "still_life", _STILL_LIFE, (-0.5, 0.5), 7),
     ("still life, edges", "still_life", _STILL_LIFE, (0.5, -0.83), 5),
 )
-_SCENES = (("letters", {}), ("still_life", _STILL_LIFE))
+SCENES = {"letters": {}, "still_life": _STILL_LIFE}
 
 
 def radiators(scene_name: str, parameters: dict[str, str]) -> tuple[Any, ...]:
@@ -54,29 +55,40 @@ def sharing() -> list[Row]:
         camera, positions, weights, masks = radiators(scene, parameters)
         image = -positions[:, :2] * (camera.mla_distance / positions[:, 2:])
         part = (np.abs(image - centre) < across / 2 * camera.mla_pitch).all(1)
-        positions, weights, masks = positions[part], weights[part], masks[part] if masks is not None else None
-        results = []
-        for accuracy in (DEFAULT_ACCURACY, 0.0):
-            start, busy = time.perf_counter(), time.process_time()
-            image = incoherent_sum(
-                camera, positions, weights, wavelength=WAVELENGTH, accuracy=accuracy, pupil_masks=masks
-            )
-            results.append((image, time.perf_counter() - start, time.process_time() - busy))
-        (image, ours, busy), (exact, theirs, exact_busy) = results
-        error = np.linalg.norm(image - exact) / np.linalg.norm(exact)
+        what = f"{name}: {part.sum()} radiators on {across} x {across} lenses"
         rows.append(
-            Row(
-                f"{name}: {len(positions)} radiators on {across} x {across} lenses", "s", ours,
-                "accuracy = 0", theirs, theirs / ours, exact_busy / busy, f"error {100 * error:.2f} %",
-            )
-        )  # fmt: skip
+            _compare_accuracies(what, camera, positions[part], weights[part], None if masks is None else masks[part])
+        )
     return rows
+
+
+def whole(scene: str) -> list[Row]:
+    """Compare the sums of a whole capture: minutes by the default accuracy, far more with nothing shared."""
+    camera, positions, weights, masks = radiators(scene, SCENES[scene])
+    what = f"{scene}, {camera.resolution[0]} x {camera.resolution[1]}, all {len(positions)} radiators"
+    return [_compare_accuracies(what, camera, positions, weights, masks)]
+
+
+def _compare_accuracies(
+    what: str, camera: PlenopticCamera, positions: np.ndarray, weights: np.ndarray, masks: np.ndarray | None
+) -> Row:
+    results = []
+    for accuracy in (DEFAULT_ACCURACY, 0.0):
+        start, busy = time.perf_counter(), time.process_time()
+        image = incoherent_sum(camera, positions, weights, wavelength=WAVELENGTH, accuracy=accuracy, pupil_masks=masks)
+        results.append((image, time.perf_counter() - start, time.process_time() - busy))
+    (image, ours, busy), (exact, theirs, exact_busy) = results
+    error = np.linalg.norm(image - exact) / np.linalg.norm(exact)
+    return Row(
+        what, "s", ours, "accuracy = 0", theirs, theirs / ours, exact_busy / busy,
+        f"times faster; error {100 * error:.2f} %",
+    )  # fmt: skip
 
 
 def estimates() -> list[Row]:
     """Estimate whole captures of the default accuracy and those in which nothing is shared, from a part of each."""
     rows = []
-    for name, parameters in _SCENES:
+    for name, parameters in SCENES.items():
         camera, positions, _, masks = radiators(name, parameters)
         ours, exact = (
             estimate_cost(camera, positions, wavelength=WAVELENGTH, accuracy=accuracy, pupil_masks=masks)
@@ -101,8 +113,11 @@ def bare(runs: int) -> list[Row]:
         image = rng.uniform(-0.2, 0.2, (count, 2))
         positions = np.column_stack([-image * g / camera.mla_distance, np.full(count, g)])
         work = _PatchSum(camera, positions, np.ones((count, 1)), None, WAVELENGTH, 0.0)
-        batch = work._prepare(work.chunks[0])[0]
-        works = {"FFTs": _transforms(batch, count), "ours": lambda work=work: work.run(1, lambda done, total: None)}
+        batch = work._batch(work.chunks[0]).fields()
+        works = {
+            "FFTs": _transforms(batch, count),
+            "ours": lambda work=work: _add_up(work, Threads(1), None, None, None),
+        }
         with resting_drjit():
             timings = side_by_side(works, runs)
         ours, theirs = timings["ours"], timings["FFTs"]
@@ -128,12 +143,12 @@ def _transforms(batch: PatchBatch, count: int) -> Callable[[], None]:
         for _ in range(-(-count // batch.together)):
             transform(work.rows, 2)
             transform(work.rows, 2)
-            for block in _blocks(n, m):
+            for block in _blocks(n, m, batch.sizes.block):
                 columns = work.columns[:, : block.stop - block.start]
                 transform(columns, 2)
                 transform(columns, 2)
                 transform(columns[..., :n], 2)
-            for block in _blocks(n, n):
+            for block in _blocks(n, n, batch.sizes.block):
                 transform(work.field[..., block], 1)
 
     return run

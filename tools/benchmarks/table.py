@@ -31,6 +31,8 @@ class Row:
     ratio: float | None = None
     cpu_ratio: float | None = None
     note: str = ""
+    points: tuple[tuple[float, float], ...] = ()
+    """What a growth was fitted to; in the JSON file alone."""
 
     def cells(self) -> list[str]:
         """Return the texts of the row's cells."""

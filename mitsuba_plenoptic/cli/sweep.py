@@ -1,0 +1,102 @@
+"""``mitsuba-plenoptic sweep``: captures and reconstructions over a grid of parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .. import reconstruction
+from ..capture import MODELS
+from ..rendering import DEFAULT_VARIANT
+from ._common import Definitions, ResumeOnly, Scheduler, Variant, Workers, batches_on, parse_definitions
+from ._stages import stage_lines
+
+
+def sweep(
+    scene: Annotated[str, typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.nc", help="NetCDF file to write.")],
+    grid: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.yaml", help="The grid: names, each with a list of numbers."),
+    ] = None,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=V1,V2,...",
+            help="One name of the grid and its values: a $NAME of the scene, 'wavelength' in nanometres, or "
+            "'distance' to refocus to; repeat for several.",
+        ),
+    ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            metavar="|".join(MODELS),
+            show_default="as the scene's integrator has it",
+            help="How light propagates through the camera.",
+        ),
+    ] = None,
+    method: Annotated[
+        str, typer.Option(metavar="|".join(reconstruction.METHODS), help="How captures are refocused.")
+    ] = "ray",
+    spp: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            show_default="those of the scene's sampler",
+            help="Samples per pixel; by waves, light paths per radiator.",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the random numbers.")] = 0,
+    radiators_per_lens: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            show_default="the scene's, else 8",
+            help="By waves: incoherent point sources per microlens and axis.",
+        ),
+    ] = None,
+    resume: ResumeOnly = False,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    define: Definitions = None,
+    variant: Variant = None,
+) -> None:
+    """Render a scene over a grid of cameras and wavelengths, refocus to distances.
+
+    Writes one labelled dataset, which xarray opens. Every point is kept in a
+    folder beside it (FILE.points): a sweep that was stopped, or whose grid has
+    grown, computes only what is missing.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic sweep letters -o sweep.nc --vary aperture_radius=3,4,5
+      --vary distance=210,240,280
+
+      mitsuba-plenoptic sweep letters -o colours.nc --model wave
+      --vary wavelength=450,550,633 --workers 4
+
+      mitsuba-plenoptic sweep letters -o sweep.nc --grid sweep.yaml
+    """
+    # Datasets need libraries that take a second to load, which other commands need not wait for.
+    from ..report.sweep import SweepSettings, check_grid, merge_grids, parse_grid, read_grid
+    from ..report.sweep import sweep as compute
+
+    wanted = check_grid(merge_grids(read_grid(grid) if grid else {}, parse_grid(vary or [])))
+    settings = SweepSettings(
+        scene=scene,
+        parameters=parse_definitions(define),
+        model=model,
+        spp=spp,
+        seed=seed,
+        radiators_per_lens=radiators_per_lens,
+        method=method,
+        variant=variant or DEFAULT_VARIANT,
+    )
+    with batches_on(workers, scheduler) as batch_map, stage_lines() as (notify, finished):
+        dataset = compute(
+            settings, wanted, output, batch_map=batch_map, notify=notify, finished=finished, resume=resume
+        )
+    axes = " x ".join(f"{len(values)} {name}" for name, values in wanted.items())
+    typer.echo(f"{output}: {', '.join(str(name) for name in dataset.data_vars)} over {axes}")
