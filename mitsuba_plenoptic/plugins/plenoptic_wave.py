@@ -188,7 +188,7 @@ def make_class() -> type:
                 )
             if self.method == "patch":
                 self._estimate(camera, sets[0], len(jobs))
-            state = self._begin(camera, sets)
+            state = self._begin(camera, sets, len(jobs))
             done = 0
             for number, (radiators, channel) in enumerate(jobs):
                 if number >= state.sums:
@@ -198,7 +198,7 @@ def make_class() -> type:
                 done += len(radiators.positions)
             return state.image
 
-        def _begin(self, camera: PlenopticCamera, sets: list[Radiators]) -> Snapshot:
+        def _begin(self, camera: PlenopticCamera, sets: list[Radiators], jobs: int) -> Snapshot:
             """Begin with nothing, or where the checkpoint stands."""
             if self.checkpoint:
                 arrays = [array for r in sets for array in (r.positions, r.radiance, r.share, r.masks)]
@@ -206,6 +206,11 @@ def make_class() -> type:
                     radiators=sum(len(r.positions) for r in sets), scene_digest=digest(*arrays)
                 )
                 if found:
+                    if found.sums >= jobs or found.image.shape != (*camera.shape, len(self.wavelengths)):
+                        raise InputError(
+                            f"{self.checkpoint.path}: it is damaged: {found.sums} sums of an image of shape "
+                            f"{found.image.shape} are not a part of {jobs}"
+                        )
                     return found
             return Snapshot(0, np.zeros((*camera.shape, len(self.wavelengths)), dtype=np.float32), None)
 

@@ -11,12 +11,12 @@ from mitsuba_plenoptic.propagation.incoherent import incoherent_sum
 from .point_spreads import WAVELENGTH, radiators
 from .table import Row, side_by_side
 
-_PARAMETERS = {"resolution": "1024", "detector_width": "2.048", "letter_scale": "0.25"}
+_PARAMETERS = {"resolution": "1024", "detector_width": "2.048", "letter_scale": "0.125"}
 _WORKERS = 2
 
 
 def run(runs: int) -> list[Row]:
-    """Compare the sum of a quarter of the letters: on one thread, on two, and on two processes of one thread each."""
+    """Compare the sum of the letters at an eighth of their size: on one thread, on two, and on two processes of one thread each."""
     camera, positions, weights, masks = radiators("letters", _PARAMETERS)
     images = {}
 
