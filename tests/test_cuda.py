@@ -118,7 +118,7 @@ def test_the_estimate_waits_for_the_device(device, monkeypatch):
 def test_the_benchmark_of_the_device_runs(device, monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).parents[1] / "tools")
     gpu = importlib.import_module("benchmarks.gpu")
-    expected = {128: propagate(gpu.beam(128), gpu.PITCH, gpu.DISTANCE, gpu.WAVELENGTH)}
+    expected = {512: propagate(gpu.beam(512), gpu.PITCH, gpu.DISTANCE, gpu.WAVELENGTH)}
     rows = gpu.steps(expected, 1, copied=1000)
     rows += gpu.letters({"resolution": "64", "detector_width": "0.128"}, 1)
     assert len(rows) == 8 and all(row.ours > 0 for row in rows)
