@@ -15,7 +15,7 @@ from mitsuba_plenoptic._backend import Backend
 _dr_numpy = dr.ArrayBase.numpy
 
 _FUNCTIONS = (
-    "add", "ascontiguousarray", "copyto", "empty", "eye", "moveaxis", "multiply", "ones", "repeat", "sqrt", "square",
+    "add", "ascontiguousarray", "copyto", "einsum", "empty", "eye", "moveaxis", "multiply", "ones", "repeat", "sqrt", "square",
     "tensordot", "where", "zeros",
 )  # fmt: skip
 
