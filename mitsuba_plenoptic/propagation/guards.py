@@ -26,7 +26,7 @@ from .fft import Field, as_field
 _EDGE = 1 / 8
 """Outer part of a window or a spectrum, which should be dark. A field that fills all evenly has 23 % there."""
 
-_ROWS = 256
+_ROWS = 64
 """Rows that are looked at, about."""
 
 _UNSEEN = 0.01
@@ -207,7 +207,7 @@ def judge(guard: Guard, share: float) -> None:
 class StepGuard:
     """Looks at one step of the angular spectrum: at the field before, at its spectrum, and at the field after.
 
-    Some 256 rows of each are looked at, which takes less than a hundredth of the step's time. Where they do not hold
+    Some 64 rows of each are looked at, which takes less than a hundredth of the step's time. Where they do not hold
     their part of the power, because it is in few places or in few waves, all rows of the spectrum are.
 
     Parameters
