@@ -24,6 +24,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ._backend import backend_of
 from .errors import InputError, require_count
 from .files import atomic_output, remove_leftovers
 from .propagation.batches import PartialSum
@@ -174,7 +175,8 @@ def digest(*arrays: NDArray[Any] | None) -> str:
 def _write(path: Path, run: dict[str, Any], snapshot: Snapshot) -> None:
     arrays = {"image": snapshot.image}
     if snapshot.partial:
-        arrays["partial"] = snapshot.partial.sums
+        sums = snapshot.partial.sums
+        arrays["partial"] = backend_of(sums).to_host(sums)
     header = {
         "kind": "checkpoint",
         "format": FORMAT,

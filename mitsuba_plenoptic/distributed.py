@@ -73,6 +73,7 @@ class Cluster:
                 "workers: they need dask.distributed: pip install 'mitsuba-plenoptic[distributed]'"
             ) from None
         with contextlib.ExitStack() as opened:
+            opened.enter_context(_quiet())
             try:
                 address: Any = self._scheduler
                 if self._count:
@@ -136,6 +137,18 @@ class Cluster:
         except (CancelledError, OSError) as error:
             raise InputError(f"{self._name}: the connection was lost: {_line(error)}") from None
         return parts
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep Dask from telling, with tracebacks, of what our own errors tell."""
+    logger = logging.getLogger("distributed.client")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
 
 
 def _groups(batches: Iterable[Batch]) -> Iterator[list[Batch]]:

@@ -164,7 +164,8 @@ def test_finished_sums_are_remembered(tmp_path, stop_after):
     def until_the_last(path, run, snapshot):
         write(path, run, snapshot)
         sums.append(snapshot.sums)
-        if snapshot.sums == 2:
+        # The second checkpoint of the last sum never takes the place of the first.
+        if sums.count(2) == 2:
             raise StoppedError
 
     checkpoints._write = until_the_last
@@ -172,7 +173,7 @@ def test_finished_sums_are_remembered(tmp_path, stop_after):
     with pytest.raises(StoppedError), Checkpoint(path) as checkpoint:
         render_capture(scene, checkpoint=checkpoint, **options)
     go_on()
-    assert sums[0] == 0 and sums[-1] == 2
+    assert sums[0] == 0 and 1 in sums
     with Checkpoint(path, "resume") as checkpoint:
         resumed = render_capture(scene, checkpoint=checkpoint, **options).image
     np.testing.assert_array_equal(resumed, whole)

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import PlenopticCamera, _backend, point_spread_function, reconstruct
+from mitsuba_plenoptic import PlenopticCamera, _backend, checkpoint, point_spread_function, reconstruct
 from mitsuba_plenoptic.errors import InputError
 from mitsuba_plenoptic.propagation import estimate_cost, incoherent_sum, point_fields, propagate
 from mitsuba_plenoptic.reconstruction.lens_by_lens import white_throughput
@@ -88,6 +88,21 @@ def test_a_field_on_the_device_stays_there(device):
     np.testing.assert_array_equal(device.backend.to_host(moved), propagate(FIELD, 4e-3, 5.0, 633))
 
 
+def test_a_sum_goes_on_from_a_checkpoint(device, tmp_path):
+    """Written from the device's memory, and taken back into it."""
+    path = tmp_path / "checkpoint"
+
+    def keep(state):
+        if state.batches == 1:
+            checkpoint._write(path, {}, checkpoint.Snapshot(0, np.zeros((1, 1, 1), np.float32), state))
+
+    options = {"wavelength": 633, "accuracy": 0}
+    whole = incoherent_sum(CAMERA, POSITIONS, WEIGHTS, keep=keep, **options)
+    start = checkpoint._read(path, {}).partial
+    assert start.batches == 1 and type(start.sums) is np.ndarray
+    np.testing.assert_array_equal(incoherent_sum(CAMERA, POSITIONS, WEIGHTS, start=start, **options), whole)
+
+
 def test_the_estimate_waits_for_the_device(device, monkeypatch):
     waits = []
     monkeypatch.setattr(_backend.Backend, "synchronize", lambda self: waits.append(self))
@@ -100,7 +115,7 @@ def test_the_benchmark_of_the_device_runs(device, monkeypatch):
     gpu = importlib.import_module("benchmarks.gpu")
     expected = {32: propagate(gpu.beam(32), gpu.PITCH, gpu.DISTANCE, gpu.WAVELENGTH)}
     rows = gpu.steps(expected, 1, copied=1000)
-    rows += gpu.letters({"resolution": "128", "detector_width": "0.256"}, 1)
+    rows += gpu.letters({"resolution": "64", "detector_width": "0.128"}, 1)
     assert len(rows) == 8 and all(row.ours > 0 for row in rows)
     if not dr.has_backend(dr.JitBackend.CUDA):
         (row,) = gpu.run([1024], 1)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pickle
 import signal
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -19,6 +23,14 @@ from mitsuba_plenoptic.report.sweep import SweepSettings, sweep
 pytest.importorskip("distributed")
 
 SMALL = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
+
+# The command, with a checkpoint after every batch and batches one by one.
+COMMAND = """
+import sys
+from mitsuba_plenoptic import checkpoint, cli, distributed
+checkpoint._SECONDS, checkpoint._SHARE, distributed._GROUP_SAMPLES = 0.0, 1e9, 1
+sys.exit(cli.main(sys.argv[1:]))
+"""
 
 
 @pytest.fixture(scope="module")
@@ -157,6 +169,47 @@ def test_a_scheduler_at_an_address(cluster, tmp_path):
     assert main(["render", *words, "-o", str(tmp_path / "alone.exr")]) == 0
     assert main(["render", *words, "-o", str(tmp_path / "shared.exr"), "--scheduler", address]) == 0
     assert (tmp_path / "alone.exr").read_bytes() == (tmp_path / "shared.exr").read_bytes()
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_dies_is_told_in_one_line_and_the_checkpoint_stays(tmp_path):
+    """Scheduler and worker as other programs; the capture goes on without them."""
+    logs = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    python = [sys.executable, "-m"]
+    file = tmp_path / "scheduler.json"
+    words = ["--scheduler-file", str(file), "--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0"]
+    scheduler = subprocess.Popen([*python, "distributed.cli.dask_scheduler", *words], **logs)
+    worker = subprocess.Popen(
+        [*python, "distributed.cli.dask_worker", "--scheduler-file", str(file), "--nthreads", "2", "--no-dashboard"],
+        **logs,
+    )
+    try:
+        deadline = time.monotonic() + 60
+        while not file.exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        address = json.loads(file.read_text())["address"]
+        output = tmp_path / "raw.exr"
+        words = ["render", "letters", "--model", "wave", "--spp", "1", "--radiators-per-lens", "4", "-o", str(output)]
+        words += ["-D", "resolution=256", "-D", "detector_width=0.512", "-D", "letter_scale=0.06"]
+        run = subprocess.Popen(
+            [sys.executable, "-c", COMMAND, *words, "--scheduler", address], stderr=subprocess.PIPE, text=True
+        )
+        while not (checkpoint := tmp_path / "raw.exr.checkpoint").exists() and run.poll() is None:
+            time.sleep(0.005)
+        scheduler.kill()
+        _, errors = run.communicate(timeout=120)
+    finally:
+        for process in (scheduler, worker):
+            process.kill()
+            process.wait()
+    assert run.returncode == 2, errors
+    assert errors.splitlines()[-1].startswith(f"mitsuba-plenoptic: error: scheduler {address}: the connection was lost")
+    assert "Traceback" not in errors
+    assert checkpoint.exists() and not output.exists()
+    assert main([*words, "--resume"]) == 0
+    resumed = output.read_bytes()
+    assert main(words) == 0
+    assert output.read_bytes() == resumed
 
 
 @pytest.mark.parametrize(

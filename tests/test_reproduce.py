@@ -19,11 +19,12 @@ from mitsuba_plenoptic import (
     scene_path,
     write_capture,
 )
+from mitsuba_plenoptic import checkpoint as checkpoints
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report import reproduce as reproductions
 from mitsuba_plenoptic.report.compare import compare
-from mitsuba_plenoptic.report.experiment import Settings
+from mitsuba_plenoptic.report.experiment import Settings, run_experiment
 from mitsuba_plenoptic.report.one_core import seconds_on_one_core
 from mitsuba_plenoptic.report.referee import pinhole_image, thin_lens_image
 from mitsuba_plenoptic.report.reproduce import reproduce
@@ -190,6 +191,47 @@ def test_the_command_tells_of_each_stage(quick_waves, tmp_path, capsys):
     assert "capture wave " in told.err and "partial 280 " in told.err
     assert "confirmed  Reconstructions by rays and by waves have the same number of pixels." in told.out
     assert told.out.rstrip().endswith("report.html: open it in a browser")
+
+
+def test_a_wave_capture_that_was_stopped_goes_on_in_its_midst(tmp_path, monkeypatch):
+    """The stage's checkpoint, with waves that are real; what comes after the capture is left out."""
+
+    class StoppedError(Exception):
+        pass
+
+    def stop(*_):
+        raise StoppedError
+
+    small = {"resolution": "256", "detector_width": "0.512", "letter_scale": "0.06"}
+    settings = dataclasses.replace(SETTINGS, parameters=small, radiators_per_lens=3, spp=1)
+    monkeypatch.setattr(checkpoints, "_SECONDS", 0.0)
+    monkeypatch.setattr(checkpoints, "_SHARE", 1e9)
+    monkeypatch.setattr(experiments, "pinhole_image", stop)
+    write, progress = checkpoints._write, []
+
+    def run(folder, **options):
+        progress.clear()
+        store = StageStore(folder, lambda *told: progress.append(told), **options)
+        with pytest.raises(StoppedError):
+            run_experiment(settings, store)
+        # The radiators that were done when the capture began.
+        return next((done for name, done, total in progress if name == "capture_wave" and total), None)
+
+    assert run(tmp_path / "clean") == 0
+    # The second checkpoint never takes the place of the first.
+    monkeypatch.setattr(checkpoints, "_write", lambda *state: (write(*state), checkpoint.exists() and stop()))
+    checkpoint = tmp_path / "stopped" / "capture_wave.checkpoint"
+    assert run(tmp_path / "stopped") == 0
+    assert checkpoint.exists() and not (tmp_path / "stopped" / "capture_wave.exr").exists()
+    monkeypatch.setattr(checkpoints, "_write", write)
+    other, settings = settings, dataclasses.replace(settings, wavelength=500.0)
+    with pytest.raises(InputError, match="wavelength = 633 there, 500 here"):
+        run(tmp_path / "stopped", resume=True)
+    settings = other
+    assert run(tmp_path / "stopped", resume=True) > 0
+    assert not checkpoint.exists()
+    wave = "capture_wave.exr"
+    assert (tmp_path / "stopped" / wave).read_bytes() == (tmp_path / "clean" / wave).read_bytes()
 
 
 def test_a_scenes_fingerprint_knows_its_files(tmp_path):

@@ -18,7 +18,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import scipy
-from benchmarks import captures, gpu, growth, point_spreads, reconstructions, steps
+from benchmarks import captures, gpu, growth, point_spreads, reconstructions, shares, steps, workers
 from benchmarks.table import markdown
 
 from mitsuba_plenoptic.propagation.fft import worker_count
@@ -33,17 +33,26 @@ def main() -> None:
         "--size", type=int, action="append", help="of the steps and detectors; default: 1024, 2048, 4096, 8192"
     )
     parser.add_argument("--memory", type=float, default=8.0, help="GiB that one library's step may take; default: 8")
+    parser.add_argument(
+        "--scene", action="append", default=[], choices=point_spreads.SCENES,
+        help="of sharing: its whole capture instead of parts and estimates; takes up to an hour",
+    )  # fmt: skip
     parser.add_argument("--resolution", type=int, default=4096, help="pixels across the detector of ray captures")
     sections = {
         "steps": lambda: steps.run(sizes, arguments.runs, arguments.memory),
         "gpu": lambda: gpu.run([size for size in sizes if size >= 1024], arguments.runs),
         "point-spreads": lambda: [*point_spreads.bare(arguments.runs), *point_spreads.peers()],
-        "sharing": lambda: [*point_spreads.sharing(), *point_spreads.estimates()],
+        "sharing": lambda: (
+            [row for scene in arguments.scene for row in point_spreads.whole(scene)]
+            or [*point_spreads.sharing(), *point_spreads.estimates()]
+        ),
+        "workers": lambda: workers.run(arguments.runs),
         "captures": lambda: [
             *captures.samples_per_second(arguments.resolution, arguments.runs),
             *captures.command(arguments.resolution, 16),
         ],
         "reconstructions": lambda: reconstructions.run(arguments.runs),
+        "shares": shares.run,
         "growth": lambda: growth.run(sizes, arguments.runs),
     }
     parser.add_argument("--only", action="append", choices=sections, help="a section; default: all")

@@ -11,7 +11,7 @@ import typer
 from ..capture import MODELS, write_capture
 from ..checkpoint import SUFFIX, Checkpoint
 from ..errors import InputError
-from ..files import require_writable
+from ..files import remove_leftovers, require_writable
 from ..rendering import load_scene, render_capture
 from ._common import Definitions, Resume, Scheduler, Variant, Workers, batches_on, parse_definitions, progress_bar
 
@@ -90,6 +90,8 @@ def render(
     if output.suffix.lower() != ".exr":
         raise InputError(f"{output}: a capture is written as OpenEXR; give a name that ends in .exr")
     require_writable(output)
+    if resume:
+        remove_leftovers(output)
     checkpoint = require_writable(checkpoint or output.with_name(output.name + SUFFIX))
     options = {"wavelength": wavelength, "radiators_per_lens": radiators_per_lens}
     wave = {name: value for name, value in options.items() if value is not None}

@@ -33,7 +33,7 @@ _LANES = 2**22
 
 # Bytes of a light path on its way, and of a radiator with its mask.
 _LANE_BYTES = 256
-_RADIATOR_BYTES = 2 * (40 + PUPIL_CELLS**2)
+_RADIATOR_BYTES = 2 * (40 + PUPIL_CELLS**2 // 8)
 
 # Where the radiator of a ray that leaves the scene is put, in focal lengths: far enough to be collimated.
 _INFINITY = 1e6
@@ -52,14 +52,22 @@ class Radiators:
     share : (n,) float64 array
         Share of the visible pupil whose rays from the radiator land in the sampled part of the MLA plane: those
         are the rays that could have found it.
-    masks : (n, PUPIL_CELLS, PUPIL_CELLS) bool array, or None
-        Which cells of the pupil's bounding square each radiator sees (rows along y); None if all see all.
+    packed_masks : (n, PUPIL_CELLS**2 // 8) uint8 array, or None
+        Bits of `masks`: the radiators of all passes are held at once, and their masks are the most of them.
     """
 
     positions: np.ndarray
     radiance: np.ndarray
     share: np.ndarray
-    masks: np.ndarray | None
+    packed_masks: np.ndarray | None
+
+    @property
+    def masks(self) -> np.ndarray | None:
+        """Which cells of the pupil's bounding square each radiator sees, or None if all see all.
+
+        (n, PUPIL_CELLS, PUPIL_CELLS) bool array, rows along y.
+        """
+        return None if self.packed_masks is None else _unpacked(self.packed_masks)
 
 
 @dataclass(frozen=True)
@@ -148,18 +156,23 @@ def find_radiators(
     held = 0
     for start in range(0, window.lenses, lenses):
         some = range(start, min(start + lenses, window.lenses))
-        found.append(
-            _trace_lenses(scene, sensor, child, camera, window, pairs, some, spp, seed + start, wavelength, occlusion)
+        positions, radiance, masks = _trace_lenses(
+            scene, sensor, child, camera, window, pairs, some, spp, seed + start, wavelength, occlusion
         )
+        found.append((positions, radiance, np.packbits(masks.reshape(len(masks), PUPIL_CELLS**2), axis=1)))
         # How many shine is known as they are found; the parts and their concatenation are alive at once.
         held += 2 * sum(array.nbytes for array in found[-1])
         require_memory(held, f"{held // _RADIATOR_BYTES} radiators or more in {some.stop} of {window.lenses} lenses")
     positions = np.concatenate([part[0] for part in found])
     radiance = np.concatenate([part[1] for part in found])
-    masks = np.concatenate([part[2] for part in found]) if occlusion else None
-    if masks is not None and masks.all():
-        masks = None
-    return Radiators(positions, radiance, _sampled_share(positions, masks, camera, window), masks)
+    packed = np.concatenate([part[2] for part in found]) if occlusion else None
+    if packed is not None and (packed == 255).all():
+        packed = None
+    return Radiators(positions, radiance, _sampled_share(positions, packed, camera, window), packed)
+
+
+def _unpacked(masks: np.ndarray) -> np.ndarray:
+    return np.unpackbits(masks, axis=1).view(bool).reshape(-1, PUPIL_CELLS, PUPIL_CELLS)
 
 
 def _require_memory(window: LensWindow, pairs: int, spp: int) -> None:
@@ -270,7 +283,7 @@ def _pupil_masks(scene: Any, to_world: Any, si: Any, P: np.ndarray, camera: Plen
 
 
 def _sampled_share(
-    positions: np.ndarray, masks: np.ndarray | None, camera: PlenopticCamera, window: LensWindow
+    positions: np.ndarray, packed_masks: np.ndarray | None, camera: PlenopticCamera, window: LensWindow
 ) -> np.ndarray:
     """Share of the visible pupil that sends a radiator's light into the sampled lenses."""
     low = np.array(window.first) * camera.mla_pitch
@@ -293,7 +306,9 @@ def _sampled_share(
         for axis, pupil in ((0, x), (1, y)):
             q = rays.mla_point(X[some, axis, None], pupil * camera.aperture_radius, g[some], b, f1)
             landed &= (q >= low[axis]) & (q <= high[axis])
-        seen = np.ones_like(landed) if masks is None else masks.reshape(len(masks), -1)[some][:, cell]
+        seen = np.ones_like(landed)
+        if packed_masks is not None:
+            seen = _unpacked(packed_masks[some]).reshape(-1, PUPIL_CELLS**2)[:, cell]
         # The ray that found the radiator landed, so the share is never nothing.
         share[some] = np.maximum((landed & seen).sum(axis=1), 1) / np.maximum(seen.sum(axis=1), 1)
     return share

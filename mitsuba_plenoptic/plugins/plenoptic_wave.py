@@ -15,6 +15,7 @@ import numpy as np
 from ..camera import PlenopticCamera, require_wavelength
 from ..checkpoint import Checkpoint, Snapshot, digest
 from ..errors import InputError, shown
+from ..propagation import guards
 from ..propagation.accuracy import DEFAULT_ACCURACY, check_accuracy
 from ..propagation.batches import BatchMap
 from ..propagation.incoherent import METHODS, estimate_cost, incoherent_sum
@@ -147,7 +148,8 @@ def make_class() -> type:
                     'use <rfilter type="box"/>'
                 )
             seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
-            image = self._capture(scene, sensor, camera, seed, spp or sensor.sampler().sample_count())
+            with guards.watch():
+                image = self._capture(scene, sensor, camera, seed, spp or sensor.sampler().sample_count())
 
             film.prepare([])
             rows, columns = camera.shape
