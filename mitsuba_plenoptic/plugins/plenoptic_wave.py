@@ -51,8 +51,8 @@ def make_class() -> type:
 
          * - wavelength
            - |float| or |string|
-           - Vacuum wavelength in nanometres, 1 to 1e6; for variants of three channels three of them, separated by commas.
-             (Default: 633; in three channels "611.4, 549.1, 464.3")
+           - Vacuum wavelength in nanometres, 1 to 1e6; for variants of three channels three of them, separated by
+             commas. (Default: 633; in three channels "611.4, 549.1, 464.3")
          * - radiators_per_lens
            - |int|
            - Radiators per microlens and axis, up to 256; the time grows with its square. (Default: 8)
