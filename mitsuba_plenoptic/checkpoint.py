@@ -107,11 +107,13 @@ class Checkpoint:
         if kind is None and self._due < math.inf:
             self.path.unlink(missing_ok=True)
 
-    def begin(self, **facts: Any) -> Snapshot | None:
+    def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:
         """Say what the run is, and get how far an earlier process has come with it.
 
         Parameters
         ----------
+        shape : (rows, columns, channels)
+            The capture's.
         **facts
             Plain JSON values that the bits of the result depend on, beside those in `run` and the software.
 
@@ -126,7 +128,7 @@ class Checkpoint:
         if not self.path.exists():
             return None
         try:
-            found = _read(self.path, self.run)
+            found = _read(self.path, self.run, shape)
         except InputError as error:
             if self._existing == "resume":
                 raise
@@ -192,7 +194,7 @@ def _write(path: Path, run: dict[str, Any], snapshot: Snapshot) -> None:
         os.fsync(file.fileno())
 
 
-def _read(path: Path, run: dict[str, Any]) -> Snapshot:
+def _read(path: Path, run: dict[str, Any], shape: tuple[int, ...]) -> Snapshot:
     """Read the checkpoint of a run.
 
     Raises
@@ -207,7 +209,9 @@ def _read(path: Path, run: dict[str, Any]) -> Snapshot:
                 raise ValueError("its header is not a checkpoint's")
             _compare(path, {"format": header.get("format")}, {"format": FORMAT})
             _compare(path, header["run"], run)
-            arrays = {name: _read_array(archive, name, shape) for name, shape in header["shapes"].items()}
+            arrays = {name: _read_array(archive, name, sizes) for name, sizes in header["shapes"].items()}
+            if arrays["image"].shape != shape:
+                raise ValueError(f"image has the shape {arrays['image'].shape} instead of {shape}")
             partial = PartialSum(int(header["batches"]), arrays["partial"]) if "partial" in arrays else None
             return Snapshot(int(header["sums"]), arrays["image"], partial)
     except InputError:

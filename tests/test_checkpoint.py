@@ -253,6 +253,8 @@ def test_another_version_or_a_damaged_file_is_refused(tmp_path, stop_after):
     assert "is damaged: partial of shape" in complaint()
     rewrite(path, put("shapes", "partial", value=[1, -4, -4]))
     assert "is damaged: partial has the shape" in complaint()
+    rewrite(path, lambda header, members: (header["shapes"].update(image=[1, 4, 1]), members.update(image=bytes(16))))
+    assert "image has the shape (1, 4, 1) instead of (256, 256, 1)" in complaint()
     rewrite(path, put("batches", value=10**6))
     assert "1000000 batches" in complaint()
     rewrite(path, lambda header, members: members.pop("image"))
@@ -300,7 +302,7 @@ def test_checkpoints_take_a_small_share_of_the_time(tmp_path, monkeypatch):
 
     monkeypatch.setattr(checkpoints, "_write", write)
     with Checkpoint(tmp_path / "checkpoint") as checkpoint:
-        checkpoint.begin()
+        checkpoint.begin((1, 1, 1))
         while clock[0] < 1000:
             clock[0] += 0.5
             checkpoint.save(None)
