@@ -3,11 +3,12 @@
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: help demo test slow fuzz lint clean llvm
+.PHONY: help demo test coverage slow fuzz lint clean llvm
 
 help:
 	@echo "make demo   capture and refocus the letters by rays and by waves; demo/report.html (a few minutes)"
 	@echo "make test   run the tests"
+	@echo "make coverage   run them and see what they reach: build/coverage/html, and the README's figure"
 	@echo "make slow   run the tests that take minutes"
 	@echo "make fuzz   give the package 10,000 bad inputs; fuzz/report.md tells what became of them (a few minutes)"
 	@echo "make lint   check format, style and types"
@@ -17,7 +18,13 @@ demo: $(VENV)/.ready llvm
 	$(BIN)/mitsuba-plenoptic reproduce --preset quick -o demo
 
 test: $(VENV)/.ready llvm
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 $(if $(COVERAGE),--cov --cov-report=term)
+
+# Measuring takes a sixth more of the processor, so 'make test' leaves it out unless COVERAGE=yes, as .ci/run has it.
+coverage: $(VENV)/.ready llvm
+	rm -rf build/coverage && mkdir -p build/coverage
+	$(BIN)/python -m pytest -n 2 --cov --cov-report=html --cov-report=term
+	$(BIN)/python tools/show_coverage.py
 
 slow: $(VENV)/.ready llvm
 	$(BIN)/python -m pytest -m slow

@@ -1,7 +1,19 @@
 """Plenoptic (light-field) cameras for Mitsuba 3: captures by rays and by waves, and their reconstruction.
 
 Importing the package registers its plugins for the active variant and for every one set later; it never sets a
-variant itself.
+variant itself. It may be imported before or after mitsuba, and before or after a variant is set.
+
+Threads and processes
+---------------------
+The functions below may be called from several Python threads: those that compute take turns, since Mitsuba's loader
+and Dr.Jit's tracing are not made for two at a time, and each has all processor cores. The active variant is one for the
+whole process, and a scene belongs to the variant that it was loaded in. Once a variant is set, processes must be
+spawned, not forked.
+
+The same seed gives the same bits of captures, exposures and reconstructions on any number of threads and in any
+process, with two exceptions: reconstructions by single lenses (``interleave="auto"``) follow the number of the BLAS's
+threads in their last bits; and scenes that ``mi.load_file`` loads, unless with ``optimize=False`` as `load_scene` does,
+have their lamps in another order each time, so that the noise of their light differs.
 """
 
 # ruff: noqa: E402
@@ -20,6 +32,7 @@ from .detector import Detector, expose
 from .distributed import Cluster
 from .errors import InputError
 from .lightfield import decode
+from .propagation.guards import PhysicsError, PhysicsWarning
 from .propagation.point_spread import point_spread_function
 from .reconstruction import Reconstruction, reconstruct
 from .rendering import load_scene, render_capture, scene_path
@@ -32,6 +45,8 @@ __all__ = [
     "Cluster",
     "Detector",
     "InputError",
+    "PhysicsError",
+    "PhysicsWarning",
     "PlenopticCamera",
     "Reconstruction",
     "decode",

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._backend import backend_of
-from .errors import InputError
+from .errors import InputError, require_count
 from .files import atomic_output, remove_leftovers
 from .propagation.batches import PartialSum
 from .software import software
@@ -46,6 +46,10 @@ _TOLD = 3
 _DTYPE = np.dtype("<f4")
 
 _log = logging.getLogger(__name__)
+
+
+class _AnotherRunError(InputError):
+    """A checkpoint is whole, but of another run."""
 
 
 @dataclass(frozen=True)
@@ -212,9 +216,10 @@ def _read(path: Path, run: dict[str, Any], shape: tuple[int, ...]) -> Snapshot:
             arrays = {name: _read_array(archive, name, sizes) for name, sizes in header["shapes"].items()}
             if arrays["image"].shape != shape:
                 raise ValueError(f"image has the shape {arrays['image'].shape} instead of {shape}")
-            partial = PartialSum(int(header["batches"]), arrays["partial"]) if "partial" in arrays else None
-            return Snapshot(int(header["sums"]), arrays["image"], partial)
-    except InputError:
+            sums, batches = (require_count(name, header[name], minimum=0) for name in ("sums", "batches"))
+            partial = PartialSum(batches, arrays["partial"]) if "partial" in arrays else None
+            return Snapshot(sums, arrays["image"], partial)
+    except _AnotherRunError:
         raise
     except Exception as error:
         # ZIP, JSON and NumPy tell of damage by many exception types; all mean the same to the user.
@@ -243,6 +248,8 @@ def _read_array(archive: zipfile.ZipFile, name: str, shape: list[int]) -> NDArra
             view = view[count:]
     if len(view):
         raise ValueError(f"{name} ends early")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} holds numbers that are not finite")
     return array.astype(np.float32, copy=False)
 
 
@@ -267,7 +274,7 @@ def _compare(path: Path, there: Mapping[str, Any], here: Mapping[str, Any]) -> N
     ]
     if differences:
         more = f", and {len(differences) - _TOLD} more" if len(differences) > _TOLD else ""
-        raise InputError(f"{path}: the checkpoint of another run: {'; '.join(differences[:_TOLD])}{more}")
+        raise _AnotherRunError(f"{path}: the checkpoint of another run: {'; '.join(differences[:_TOLD])}{more}")
 
 
 def _told(values: dict[str, Any], name: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import reprlib
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,12 @@ _LONGEST = 1000
 """Characters of a message; names and values that come from files may be of any length."""
 
 _LONGEST_VALUE = 80
+
+# A list that holds itself many times over, as YAML can write it, would be endless in full.
+_SHORT = reprlib.Repr()
+_SHORT.maxlevel = 3
+_SHORT.maxlist = _SHORT.maxtuple = 12
+_SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = _LONGEST_VALUE - 4
 
 
 class InputError(ValueError):
@@ -46,7 +53,7 @@ def printable(text: str, longest: int | None = None) -> str:
 def shown(value: Any) -> str:
     """Show a value in a message: its representation, shortened."""
     try:
-        text = repr(value)
+        text = _SHORT.repr(value)
     except Exception as error:  # such as an int of more digits than Python prints
         text = f"{type(value).__name__} ({error})"
     return printable(" ".join(text.split()), _LONGEST_VALUE)

@@ -14,12 +14,14 @@ import mitsuba as mi
 import numpy as np
 
 from . import _llvm
+from ._backend import one_at_a_time
 from .camera import PlenopticCamera
 from .capture import MODELS, Capture
 from .checkpoint import Checkpoint
 from .errors import InputError, require_count
 from .files import require_file
 from .limits import largest_fitting, require_memory
+from .propagation import guards
 from .propagation.batches import BatchMap
 from .scene_file import check_scene_file
 
@@ -54,6 +56,7 @@ def scene_path(name: str) -> Path:
     return path
 
 
+@one_at_a_time
 def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Mapping[str, str] | None = None) -> Any:
     """Load a scene file, or a built-in scene by its name.
 
@@ -108,13 +111,14 @@ def _find(scene: str | Path) -> Path:
     return require_file(scene)
 
 
+@one_at_a_time
 def set_variant(variant: str | None) -> None:
     """Set a Mitsuba variant, or the default one if none is named and none is active.
 
     Raises
     ------
     InputError
-        If it does not exist or cannot work here.
+        If it does not exist or cannot work here, or this process was forked from one in which Dr.Jit was at work.
     """
     variant = variant or mi.variant() or DEFAULT_VARIANT
     if variant not in mi.variants():
@@ -127,6 +131,7 @@ def set_variant(variant: str | None) -> None:
         mi.set_variant(variant)
 
 
+@one_at_a_time
 def render_capture(
     scene: Any,
     *,
@@ -150,7 +155,7 @@ def render_capture(
     spp : int, optional
         Samples per pixel, or by waves light paths per radiator. Default: those of the sensor's sampler.
     seed : int
-        Seed of the random numbers; the same seed gives the same capture.
+        Seed of the random numbers; the same seed gives the same bits, on any number of threads and in any process.
     progress : callable, optional
         Called with what is done and how much there is: samples per pixel or, by waves, radiators.
     checkpoint : Checkpoint, optional
@@ -164,9 +169,16 @@ def render_capture(
     Raises
     ------
     InputError
-        If the scene has no plenoptic sensor or no integrator, a parameter is out of range, the capture would take more
-        memory than is allowed, or a pixel comes out as NaN or infinity.
+        If the scene is not of the active variant, has no plenoptic sensor or no integrator, a parameter is out of
+        range, the capture would take more memory than is allowed, or a pixel comes out as NaN or infinity.
+    PhysicsError
+        If too much of the light is lost; the shares that the guards found are in the metadata under ``guards``.
     """
+    if not isinstance(scene, mi.Scene):
+        raise InputError(
+            f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant {mi.variant()}, "
+            "which is one for the whole process: load the scene after mi.set_variant"
+        )
     if not scene.sensors():
         raise InputError("scene: it has no sensor; add one of type 'plenoptic'")
     sensor = scene.sensors()[0]
@@ -181,15 +193,18 @@ def render_capture(
     wavelengths = getattr(integrator, "wavelengths", None)
     _require_film_memory(camera, spp)
     metadata = _provenance(scene, integrator, seed=seed, spp=spp)
-    if wavelengths is None:
-        if batch_map:
-            raise InputError("batch_map: workers are of use for model 'wave' only")
-        image = _render_passes(scene, sensor, integrator, camera, spp, seed, progress)
-    else:
-        if checkpoint:
-            checkpoint.run = {**metadata, "camera": camera.to_dict()}
-        integrator.progress, integrator.checkpoint, integrator.batch_map = progress, checkpoint, batch_map
-        image = np.array(integrator.render(scene, sensor, seed=seed, spp=spp))
+    with guards.watch() as shares:
+        if wavelengths is None:
+            if batch_map:
+                raise InputError("batch_map: workers are of use for model 'wave' only")
+            guards.judge(guards.CROSSTALK, sensor.crosstalk_missed())
+            image = _render_passes(scene, sensor, integrator, camera, spp, seed, progress)
+        else:
+            if checkpoint:
+                checkpoint.run = {**metadata, "camera": camera.to_dict()}
+            integrator.progress, integrator.checkpoint, integrator.batch_map = progress, checkpoint, batch_map
+            image = np.array(integrator.render(scene, sensor, seed=seed, spp=spp))
+    metadata["guards"] = shares
     if image.shape[2] == 1:
         image = image[..., 0]
     elif image.shape[2] != 3:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+import warnings
 
 # Two test processes share the cores; Dr.Jit's own pool would start as many threads in each.
 os.environ.setdefault("DRJIT_NUM_THREADS", "1")
 
 import pytest
 
-import mitsuba_plenoptic  # noqa: F401  (chooses LLVM before Dr.Jit loads)
+import mitsuba_plenoptic  # chooses LLVM before Dr.Jit loads
 
 import mitsuba as mi  # isort: skip
 
@@ -18,6 +19,12 @@ import mitsuba as mi  # isort: skip
 def mono_variant():
     """Give every test the same variant, whatever the one before it set."""
     mi.set_variant("llvm_ad_mono")
+
+
+@pytest.fixture(autouse=True)
+def guarded_physics():
+    """Fail where a guard of the physics warns, unless the test says that it should."""
+    warnings.simplefilter("error", mitsuba_plenoptic.PhysicsWarning, append=True)
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 import subprocess
 import tomllib
 from importlib.metadata import version
@@ -56,8 +57,15 @@ def test_versions_agree():
 
 def test_make_help_names_every_target():
     result = subprocess.run(["make", "help"], capture_output=True, text=True, check=True, cwd=ROOT)
-    for target in ("demo", "test", "slow", "lint", "clean"):
+    for target in ("demo", "test", "coverage", "slow", "lint", "clean"):
         assert re.search(rf"^make {target} ", result.stdout, flags=re.MULTILINE)
+
+
+def test_the_readme_gets_the_measured_coverage():
+    tool = runpy.run_path(str(ROOT / "tools" / "show_coverage.py"))
+    text = "before <!-- coverage -->old<!-- /coverage --> after"
+    assert tool["with_figure"](text, 93.6) == "before <!-- coverage -->94 %<!-- /coverage --> after"
+    assert tool["with_figure"]("no mark", 93.6) == "no mark"
 
 
 class TestFindPython:

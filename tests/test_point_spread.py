@@ -108,6 +108,7 @@ def test_orders_of_the_lens_array():
     assert np.sum(np.abs(orders(SMALL, WAVELENGTH, 3000)) ** 2) == pytest.approx(1, abs=1e-4)
 
 
+@pytest.mark.filterwarnings("ignore:.*outer eighth of its window:mitsuba_plenoptic.PhysicsWarning")  # it is periodic
 @pytest.mark.parametrize("part", [0.25, 1.0, 7.3])
 def test_self_imaging_of_a_bare_lens_array(part):
     """A plane wave through the array, parts of a Talbot length on, against its Fourier orders with exact kz."""

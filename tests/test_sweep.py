@@ -172,7 +172,7 @@ def test_the_dataset_does_not_grow_in_memory(tmp_path, monkeypatch):
         (["--vary", "distance=240", "--method", "magic"], "method = 'magic': it must be one of"),
         (["--vary", "letter_scale=1,2"], "grid: letter_scale varies and is set by -D too"),
         (["--vary", f"distance={MANY}", "--vary", f"mla_distance={MANY}"], "grid: it has 1000000 points; at most"),
-        (["--grid", "none.yaml"], "none.yaml: No such file or directory"),
+        (["--grid", "none.yaml"], "none.yaml: there is no such file"),
     ],
 )  # fmt: skip
 def test_a_bad_grid_is_refused_before_the_work(tmp_path, monkeypatch, capfd, words, message):

@@ -18,7 +18,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import scipy
-from benchmarks import captures, gpu, growth, point_spreads, reconstructions, steps, workers
+from benchmarks import captures, gpu, growth, point_spreads, reconstructions, shares, steps, workers
 from benchmarks.table import markdown
 
 from mitsuba_plenoptic.propagation.fft import worker_count
@@ -52,6 +52,7 @@ def main() -> None:
             *captures.command(arguments.resolution, 16),
         ],
         "reconstructions": lambda: reconstructions.run(arguments.runs),
+        "shares": shares.run,
         "growth": lambda: growth.run(sizes, arguments.runs),
     }
     parser.add_argument("--only", action="append", choices=sections, help="a section; default: all")

@@ -101,10 +101,10 @@ def decode(
 def _require_memory(image: np.ndarray, bins: LensGrid, lenses: LensGrid, half: int) -> None:
     """Refuse a light field too large, before it is sampled."""
     views, channels = 2 * half + 1, image.shape[2]
-    # Light and white, each as sampled and in the order of the light field.
+    # Light and white, each as sampled and in the order of the light field; and the images.
     samples = (math.prod(bins.shape) + math.prod(lenses.shape)) * views**2 * (channels + 1)
     require_memory(
-        4.0 * samples + 4.0 * image.size,
+        4.0 * samples + 12.0 * image.shape[0] * image.shape[1],
         f"light field of {views} x {views} views of {bins.shape[1]} x {bins.shape[0]} pixels",
     )
 

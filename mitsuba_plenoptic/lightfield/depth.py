@@ -73,10 +73,12 @@ def depth_map(
     if not near < far:
         raise InputError(f"near = {near:g}, far = {far:g}: near must be less than far")
     bins, channels = lf.sizes["t"] * lf.sizes["s"], lf.sizes.get("c", 1)
+    # Views are moved in copies; each plane leaves a cost and an image.
+    copies, plane = 6.0 * lf.size, 4.0 * bins * (channels + 1)
     require_memory(
-        4.0 * bins * planes * (channels + 1),
+        copies + plane * planes,
         f"depth map of {planes} planes",
-        lambda limit: f"planes = {int(limit // (4 * bins * (channels + 1)))}",
+        lambda limit: f"planes = {int((limit - copies) // plane)}" if limit > copies + 3 * plane else None,
     )
     slopes = np.linspace(disparity(lf, near), disparity(lf, far), planes)
     cost = np.empty((planes, *lf.shape[2:4]), dtype=np.float32)

@@ -118,7 +118,8 @@ def focal_stack(
     else:
         refocus_at = lambda value: shift_and_add(lf, value)  # noqa: E731
     images = 8.0 * lf.sizes["t"] * lf.sizes["s"] * lf.sizes.get("c", 1)
-    require_memory(2 * images * len(disparities), f"focal stack of {len(disparities)} distances")
+    # Views are moved in copies.
+    require_memory(6.0 * lf.size + 2 * images * len(disparities), f"focal stack of {len(disparities)} distances")
     planes = []
     for done, value in enumerate(disparities):
         if progress:

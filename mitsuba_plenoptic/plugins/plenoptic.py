@@ -27,6 +27,8 @@ LENGTHS = (
     "detector_width",
 )
 
+_CROSSTALK_RAYS = 2**16
+
 
 def make_class() -> type:
     """Define the plugin's class for the active Mitsuba variant, to which its types are bound."""
@@ -216,28 +218,46 @@ def make_class() -> type:
                 ),
             )
 
-        def _sample(
-            self, time: Any, wavelength_sample: Any, film_sample: Any, lens_sample: Any, active: Any, differential: bool
-        ) -> tuple[Any, Any]:
+        def _places(self, film_sample: Any, lens_sample: Any, candidates: int) -> tuple[list[Any], ...]:
+            """Detector point, point on a lens, that lens's centre, and which of the candidates it is, for each axis."""
             film = self.film()
             pixel = self.detector_width / film.size()[0]
             b, z, pitch = self.mla_distance, self.detector_distance, self.mla_pitch
-            detector, lens_point, lens_centre = [], [], []
+            detector, lens_point, lens_centre, lenses_off = [], [], [], []
             for axis in (0, 1):
                 column = film_sample[axis] * film.crop_size()[axis] + film.crop_offset()[axis]
                 p = (column - 0.5 * film.size()[axis]) * pixel
                 index = lattice.cell_index(rays.chief_point(p, b, z), pitch)
-                within = mi.Float(lens_sample[axis])
-                if self._candidates > 1:
-                    scaled = within * self._candidates
-                    candidate = dr.minimum(dr.floor(scaled), self._candidates - 1)
-                    within = scaled - candidate
-                    index += candidate - self._candidates // 2
+                within, off = mi.Float(lens_sample[axis]), mi.Float(0)
+                if candidates > 1:
+                    scaled = within * candidates
+                    candidate = dr.minimum(dr.floor(scaled), candidates - 1)
+                    within, off = scaled - candidate, candidate - candidates // 2
+                    index += off
                 c = lattice.cell_centre(index, pitch)
                 detector.append(p)
                 lens_centre.append(c)
                 lens_point.append(c + (within - 0.5) * pitch)
+                lenses_off.append(off)
+            return detector, lens_point, lens_centre, lenses_off
 
+        def crosstalk_missed(self) -> float:
+            """Share of the light that comes through lenses just beyond those that rays try, from a sample of rays."""
+            random = mi.PCG32(size=_CROSSTALK_RAYS)
+            film_sample, lens_sample = (
+                mi.Point2f(random.next_float32(), random.next_float32()) for _ in ("film", "lens")
+            )
+            *places, off = self._places(film_sample, lens_sample, self._candidates + 2)
+            Px, Py, _, _ = self._trace(*(place for axes in places for place in axes))
+            open_ = Px * Px + Py * Py <= self.aperture_radius * self.aperture_radius
+            beyond = dr.maximum(dr.abs(off[0]), dr.abs(off[1])) > self._candidates // 2
+            return int(dr.count(open_ & beyond)[0]) / max(1, int(dr.count(open_)[0]))
+
+        def _sample(
+            self, time: Any, wavelength_sample: Any, film_sample: Any, lens_sample: Any, active: Any, differential: bool
+        ) -> tuple[Any, Any]:
+            pixel = self.detector_width / self.film().size()[0]
+            detector, lens_point, lens_centre, _ = self._places(film_sample, lens_sample, self._candidates)
             Px, Py, tx, ty = self._trace(*detector, *lens_point, *lens_centre)
             open_ = active & (Px * Px + Py * Py <= self.aperture_radius * self.aperture_radius)
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)

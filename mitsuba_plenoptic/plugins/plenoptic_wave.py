@@ -15,6 +15,7 @@ import numpy as np
 from ..camera import PlenopticCamera, require_wavelength
 from ..checkpoint import Checkpoint, Snapshot, digest
 from ..errors import InputError, shown
+from ..propagation import guards
 from ..propagation.accuracy import DEFAULT_ACCURACY, check_accuracy
 from ..propagation.batches import BatchMap
 from ..propagation.incoherent import METHODS, estimate_cost, incoherent_sum
@@ -147,7 +148,8 @@ def make_class() -> type:
                     'use <rfilter type="box"/>'
                 )
             seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
-            image = self._capture(scene, sensor, camera, seed, spp or sensor.sampler().sample_count())
+            with guards.watch():
+                image = self._capture(scene, sensor, camera, seed, spp or sensor.sampler().sample_count())
 
             film.prepare([])
             rows, columns = camera.shape
@@ -186,7 +188,7 @@ def make_class() -> type:
                 )
             if self.method == "patch":
                 self._estimate(camera, sets[0], len(jobs))
-            state = self._begin(camera, sets)
+            state = self._begin(camera, sets, len(jobs))
             done = 0
             for number, (radiators, channel) in enumerate(jobs):
                 if number >= state.sums:
@@ -196,7 +198,7 @@ def make_class() -> type:
                 done += len(radiators.positions)
             return state.image
 
-        def _begin(self, camera: PlenopticCamera, sets: list[Radiators]) -> Snapshot:
+        def _begin(self, camera: PlenopticCamera, sets: list[Radiators], jobs: int) -> Snapshot:
             """Begin with nothing, or where the checkpoint stands."""
             shape = (*camera.shape, len(self.wavelengths))
             if self.checkpoint:
@@ -205,6 +207,11 @@ def make_class() -> type:
                     shape, radiators=sum(len(r.positions) for r in sets), scene_digest=digest(*arrays)
                 )
                 if found:
+                    if found.sums >= jobs or found.image.shape != (*camera.shape, len(self.wavelengths)):
+                        raise InputError(
+                            f"{self.checkpoint.path}: it is damaged: {found.sums} sums of an image of shape "
+                            f"{found.image.shape} are not a part of {jobs}"
+                        )
                     return found
             return Snapshot(0, np.zeros(shape, dtype=np.float32), None)
 

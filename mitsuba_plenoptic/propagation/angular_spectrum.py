@@ -17,11 +17,13 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from .._backend import array_module, backend
+from .._backend import array_module, backend, one_at_a_time
 from ..errors import InputError, require_number
+from . import guards
 from .fft import Field, array_types, as_field, as_words, fft2_packed, pack, unpack
 
 
+@one_at_a_time
 def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, overwrite: bool = False) -> Field:
     r"""Propagate a field from one plane to a parallel one.
 
@@ -50,6 +52,8 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
     ------
     InputError
         If the field is not a two-dimensional finite array, or a number is out of range.
+    PhysicsError
+        If the field is under-sampled, or leaves its window (see `guards`, which warn long before that).
     """
     libraries = backend()
     on_device = libraries.is_cuda and isinstance(field, libraries.arrays.ndarray)
@@ -58,12 +62,16 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
     if samples.ndim != 2 or samples.size == 0:
         raise InputError(f"field of shape {samples.shape}: it must have rows and columns")
     pitch, distance, wavelength = _check(pitch, distance, wavelength)
-    packed = _step(libraries.types.UInt64(as_words(samples)), samples.shape, pitch, distance, wavelength)
-    result = as_field(packed, samples.shape)
+    shape, guard = samples.shape, guards.StepGuard(samples, pitch, wavelength)
+    packed = fft2_packed(libraries.types.UInt64(as_words(samples)), shape)
+    guard.see_spectrum(packed)
+    packed = _advance(packed, shape, pitch, distance, wavelength)
+    result = as_field(fft2_packed(packed, shape, inverse=True), shape)
     result = result if on_device else libraries.to_host(result)
     # Every sample of a transform depends on every other: one that is not finite leaves none that is.
     if not np.isfinite(complex(result[0, 0])):
         raise InputError("field: its samples must be finite")
+    guard.see_result(result)
     return result
 
 

@@ -12,6 +12,7 @@ a transform returns, and on neither side need anything else be said.
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -25,6 +26,10 @@ from .._backend import backend_of
 Field = NDArray[np.complex64]
 """A field or spectrum: NumPy's array, or with a CUDA variant CuPy's, which lies on the device."""
 
+_rest = threading.Lock()
+_resting = 0
+_busy_threads = 0
+
 
 def worker_count() -> int:
     """Return the number of processor cores that this process may use."""
@@ -37,14 +42,23 @@ def worker_count() -> int:
 def resting_drjit() -> Iterator[None]:
     """Keep Dr.Jit's own threads off the processor cores while another library uses them.
 
-    Its idle workers wait actively for up to 20 ms, during which a threaded FFT would get half of every core.
+    Its idle workers wait actively for up to 20 ms, during which a threaded FFT would get half of every core. The
+    number of its threads is one for the whole process: the first of several Python threads to come here sets it to
+    one, and the last to leave restores it.
     """
-    threads = dr.thread_count()
-    dr.set_thread_count(1)
+    global _resting, _busy_threads
+    with _rest:
+        if _resting == 0:
+            _busy_threads = dr.thread_count()
+            dr.set_thread_count(1)
+        _resting += 1
     try:
         yield
     finally:
-        dr.set_thread_count(threads)
+        with _rest:
+            _resting -= 1
+            if _resting == 0:
+                dr.set_thread_count(_busy_threads)
 
 
 def fft(

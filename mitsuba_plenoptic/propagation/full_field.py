@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from .._backend import backend
 from ..camera import PlenopticCamera
 from ..errors import InputError
+from . import guards
 from .angular_spectrum import advance
 from .fft import Field, as_field, fft, fft2, irfft, pack, resting_drjit, rfft
 from .microlens import transmission, transmission_table
@@ -239,6 +240,7 @@ def _at_mla(camera: PlenopticCamera, wavelength: float, grids: _Grids, pupil: Sa
     """Propagate to the MLA, onto the finer grid there, and keep the detector's window."""
     with resting_drjit():
         spectrum = fft2(pupil.samples.copy())
+    guards.judge(guards.UNDERSAMPLED, guards.band_edge_share(spectrum))
     spectrum = advance(spectrum, pupil.pitch, camera.mla_distance, wavelength)
     (left, top), (columns, rows) = grids.offset, grids.count
     arrays = backend().arrays
@@ -246,12 +248,15 @@ def _at_mla(camera: PlenopticCamera, wavelength: float, grids: _Grids, pupil: Sa
     with resting_drjit():
         # axis by axis, so that rows and columns outside the spectrum and the window are never transformed
         partial = arrays.empty((rows, spectrum.shape[1]), np.complex64)
+        rim, in_rim = guards.rim(grids.wide_mla), 0.0
         for block in _blocks(spectrum.shape[1]):
             tall = _interpolate(spectrum[:, block], grids.wide_mla, axis=0)
             partial[:, block] = tall[top : top + rows]
+            in_rim += guards.power(tall[:rim]) + guards.power(tall[-rim:])
         for block in _blocks(rows):
             wide = _interpolate(partial[block], grids.wide_mla, axis=1)
             samples[block] = wide[:, left : left + columns]
+    guards.judge_window(guards.share(in_rim, guards.power(spectrum) * grids.wide_mla / spectrum.shape[0] ** 2))
     origin = (grids.wide_origin[0] + left * grids.pitch, grids.wide_origin[1] + top * grids.pitch)
     return SampledField(samples, origin, grids.pitch)
 
@@ -262,8 +267,10 @@ def _detector_spectrum(
     """Spectrum on the detector of the field that reaches the MLA, whose memory is used."""
     if microlenses:
         along_x, along_y = map(backend().arrays.asarray, _microlens_phases(camera, wavelength, grids))
+        before = guards.power(some := guards.some_rows(samples))
         samples *= along_x[None, :]
         samples *= along_y[:, None]
+        guards.judge(guards.MICROLENS, 1 - guards.power(some) / before if before else 0.0)
     with resting_drjit():
         spectrum = fft2(samples)
     return advance(spectrum, grids.pitch, camera.detector_distance, wavelength)

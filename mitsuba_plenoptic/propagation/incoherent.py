@@ -13,9 +13,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .._backend import backend
+from .._backend import backend, one_at_a_time
 from ..camera import PlenopticCamera
 from ..errors import InputError
+from . import guards
 from .accuracy import DEFAULT_ACCURACY, band_for, check_accuracy, wavefront_step
 from .batches import Batch, BatchMap, Box, InTurn, Part, PartialSum, Threads, add
 from .fft import resting_drjit
@@ -43,6 +44,7 @@ _PLACE_BLOCK = 4096
 _TRIAL = 4
 
 
+@one_at_a_time
 def incoherent_sum(
     camera: PlenopticCamera,
     positions: Any,
@@ -101,6 +103,8 @@ def incoherent_sum(
     ------
     InputError
         If an input has a wrong shape or value, or the work would need too much memory.
+    PhysicsError
+        If too much of the light is lost (see `guards`).
     """
     wavelength = check_wavelength(wavelength)
     points = check_positions(positions)
@@ -109,17 +113,18 @@ def incoherent_sum(
     if method not in METHODS:
         raise InputError(f"method = {method!r}: it must be one of {', '.join(METHODS)}")
     accuracy = check_accuracy(accuracy)
+    if method == "full_field" and masks is not None:
+        raise InputError("pupil_masks: method 'full_field' knows none, use 'patch'")
     work: _Sum
     if method == "full_field":
-        if masks is not None:
-            raise InputError("pupil_masks: method 'full_field' knows none, use 'patch'")
         work = _FullFieldSum(camera, points, factors, wavelength)
         batch_map = batch_map or InTurn()
     else:
         batch_map = batch_map or Threads(threads)
         work = _PatchSum(camera, points, factors, masks, wavelength, accuracy)
         work.check_memory(batch_map)
-    image = _add_up(work, batch_map, progress, start, keep)
+    with guards.watch():
+        image = _add_up(work, batch_map, progress, start, keep)
     return image[..., 0] if np.ndim(weights) == 1 else image
 
 
@@ -145,6 +150,7 @@ class Cost:
     memory: float
 
 
+@one_at_a_time
 def estimate_cost(
     camera: PlenopticCamera,
     positions: Any,
@@ -169,6 +175,8 @@ def estimate_cost(
     ------
     InputError
         If an input has a wrong shape or value, or the work would need too much memory.
+    PhysicsError
+        If too much of the light would be lost.
     """
     points = check_positions(positions)
     work = _PatchSum(
@@ -217,6 +225,9 @@ class _Sum(Protocol):
     def batches(self, first: int) -> Iterator[Batch]:
         """Give the batches from one on, in their order."""
 
+    def sent(self, batch: int) -> float:
+        """Sum of a batch's samples if no light were lost; 0 if that is looked at elsewhere."""
+
     def image(self, sums: NDArray[np.float32]) -> NDArray[np.float32]:
         """Turn the sum, (channels, rows, columns), into (rows, columns, channels) of pixels."""
 
@@ -239,14 +250,19 @@ def _add_up(
     if progress:
         progress(done, work.total)
     sums = work.arrays.asarray(start.sums)
+    arrived = sent = 0.0
     with contextlib.closing(batch_map(work.batches(start.batches))) as parts:
         for index, part in enumerate(parts, start.batches):
             add(part, work.box, sums)
+            arrived += float(part.sums.sum(dtype=np.float64))
+            sent += work.sent(index)
             if keep:
                 keep(PartialSum(index + 1, sums))
             done += int(work.radiators[index])
             if progress:
                 progress(done, work.total)
+    if sent:
+        guards.judge(guards.PATCH, 1 - arrived / sent)
     return work.image(sums)
 
 
@@ -296,6 +312,10 @@ class _FullFieldSum:
         """Give one batch a radiator."""
         for point, factors in zip(self.points[first:], self.factors[first:], strict=True):
             yield _FullField(self.camera, point, factors, self.wavelength)
+
+    def sent(self, batch: int) -> float:
+        """Give 0: what a full field loses is found where it is computed."""
+        return 0.0
 
     def image(self, sums: NDArray[np.float32]) -> NDArray[np.float32]:
         """Put the channels last."""
@@ -397,7 +417,7 @@ class _PatchSum:
         """Estimate what the sum takes from a few patterns of each patch size."""
         memory = self.check_memory(batch_map)
         samples = self.placement.samples
-        seconds = 0.0
+        seconds = arrived = sent = 0.0
         for size in np.unique(samples):
             of_size = [chunk for chunk in self.chunks if samples[chunk[0]] == size]
             some = of_size[len(of_size) // 2][:_TRIAL]
@@ -405,10 +425,13 @@ class _PatchSum:
                 self._batch(some[:1]).prepare()()  # compiles the kernels
                 backend().synchronize()
                 start = time.perf_counter()
-                self._batch(some).prepare()()
+                part = self._batch(some).prepare()()
                 backend().synchronize()
                 taken = time.perf_counter() - start
+            arrived += float(part.sums.sum(dtype=np.float64))
+            sent += self._sent(some)
             seconds += taken / len(some) * sum(len(chunk) for chunk in of_size) / batch_map.workers
+        guards.require(guards.PATCH, 1 - arrived / sent if sent else 0.0)
         return Cost(len(self.factors), len(samples), seconds, memory)
 
     def check_memory(self, batch_map: BatchMap) -> float:
@@ -424,6 +447,15 @@ class _PatchSum:
                 f"time; for more than {_CHUNK} patches each may take {_PATCH_LIMIT / 2**30:.2f} GiB"
             )
         return memory
+
+    def sent(self, batch: int) -> float:
+        """Sum of a batch's samples if all the power through the pupil were on its patches."""
+        return self._sent(self.chunks[batch])
+
+    def _sent(self, chunk: NDArray[np.int64]) -> float:
+        seen = chunk if self.masks is None else chunk[self.masks[self.mask_of[chunk]].any((1, 2))]
+        power = sum(self.factors[self.first[pattern] : self.last[pattern]].sum() for pattern in seen)
+        return float(power) / self.grid.pitch**2
 
     def image(self, sums: NDArray[np.float32]) -> NDArray[np.float32]:
         """Integrate the sum over the recorded pixels."""

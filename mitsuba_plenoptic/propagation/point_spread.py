@@ -7,14 +7,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._backend import one_at_a_time
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from . import full_field
+from . import full_field, guards
 from .full_field import PointFields
 from .incoherent import METHODS, incoherent_sum
 from .sampling import check_positions, check_wavelength
 
 
+@one_at_a_time
 def point_spread_function(
     camera: PlenopticCamera, position: Any, *, wavelength: float, method: str = "patch"
 ) -> NDArray[np.float32]:
@@ -41,15 +43,19 @@ def point_spread_function(
     ------
     InputError
         If an argument is out of range or the work would need too much memory.
+    PhysicsError
+        If too much of the light is lost.
     """
     point, wavelength = _check(position), check_wavelength(wavelength)
     if method == "patch":
         return incoherent_sum(camera, point[None], [1.0], wavelength=wavelength, accuracy=0, threads=1)
     if method == "full_field":
-        return full_field.full_field(camera, point, wavelength)
+        with guards.watch():
+            return full_field.full_field(camera, point, wavelength)
     raise InputError(f"method = {method!r}: it must be one of {', '.join(METHODS)}")
 
 
+@one_at_a_time
 def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -> PointFields:
     """Propagate the light of one scene point and keep its complex field at the pupil, the MLA and the detector.
 
@@ -68,7 +74,8 @@ def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -
     InputError
         If an argument is out of range or the work would need too much memory.
     """
-    return full_field.point_fields(camera, _check(position), check_wavelength(wavelength))
+    with guards.watch():
+        return full_field.point_fields(camera, _check(position), check_wavelength(wavelength))
 
 
 def _check(position: Any) -> NDArray[np.float64]:

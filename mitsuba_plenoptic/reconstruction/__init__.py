@@ -7,10 +7,12 @@ from typing import Any, overload
 
 import numpy as np
 
+from .._backend import one_at_a_time
 from ..camera import PlenopticCamera, image_distance, require_wavelength
 from ..capture import Capture, as_array
 from ..errors import InputError, require_count, require_number, shown
 from ..limits import largest_fitting, require_memory
+from ..propagation import guards
 from .ray import reconstruct_ray
 from .result import Reconstruction, write_reconstruction
 from .wave import reconstruct_wave
@@ -51,6 +53,7 @@ def reconstruct(
     oversample: int = ...,
     progress: Callable[[int, int], None] | None = ...,
 ) -> list[Reconstruction]: ...
+@one_at_a_time
 def reconstruct(
     capture: Capture | np.ndarray,
     distance: float | Sequence[float],
@@ -84,7 +87,8 @@ def reconstruct(
         For waves: wavelength in nanometres, or one for each of three channels. Default: the capture's own.
     interleave : int or "auto"
         For ``partial``: a subset is every `interleave`-th lens along both axes. 2 makes four waves; 1 is ``coherent``;
-        ``"auto"`` is the limit of large periods, where no two lenses interfere.
+        ``"auto"`` is the limit of large periods, where no two lenses interfere; its last bits follow the number of the
+        BLAS's threads.
     footprint : {"lens", "point"}
         For rays: whether a pixel spreads over what its whole lens sees, or goes to one bin.
     relay : bool
@@ -105,6 +109,9 @@ def reconstruct(
     InputError
         If there is no camera, or no wavelength for a wave method; if the array does not fit the camera or holds NaN or
         infinity, or negative pixels for a wave method; or if an option is out of range.
+    PhysicsError
+        If next to none of a capture's light goes back through the main lens by waves, or too much of it misses the
+        object plane's window.
     """
     capture = _as_capture(capture, camera)
     camera = capture.camera
@@ -129,6 +136,7 @@ def reconstruct(
     planes = capture.image if capture.image.ndim == 3 else capture.image[..., None]
 
     options: dict[str, Any] = {"oversample": oversample}
+    shares: dict[str, float] = {}
     if method == "ray":
         options |= {"footprint": footprint}
         images = []
@@ -141,25 +149,26 @@ def reconstruct(
         interleave = 1 if method == "coherent" else interleave
         options |= {"interleave": interleave, "relay": bool(relay), "wavelength": wavelengths}
         channels = []
-        for channel, value in enumerate(wavelengths):
+        with guards.watch() as shares:
+            for channel, value in enumerate(wavelengths):
 
-            def step(share: float, channel: int = channel) -> None:
-                total = _PROGRESS_STEPS * len(wavelengths)
-                _report(progress, round((channel + share) * _PROGRESS_STEPS), total)
+                def step(share: float, channel: int = channel) -> None:
+                    total = _PROGRESS_STEPS * len(wavelengths)
+                    _report(progress, round((channel + share) * _PROGRESS_STEPS), total)
 
-            step(0)
-            channels.append(
-                reconstruct_wave(
-                    planes[..., channel],
-                    camera,
-                    distances,
-                    value,
-                    interleave=interleave,
-                    relay=relay,
-                    oversample=oversample,
-                    progress=step,
+                step(0)
+                channels.append(
+                    reconstruct_wave(
+                        planes[..., channel],
+                        camera,
+                        distances,
+                        value,
+                        interleave=interleave,
+                        relay=relay,
+                        oversample=oversample,
+                        progress=step,
+                    )
                 )
-            )
         images = [np.stack(planes, axis=-1) for planes in zip(*channels, strict=True)]
 
     results = [
@@ -170,6 +179,7 @@ def reconstruct(
             method=method,
             camera=camera,
             options=options,
+            guards=shares,
         )
         for value, image in zip(distances, images, strict=True)
     ]

@@ -220,7 +220,7 @@ def _axis_plan(
 
     # MLA to main lens.
     half_mla = max(abs(low), abs(high))
-    ends = [_object_extent(camera, g, axis, detector) for g in distances]
+    ends = [object_extent(camera, g, axis, detector) for g in distances]
     slopes = [(radius + half_mla) / b]
     slopes += [(radius + max(map(abs, light))) / g for g, (light, _) in zip(distances, ends, strict=True)]
     steepest = GUARD * max(slopes)
@@ -249,7 +249,7 @@ def _axis_plan(
     return detector, main_lens, objects
 
 
-def _object_extent(
+def object_extent(
     camera: PlenopticCamera, distance: float, axis: int, detector: AxisLeg
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Where the light of the lit lenses arrives in an object plane, and the part of it that lies on bins."""

@@ -36,11 +36,12 @@ import numpy as np
 from .. import lattice, rays
 from .._backend import backend
 from ..camera import PlenopticCamera
+from ..propagation import guards
 from ..propagation.fft import Field
 from ._binning import AxisBins, axis_bins, bin_image
 from ._elements import converging_phase, detector_lens, lens_phase
 from ._legs import Workspace, propagate_leg
-from ._plan import AxisLeg, Leg, Plan, plan
+from ._plan import AxisLeg, Leg, Plan, object_extent, plan
 
 
 def reconstruct_subsets(
@@ -89,10 +90,19 @@ def reconstruct_subsets(
     grids = plan(camera, wavelength, distances, lit)
     workspace = Workspace()
     fields = _pupil_fields(image, camera, wavelength, grids, lit, interleave, relay, workspace)
+    area = grids.main_lens.x.new_pitch * grids.main_lens.y.new_pitch / camera.pixel_size**2
+    passed = 0.0
     for done, field in enumerate(fields):
+        passed += guards.power(field) * area
         for total, distance, leg in zip(totals, distances, grids.objects, strict=True):
             total += _object_image(field, camera, distance, wavelength, leg, oversample, workspace)
         progress((done + 1) / interleave**2)
+    guards.judge(guards.PUPIL, 1 - passed / float(image.sum(dtype=np.float64)))
+    for total, distance in zip(totals, distances, strict=True):
+        # where the detector's edge cuts the light there is no telling
+        axes = ((0, grids.detector.x), (1, grids.detector.y))
+        if all(light == kept for light, kept in (object_extent(camera, distance, *axis) for axis in axes)):
+            guards.judge(guards.OBJECT, 1 - guards.share(float(total.sum()), passed))
     return [libraries.to_host(total) for total in totals]
 
 

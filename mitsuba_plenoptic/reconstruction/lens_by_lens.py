@@ -29,6 +29,7 @@ from .. import lattice, rays
 from .._backend import backend
 from ..camera import MOST_PIXELS, PlenopticCamera
 from ..errors import InputError
+from ..propagation import guards
 from ..propagation.angular_spectrum import advance
 from ..propagation.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, unpack
 from ..propagation.sampling import check_memory, fast_length, in_millimetres, pupil_turns
@@ -87,14 +88,22 @@ def reconstruct_lens_by_lens(
     # Every lens puts its patch among the bins of all lenses, and a margin for those at the edge.
     shape = [(axis.index.size + tile.lenses - 1) * oversample for axis in (y, x)]
     totals = [libraries.arrays.zeros(shape) for _ in distances]
+    in_rim = [0.0 for _ in distances]
     for place in range(0, len(lenses), tile.batch):
         batch = lenses[place : place + tile.batch]
         fields = pupil_fields(amplitude, tile, x, y, batch, relay=relay)
-        for total, distance in zip(totals, distances, strict=True):
-            for (row, column), patch in zip(batch, _patches(fields, tile, x, y, batch, distance), strict=True):
+        for index, (total, distance) in enumerate(zip(totals, distances, strict=True)):
+            patches = _patches(fields, tile, x, y, batch, distance)
+            inner = patches[:, oversample:-oversample, oversample:-oversample]
+            in_rim[index] += float(patches.sum(dtype=np.float64) - inner.sum(dtype=np.float64))
+            for (row, column), patch in zip(batch, patches, strict=True):
                 top, left = row * oversample, column * oversample
                 total[top : top + patch.shape[0], left : left + patch.shape[1]] += patch
         progress((place + len(batch)) / len(lenses))
+    if len(lenses):
+        guards.judge(guards.PUPIL, 1 - float(totals[0].sum()) / float(image.sum(dtype=np.float64)))
+    for total, rim in zip(totals, in_rim, strict=True):
+        guards.judge(guards.OBJECT, guards.share(rim, float(total.sum())))
     return [_on_bins(total, camera, tile, x, y) for total in totals]
 
 
@@ -390,8 +399,22 @@ def pupil_fields(
         cell = cell * arrays.asarray(y.tilt[j] * microlens)[:, :, None]
         cell *= arrays.asarray(x.tilt[i] * microlens)[:, None, :]
         # One product for the whole batch: many small ones would each wait for the threads of the BLAS.
-        fields = arrays.tensordot(arrays.tensordot(cell, tile.to_pupil, (1, 1)), tile.to_pupil, (1, 1))
+        product = _product if len(batch) > 1 else _product_without_blas
+        fields = product(product(cell, tile.to_pupil), tile.to_pupil)
     return arrays.ascontiguousarray(fields)
+
+
+def _product(fields: Field, matrix: Field) -> Field:
+    """Multiply a matrix (p, i) with fields (n, i, j) over i, and turn them: (n, j, p)."""
+    return backend().arrays.tensordot(fields, matrix, (1, 1))
+
+
+def _product_without_blas(fields: Field, matrix: Field) -> Field:
+    """Do what `_product` does with the same bits on any number of threads.
+
+    So has `white_throughput`, by which every image is divided.
+    """
+    return backend().arrays.einsum("nij,pi->njp", fields, matrix)
 
 
 def _patches(fields: Field, tile: Tile, x: LensAxis, y: LensAxis, batch: np.ndarray, distance: float) -> np.ndarray:

@@ -31,6 +31,8 @@ class Reconstruction:
         The method's options.
     camera : PlenopticCamera
         The camera of the capture.
+    guards : dict
+        Shares of the light that the guards of the physics found lost, by their names.
     """
 
     image: np.ndarray
@@ -39,6 +41,7 @@ class Reconstruction:
     method: str
     camera: PlenopticCamera
     options: dict[str, Any] = field(default_factory=dict)
+    guards: dict[str, float] = field(default_factory=dict)
 
 
 def write_reconstruction(path: str | Path, result: Reconstruction, source: dict[str, Any] | None = None) -> None:
@@ -65,6 +68,7 @@ def write_reconstruction(path: str | Path, result: Reconstruction, source: dict[
         "bin_size": result.bin_size,
         "method": result.method,
         "options": result.options,
+        "guards": result.guards,
         "source": source or {},
     }
     write_exr(path, result.image, attributes)

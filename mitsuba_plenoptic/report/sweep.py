@@ -7,6 +7,7 @@ import io
 import itertools
 import json
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -18,7 +19,7 @@ import xarray as xr
 from ..camera import PlenopticCamera, image_distance
 from ..capture import Capture
 from ..errors import InputError, require_number
-from ..files import atomic_output, remove_leftovers, require_writable
+from ..files import atomic_output, remove_leftovers, require_file, require_writable
 from ..propagation.batches import BatchMap
 from ..reconstruction import METHODS, reconstruct
 from ..rendering import DEFAULT_VARIANT, load_scene, render_capture, scene_path, set_variant
@@ -32,7 +33,7 @@ _UNITS = {WAVELENGTH: "nm", DISTANCE: "mm", "focus_distance": "mm"} | dict.fromk
 )
 
 _MOST_POINTS = 100_000
-_LARGEST_FILE = 2**20
+_LARGEST_FILE = 2**16
 
 Grid = Mapping[str, Sequence[float]]
 
@@ -153,9 +154,10 @@ def read_grid(path: Path) -> dict[str, list[Any]]:
         import yaml
     except ImportError:
         raise InputError("grid: YAML needs PyYAML: pip install 'mitsuba-plenoptic[sweep]'") from None
+    path = require_file(path)
+    if path.stat().st_size > _LARGEST_FILE:
+        raise InputError(f"{path}: {path.stat().st_size} bytes: a grid has at most {_LARGEST_FILE}")
     try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise InputError(f"{path}: {path.stat().st_size} bytes: a grid has at most {_LARGEST_FILE}")
         text = path.read_text()
         node = yaml.compose(text, Loader=yaml.SafeLoader)
         content = yaml.safe_load(text)
@@ -221,8 +223,8 @@ def check_grid(grid: Mapping[Any, Any]) -> dict[str, tuple[float, ...]]:
         if not len(values):
             raise InputError(f"grid: {name} has no values")
         checked[name] = tuple(_number(name, value) for value in values)
-        for value in checked[name]:
-            if checked[name].count(value) > 1:
+        for value, count in Counter(checked[name]).items():
+            if count > 1:
                 raise InputError(f"grid: {name} = {value:g} is given twice")
     if not checked:
         raise InputError("grid: it is empty; give at least one name with values")

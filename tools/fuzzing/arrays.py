@@ -132,10 +132,10 @@ def extreme_case(random: np.random.Generator, folder: Path) -> Case:
         random,
         (
             ("white_image", lambda: white_image(camera)),
-            ("ray capture", lambda: render_capture(_wall(camera, distance), spp=1)),
+            ("ray capture", lambda: render_capture(wall(camera, distance), spp=1)),
             (
                 "wave capture",
-                lambda: render_capture(_wall(camera, distance), model="wave", spp=1, radiators_per_lens=1),
+                lambda: render_capture(wall(camera, distance), model="wave", spp=1, radiators_per_lens=1),
             ),
             ("decode", lambda: decode(image, camera=camera)),
             ("stack", lambda: focal_stack(decode(image, camera=camera), [distance])),
@@ -159,7 +159,7 @@ def extreme_case(random: np.random.Generator, folder: Path) -> Case:
     return Case(f"{what} of {camera.to_dict()}", run)
 
 
-def _wall(camera: PlenopticCamera, distance: float) -> Any:
+def wall(camera: PlenopticCamera, distance: float) -> Any:
     """Make a scene with a small shining square before the camera."""
     set_variant("llvm_ad_mono")
     numbers = camera.to_dict()

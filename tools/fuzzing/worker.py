@@ -16,7 +16,7 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 
-from . import arguments, arrays, cameras, exr, light_fields, scenes
+from . import arguments, arrays, cameras, exr, light_fields, runs, scenes
 from .cases import Case, Generator, judge, random_for
 
 KINDS: dict[str, tuple[int, Generator]] = {
@@ -31,12 +31,14 @@ KINDS: dict[str, tuple[int, Generator]] = {
     "Python: array": (8, arrays.array_case),
     "Python: argument": (14, arrays.argument_case),
     "Python: extreme camera": (4, arrays.extreme_case),
+    "checkpoint": (5, runs.checkpoint_case),
+    "grid of a sweep": (5, runs.grid_case),
     "MAT, HDF5, PNG: damaged bytes": (8, light_fields.bytes_case),
     "MAT, HDF5, PNG: lies": (8, light_fields.lie_case),
 }
 """Kinds of input with their shares."""
 
-LIMIT_GIB = 0.25
+LIMIT_GIB = 0.75
 """What the package is told that it may take."""
 
 _ADDRESS_SPACE = 12 * 2**30
