@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._backend import backend_of
-from .errors import InputError, require_count
+from .errors import InputError, require_count, require_number
 from .files import atomic_output, remove_leftovers
 from .propagation.batches import PartialSum
 from .software import software
@@ -185,6 +185,7 @@ def _write(path: Path, run: dict[str, Any], snapshot: Snapshot) -> None:
         "run": run,
         "sums": snapshot.sums,
         "batches": snapshot.partial.batches if snapshot.partial else 0,
+        "light": [snapshot.partial.arrived, snapshot.partial.sent] if snapshot.partial else [0.0, 0.0],
         "shapes": {name: array.shape for name, array in arrays.items()},
     }
     with path.open("wb") as file:
@@ -217,7 +218,8 @@ def _read(path: Path, run: dict[str, Any], shape: tuple[int, ...]) -> Snapshot:
             if arrays["image"].shape != shape:
                 raise ValueError(f"image has the shape {arrays['image'].shape} instead of {shape}")
             sums, batches = (require_count(name, header[name], minimum=0) for name in ("sums", "batches"))
-            partial = PartialSum(batches, arrays["partial"]) if "partial" in arrays else None
+            arrived, sent = (require_number("light", amount, minimum=0) for amount in header["light"])
+            partial = PartialSum(batches, arrays["partial"], arrived, sent) if "partial" in arrays else None
             return Snapshot(sums, arrays["image"], partial)
     except _AnotherRunError:
         raise
