@@ -26,8 +26,11 @@ from .fft import Field, as_field
 _EDGE = 1 / 8
 """Outer part of a window or a spectrum, which should be dark. A field that fills all evenly has 23 % there."""
 
-_ROWS = 256
-"""Rows that are looked at, about."""
+_ROWS = 64
+"""Rows of a large field that are looked at, about."""
+
+_SMALL = 2**18
+"""Samples up to which a field is looked at whole."""
 
 _UNSEEN = 0.01
 """Power that those rows may hold too much or too little; beyond that all are looked at."""
@@ -207,8 +210,8 @@ def judge(guard: Guard, share: float) -> None:
 class StepGuard:
     """Looks at one step of the angular spectrum: at the field before, at its spectrum, and at the field after.
 
-    Some 256 rows of each are looked at, which takes less than a hundredth of the step's time. Where they do not hold
-    their part of the power, because it is in few places or in few waves, all rows of the spectrum are.
+    Some 64 rows of each are looked at if it is large, which takes about a hundredth of the step's time. Where they do
+    not hold their part of the power, because it is in few places or in few waves, all rows of the spectrum are.
 
     Parameters
     ----------
@@ -304,7 +307,7 @@ def some_rows(field: Field) -> Field:
 
 def _row_step(field: Field) -> int:
     # odd, so that the rows keep no step with what repeats by powers of two
-    return len(field) // _ROWS | 1
+    return len(field) // _ROWS | 1 if field.size > _SMALL else 1
 
 
 def power(field: Field) -> float:
