@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._backend import backend_of
-from .errors import InputError, require_count
+from .errors import InputError, require_count, require_number
 from .files import atomic_output, remove_leftovers
 from .propagation.batches import PartialSum
 from .software import software
@@ -111,11 +111,13 @@ class Checkpoint:
         if kind is None and self._due < math.inf:
             self.path.unlink(missing_ok=True)
 
-    def begin(self, **facts: Any) -> Snapshot | None:
+    def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:
         """Say what the run is, and get how far an earlier process has come with it.
 
         Parameters
         ----------
+        shape : (rows, columns, channels)
+            The capture's.
         **facts
             Plain JSON values that the bits of the result depend on, beside those in `run` and the software.
 
@@ -130,7 +132,7 @@ class Checkpoint:
         if not self.path.exists():
             return None
         try:
-            found = _read(self.path, self.run)
+            found = _read(self.path, self.run, shape)
         except InputError as error:
             if self._existing == "resume":
                 raise
@@ -183,6 +185,7 @@ def _write(path: Path, run: dict[str, Any], snapshot: Snapshot) -> None:
         "run": run,
         "sums": snapshot.sums,
         "batches": snapshot.partial.batches if snapshot.partial else 0,
+        "light": [snapshot.partial.arrived, snapshot.partial.sent] if snapshot.partial else [0.0, 0.0],
         "shapes": {name: array.shape for name, array in arrays.items()},
     }
     with path.open("wb") as file:
@@ -196,7 +199,7 @@ def _write(path: Path, run: dict[str, Any], snapshot: Snapshot) -> None:
         os.fsync(file.fileno())
 
 
-def _read(path: Path, run: dict[str, Any]) -> Snapshot:
+def _read(path: Path, run: dict[str, Any], shape: tuple[int, ...]) -> Snapshot:
     """Read the checkpoint of a run.
 
     Raises
@@ -211,9 +214,12 @@ def _read(path: Path, run: dict[str, Any]) -> Snapshot:
                 raise ValueError("its header is not a checkpoint's")
             _compare(path, {"format": header.get("format")}, {"format": FORMAT})
             _compare(path, header["run"], run)
-            arrays = {name: _read_array(archive, name, shape) for name, shape in header["shapes"].items()}
+            arrays = {name: _read_array(archive, name, sizes) for name, sizes in header["shapes"].items()}
+            if arrays["image"].shape != shape:
+                raise ValueError(f"image has the shape {arrays['image'].shape} instead of {shape}")
             sums, batches = (require_count(name, header[name], minimum=0) for name in ("sums", "batches"))
-            partial = PartialSum(batches, arrays["partial"]) if "partial" in arrays else None
+            arrived, sent = (require_number("light", amount, minimum=0) for amount in header["light"])
+            partial = PartialSum(batches, arrays["partial"], arrived, sent) if "partial" in arrays else None
             return Snapshot(sums, arrays["image"], partial)
     except _AnotherRunError:
         raise

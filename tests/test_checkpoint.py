@@ -179,12 +179,26 @@ def test_finished_sums_are_remembered(tmp_path, stop_after):
     np.testing.assert_array_equal(resumed, whole)
 
 
-def stopped_checkpoint(path, stop_after, **options):
-    go_on = stop_after(1)
-    scene = load_scene("letters", parameters=SCENE)
-    with pytest.raises(StoppedError), Checkpoint(path) as checkpoint:
-        render_capture(scene, model="wave", checkpoint=checkpoint, **({"spp": 1, "radiators_per_lens": 4} | options))
-    go_on()
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory):
+    """Stop a capture and return its checkpoint's content."""
+    mi.set_variant("llvm_ad_mono")
+    path = tmp_path_factory.mktemp("stopped") / "raw.checkpoint"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(checkpoints, "_SECONDS", 0.0)
+        write = checkpoints._write
+
+        def write_once(*state):
+            if path.exists():
+                raise StoppedError
+            write(*state)
+
+        patch.setattr(checkpoints, "_SHARE", 1e9)
+        patch.setattr(checkpoints, "_write", write_once)
+        with pytest.raises(StoppedError), Checkpoint(path) as checkpoint:
+            scene = load_scene("letters", parameters=SCENE)
+            render_capture(scene, model="wave", spp=1, radiators_per_lens=4, checkpoint=checkpoint)
+    return path.read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -197,10 +211,9 @@ def stopped_checkpoint(path, stop_after, **options):
         ({}, {"accuracy": 0.02}, "accuracy = 0.01 there, 0.02 here"),
     ],
 )
-def test_another_run_is_refused_with_the_difference(tmp_path, stop_after, parameters, options, difference):
+def test_another_run_is_refused_with_the_difference(tmp_path, stopped, parameters, options, difference):
     path = tmp_path / "raw.checkpoint"
-    stopped_checkpoint(path, stop_after)
-    before = path.read_bytes()
+    path.write_bytes(stopped)
     scene = load_scene("letters", parameters=SCENE | parameters)
     options = {"model": "wave", "spp": 1, "radiators_per_lens": 4} | options
     with pytest.raises(InputError) as caught, Checkpoint(path, "resume") as checkpoint:
@@ -208,7 +221,7 @@ def test_another_run_is_refused_with_the_difference(tmp_path, stop_after, parame
     assert str(caught.value).startswith(f"{path}: the checkpoint of another run: ")
     assert difference in str(caught.value)
     assert "\n" not in str(caught.value)
-    assert path.read_bytes() == before
+    assert path.read_bytes() == stopped
 
 
 def rewrite(path, change):
@@ -233,16 +246,15 @@ def put(*names, value):
     return change
 
 
-def test_another_version_or_a_damaged_file_is_refused(tmp_path, stop_after):
+def test_another_version_or_a_damaged_file_is_refused(tmp_path, stopped):
     path = tmp_path / "raw.checkpoint"
-    stopped_checkpoint(path, stop_after)
-    good = path.read_bytes()
+    path.write_bytes(stopped)
     scene = load_scene("letters", parameters=SCENE)
 
     def complaint():
         with pytest.raises(InputError) as caught, Checkpoint(path, "resume") as checkpoint:
             render_capture(scene, model="wave", spp=1, radiators_per_lens=4, checkpoint=checkpoint)
-        path.write_bytes(good)
+        path.write_bytes(stopped)
         return str(caught.value)
 
     rewrite(path, put("format", value=2))
@@ -253,22 +265,24 @@ def test_another_version_or_a_damaged_file_is_refused(tmp_path, stop_after):
     assert "is damaged: partial of shape" in complaint()
     rewrite(path, put("shapes", "partial", value=[1, -4, -4]))
     assert "is damaged: partial has the shape" in complaint()
+    rewrite(path, lambda header, members: (header["shapes"].update(image=[1, 4, 1]), members.update(image=bytes(16))))
+    assert "image has the shape (1, 4, 1) instead of (256, 256, 1)" in complaint()
     rewrite(path, put("batches", value=10**6))
     assert "1000000 batches" in complaint()
     rewrite(path, lambda header, members: members.pop("image"))
     assert "is damaged" in complaint()
-    path.write_bytes(good[: len(good) // 2])
+    path.write_bytes(stopped[: len(stopped) // 2])
     assert "it is not a checkpoint, or is damaged" in complaint()
-    flipped = bytearray(good)
-    flipped[len(good) // 2] ^= 1
+    flipped = bytearray(stopped)
+    flipped[len(stopped) // 2] ^= 1
     path.write_bytes(flipped)
     assert "Bad CRC-32" in complaint()
 
 
-def test_nothing_in_a_checkpoint_is_unpickled(tmp_path, stop_after):
+def test_nothing_in_a_checkpoint_is_unpickled(tmp_path, stopped):
     """The arrays are plain numbers: a pickle in their place is read as such, or refused by its size."""
     path, trap = tmp_path / "raw.checkpoint", tmp_path / "trap"
-    stopped_checkpoint(path, stop_after)
+    path.write_bytes(stopped)
     pickle = b"cpathlib\nPath.touch\n(cpathlib\nPath\n(V%s\ntRtR." % str(trap).encode()
     rewrite(path, lambda header, members: members.update(image=pickle))
     scene = load_scene("letters", parameters=SCENE)
@@ -277,9 +291,10 @@ def test_nothing_in_a_checkpoint_is_unpickled(tmp_path, stop_after):
     assert not trap.exists()
 
 
-def test_a_stage_replaces_the_checkpoint_of_another_run_unless_told(tmp_path, stop_after, clean, caplog):
+def test_a_stage_replaces_the_checkpoint_of_another_run_unless_told(tmp_path, stopped, clean, caplog):
     path = tmp_path / "raw.checkpoint"
-    stopped_checkpoint(path, stop_after, seed=5)
+    path.write_bytes(stopped)
+    rewrite(path, put("run", "seed", value=5))
     caplog.set_level("INFO", "mitsuba_plenoptic")
     with Checkpoint(path, "resume_if_same") as checkpoint:
         scene = load_scene("letters", parameters=SCENE)
@@ -300,7 +315,7 @@ def test_checkpoints_take_a_small_share_of_the_time(tmp_path, monkeypatch):
 
     monkeypatch.setattr(checkpoints, "_write", write)
     with Checkpoint(tmp_path / "checkpoint") as checkpoint:
-        checkpoint.begin()
+        checkpoint.begin((1, 1, 1))
         while clock[0] < 1000:
             clock[0] += 0.5
             checkpoint.save(None)

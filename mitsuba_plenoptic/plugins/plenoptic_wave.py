@@ -203,10 +203,11 @@ def make_class() -> type:
 
         def _begin(self, camera: PlenopticCamera, sets: list[Radiators], jobs: int) -> Snapshot:
             """Begin with nothing, or where the checkpoint stands."""
+            shape = (*camera.shape, len(self.wavelengths))
             if self.checkpoint:
                 arrays = [array for r in sets for array in (r.positions, r.radiance, r.share, r.masks)]
                 found = self.checkpoint.begin(
-                    radiators=sum(len(r.positions) for r in sets), scene_digest=digest(*arrays)
+                    shape, radiators=sum(len(r.positions) for r in sets), scene_digest=digest(*arrays)
                 )
                 if found:
                     if found.sums >= jobs or found.image.shape != (*camera.shape, len(self.wavelengths)):
@@ -215,7 +216,7 @@ def make_class() -> type:
                             f"{found.image.shape} are not a part of {jobs}"
                         )
                     return found
-            return Snapshot(0, np.zeros((*camera.shape, len(self.wavelengths)), dtype=np.float32), None)
+            return Snapshot(0, np.zeros(shape, dtype=np.float32), None)
 
         def _estimate(self, camera: PlenopticCamera, radiators: Radiators, jobs: int) -> None:
             """Tell what is to come, or refuse it if memory would not do."""

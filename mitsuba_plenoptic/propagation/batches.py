@@ -90,10 +90,14 @@ class PartialSum:
         The batches that are in it: the first ones.
     sums : float32 array (channels, rows, columns)
         Their sum, on the backend's device.
+    arrived, sent : float
+        The samples of their parts added up, and what that would be if no light were lost.
     """
 
     batches: int
     sums: NDArray[np.float32]
+    arrived: float = 0.0
+    sent: float = 0.0
 
 
 class Threads:

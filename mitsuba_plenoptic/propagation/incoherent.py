@@ -251,14 +251,14 @@ def _add_up(
     if progress:
         progress(done, work.total)
     sums = work.arrays.asarray(start.sums)
-    arrived = sent = 0.0
+    arrived, sent = start.arrived, start.sent
     with contextlib.closing(batch_map(work.batches(start.batches))) as parts:
         for index, part in enumerate(parts, start.batches):
             add(part, work.box, sums)
             arrived += float(part.sums.sum(dtype=np.float64))
             sent += work.sent(index)
             if keep:
-                keep(PartialSum(index + 1, sums))
+                keep(PartialSum(index + 1, sums, arrived, sent))
             done += int(work.radiators[index])
             if progress:
                 progress(done, work.total)
