@@ -105,7 +105,11 @@ def require_pixels(name: str, image: np.ndarray) -> None:
     bad = ~np.isfinite(image)
     what, rule = "NaN or infinite", "finite"
     if not bad.any():
-        bad, what, rule = np.abs(image) > BRIGHTEST, "too large", f"{BRIGHTEST:g} at most in magnitude"
+        bad, what, rule = (
+            np.abs(image.astype(np.float64)) > BRIGHTEST,
+            "too large",
+            f"{BRIGHTEST:g} at most in magnitude",
+        )
     first = ", ".join(str(index) for index in np.argwhere(bad)[0])
     raise InputError(f"{name}: {bad.sum()} of its pixels are {what}, the first at ({first}): all must be {rule}")
 

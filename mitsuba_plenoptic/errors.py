@@ -134,7 +134,7 @@ def require_count(name: str, value: Any, *, minimum: int = 1, maximum: int | Non
     if number != int(number):
         raise InputError(f"{name} = {shown(value)}: it must be a whole number")
     if number < minimum:
-        raise InputError(f"{name} = {int(number)}: it must be at least {minimum}")
+        raise InputError(f"{name} = {shown(int(number))}: it must be at least {minimum}")
     if maximum is not None and number > maximum:
-        raise InputError(f"{name} = {int(number)}: it must be at most {maximum}")
+        raise InputError(f"{name} = {shown(int(number))}: it must be at most {maximum}")
     return int(number)

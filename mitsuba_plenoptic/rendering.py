@@ -214,7 +214,10 @@ def render_capture(
         )
     if wavelengths is None:
         return Capture(image, camera, None, "ray", metadata)
-    return Capture(image, camera, wavelengths if len(wavelengths) > 1 else wavelengths[0], "wave", metadata)
+    if len(set(wavelengths)) == 1:
+        return Capture(image, camera, wavelengths[0], "wave", metadata)
+    # A film of luminance adds the three up, and no wavelength is left to tell.
+    return Capture(image, camera, wavelengths if image.ndim == 3 else None, "wave", metadata)
 
 
 def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:

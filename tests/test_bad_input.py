@@ -162,7 +162,7 @@ class TestArrays:
     def test_a_capture_is_finite_or_not_made(self, pixels):
         image = np.ones((32, 32), np.float32)
         image.reshape(-1)[list(pixels)] = list(pixels.values())
-        allowed = bool((np.abs(image) <= 1e30).all())
+        allowed = bool((np.abs(image.astype(np.float64)) <= 1e30).all())
         try:
             capture = Capture(image, SMALL)
         except InputError as error:

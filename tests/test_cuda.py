@@ -14,12 +14,19 @@ from mitsuba_plenoptic.errors import InputError
 from mitsuba_plenoptic.propagation import estimate_cost, incoherent_sum, point_fields, propagate
 from mitsuba_plenoptic.reconstruction.lens_by_lens import white_throughput
 
+# The inputs are random: the field fills its window, and the captures have light beside the micro-images.
+pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")
+
 CAMERA = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
 SMALL = PlenopticCamera(detector_width=0.256, resolution=(128, 128), aperture_radius=1.5)
+SIDE = 2048
+"""Numbers that may leave the device before the end: the sums of a grid's rows, by which the physics is guarded."""
 COARSE = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
 _random = np.random.default_rng(0)
 CAPTURE = _random.random(CAMERA.shape, dtype=np.float32)
-FIELD = (_random.standard_normal((60, 80)) + 1j * _random.standard_normal((60, 80))).astype(np.complex64)
+_waves = np.zeros((60, 80), complex)  # the outer eighth of the spectrum is empty: a field that its grid resolves
+_waves[:26, :35], _waves[-25:, -34:] = _random.standard_normal((26, 35)), _random.standard_normal((25, 34))
+FIELD = np.fft.ifft2(_waves).astype(np.complex64)
 POSITIONS = np.column_stack([_random.uniform(-0.4, 0.4, (20, 2)), _random.uniform(210, 275, 20)])
 WEIGHTS = _random.random((20, 2))
 MASKS = _random.random((20, 8, 8)) > 0.3
@@ -78,7 +85,8 @@ def test_the_device_computes_the_same_and_only_what_is_finished_leaves_it(work, 
         assert type(ours) is np.ndarray and ours.dtype == theirs.dtype
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5 * np.abs(theirs).max())
     finished = sum(array.size for array in expected)
-    assert sum(int(np.prod(shape)) for shape in device.to_host) <= 1.5 * finished
+    sizes = [int(np.prod(shape)) for shape in device.to_host]
+    assert sum(size for size in sizes if size > SIDE) <= 1.5 * finished
 
 
 def test_a_field_on_the_device_stays_there(device):
@@ -113,7 +121,8 @@ def test_the_estimate_waits_for_the_device(device, monkeypatch):
 def test_the_benchmark_of_the_device_runs(device, monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).parents[1] / "tools")
     gpu = importlib.import_module("benchmarks.gpu")
-    expected = {32: propagate(gpu.beam(32), gpu.PITCH, gpu.DISTANCE, gpu.WAVELENGTH)}
+    monkeypatch.setattr(gpu, "DISTANCE", 0.1)
+    expected = {128: propagate(gpu.beam(128), gpu.PITCH, gpu.DISTANCE, gpu.WAVELENGTH)}
     rows = gpu.steps(expected, 1, copied=1000)
     rows += gpu.letters({"resolution": "64", "detector_width": "0.128"}, 1)
     assert len(rows) == 8 and all(row.ours > 0 for row in rows)

@@ -161,6 +161,13 @@ def test_three_channels_diffract_at_their_wavelengths(camera_dict):
     assert peaks[2] > peaks[0]
 
 
+def test_a_film_of_luminance_adds_the_wavelengths_up_and_names_none(camera_dict):
+    mi.set_variant("llvm_ad_rgb")
+    scene = scene_of(camera_dict(resolution=128, detector_width=0.256), point=disk((0, 0, 235.0), 0.05))
+    assert render_capture(scene, model="wave", spp=1, radiators_per_lens=2).wavelength is None
+    assert render_capture(scene, model="wave", spp=1, radiators_per_lens=2, wavelength=532.0).wavelength == 532
+
+
 def test_a_spectral_variant_takes_one_wavelength(camera_dict):
     mi.set_variant("llvm_ad_spectral")
     scene = scene_of(camera_dict(resolution=128, detector_width=0.256), point=disk((0, 0, 235.0), 0.05))

@@ -14,7 +14,6 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import scipy.stats.qmc
 
 from .. import rays
 from ..camera import PlenopticCamera
@@ -141,9 +140,12 @@ def sample_pairs(per_lens: int, shift: np.ndarray) -> np.ndarray:
         The first n points of a Sobol sequence with one fixed scrambling; for powers of two the places in the lens
         are stratified.
     """
+    # It takes a third of the package's loading time, which commands that render no waves need not wait for.
+    from scipy.stats import qmc
+
     count = per_lens**2
     # The sequence is drawn to the next power of two, where it is balanced.
-    points = scipy.stats.qmc.Sobol(4, scramble=True, rng=0).random_base2(math.ceil(math.log2(max(count, 1))))
+    points = qmc.Sobol(4, scramble=True, rng=0).random_base2(math.ceil(math.log2(max(count, 1))))
     return np.asarray((points[:count] + shift) % 1.0)
 
 

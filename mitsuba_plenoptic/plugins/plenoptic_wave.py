@@ -31,6 +31,9 @@ DEFAULT_WAVELENGTH = 633.0
 MOST_RADIATORS = 256
 """Radiators per lens and axis at most."""
 
+MOST_PASSES = 1024
+"""Passes at most; their radiators are held together."""
+
 # Dominant wavelengths of the sRGB primaries (IEC 61966-2-1), for variants of three channels.
 RGB_WAVELENGTHS = (611.4, 549.1, 464.3)
 
@@ -48,14 +51,14 @@ def make_class() -> type:
 
          * - wavelength
            - |float| or |string|
-           - Vacuum wavelength in nanometres; for variants of three channels three of them, separated by commas.
-             (Default: 633; in three channels "611.4, 549.1, 464.3")
+           - Vacuum wavelength in nanometres, 1 to 1e6; for variants of three channels three of them, separated by
+             commas. (Default: 633; in three channels "611.4, 549.1, 464.3")
          * - radiators_per_lens
            - |int|
-           - Radiators per microlens and axis; the time grows with its square. (Default: 8)
+           - Radiators per microlens and axis, up to 256; the time grows with its square. (Default: 8)
          * - passes
            - |int|
-           - How often the whole set of radiators is drawn, shifted, and averaged. (Default: 1)
+           - How often the whole set of radiators is drawn, shifted, and averaged, up to 1024. (Default: 1)
          * - method
            - |string|
            - ``patch``: each radiator's field on the part of the microlens array that it lights. ``full_field``:
@@ -111,7 +114,7 @@ def make_class() -> type:
             super().__init__(props)
             self.wavelengths = _read_wavelengths(props)
             self.radiators_per_lens = read_count(props, NAME, "radiators_per_lens", 8, maximum=MOST_RADIATORS)
-            self.passes = read_count(props, NAME, "passes", 1)
+            self.passes = read_count(props, NAME, "passes", 1, maximum=MOST_PASSES)
             self.method = read_choice(props, NAME, "method", METHODS)
             self.occlusion = read_flag(props, NAME, "occlusion", True)
             self.accuracy = check_accuracy(read_plain(props, "accuracy", DEFAULT_ACCURACY), f"{NAME}: accuracy")

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .._backend import backend_of
 from ..errors import InputError
@@ -25,8 +26,11 @@ from .fft import Field, as_field
 _EDGE = 1 / 8
 """Outer part of a window or a spectrum, which should be dark. A field that fills all evenly has 23 % there."""
 
-_ROWS = 256
-"""Rows that are looked at, about."""
+_ROWS = 64
+"""Rows of a large field that are looked at, about."""
+
+_SMALL = 2**18
+"""Samples up to which a field is looked at whole."""
 
 _UNSEEN = 0.01
 """Power that those rows may hold too much or too little; beyond that all are looked at."""
@@ -206,8 +210,8 @@ def judge(guard: Guard, share: float) -> None:
 class StepGuard:
     """Looks at one step of the angular spectrum: at the field before, at its spectrum, and at the field after.
 
-    Some 256 rows of each are looked at, which takes less than a hundredth of the step's time. Where they do not hold
-    their part of the power, because it is in few places or in few waves, all rows of the spectrum are.
+    Some 64 rows of each are looked at if it is large, which takes about a hundredth of the step's time. Where they do
+    not hold their part of the power, because it is in few places or in few waves, all rows of the spectrum are.
 
     Parameters
     ----------
@@ -235,8 +239,8 @@ class StepGuard:
         chosen = np.flatnonzero((np.abs(order) <= self._step) | (np.arange(count) % self._step == 0))
         weight = np.where(np.abs(order[chosen]) <= self._step, 1, self._step)
         waves = _packed_rows(packed, self._shape, chosen)
-        power = weight * _power_by_row(waves)
-        self._representative = abs(share(power.sum() / math.prod(self._shape), self._power) - 1) < _UNSEEN
+        held = _weighted(weight, waves) / math.prod(self._shape)
+        self._representative = abs(share(held, self._power) - 1) < _UNSEEN
         if not self._representative:
             chosen, weight = np.arange(count), np.ones(count)
             waves = _packed_rows(packed, self._shape, None)
@@ -245,9 +249,7 @@ class StepGuard:
         self._band_edge = band_edge_share(waves, rows, weight)
         if self._cosine**2 * 2 > 1:
             lost = backend_of(waves).arrays.asarray(self._cosine**2 * (rows[:, None] ** 2 + columns**2) >= 1)
-            self._evanescent = share(
-                (weight * _power_by_row(waves * lost)).sum(), (weight * _power_by_row(waves)).sum()
-            )
+            self._evanescent = share(_weighted(weight, waves * lost), _weighted(weight, waves))
 
     def see_result(self, field: Field) -> None:
         """Look at the field after the step, and judge it all.
@@ -267,12 +269,11 @@ class StepGuard:
     def _of_field(self, field: Field) -> tuple[float, float]:
         """Power in all and in the rim of the window."""
         rows = some_rows(field)
-        power = _power_by_row(rows)
         high, wide = (rim(size) for size in field.shape)
         place = np.arange(len(rows)) * self._step
         outer = (place < high) | (place >= len(field) - high)
-        sides = sum(_power_by_row(side)[~outer].sum() for side in (rows[:, :wide], rows[:, -wide:]))
-        return self._step * float(power.sum()), self._step * float(power[outer].sum() + sides)
+        sides = sum(_weighted(~outer, side) for side in (rows[:, :wide], rows[:, -wide:]))
+        return self._step * power(rows), self._step * (_weighted(outer, rows) + sides)
 
 
 def require(guard: Guard, share: float) -> None:
@@ -306,7 +307,7 @@ def some_rows(field: Field) -> Field:
 
 def _row_step(field: Field) -> int:
     # odd, so that the rows keep no step with what repeats by powers of two
-    return len(field) // _ROWS | 1
+    return len(field) // _ROWS | 1 if field.size > _SMALL else 1
 
 
 def power(field: Field) -> float:
@@ -332,12 +333,11 @@ def band_edge_share(spectrum: Field, frequencies: np.ndarray | None = None, weig
         How many rows of the whole each of them stands for.
     """
     rows = _frequencies(len(spectrum)) if frequencies is None else frequencies
-    high = np.flatnonzero(np.abs(_frequencies(spectrum.shape[1])) > 1 - _EDGE)
+    outer, high = np.abs(rows) > 1 - _EDGE, np.flatnonzero(np.abs(_frequencies(spectrum.shape[1])) > 1 - _EDGE)
     # they are in the middle
-    columns = spectrum[:, high[0] : high[-1] + 1] if high.size else spectrum[:, :0]
-    power = weight * _power_by_row(spectrum)
-    edge = np.where(np.abs(rows) > 1 - _EDGE, power, weight * _power_by_row(columns))
-    return share(edge.sum(), power.sum())
+    columns = spectrum[:, int(high[0]) : int(high[-1]) + 1] if high.size else spectrum[:, :0]
+    edge = _weighted(weight * outer, spectrum) + _weighted(weight * ~outer, columns)
+    return share(edge, _weighted(weight * np.ones(len(rows)), spectrum))
 
 
 def _frequencies(size: int) -> np.ndarray:
@@ -356,10 +356,15 @@ def _packed_rows(packed: Any, shape: tuple[int, ...], chosen: np.ndarray | None)
     return field if chosen is None else field[backend_of(field).arrays.asarray(chosen)]
 
 
-def _power_by_row(field: Field) -> np.ndarray:
-    """Sum of the squared moduli of each row, on the host; float64 (rows,)."""
-    libraries, parts = backend_of(field), field.view(np.float32)
-    return libraries.to_host(libraries.arrays.einsum("ij,ij->i", parts, parts)).astype(np.float64)
+def _weighted(weight: np.ndarray, field: Field) -> float:
+    """Power of some rows, each as often as its weight says."""
+    return float((backend_of(field).arrays.asarray(weight.astype(np.float64)) * _power_by_row(field)).sum())
+
+
+def _power_by_row(field: Field) -> NDArray[np.float64]:
+    """Sum of the squared moduli of each row, where the field lies."""
+    parts = field.view(np.float32)
+    return backend_of(field).arrays.einsum("ij,ij->i", parts, parts).astype(np.float64)
 
 
 def _rounded(number: float) -> float:

@@ -16,7 +16,7 @@ _WORKERS = 2
 
 
 def run(runs: int) -> list[Row]:
-    """Compare the sum of the letters at an eighth of their size: on one thread, on two, and on two processes of one thread each."""
+    """Sum the letters at an eighth of their size on one thread, on two, and on two processes of one thread each."""
     camera, positions, weights, masks = radiators("letters", _PARAMETERS)
     images = {}
 

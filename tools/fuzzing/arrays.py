@@ -65,7 +65,9 @@ def array_case(random: np.random.Generator, folder: Path) -> Case:
             ("estimate_lens_grid", lambda: _grid_of(image)),
         ),
     )
-    # A white image may be all of one value, and shows no lattice where it is.
+    if name == "white" and image is None:
+        # The default: it is computed.
+        forbidden = False
     return Case(f"{name} of {what}", run, forbidden)
 
 

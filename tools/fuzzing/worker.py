@@ -38,7 +38,7 @@ KINDS: dict[str, tuple[int, Generator]] = {
 }
 """Kinds of input with their shares."""
 
-LIMIT_GIB = 0.75
+LIMIT_GIB = 0.5
 """What the package is told that it may take."""
 
 _ADDRESS_SPACE = 12 * 2**30
