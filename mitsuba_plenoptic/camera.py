@@ -444,8 +444,8 @@ class PlenopticCamera:
         """Distance of neighbouring micro-images, :math:`D_2 (b + z) / b`."""
         return self.mla_pitch * (self.mla_distance + self.detector_distance) / self.mla_distance
 
-    def crosstalk_neighbours(self) -> np.ndarray:
-        """Find the lenses that can light a pixel, from the one of its chief ray.
+    def crosstalk_neighbours(self, beyond: float = 0.0) -> np.ndarray:
+        """Find the lenses that can light a pixel, from the one of its chief ray, and those up to a distance beyond.
 
         The ray from a detector point p through the point c + d of a lens meets the pupil plane in
         :math:`(1 + b/z)(c - m) + (1 + b/z - b/f_2) d`, m the point of the chief ray, which is in its lens's cell. For
@@ -463,6 +463,7 @@ class PlenopticCamera:
             If micro-images overlap so much that these are more than 100,000.
         """
         lenses, reach, smear = self._crosstalk()
+        reach += beyond
         if not lenses <= MOST_OVERLAP:
             raise InputError(
                 f"camera: its micro-images overlap so much that some {lenses:.3g} lenses light each pixel; at most "

@@ -168,16 +168,16 @@ class TestCrosstalk:
         scene = mi.load_dict({"type": "scene", "i": {"type": "path"}, "s": camera_dict(aperture_radius=10.0)})
         render_capture(scene, spp=1)
         scene.sensors()[0]._candidates = [mi.Float(0), mi.Float(0)]
-        with pytest.raises(PhysicsError, match=r"^28\..*through microlenses that are too far"):
+        with pytest.raises(PhysicsError, match=r"^27\..*through microlenses that are too far"):
             render_capture(scene, spp=1)
 
     def test_a_wide_field_of_parabolic_lenses(self, camera_dict):
         """The number of lenses follows from slopes, but parabolic lenses bend direction cosines."""
         sensor = camera_dict(detector_width=80.0, aperture_radius=7.2, lens_model="parabolic", resolution=64)
         scene = mi.load_dict({"type": "scene", "i": {"type": "path"}, "s": sensor})
-        with pytest.warns(PhysicsWarning, match="^0.7.% of the light comes through microlenses"):
+        with pytest.warns(PhysicsWarning, match="^0.99% of the light comes through microlenses"):
             capture = render_capture(scene, spp=1)
-        assert 0.005 < capture.metadata["guards"]["crosstalk_missed"] < 0.01
+        assert 0.005 < capture.metadata["guards"]["crosstalk_missed"] < 0.015
 
 
 @pytest.mark.parametrize("name", ["letters", "white", "chart", "still_life"])
@@ -204,4 +204,4 @@ def test_the_command_shows_one_line(tmp_path, capsys):
     assert main(["render", "white", "-o", str(out), "--spp", "1", *arguments, "-D", "lens_model=parabolic"]) == 0
     lines = [line for line in capsys.readouterr().err.splitlines() if "warning" in line]
     assert len(lines) == 1
-    assert lines[0].startswith("mitsuba-plenoptic: warning: 0.7")
+    assert lines[0].startswith("mitsuba-plenoptic: warning: 0.99")

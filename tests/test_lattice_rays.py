@@ -104,6 +104,14 @@ def test_mean_of_a_white_capture_is_the_closed_form_and_the_computed_one(camera_
         assert np.sqrt(np.mean(difference**2)) < 0.03
 
 
+@pytest.mark.parametrize("lattice", [{}, ROTATED, HEXAGONAL, {**MULTI_FOCUS, "mla_aperture": "circle"}])
+@pytest.mark.parametrize("aperture_radius", [5.0, 9.0, 20.0])
+def test_every_lens_that_can_light_a_pixel_is_tried(camera_dict, lattice, aperture_radius):
+    sensor = mi.load_dict(camera_dict(aperture_radius=aperture_radius, **lattice))
+    assert sensor.crosstalk_missed() == 0
+    assert (len(sensor.camera.crosstalk_neighbours()) > 1) == (aperture_radius > 8)
+
+
 def test_opaque_gaps_swallow_what_is_focused_on_them(camera_dict):
     """A small source in focus, imaged 0.02 mm from a lens's centre, is within a lens, but not within half of one."""
 

@@ -273,56 +273,51 @@ def make_class() -> type:
                 ),
             )
 
-        def _places(
-            self, film_sample: Any, lens_sample: Any, candidates: list[Any]
-        ) -> tuple[tuple[Any, ...], tuple[Any, ...], Any]:
-            """Detector point; point on a lens, its centre and focal length; which of the candidates it is."""
-            film = self.film()
+        def _places(self, film_sample: Any, lens_sample: Any, candidates: list[Any]) -> tuple[tuple[Any, ...], Any]:
+            """Detector point, point on a lens, its centre and focal length, and which of the candidates it is."""
+            film, lattice = self.film(), self._lattice
             pixel = self.detector_width / film.size()[0]
-            b, z, lattice = self.mla_distance, self.detector_distance, self._lattice
+            b, z = self.mla_distance, self.detector_distance
             px, py = (
                 (film_sample[axis] * film.crop_size()[axis] + film.crop_offset()[axis] - 0.5 * film.size()[axis])
                 * pixel
                 for axis in (0, 1)
             )
             i, j = lattice.cell(rays.chief_point(px, b, z), rays.chief_point(py, b, z))
-            within, candidate = mi.Float(lens_sample[0]), mi.Float(0)
+            within, candidate = mi.Float(lens_sample[0]), mi.UInt32(0)
             count = dr.width(candidates[0])
             if count > 1:
                 scaled = within * count
-                candidate = dr.minimum(dr.floor(scaled), count - 1)
-                within = scaled - candidate
-                steps = (dr.gather(mi.Float, step, mi.UInt32(candidate)) for step in candidates)
+                whole = dr.minimum(dr.floor(scaled), count - 1)
+                within, candidate = scaled - whole, mi.UInt32(whole)
+                steps = (dr.gather(mi.Float, step, candidate) for step in candidates)
                 i, j = (index + step for index, step in zip((i, j), steps, strict=True))
             cx, cy = lattice.centre(i, j)
             dx, dy = lattice.aperture_point(within, lens_sample[1])
             f2 = self.mla_focal_length
             if dr.width(f2) > 1:
                 f2 = dr.gather(mi.Float, f2, mi.UInt32(lattice.lens_kind(i, j)))
-            return (px, py), (cx + dx, cy + dy, cx, cy, f2), candidate
+            return (px, py, cx + dx, cy + dy, cx, cy, f2), candidate
 
         def crosstalk_missed(self) -> float:
             """Share of the light that comes through lenses just beyond those that rays try, from a sample of rays."""
+            tried = set(zip(*(steps.numpy().astype(int).tolist() for steps in self._candidates), strict=True))
+            around = self.camera.crosstalk_neighbours(beyond=self.camera.mla_pitch)
             random = mi.PCG32(size=_CROSSTALK_RAYS)
             film_sample, lens_sample = (
                 mi.Point2f(random.next_float32(), random.next_float32()) for _ in ("film", "lens")
             )
-            tried = list(zip(*(step.numpy().astype(int).tolist() for step in self._candidates), strict=True))
-            around = {(i + di, j + dj) for i, j in tried for di in (-1, 0, 1) for dj in (-1, 0, 1)}
-            steps = [*tried, *sorted(around.difference(tried))]
-            detector, lens, candidate = self._places(
-                film_sample, lens_sample, [mi.Float(step) for step in zip(*steps, strict=True)]
-            )
-            Px, Py, _, _ = self._trace(*detector, *lens)
+            places, candidate = self._places(film_sample, lens_sample, [mi.Float(steps) for steps in around.T])
+            Px, Py, _, _ = self._trace(*places)
             open_ = Px * Px + Py * Py <= self.aperture_radius * self.aperture_radius
-            beyond = candidate >= len(tried)
+            beyond = dr.gather(mi.Bool, mi.Bool([tuple(steps) not in tried for steps in around]), candidate)
             return int(dr.count(open_ & beyond)[0]) / max(1, int(dr.count(open_)[0]))
 
         def _sample(
             self, time: Any, wavelength_sample: Any, film_sample: Any, lens_sample: Any, active: Any, differential: bool
         ) -> tuple[Any, Any]:
             pixel = self.detector_width / self.film().size()[0]
-            (px, py), lens, _ = self._places(film_sample, lens_sample, self._candidates)
+            (px, py, *lens), _ = self._places(film_sample, lens_sample, self._candidates)
             Px, Py, tx, ty = self._trace(px, py, *lens)
             open_ = active & (Px * Px + Py * Py <= self.aperture_radius * self.aperture_radius)
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
