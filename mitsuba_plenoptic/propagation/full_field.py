@@ -265,15 +265,17 @@ def _detector_spectrum(
     camera: PlenopticCamera, wavelength: float, grids: _Grids, samples: Field, microlenses: bool
 ) -> Field:
     """Spectrum on the detector of the field that reaches the MLA, whose memory is used."""
-    if microlenses and is_separable(camera):
-        along_x, along_y = map(backend().arrays.asarray, _microlens_phases(camera, wavelength, grids))
-        before = guards.power(some := guards.some_rows(samples))
-        samples *= along_x[None, :]
-        samples *= along_y[:, None]
-        if camera.lattice.fill == 1:
-            guards.judge(guards.MICROLENS, 1 - guards.power(some) / before if before else 0.0)
-    elif microlenses:
-        _apply_plane(camera, wavelength, grids, samples)
+    if microlenses:
+        before = guards.power(samples)
+        if is_separable(camera):
+            along_x, along_y = map(backend().arrays.asarray, _microlens_phases(camera, wavelength, grids))
+            samples *= along_x[None, :]
+            samples *= along_y[:, None]
+        else:
+            _apply_plane(camera, wavelength, grids, samples)
+        # What lies between the lenses stops light rightly.
+        if before and camera.lattice.lens_area == camera.lattice.cell_area:
+            guards.judge(guards.MICROLENS, 1 - guards.power(samples) / before)
     with resting_drjit():
         spectrum = fft2(samples)
     return advance(spectrum, grids.pitch, camera.detector_distance, wavelength)
@@ -313,7 +315,6 @@ def _apply_plane(camera: PlenopticCamera, wavelength: float, grids: _Grids, samp
     """Multiply a field by the transmission of microlenses that are no product of two axes."""
     types = backend().types
     lenses = plane_transmission(camera, wavelength, grids.bend)
-    before = guards.power(some := guards.some_rows(samples))
     left, top = (start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
     columns = grids.count[0]
     for block in _blocks(grids.count[1]):
@@ -322,8 +323,6 @@ def _apply_plane(camera: PlenopticCamera, wavelength: float, grids: _Grids, samp
         x = types.Float64(index - row * columns) * grids.pitch + dr.opaque(types.Float64, left)
         y = types.Float64(row) * grids.pitch + dr.opaque(types.Float64, top + block.start * grids.pitch)
         samples[block] *= as_field(pack(lenses.at(x, y)), (block.stop - block.start, columns))
-    if camera.lattice.lens_area == camera.lattice.cell_area:
-        guards.judge(guards.MICROLENS, 1 - guards.power(some) / before if before else 0.0)
 
 
 def _pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: _Grids) -> NDArray[np.float32]:

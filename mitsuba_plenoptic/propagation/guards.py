@@ -268,7 +268,7 @@ class StepGuard:
 
     def _of_field(self, field: Field) -> tuple[float, float]:
         """Power in all and in the rim of the window."""
-        rows = some_rows(field)
+        rows = _some_rows(field)
         high, wide = (rim(size) for size in field.shape)
         place = np.arange(len(rows)) * self._step
         outer = (place < high) | (place >= len(field) - high)
@@ -300,7 +300,7 @@ def judge_window(in_rim: float, before: float = 0.0) -> None:
     judge(WRAPPED, in_rim - before)
 
 
-def some_rows(field: Field) -> Field:
+def _some_rows(field: Field) -> Field:
     """Give a view of the rows of a field from which a share of its power is told."""
     return field[:: _row_step(field)]
 
