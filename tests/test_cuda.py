@@ -106,7 +106,7 @@ def test_a_sum_goes_on_from_a_checkpoint(device, tmp_path):
 
     options = {"wavelength": 633, "accuracy": 0}
     whole = incoherent_sum(CAMERA, POSITIONS, WEIGHTS, keep=keep, **options)
-    start = checkpoint._read(path, {}).partial
+    start = checkpoint._read(path, {}, (1, 1, 1)).partial
     assert start.batches == 1 and type(start.sums) is np.ndarray
     np.testing.assert_array_equal(incoherent_sum(CAMERA, POSITIONS, WEIGHTS, start=start, **options), whole)
 

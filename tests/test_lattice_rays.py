@@ -323,3 +323,13 @@ def test_offsets_may_be_points_and_numbers_of_the_lattice_can_be_changed(camera_
     parameters["mla_fill"] = 1.25
     with pytest.raises(InputError, match="must be at most 1"):
         parameters.update()
+
+
+def test_footprints_spread_by_transforms_as_bin_by_bin(monkeypatch):
+    camera = PlenopticCamera(mla_lattice="hexagonal", detector_width=0.512, resolution=(256, 256))
+    image = np.random.default_rng(0).random(camera.shape, dtype=np.float32)
+    images = []
+    for most in (0, 100):
+        monkeypatch.setattr("mitsuba_plenoptic.reconstruction._splatting._MOST_TAPS", most)
+        images.append(reconstruct(image, 225.0, camera=camera, oversample=3).image)
+    np.testing.assert_allclose(images[0], images[1], rtol=1e-5)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy.fft
 
 from .. import rays
 from ..camera import PlenopticCamera
@@ -23,6 +24,9 @@ from ..pupil import PupilShare
 # Samples of the fine grid across a lens pitch; at least so many across a bin.
 _FINE = 16
 _LEAST = 4
+
+# Bins across a footprint up to which it is applied bin by bin; beyond that FFTs are faster.
+_MOST_TAPS = 9
 
 # Pixels followed at once: few enough to stay in the cache.
 _BLOCK = 2**16
@@ -79,12 +83,42 @@ def splat(
         reach = share.shape[0] // 2
         for out, weights in zip(total, (*values.T, white), strict=True):
             samples = np.bincount(place[mine], weights=weights[mine], minlength=down * across * fine**2)
-            samples = samples.reshape(down, across, fine**2)
-            for y, x in np.ndindex(share.shape[:2]):
-                top, left = margin - reach + y, margin - reach + x
-                out[top : top + down, left : left + across] += samples @ share[y, x].reshape(-1)
+            spread = _spread(samples.reshape(down, across, fine**2), share)
+            first = margin - reach
+            out[first : first + spread.shape[0], first : first + spread.shape[1]] += spread
     total = total[:, 2 * margin : 2 * margin + rows, 2 * margin : 2 * margin + columns]
     return np.moveaxis(total[:-1], 0, -1), total[-1]
+
+
+def _spread(samples: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Give every fine sample's light to the bins around its own.
+
+    Parameters
+    ----------
+    samples : (rows, columns, fine**2) float64 array
+        Light in the fine samples of each bin.
+    share : (taps, taps, fine, fine) array
+        From `_bin_shares`.
+
+    Returns
+    -------
+    (rows + taps - 1, columns + taps - 1) float64 array
+        Light of the bins, from `taps // 2` before the first.
+    """
+    taps = share.shape[0]
+    share = share.reshape(taps, taps, -1)
+    rows, columns = samples.shape[0] + taps - 1, samples.shape[1] + taps - 1
+    if taps <= _MOST_TAPS:
+        spread = np.zeros((rows, columns))
+        for y, x in np.ndindex(taps, taps):
+            spread[y : y + samples.shape[0], x : x + samples.shape[1]] += samples @ share[y, x]
+        return spread
+    shape = [scipy.fft.next_fast_len(size, real=True) for size in (rows, columns)]
+    spectrum = sum(
+        scipy.fft.rfft2(samples[..., fine], shape) * scipy.fft.rfft2(share[..., fine], shape)
+        for fine in range(share.shape[2])
+    )
+    return scipy.fft.irfft2(spectrum, shape)[:rows, :columns]
 
 
 def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float, step: float) -> np.ndarray:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, image_distance
 from ..depth_of_field import depth_ranges, effective_resolution, lenses_across, suitable_oversample
+from ..errors import InputError
 
 
 class Row(NamedTuple):
@@ -192,7 +193,7 @@ def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[Row]:
     for f2, best, limits in lenses:
         which = f"f2 = {_text(f2)} mm" if len(camera.mla_focal_lengths) > 1 else ""
         rows.append(Row(group, "sharpest distance", *_distance(best), which))
-        if camera.focal_length < best < math.inf:
+        if _is_imaged(camera, best):
             rows += _effective(group, camera, best, wavelength)
         note = "refocused" if camera.kind == "unfocused" else "blur below a pixel or the spot, no gaps"
         rows.append(Row(group, "depth range", *_range(limits), note))
@@ -208,6 +209,15 @@ def _seen(camera: PlenopticCamera) -> str:
         return "the microlenses see the main lens"
     where = [f"{_text(abs(a))} mm {'before' if a > 0 else 'behind'} them" for a in camera.mla_object_distances]
     return f"the microlenses see an image {', '.join(where)}"
+
+
+def _is_imaged(camera: PlenopticCamera, distance: float) -> bool:
+    """Whether the main lens forms an image of a plane at a finite distance."""
+    try:
+        image_distance(camera.focal_length, distance)
+    except InputError:
+        return False
+    return math.isfinite(distance)
 
 
 def _effective(group: str, camera: PlenopticCamera, distance: float, wavelength: float | None) -> list[Row]:
