@@ -350,13 +350,17 @@ def start(*words, limit=None, **options):
             signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
+    environment = os.environ | {"DRJIT_NUM_THREADS": "1"}
+    if limit is not None:
+        # What measures the tests' coverage could not write its own file either.
+        environment.pop("COVERAGE_PROCESS_CONFIG", None)
     return subprocess.Popen(
         [sys.executable, "-c", COMMAND, *map(str, words)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         preexec_fn=prepare,
-        env=os.environ | {"DRJIT_NUM_THREADS": "1"},
+        env=environment,
         **options,
     )
 
