@@ -26,7 +26,7 @@ from .fft import Field, as_field
 _EDGE = 1 / 8
 """Outer part of a window or a spectrum, which should be dark. A field that fills all evenly has 23 % there."""
 
-_ROWS = 64
+_ROWS = 32
 """Rows of a large field that are looked at, about."""
 
 _SMALL = 2**18
@@ -210,7 +210,7 @@ def judge(guard: Guard, share: float) -> None:
 class StepGuard:
     """Looks at one step of the angular spectrum: at the field before, at its spectrum, and at the field after.
 
-    Some 64 rows of each are looked at if it is large, which takes about a hundredth of the step's time. Where they do
+    Some 32 rows of each are looked at if it is large, which takes about a hundredth of the step's time. Where they do
     not hold their part of the power, because it is in few places or in few waves, all rows of the spectrum are.
 
     Parameters
