@@ -21,6 +21,7 @@ from mitsuba_plenoptic.propagation import incoherent_sum, propagate
 from mitsuba_plenoptic.propagation.accuracy import DEFAULT_ACCURACY
 from mitsuba_plenoptic.propagation.fft import worker_count
 
+from .steps import beam
 from .table import Row, on_cores, peak_memory
 
 _WAVELENGTH = 633.0
@@ -166,7 +167,7 @@ def _seconds(work: Callable[[], object], runs: int, clock: Callable[[], float] =
 
 
 def _step(size: int, runs: int) -> float:
-    field = np.ones((size, size), np.complex64)
+    field = beam(size)
 
     def step() -> None:
         nonlocal field
