@@ -29,12 +29,18 @@ from numpy.typing import NDArray
 from .._backend import array_module, backend_of
 from ..camera import PlenopticCamera
 from .fft import Field, as_field, pack, unpack, worker_count
-from .sampling import fast_length, in_millimetres
+from .sampling import check_memory, fast_length, in_millimetres
 
 _TABLE_LENGTH = 2**14
 
 _FINE = 2048
 """Samples across a pitch of which the orders of a plane lattice are made: its edges are known that finely."""
+
+_PER_WAVE = 8
+"""Fine samples across the finest wave that is kept, at least, so that none folds."""
+
+_FINE_BYTES = 16
+"""Memory that a fine sample takes while the orders are made."""
 
 _PER_ORDER = 40
 """Samples of a plane transmission across one wave of its highest order, between which it is interpolated."""
@@ -146,7 +152,7 @@ def plane_orders(camera: PlenopticCamera, wavelength: float, cosine: float, fine
     cosine : float
         Largest direction cosine, relative to that of the incident light, that is kept.
     fine : int
-        Samples across a pitch of which they are made.
+        Samples across a pitch of which they are made, at least.
 
     Returns
     -------
@@ -154,11 +160,18 @@ def plane_orders(camera: PlenopticCamera, wavelength: float, cosine: float, fine
         Those along y in rows, from the most negative on; zero beyond `cosine`.
     """
     sides = period(camera)
+    highest = cosine / in_millimetres(wavelength)
+    counts = [int(highest * side) for side in sides[::-1]]
+    fine = max(fine, math.ceil(_PER_WAVE * highest * camera.mla_pitch))
+    table = math.prod(side * highest * _PER_ORDER for side in sides)
+    check_memory(
+        _FINE_BYTES * math.prod(side / camera.mla_pitch * fine for side in sides) + 16 * table,
+        f"microlens array of pitch {camera.mla_pitch:g} with {counts[1]} x {counts[0]} orders",
+    )
     shape = [fast_length(side / camera.mla_pitch * fine, 2) for side in sides[::-1]]
     spectrum = scipy.fft.fft2(
         _lenses(camera, wavelength, shape), norm="forward", overwrite_x=True, workers=worker_count()
     )
-    counts = [int(cosine * side / in_millimetres(wavelength)) for side in sides[::-1]]
     order = [np.arange(-count, count + 1) for count in counts]
     # fine samples lie half a step within the period
     turns = order[0][:, None] / (2 * shape[0]) + order[1] / (2 * shape[1])

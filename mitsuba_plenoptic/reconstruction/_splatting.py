@@ -127,6 +127,7 @@ def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float
     if scale * camera.lattice.aperture_width >= pixel:
         return camera.lattice.aperture_image(step, scale)
     half = max(0, math.ceil((pixel / step - 1) / 2))
+    require_memory(16.0 * (2 * half + 1.0) ** 2, f"footprint of {2 * half + 1:.3g} samples across")
     share = np.ones(2 * half + 1)
     if half:
         share[[0, -1]] = (pixel / step - (2 * half - 1)) / 2

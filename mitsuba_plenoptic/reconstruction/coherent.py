@@ -48,6 +48,7 @@ from ..camera import PlenopticCamera
 from ..propagation import guards
 from ..propagation.fft import Field
 from ..propagation.microlens import is_separable
+from ..propagation.sampling import check_memory
 from ._binning import AxisBins, axis_bins, bin_image
 from ._elements import (
     FieldThrough,
@@ -101,6 +102,7 @@ def reconstruct_subsets(
         Power in each bin, in pixel values times pixels.
     """
     columns, rows = (count * oversample for count in camera.bin_count)
+    check_memory(8.0 * rows * columns * (len(distances) + 1), f"wave reconstruction on {columns} x {rows} bins")
     libraries = backend()
     totals = [libraries.arrays.zeros((rows, columns)) for _ in distances]
     lit = lit_window(image, camera)
