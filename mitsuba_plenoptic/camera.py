@@ -246,10 +246,11 @@ class PlenopticCamera:
         InputError
             If a name is unknown or a value is out of range.
         """
+        own = self.to_dict()
         for name in changes:
-            if name not in self.to_dict() and name != "focus_distance":
+            if name not in own and name != "focus_distance":
                 raise InputError(f"{name}: it is not a camera parameter")
-        values = self.to_dict() | changes
+        values = own | changes
         if "resolution" in changes and "crop_size" not in changes and not self.is_cropped:
             values.pop("crop_size")
         if "focus_distance" in changes:
@@ -373,6 +374,18 @@ class PlenopticCamera:
         return self.pixel_size * self.mla_distance / self.detector_distance
 
     @property
+    def lit_radius(self) -> float:
+        """Radius within which the pupil is seen by some of a pixel: half a pixel's width more than the pupil's own."""
+        return self.aperture_radius + self.pupil_step / 2
+
+    def pupil_walk(self, mla_focal_length: float) -> float:
+        r"""How fast the place on the pupil, seen by a point of the detector, moves with that on the lens.
+
+        :math:`\kappa = 1 + b/z - b/f_2`, which is 1 for :math:`z = f_2`.
+        """
+        return 1 + self.mla_distance / self.detector_distance - self.mla_distance / mla_focal_length
+
+    @property
     def detector_height(self) -> float:
         """Height of the full detector."""
         return self.pixel_size * self.resolution[1]
@@ -483,7 +496,7 @@ class PlenopticCamera:
         """About how many lenses light a pixel, within which distance, and the part of their apertures that adds."""
         b, z, lattice = self.mla_distance, self.detector_distance, self.lattice
         reach = self.aperture_radius / (1 + b / z)
-        smear = max(abs(1 + b / z - b / f2) for f2 in self.mla_focal_lengths) / (1 + b / z)
+        smear = max(abs(self.pupil_walk(f2)) for f2 in self.mla_focal_lengths) / (1 + b / z)
         covered = math.pi * (reach + smear * lattice.aperture_reach + self.mla_pitch) ** 2
         return covered / lattice.cell_area, reach, smear
 

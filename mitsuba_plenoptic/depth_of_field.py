@@ -56,8 +56,7 @@ def lens_footprint(camera: PlenopticCamera, distance: float, mla_focal_length: f
 
     Projected onto the MLA through the main lens's centre; see the head of this module.
     """
-    b, z = camera.mla_distance, camera.detector_distance
-    return abs(1 - camera.defocus(distance) * (1 + b / z - b / mla_focal_length))
+    return abs(1 - camera.defocus(distance) * camera.pupil_walk(mla_focal_length))
 
 
 def pixel_footprint(camera: PlenopticCamera, distance: float) -> float:

@@ -268,20 +268,22 @@ class Lattice:
 
     def _to_lattice(self, x: Any, y: Any) -> tuple[Any, Any]:
         """Turn a vector of the camera frame into one of the lattice's frame."""
-        return self._turned(x, y, -1.0)
+        return turn(x, y, -self.rotation)
 
     def _to_camera(self, u: Any, v: Any) -> tuple[Any, Any]:
         """Turn a vector of the lattice's frame into one of the camera frame."""
-        return self._turned(u, v, 1.0)
+        return turn(u, v, self.rotation)
 
-    def _turned(self, x: Any, y: Any, sign: float) -> tuple[Any, Any]:
-        if _is_zero(self.rotation):
-            return x, y
-        angle = self.rotation * (math.pi / 180)
-        # a number of NumPy would turn Dr.Jit's arrays into its own
-        module = dr if dr.is_array_v(angle) else math
-        cosine, sine = module.cos(angle), sign * module.sin(angle)
-        return cosine * x - sine * y, sine * x + cosine * y
+
+def turn(x: Any, y: Any, degrees: Any) -> tuple[Any, Any]:
+    """Turn places counter-clockwise about the axis; floats, NumPy arrays or Dr.Jit arrays."""
+    if _is_zero(degrees):
+        return x, y
+    angle = degrees * (math.pi / 180)
+    # a number of NumPy would turn Dr.Jit's arrays into its own
+    module = dr if dr.is_array_v(angle) else math
+    cosine, sine = module.cos(angle), module.sin(angle)
+    return cosine * x - sine * y, sine * x + cosine * y
 
 
 def _is_zero(value: Any) -> bool:

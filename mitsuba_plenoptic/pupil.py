@@ -39,8 +39,7 @@ class PupilShare:
     """
 
     def __init__(self, camera: PlenopticCamera, kind: int = 0) -> None:
-        b, z = camera.mla_distance, camera.detector_distance
-        smear = abs(1 + b / z - b / camera.mla_focal_lengths[kind])
+        smear = abs(camera.pupil_walk(camera.mla_focal_lengths[kind]))
         reach = camera.aperture_radius + smear * camera.lattice.aperture_reach + camera.pupil_step
         pixels = 2 * reach / camera.pupil_step
         samples = max(1, min(_SAMPLES, int(_WIDEST / pixels)))

@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ..capture import Capture, read_capture
+from ..capture import MODELS, Capture, read_capture
 from ..errors import InputError
 from ..propagation.batches import BatchMap
 
@@ -33,6 +33,35 @@ Variant = Annotated[
         metavar="NAME",
         show_default="llvm_ad_mono",
         help="Mitsuba variant, for example llvm_ad_rgb or cuda_ad_mono.",
+    ),
+]
+
+Model = Annotated[
+    str | None,
+    typer.Option(
+        metavar="|".join(MODELS),
+        show_default="as the scene's integrator has it",
+        help="How light propagates through the camera.",
+    ),
+]
+
+Samples = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        show_default="those of the scene's sampler",
+        help="Samples per pixel; by waves, light paths per radiator.",
+    ),
+]
+
+Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the random numbers.")]
+
+RadiatorsPerLens = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        show_default="the scene's, else 8",
+        help="By waves: incoherent point sources per microlens and axis.",
     ),
 ]
 

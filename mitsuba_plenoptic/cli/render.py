@@ -8,34 +8,33 @@ from typing import Annotated
 
 import typer
 
-from ..capture import MODELS, write_capture
+from ..capture import write_capture
 from ..checkpoint import SUFFIX, Checkpoint
 from ..errors import InputError
 from ..files import remove_leftovers, require_writable
 from ..rendering import load_scene, render_capture
-from ._common import Definitions, Resume, Scheduler, Variant, Workers, batches_on, parse_definitions, progress_bar
+from ._common import (
+    Definitions,
+    Model,
+    RadiatorsPerLens,
+    Resume,
+    Samples,
+    Scheduler,
+    Seed,
+    Variant,
+    Workers,
+    batches_on,
+    parse_definitions,
+    progress_bar,
+)
 
 
 def render(
     scene: Annotated[str, typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.exr", help="File to write.")],
-    model: Annotated[
-        str | None,
-        typer.Option(
-            metavar="|".join(MODELS),
-            show_default="as the scene's integrator has it",
-            help="How light propagates through the camera.",
-        ),
-    ] = None,
-    spp: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            show_default="those of the scene's sampler",
-            help="Samples per pixel; by waves, light paths per radiator.",
-        ),
-    ] = None,
-    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the random numbers.")] = 0,
+    model: Model = None,
+    spp: Samples = None,
+    seed: Seed = 0,
     wavelength: Annotated[
         str | None,
         typer.Option(
@@ -44,14 +43,7 @@ def render(
             help="By waves: wavelength in nanometres; for a variant of three channels three, as 611,549,464.",
         ),
     ] = None,
-    radiators_per_lens: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            show_default="the scene's, else 8",
-            help="By waves: incoherent point sources per microlens and axis.",
-        ),
-    ] = None,
+    radiators_per_lens: RadiatorsPerLens = None,
     resume: Resume = False,
     checkpoint: Annotated[
         Path | None,

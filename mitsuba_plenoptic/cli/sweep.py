@@ -8,9 +8,20 @@ from typing import Annotated
 import typer
 
 from .. import reconstruction
-from ..capture import MODELS
 from ..rendering import DEFAULT_VARIANT
-from ._common import Definitions, ResumeOnly, Scheduler, Variant, Workers, batches_on, parse_definitions
+from ._common import (
+    Definitions,
+    Model,
+    RadiatorsPerLens,
+    ResumeOnly,
+    Samples,
+    Scheduler,
+    Seed,
+    Variant,
+    Workers,
+    batches_on,
+    parse_definitions,
+)
 from ._stages import stage_lines
 
 
@@ -29,34 +40,13 @@ def sweep(
             "'distance' to refocus to; repeat for several.",
         ),
     ] = None,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            metavar="|".join(MODELS),
-            show_default="as the scene's integrator has it",
-            help="How light propagates through the camera.",
-        ),
-    ] = None,
+    model: Model = None,
     method: Annotated[
         str, typer.Option(metavar="|".join(reconstruction.METHODS), help="How captures are refocused.")
     ] = "ray",
-    spp: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            show_default="those of the scene's sampler",
-            help="Samples per pixel; by waves, light paths per radiator.",
-        ),
-    ] = None,
-    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the random numbers.")] = 0,
-    radiators_per_lens: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            show_default="the scene's, else 8",
-            help="By waves: incoherent point sources per microlens and axis.",
-        ),
-    ] = None,
+    spp: Samples = None,
+    seed: Seed = 0,
+    radiators_per_lens: RadiatorsPerLens = None,
     resume: ResumeOnly = False,
     workers: Workers = None,
     scheduler: Scheduler = None,

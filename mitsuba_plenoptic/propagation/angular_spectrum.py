@@ -21,6 +21,7 @@ from .._backend import array_module, backend, one_at_a_time
 from ..errors import InputError, require_number
 from . import guards
 from .fft import Field, array_types, as_field, as_words, fft2_packed, pack, unpack
+from .indexing import quotient
 
 
 @one_at_a_time
@@ -182,7 +183,7 @@ def _advance(
     types = array_types(packed)
     rows, columns = shape
     index = dr.arange(types.UInt32, rows * columns)
-    row = types.UInt32((types.Float64(index) + 0.5) * dr.opaque(types.Float64, 1 / columns))
+    row = quotient(types, index, columns)
     column = index - row * dr.opaque(types.UInt32, columns)
     down, across = pitch if isinstance(pitch, tuple) else (pitch, pitch)
     sx = _cosine(types, column, columns, across, wavelength)

@@ -30,6 +30,7 @@ from ..errors import InputError
 from . import guards
 from .angular_spectrum import advance
 from .fft import Field, as_field, fft, fft2, irfft, pack, resting_drjit, rfft
+from .indexing import quotient
 from .microlens import is_separable, plane_transmission, transmission, transmission_table
 from .sampling import (
     check_memory,
@@ -216,7 +217,7 @@ def _pupil_field(
     count = grids.wide_pupil
     pitch = grids.pitch * grids.wide_mla / count
     index = dr.arange(types.UInt32, count * count)
-    row = types.UInt32((types.Float64(index) + 0.5) * dr.opaque(types.Float64, 1 / count))
+    row = quotient(types, index, count)
     column = index - row * dr.opaque(types.UInt32, count)
     step = dr.opaque(types.Float64, pitch)
     Px = types.Float64(column) * step + dr.opaque(types.Float64, grids.wide_origin[0])
@@ -319,7 +320,7 @@ def _apply_plane(camera: PlenopticCamera, wavelength: float, grids: _Grids, samp
     columns = grids.count[0]
     for block in _blocks(grids.count[1]):
         index = dr.arange(types.UInt32, (block.stop - block.start) * columns)
-        row = index // dr.opaque(types.UInt32, columns)
+        row = quotient(types, index, columns)
         x = types.Float64(index - row * columns) * grids.pitch + dr.opaque(types.Float64, left)
         y = types.Float64(row) * grids.pitch + dr.opaque(types.Float64, top + block.start * grids.pitch)
         samples[block] *= as_field(pack(lenses.at(x, y)), (block.stop - block.start, columns))

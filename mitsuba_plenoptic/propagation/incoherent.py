@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 from .._backend import backend, one_at_a_time
 from ..camera import PlenopticCamera
 from ..errors import InputError
+from ..lattice import turn
 from . import guards
 from .accuracy import DEFAULT_ACCURACY, band_for, check_accuracy, wavefront_step
 from .batches import Batch, BatchMap, Box, InTurn, Part, PartialSum, Threads, add
 from .fft import resting_drjit
 from .full_field import full_field
-from .microlens import is_separable, turn
+from .microlens import is_separable
 from .patch import Copies, Grid, PatchBatch, Placement, Tile, Workspace, place
 from .patterns import LARGEST_ZONE, find_patterns
 from .pixels import integrate_pixels, turn_samples
@@ -371,6 +372,7 @@ class _PatchSum:
         self.mask_of = lit[order[self.first]]
         self.chunks = self._sort(patterns.zone[kept])
         members = self.last - self.first
+        self.power = np.add.reduceat(self.factors.sum(1), self.first) if len(kept) else np.zeros(0)
         self.radiators = np.array([members[chunk].sum() for chunk in self.chunks], np.int64)
 
     def _window(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> _Window:
@@ -474,8 +476,7 @@ class _PatchSum:
         if self.camera.lattice.lens_area < self.camera.lattice.cell_area:
             return 0.0  # how much of it falls on what is opaque between the lenses is not known beforehand
         seen = chunk if self.masks is None else chunk[self.masks[self.mask_of[chunk]].any((1, 2))]
-        power = sum(self.factors[self.first[pattern] : self.last[pattern]].sum() for pattern in seen)
-        return float(power) / self.grid.pitch.prod()
+        return float(self.power[seen].sum()) / self.grid.pitch.prod()
 
     def image(self, sums: NDArray[np.float32]) -> NDArray[np.float32]:
         """Integrate the sum over the recorded pixels."""

@@ -28,7 +28,9 @@ from numpy.typing import NDArray
 
 from .._backend import array_module, backend_of
 from ..camera import PlenopticCamera
+from ..lattice import turn
 from .fft import Field, as_field, pack, unpack, worker_count
+from .indexing import split
 from .sampling import check_memory, fast_length, in_millimetres
 
 _TABLE_LENGTH = 2**14
@@ -128,12 +130,6 @@ def upright(camera: PlenopticCamera) -> PlenopticCamera:
     return camera.replace(mla_rotation=0.0, mla_offset=turn(*camera.mla_offset, -camera.mla_rotation))
 
 
-def turn(x: Any, y: Any, degrees: float) -> tuple[Any, Any]:
-    """Turn places counter-clockwise about the axis; floats, NumPy arrays or Dr.Jit arrays."""
-    cosine, sine = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-    return cosine * x - sine * y, sine * x + cosine * y
-
-
 def period(camera: PlenopticCamera) -> tuple[float, float]:
     """Width and height of a rectangle, in the lattice's frame, after which its transmission repeats."""
     width = camera.mla_pitch * len(camera.mla_focal_lengths)
@@ -183,7 +179,7 @@ def _lenses(camera: PlenopticCamera, wavelength: float, shape: list[int]) -> Fie
     """Transmission at fine samples of one period, in the middles of equal rectangles."""
     types = array_module()
     index = dr.arange(types.UInt32, shape[0] * shape[1])
-    row, column = index // shape[1], index % shape[1]
+    _, row, column = split(types, index, *shape)
     x, y = (
         (types.Float64(place) + 0.5) * (side / count)
         for place, side, count in zip((column, row), period(camera), shape[::-1], strict=True)

@@ -37,8 +37,10 @@ from numpy.typing import NDArray
 
 from .._backend import backend
 from ..camera import PlenopticCamera
+from ..lattice import turn
 from .fft import Field, as_field, fft, pack
-from .microlens import is_separable, plane_transmission, transmission_table, turn, upright
+from .indexing import split
+from .microlens import is_separable, plane_transmission, transmission_table, upright
 from .sampling import check_samples, fast_length, footprint, in_millimetres, pupil_turns, scattered_cosine
 
 _WIDTH_PER_BLUR = 1.2
@@ -354,7 +356,7 @@ class PatchBatch:
         count = len(positions)
         size = int((placement.last - placement.first).max()) + 1
         index = dr.arange(types.UInt32, count * size * size)
-        radiator, row, column = _split(types, index, size, size)
+        radiator, row, column = split(types, index, size, size)
 
         def value(numbers: NDArray[Any]) -> Any:
             return dr.gather(types.Float64, types.Float64(np.ascontiguousarray(numbers, np.float64)), radiator)
@@ -407,7 +409,7 @@ class PatchBatch:
         camera, lam = grid.camera, in_millimetres(grid.wavelength)
         table = transmission_table(camera, grid.wavelength, highest) if self.separable else None
         index = dr.arange(types.UInt32, len(scale) * self.mla_samples)
-        _, radiator, sample = _split(types, index, len(scale), self.mla_samples)
+        _, radiator, sample = split(types, index, len(scale), self.mla_samples)
         square = (placement.image**2).sum(1) + camera.mla_distance**2
         factors = []
         for axis, size in ((0, np.ones(len(scale))), (1, scale)):
@@ -438,7 +440,7 @@ class PatchBatch:
         """Transmission of the microlenses, (n, samples along y, samples along x)."""
         types = self.libraries.types
         count, size = len(placement.image), self.mla_samples
-        radiator, row, column = _split(types, dr.arange(types.UInt32, count * size * size), size, size)
+        radiator, row, column = split(types, dr.arange(types.UInt32, count * size * size), size, size)
         corner, pitch = self._corner(grid, placement), self._mla_pitch(grid)
         x, y = (
             dr.gather(types.Float64, types.Float64(np.ascontiguousarray(corner[:, axis])), radiator)
@@ -462,7 +464,7 @@ class PatchBatch:
         low, high = self.chief.min(0), self.chief.max(0)
         columns, rows = (int(size) for size in high - low + self.samples)
         index = dr.arange(types.UInt32, rows * columns)
-        _, row, column = _split(types, index, rows, columns)
+        _, row, column = split(types, index, rows, columns)
         first = low - self.samples // 2
         sx = (types.Float64(column) + dr.opaque(types.Float64, float(first[0]))) * dr.opaque(types.Float64, step[0])
         sy = (types.Float64(row) + dr.opaque(types.Float64, float(first[1]))) * dr.opaque(types.Float64, step[1])
@@ -576,22 +578,6 @@ def _along_axis(types: Any, table: NDArray[np.complex64], place: Any) -> Any:
         for k in (0, 1)
     )
     return types.Complex2f(real, imaginary)
-
-
-def _split(types: Any, index: Any, rows: int, columns: int) -> tuple[Any, Any, Any]:
-    """Take a flat index apart into that of an image, its row and its column."""
-    line = _quotient(types, index, columns)
-    image = _quotient(types, line, rows)
-    return (
-        image,
-        line - image * dr.opaque(types.UInt32, rows),
-        index - line * dr.opaque(types.UInt32, columns),
-    )
-
-
-def _quotient(types: Any, index: Any, divisor: int) -> Any:
-    """Whole quotient, by a multiplication: Dr.Jit's division of integers is several times slower."""
-    return types.UInt32((types.Float64(index) + 0.5) * dr.opaque(types.Float64, 1 / divisor))
 
 
 def _forward(field: Field, axis: int) -> Field:

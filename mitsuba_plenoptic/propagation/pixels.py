@@ -11,7 +11,7 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from .._backend import backend_of
-from .microlens import turn
+from ..lattice import turn
 
 _HALF_WIDTH = 6
 _KAISER = 7.0

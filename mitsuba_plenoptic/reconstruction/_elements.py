@@ -13,6 +13,7 @@ from .. import rays
 from .._backend import array_module
 from ..camera import PlenopticCamera
 from ..propagation.fft import Field, as_field, pack
+from ..propagation.indexing import split
 from ..propagation.microlens import lenses_at
 from ..propagation.sampling import in_millimetres
 
@@ -135,8 +136,7 @@ def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any])
     """Evaluate a function of two Dr.Jit arrays at all pairs of coordinates."""
     types = array_module()
     index = dr.arange(types.UInt32, len(x) * len(y))
-    row = types.UInt32((types.Float64(index) + 0.5) * dr.opaque(types.Float64, 1 / len(x)))
-    column = index - row * dr.opaque(types.UInt32, len(x))
+    _, row, column = split(types, index, len(y), len(x))
     packed = pack(
         function(
             dr.gather(types.Float64, types.Float64(np.ascontiguousarray(x)), column),

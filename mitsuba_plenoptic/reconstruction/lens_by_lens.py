@@ -33,6 +33,7 @@ from ..errors import InputError
 from ..propagation import guards
 from ..propagation.angular_spectrum import advance
 from ..propagation.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, unpack
+from ..propagation.indexing import split
 from ..propagation.sampling import check_memory, fast_length, in_millimetres, pupil_turns
 from ..pupil import PupilShare
 from ._elements import converging_phase, detector_lens, lens_phase
@@ -135,9 +136,9 @@ def white_throughput(camera: PlenopticCamera, wavelength: float, *, relay: bool 
     relay : bool
         Whether the microlenses act in the MLA plane.
     """
-    # The micro-image of a lens beside the axis, in the lenses around that.
     if not is_aligned(camera):
         return _mean_throughput(camera, wavelength, relay)
+    # The micro-image of a lens beside the axis, in the lenses around that.
     around = math.ceil(2 * camera.micro_image_pitch / camera.pixel_size)
     camera = _around_axis(camera, around)
     centre = rays.chief_detector_point(camera.mla_pitch / 2, camera.mla_distance, camera.detector_distance)
@@ -171,7 +172,7 @@ def _mean_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) ->
         ]
         Px, Py = (centre[0] - px) * to_pupil, ((centre[1] - py) * to_pupil)[:, None]
         image = PupilShare(camera, kind)(*np.broadcast_arrays(Px, Py))
-        sent += float(image[np.hypot(Px, Py) <= camera.aperture_radius + camera.pupil_step / 2].sum())
+        sent += float(image[np.hypot(Px, Py) <= camera.lit_radius].sum())
         back += _power(image, lenses, np.array([lenses.find(i, j)]), relay=relay)
     return back / (sent * camera.pixel_size**2)
 
@@ -735,8 +736,7 @@ def _aim(fields: Field, tile: Tile, batch: LensBatch, distance: float) -> Field:
     camera, wave = tile.camera, in_millimetres(tile.wavelength)
     n, count = len(fields), tile.pupil.size
     index = dr.arange(types.UInt32, n * count * count)
-    lens, rest = index // (count * count), index % (count * count)
-    row, column = rest // count, rest % count
+    lens, row, column = split(types, index, count, count)
     P = types.Float64(tile.pupil)
     u, v = dr.gather(types.Float64, P, column), dr.gather(types.Float64, P, row)
     x, y = (dr.gather(types.Float64, types.Float64(np.ascontiguousarray(c)), lens) for c in batch.centre.T)

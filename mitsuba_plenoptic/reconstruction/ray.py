@@ -77,9 +77,8 @@ def white_bins(camera: PlenopticCamera, distance: float, oversample: int) -> np.
     The ray must pass the pupil, by half a pixel: a smooth wave goes back through the lens's centre alone.
     """
     nothing = np.zeros((*camera.shape, 1), np.float32)
-    radius = camera.aperture_radius + camera.pupil_step / 2
     footprint = "point" if camera.kind == "unfocused" else "lens"
-    return splat(nothing, camera, distance, radius, footprint=footprint, oversample=oversample)[1]
+    return splat(nothing, camera, distance, camera.lit_radius, footprint=footprint, oversample=oversample)[1]
 
 
 def at_least(white: np.ndarray, camera: PlenopticCamera, oversample: int) -> np.ndarray:
@@ -94,9 +93,8 @@ def _pupil_radius(camera: PlenopticCamera) -> float:
     would lose 3 % of the paper's light. Through the edge of a lens that is not in focus on the pupil it looks elsewhere
     than through the centre, for a focused camera by a good part of the pupil.
     """
-    b, z = camera.mla_distance, camera.detector_distance
-    view = max(b * abs(1 / z - 1 / f2) for f2 in camera.mla_focal_lengths) * camera.lattice.aperture_reach
-    return camera.aperture_radius + camera.pupil_step / 2 + view
+    view = max(abs(camera.pupil_walk(f2) - 1) for f2 in camera.mla_focal_lengths) * camera.lattice.aperture_reach
+    return camera.lit_radius + view
 
 
 def _axis(camera: PlenopticCamera, distance: float, axis: int, footprint: str, oversample: int) -> AxisBins:
