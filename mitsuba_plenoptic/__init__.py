@@ -19,23 +19,24 @@ have their lamps in another order each time, so that the noise of their light di
 # ruff: noqa: E402
 import importlib.metadata
 
-from . import _llvm
+from .runtime import llvm
 
 # Dr.Jit takes its LLVM from the environment when it is first imported, which all of the following do.
-_llvm.choose()
+llvm.choose()
 
 from . import plugins as plugins
 from .camera import PlenopticCamera
-from .capture import Capture, read_capture, write_capture
-from .checkpoint import Checkpoint
+from .capture.point_spread import point_spread_function
+from .capture.render import render_capture
+from .capture.scene import load_scene, scene_path
 from .detector import Detector, expose
-from .distributed import Cluster
 from .errors import InputError
+from .io.captures import Capture, read_capture, write_capture
+from .io.checkpoints import Checkpoint
 from .lightfield import decode
-from .propagation.guards import PhysicsError, PhysicsWarning
-from .propagation.point_spread import point_spread_function
+from .optics.guards import PhysicsError, PhysicsWarning
 from .reconstruction import Reconstruction, reconstruct
-from .rendering import load_scene, render_capture, scene_path
+from .runtime.cluster import Cluster
 
 __version__ = importlib.metadata.version("mitsuba-plenoptic")
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from .capture import Capture
 from .errors import InputError, require_count, require_number, shown
+from .io.captures import Capture
 
 # Bounds of what is counted or multiplied, so that no product leaves what a float holds.
 _SMALLEST, _LARGEST = 1e-9, 1e9

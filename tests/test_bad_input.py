@@ -289,7 +289,7 @@ class TestFuzzing:
             data = corpus.files()[name]
             (tmp_path / name).write_bytes(exr._put_together(*exr._take_apart(data)))
             assert read_capture(tmp_path / name).image.any()
-        from mitsuba_plenoptic.interchange import open_light_field
+        from mitsuba_plenoptic.lightfield.exchange import open_light_field
 
         for name in ("uint8.mat", "single.mat", "version7.mat", "views.png", "lenses.eslf.png"):
             (tmp_path / name).write_bytes(corpus.files()[name])

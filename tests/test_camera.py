@@ -8,7 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, rays
+from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic.optics import rays
 
 
 def test_the_default_is_the_papers_camera():

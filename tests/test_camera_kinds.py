@@ -21,7 +21,7 @@ from mitsuba_plenoptic import (
 )
 from mitsuba_plenoptic.camera import image_distance
 from mitsuba_plenoptic.cli import app
-from mitsuba_plenoptic.depth_of_field import (
+from mitsuba_plenoptic.design import (
     depth_ranges,
     effective_resolution,
     lens_footprint,

@@ -21,7 +21,7 @@ import scipy
 from benchmarks import captures, gpu, growth, point_spreads, reconstructions, shares, steps, workers
 from benchmarks.table import markdown
 
-from mitsuba_plenoptic.propagation.fft import worker_count
+from mitsuba_plenoptic.runtime.fft import worker_count
 
 
 def main() -> None:

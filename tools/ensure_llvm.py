@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 
 # Loaded by its path: importing the package would load Dr.Jit, and with it LLVM.
-llvm = runpy.run_path(str(Path(__file__).resolve().parent.parent / "mitsuba_plenoptic" / "_llvm.py"))
+llvm = runpy.run_path(str(Path(__file__).resolve().parent.parent / "mitsuba_plenoptic" / "runtime" / "llvm.py"))
 
 
 def main() -> str | None:

@@ -23,7 +23,7 @@ from _referee import agreement, thin_lens_image
 from scipy.ndimage import map_coordinates
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, reconstruct, render_capture
-from mitsuba_plenoptic.depth_of_field import effective_resolution, suitable_oversample
+from mitsuba_plenoptic.design import effective_resolution, suitable_oversample
 from mitsuba_plenoptic.report.images import write_png
 from mitsuba_plenoptic.report.slanted_edge import square_sharpness
 

@@ -20,7 +20,8 @@ from pathlib import Path
 SCENE = {"resolution": "512", "detector_width": "1.024", "letter_scale": "0.125"}
 COMMAND = """
 import sys
-from mitsuba_plenoptic import checkpoint, cli
+from mitsuba_plenoptic.io import checkpoints as checkpoint
+from mitsuba_plenoptic import cli
 checkpoint._SECONDS, checkpoint._SHARE = 0.0, 1e9
 if __name__ == "__main__":
     sys.exit(cli.main(sys.argv[1:]))

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from mitsuba_plenoptic.camera import PlenopticCamera
-from mitsuba_plenoptic.propagation.full_field import full_field
-from mitsuba_plenoptic.propagation.point_spread import point_spread_function
+from mitsuba_plenoptic.capture.full_field import full_field
+from mitsuba_plenoptic.capture.point_spread import point_spread_function
 
 PAPER = PlenopticCamera()
 SECOND = PlenopticCamera(

@@ -13,9 +13,9 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ..capture import MODELS, Capture, read_capture
 from ..errors import InputError
-from ..propagation.batches import BatchMap
+from ..io.captures import MODELS, Capture, read_capture
+from ..runtime.batches import BatchMap
 
 Definitions = Annotated[
     list[str] | None,
@@ -143,7 +143,7 @@ def batches_on(workers: int | None, scheduler: str | None) -> Iterator[BatchMap 
     if workers is None and scheduler is None:
         yield None
         return
-    from ..distributed import Cluster
+    from ..runtime.cluster import Cluster
 
     with Cluster(workers=workers, scheduler=scheduler) as cluster:
         yield cluster

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 import xarray as xr
 
-from ..interchange import open_light_field
+from ..lightfield.exchange import open_light_field
 from ._common import native_output_dropped
 
 Source = Annotated[

@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from ..camera import require_wavelength
+from ..capture.render import MOST_SAMPLES
 from ..errors import require_count, require_number
-from ..plugins.plenoptic_wave import MOST_RADIATORS
-from ..rendering import MOST_SAMPLES
+from ..plugins.integrator import MOST_RADIATORS
 from ._common import Definitions, ResumeOnly, parse_definitions
 from ._stages import stage_lines
 

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from ..files import require_writable
-from ..interchange import save_light_field
+from ..io.files import require_writable
+from ..lightfield.exchange import save_light_field
 from ._light_field import Linear, Source, ViewCount, White, load_light_field
 
 

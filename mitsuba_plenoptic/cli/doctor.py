@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 import typer
 
-from .. import _llvm
+from ..runtime import llvm
 
 PACKAGES = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy", "scipy", "OpenEXR")
 SUPPORTED = ("llvm_ad_", "cuda_ad_")
@@ -31,15 +31,15 @@ def doctor() -> None:
     for name in PACKAGES:
         _line(name, _version(name))
 
-    fault = _llvm.problem()
+    fault = llvm.problem()
     _section("LLVM")
-    for item in _llvm.candidates():
-        verdict = "usable" if item.usable else f"too old, {_llvm.MINIMUM} or newer is needed"
+    for item in llvm.candidates():
+        verdict = "usable" if item.usable else f"too old, {llvm.MINIMUM} or newer is needed"
         _line("found", f"{item.path}: {item.version_text}, {verdict}")
-    named = os.environ.get(_llvm.VARIABLE)
-    _line("chosen", f"{_llvm.VARIABLE}={named}" if named else "none, left to Dr.Jit")
+    named = os.environ.get(llvm.VARIABLE)
+    _line("chosen", f"{llvm.VARIABLE}={named}" if named else "none, left to Dr.Jit")
     loaded = tuple(drjit.detail.llvm_version())
-    _line("loaded", _llvm.format_version(loaded) if loaded > (0,) else "none")
+    _line("loaded", llvm.format_version(loaded) if loaded > (0,) else "none")
     _line("threads", str(drjit.thread_count()))
 
     cuda = bool(drjit.has_backend(drjit.JitBackend.CUDA))

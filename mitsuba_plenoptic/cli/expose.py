@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from ..capture import write_capture
 from ..detector import Detector
 from ..detector import expose as record
 from ..errors import InputError
-from ..files import require_writable
+from ..io.captures import write_capture
+from ..io.files import require_writable
 from ._common import load_capture
 
 

@@ -13,10 +13,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from ..camera import PlenopticCamera, require_wavelength
-from ..capture import Capture
+from ..capture.scene import load_scene
 from ..errors import InputError, printable
+from ..io.captures import Capture
 from ..presets import PRESETS
-from ..rendering import load_scene
 from ..report.design_sheet import Row, design_sheet, design_warnings
 from ._common import Definitions, load_capture, parse_definitions
 

@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from .. import reconstruction
-from ..rendering import set_variant
 from ..report.images import reconstruction_paths, write_reconstructions
+from ..runtime.variant import set_variant
 from ._common import Variant, load_capture, progress_bar
 
 

@@ -8,11 +8,12 @@ from typing import Annotated
 
 import typer
 
-from ..capture import write_capture
-from ..checkpoint import SUFFIX, Checkpoint
+from ..capture.render import render_capture
+from ..capture.scene import load_scene
 from ..errors import InputError
-from ..files import remove_leftovers, require_writable
-from ..rendering import load_scene, render_capture
+from ..io.captures import write_capture
+from ..io.checkpoints import SUFFIX, Checkpoint
+from ..io.files import remove_leftovers, require_writable
 from ._common import (
     Definitions,
     Model,

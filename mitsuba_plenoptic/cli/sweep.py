@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from .. import reconstruction
-from ..rendering import DEFAULT_VARIANT
+from ..runtime.variant import DEFAULT_VARIANT
 from ._common import (
     Definitions,
     Model,

@@ -9,9 +9,9 @@ import scipy.sparse
 import xarray as xr
 
 from ..camera import PlenopticCamera
-from ..capture import Capture, as_array, require_pixels
 from ..errors import InputError, shown
-from ..limits import require_memory
+from ..io.captures import Capture, as_array, require_pixels
+from ..runtime.limits import require_memory
 from .geometry import light_field
 from .grid import LensGrid, bin_grid, lens_grid
 from .white import white_image

@@ -9,7 +9,7 @@ import scipy.ndimage
 import xarray as xr
 
 from ..errors import InputError, require_count, require_number
-from ..limits import require_memory
+from ..runtime.limits import require_memory
 from .geometry import depth_range, disparity, distance_of, require_light_field, view_steps
 from .refocus import channel_planes, shift_and_add, shifted
 

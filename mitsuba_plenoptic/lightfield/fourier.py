@@ -9,7 +9,7 @@ import scipy.fft
 import xarray as xr
 
 from ..errors import InputError, require_number
-from ..limits import require_memory
+from ..runtime.limits import require_memory
 from .geometry import require_light_field, view_steps
 
 # Gridding kernel: a Kaiser-Bessel window this many samples wide on a grid with twice as many samples as views.

@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from .. import rays
 from ..camera import PlenopticCamera, image_distance
-from ..capture import require_pixels
 from ..errors import InputError, require_number
+from ..io.captures import require_pixels
+from ..optics import rays
 from .grid import LensGrid
 
 DIMS = ("v", "u", "t", "s")

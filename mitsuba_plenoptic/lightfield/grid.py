@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from .. import rays
 from ..camera import MOST_PIXELS, PlenopticCamera
 from ..errors import InputError, require_count, require_number, require_pair
-from ..limits import require_memory
+from ..optics import rays
+from ..runtime.limits import require_memory
 
 
 @dataclass(frozen=True)

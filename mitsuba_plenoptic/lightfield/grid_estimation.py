@@ -7,8 +7,8 @@ import math
 import numpy as np
 import scipy.ndimage
 
-from ..capture import as_array, require_pixels
 from ..errors import InputError
+from ..io.captures import as_array, require_pixels
 from .grid import LensGrid, covering_grid, lattice_rows
 
 # Side of the middle part of the image whose spectrum gives the first guess.

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import InputError, require_number
-from ..limits import require_memory
+from ..runtime.limits import require_memory
 from .fourier import FourierRefocuser
 from .geometry import disparity as disparity_at
 from .geometry import require_light_field, view_steps

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..limits import require_memory
-from ..pupil import PupilShare
+from ..optics.pupil import PupilShare
+from ..runtime.limits import require_memory
 from .grid import LensGrid, lens_kinds, micro_image_centres
 
 # Micro-images drawn at once.

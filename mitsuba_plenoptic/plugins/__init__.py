@@ -12,9 +12,9 @@ from typing import Any, NoReturn
 
 import mitsuba as mi
 
-from .. import _llvm
 from ..errors import InputError
-from . import plenoptic, plenoptic_wave
+from ..runtime import llvm
+from . import integrator, sensor
 
 
 def _refuse(name: str, reason: str) -> Callable[[Any], NoReturn]:
@@ -31,8 +31,8 @@ def _register(old: str | None, new: str | None) -> None:
     if new.startswith("scalar"):
         reason = f"variant {new}: this plugin needs an llvm_ad_* or cuda_ad_* variant"
     elif new.startswith("llvm"):
-        reason = _llvm.problem()
-    for plugin, register in ((plenoptic, mi.register_sensor), (plenoptic_wave, mi.register_integrator)):
+        reason = llvm.problem()
+    for plugin, register in ((sensor, mi.register_sensor), (integrator, mi.register_integrator)):
         register(plugin.NAME, _refuse(plugin.NAME, reason) if reason else plugin.make_class())
 
 

@@ -7,12 +7,12 @@ from typing import Any, overload
 
 import numpy as np
 
-from .._backend import one_at_a_time
 from ..camera import PlenopticCamera, image_distance, require_wavelength
-from ..capture import Capture, as_array
 from ..errors import InputError, require_count, require_number, shown
-from ..limits import largest_fitting, require_memory
-from ..propagation import guards
+from ..io.captures import Capture, as_array
+from ..optics import guards
+from ..runtime.backend import one_at_a_time
+from ..runtime.limits import largest_fitting, require_memory
 from .ray import reconstruct_ray
 from .result import Reconstruction, write_reconstruction
 from .wave import reconstruct_wave
@@ -96,7 +96,7 @@ def reconstruct(
         of the paper, planes out of focus stay blurred: see `mitsuba_plenoptic.reconstruction.coherent`.
     oversample : int
         Bins per lens along each axis. A focused camera tells more than one apart:
-        `mitsuba_plenoptic.depth_of_field.suitable_oversample` and ``mitsuba-plenoptic info`` say how many.
+        `mitsuba_plenoptic.design.suitable_oversample` and ``mitsuba-plenoptic info`` say how many.
     progress : callable, optional
         Called with the steps done and their number.
 

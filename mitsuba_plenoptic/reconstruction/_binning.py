@@ -17,8 +17,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from .._backend import array_module, backend_of
-from ..limits import require_memory
+from ..runtime.backend import array_module, backend_of
+from ..runtime.limits import require_memory
 
 
 @dataclass(frozen=True)

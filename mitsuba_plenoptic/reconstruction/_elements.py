@@ -9,13 +9,13 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from .. import rays
-from .._backend import array_module
 from ..camera import PlenopticCamera
-from ..propagation.fft import Field, as_field, pack
-from ..propagation.indexing import split
-from ..propagation.microlens import lenses_at
-from ..propagation.sampling import in_millimetres
+from ..optics import rays
+from ..optics.microlenses import lenses_at
+from ..optics.sampling import in_millimetres
+from ..runtime.backend import array_module
+from ..runtime.fft import Field, as_field, pack
+from ..runtime.indexing import split
 
 Transmission = Callable[[np.ndarray, np.ndarray], Field]
 """From coordinates along x, (columns,), and along y, (rows,), to a complex64 array (rows, columns)."""

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from .._backend import backend
-from ..propagation.angular_spectrum import advance
-from ..propagation.fft import Field, fft, resting_drjit
+from ..optics.free_space import advance
+from ..runtime.backend import backend
+from ..runtime.fft import Field, fft, resting_drjit
 from ._elements import FieldThrough
 from ._plan import Leg
 

@@ -19,10 +19,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import rays
 from ..camera import PlenopticCamera
-from ..limits import largest_fitting
-from ..propagation.sampling import check_memory, fast_length, in_millimetres, mla_cosine
+from ..optics import rays
+from ..optics.sampling import check_memory, fast_length, in_millimetres, mla_cosine
+from ..runtime.limits import largest_fitting
 
 GUARD = 1.05
 """Directions held over those that geometry needs, for the light that edges diffract."""

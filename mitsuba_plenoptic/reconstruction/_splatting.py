@@ -15,11 +15,11 @@ import math
 import numpy as np
 import scipy.fft
 
-from .. import rays
 from ..camera import PlenopticCamera
-from ..depth_of_field import lens_footprint, pixel_footprint
-from ..limits import require_memory
-from ..pupil import PupilShare
+from ..design import lens_footprint, pixel_footprint
+from ..optics import rays
+from ..optics.pupil import PupilShare
+from ..runtime.limits import require_memory
 
 # Samples of the fine grid across a lens pitch; at least so many across a bin.
 _FINE = 16

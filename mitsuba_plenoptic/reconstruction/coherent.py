@@ -42,13 +42,12 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from .. import rays
-from .._backend import backend
 from ..camera import PlenopticCamera
-from ..propagation import guards
-from ..propagation.fft import Field
-from ..propagation.microlens import is_separable
-from ..propagation.sampling import check_memory
+from ..optics import guards, rays
+from ..optics.microlenses import is_separable
+from ..optics.sampling import check_memory
+from ..runtime.backend import backend
+from ..runtime.fft import Field
 from ._binning import AxisBins, axis_bins, bin_image
 from ._elements import (
     FieldThrough,

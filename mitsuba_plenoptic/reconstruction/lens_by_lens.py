@@ -26,16 +26,15 @@ import drjit as dr
 import numpy as np
 import scipy.signal
 
-from .. import rays
-from .._backend import backend
 from ..camera import MOST_PIXELS, PlenopticCamera
 from ..errors import InputError
-from ..propagation import guards
-from ..propagation.angular_spectrum import advance
-from ..propagation.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, unpack
-from ..propagation.indexing import split
-from ..propagation.sampling import check_memory, fast_length, in_millimetres, pupil_turns
-from ..pupil import PupilShare
+from ..optics import guards, rays
+from ..optics.free_space import advance
+from ..optics.pupil import PupilShare
+from ..optics.sampling import check_memory, fast_length, in_millimetres, pupil_turns
+from ..runtime.backend import backend
+from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, unpack
+from ..runtime.indexing import split
 from ._elements import converging_phase, detector_lens, lens_phase
 from ._plan import GUARD, field_subsamples
 from .ray import lenses_fill_bins

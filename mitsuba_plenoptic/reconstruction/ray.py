@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from .. import rays
 from ..camera import PlenopticCamera
-from ..depth_of_field import lens_footprint, pixel_footprint
+from ..design import lens_footprint, pixel_footprint
+from ..optics import rays
 from ._binning import AxisBins, axis_bins, bin_image
 from ._splatting import splat
 
@@ -26,7 +26,7 @@ def reconstruct_ray(
     goes to one bin; with ``"lens"`` it is spread over the places that the rays through the whole lens meet, because the
     pixel has integrated over the lens: this leaves no grid pattern out of focus. For an unfocused camera that is about
     one bin. Where a focused one is sharp, those places are one point, and what the pixel itself covers is wider: the
-    pixel is spread over the wider of the two (see `mitsuba_plenoptic.depth_of_field`; their convolution is what it has
+    pixel is spread over the wider of the two (see `mitsuba_plenoptic.design`; their convolution is what it has
     integrated over, but once more on the way back that would only blur).
 
     For an unfocused camera with pixels and bins arranged alike, on an upright square lattice without gaps, this is done

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from .._exr import write_exr
 from ..camera import PlenopticCamera
+from ..io.exr import write_exr
 
 
 @dataclass(frozen=True, eq=False)

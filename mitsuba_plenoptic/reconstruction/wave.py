@@ -9,7 +9,7 @@ import numpy as np
 import scipy.signal
 
 from ..camera import PlenopticCamera
-from ..depth_of_field import lens_footprint
+from ..design import lens_footprint
 from ._plan import Plan, plan
 from .coherent import lit_window, reconstruct_subsets
 from .lens_by_lens import Tile, is_aligned, reconstruct_lens_by_lens, tile_lenses, white_power, white_throughput

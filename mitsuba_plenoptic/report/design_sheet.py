@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from ..camera import PlenopticCamera, image_distance
-from ..depth_of_field import depth_ranges, effective_resolution, lenses_across, suitable_oversample
+from ..design import depth_ranges, effective_resolution, lenses_across, suitable_oversample
 from ..errors import InputError
 
 

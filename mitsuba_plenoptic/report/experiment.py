@@ -11,10 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..capture import Capture
+from ..capture.render import render_capture
+from ..capture.scene import load_scene, scene_path
 from ..errors import InputError
+from ..io.captures import Capture
 from ..reconstruction import Reconstruction, reconstruct
-from ..rendering import DEFAULT_VARIANT, load_scene, render_capture, scene_path, set_variant
+from ..runtime.variant import DEFAULT_VARIANT, set_variant
 from .referee import pinhole_image, thin_lens_image
 from .stages import Finished, Notify, Progress, StageStore, scene_fingerprint
 

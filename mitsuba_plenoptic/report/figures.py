@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 
 from ..camera import PlenopticCamera
-from ..files import atomic_output
+from ..io.files import atomic_output
 from .experiment import METHODS, TITLES, Experiment
 from .images import shrink, to_bytes
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ..files import atomic_output
+from ..io.files import atomic_output
 from .claims import Claim
 from .design_sheet import design_sheet, design_warnings
 from .experiment import SLIDER_METHODS, TITLES, Experiment

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from ..errors import InputError
-from ..files import atomic_output, require_writable
+from ..io.files import atomic_output, require_writable
 from ..reconstruction import Reconstruction, write_reconstruction
 
 SUFFIXES = (".exr", ".png")

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from .._exr import write_exr_parts
 from ..errors import InputError
-from ..files import require_writable
+from ..io.exr import write_exr_parts
+from ..io.files import require_writable
 from ..lightfield.views import view_mosaic
 from .images import SUFFIXES, write_png
 

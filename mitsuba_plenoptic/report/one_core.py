@@ -9,10 +9,10 @@ import sys
 import time
 from pathlib import Path
 
-from ..capture import read_capture
 from ..errors import InputError
+from ..io.captures import read_capture
 from ..reconstruction import reconstruct
-from ..rendering import set_variant
+from ..runtime.variant import set_variant
 from .experiment import METHODS
 
 # The methods of the paper's comparison.

@@ -18,12 +18,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from .._exr import read_exr, write_exr
-from ..capture import Capture, read_capture, write_capture
-from ..checkpoint import SUFFIX, Checkpoint, Existing
 from ..errors import InputError
-from ..files import atomic_output
-from ..software import software as versions
+from ..io.captures import Capture, read_capture, write_capture
+from ..io.checkpoints import SUFFIX, Checkpoint, Existing
+from ..io.exr import read_exr, write_exr
+from ..io.files import atomic_output
+from ..runtime.software import software as versions
 
 Value = TypeVar("Value")
 Progress = Callable[[int, int], None]

@@ -17,12 +17,14 @@ import numpy as np
 import xarray as xr
 
 from ..camera import PlenopticCamera, image_distance
-from ..capture import Capture
+from ..capture.render import render_capture
+from ..capture.scene import load_scene, scene_path
 from ..errors import InputError, require_number
-from ..files import atomic_output, remove_leftovers, require_file, require_writable
-from ..propagation.batches import BatchMap
+from ..io.captures import Capture
+from ..io.files import atomic_output, remove_leftovers, require_file, require_writable
 from ..reconstruction import METHODS, reconstruct
-from ..rendering import DEFAULT_VARIANT, load_scene, render_capture, scene_path, set_variant
+from ..runtime.batches import BatchMap
+from ..runtime.variant import DEFAULT_VARIANT, set_variant
 from .stages import Finished, Notify, Progress, StageStore, scene_fingerprint, software
 
 # Names of the grid that are not parameters of the scene.

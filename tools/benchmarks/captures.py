@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mitsuba_plenoptic import cli, load_scene
-from mitsuba_plenoptic.propagation.fft import worker_count
+from mitsuba_plenoptic.runtime.fft import worker_count
 
 from .table import Row, on_cores, peak_memory, side_by_side
 

@@ -10,8 +10,8 @@ import mitsuba as mi
 import numpy as np
 
 from mitsuba_plenoptic import load_scene, reconstruct, render_capture
-from mitsuba_plenoptic._backend import Backend, backend
-from mitsuba_plenoptic.propagation import propagate
+from mitsuba_plenoptic.optics.free_space import propagate
+from mitsuba_plenoptic.runtime.backend import Backend, backend
 
 from .reconstructions import PAPER_SECONDS
 from .steps import DISTANCE, PITCH, WAVELENGTH, beam

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, reconstruct, render_capture
-from mitsuba_plenoptic.propagation import incoherent_sum, propagate
-from mitsuba_plenoptic.propagation.accuracy import DEFAULT_ACCURACY
-from mitsuba_plenoptic.propagation.fft import worker_count
+from mitsuba_plenoptic.capture.accuracy import DEFAULT_ACCURACY
+from mitsuba_plenoptic.capture.incoherent import incoherent_sum
+from mitsuba_plenoptic.optics.free_space import propagate
+from mitsuba_plenoptic.runtime.fft import worker_count
 
 from .steps import beam
 from .table import Row, on_cores, peak_memory

@@ -14,12 +14,12 @@ import numpy as np
 import scipy.fft
 
 from mitsuba_plenoptic import PlenopticCamera, load_scene
-from mitsuba_plenoptic.plugins._radiators import find_radiators, sample_pairs
-from mitsuba_plenoptic.propagation.accuracy import DEFAULT_ACCURACY
-from mitsuba_plenoptic.propagation.batches import Threads
-from mitsuba_plenoptic.propagation.fft import resting_drjit
-from mitsuba_plenoptic.propagation.incoherent import _add_up, _PatchSum, estimate_cost, incoherent_sum
-from mitsuba_plenoptic.propagation.patch import PatchBatch, Workspace, _blocks
+from mitsuba_plenoptic.capture.accuracy import DEFAULT_ACCURACY
+from mitsuba_plenoptic.capture.incoherent import _add_up, _PatchSum, estimate_cost, incoherent_sum
+from mitsuba_plenoptic.capture.patch import PatchBatch, Workspace, _blocks
+from mitsuba_plenoptic.capture.radiators import find_radiators, sample_pairs
+from mitsuba_plenoptic.runtime.batches import Threads
+from mitsuba_plenoptic.runtime.fft import resting_drjit
 
 from .table import Row, side_by_side
 

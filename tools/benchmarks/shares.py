@@ -6,8 +6,9 @@ import cProfile
 import pstats
 from typing import Any
 
-from mitsuba_plenoptic.propagation import batches, fft, incoherent, patch
-from mitsuba_plenoptic.propagation.accuracy import DEFAULT_ACCURACY
+from mitsuba_plenoptic.capture.accuracy import DEFAULT_ACCURACY
+from mitsuba_plenoptic.io.captures import incoherent, patch
+from mitsuba_plenoptic.runtime import batches, fft
 
 from .point_spreads import WAVELENGTH, radiators
 from .table import Row, on_cores

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import scipy.fft
 
-from mitsuba_plenoptic.propagation import propagate
-from mitsuba_plenoptic.propagation.fft import resting_drjit, worker_count
+from mitsuba_plenoptic.optics.free_space import propagate
+from mitsuba_plenoptic.runtime.fft import resting_drjit, worker_count
 
 from .table import Row, on_cores, side_by_side
 

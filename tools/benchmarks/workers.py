@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mitsuba_plenoptic.distributed import Cluster
-from mitsuba_plenoptic.propagation.batches import BatchMap, Threads
-from mitsuba_plenoptic.propagation.incoherent import incoherent_sum
+from mitsuba_plenoptic.capture.incoherent import incoherent_sum
+from mitsuba_plenoptic.runtime.batches import BatchMap, Threads
+from mitsuba_plenoptic.runtime.cluster import Cluster
 
 from .point_spreads import WAVELENGTH, radiators
 from .table import Row, side_by_side

@@ -20,7 +20,8 @@ from mitsuba_plenoptic import (
     reconstruct,
     render_capture,
 )
-from mitsuba_plenoptic.interchange import write_lftoolbox, write_mosaic
+from mitsuba_plenoptic.capture.incoherent import incoherent_sum
+from mitsuba_plenoptic.capture.scene import set_variant
 from mitsuba_plenoptic.lightfield import (
     FourierRefocuser,
     LensGrid,
@@ -34,8 +35,7 @@ from mitsuba_plenoptic.lightfield import (
     view,
     white_image,
 )
-from mitsuba_plenoptic.propagation.incoherent import incoherent_sum
-from mitsuba_plenoptic.rendering import set_variant
+from mitsuba_plenoptic.lightfield.exchange import write_lftoolbox, write_mosaic
 
 from . import cameras, corpus
 from .cases import Case

@@ -12,8 +12,8 @@ import OpenEXR
 import xarray as xr
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, decode, reconstruct, write_capture
-from mitsuba_plenoptic.interchange import write_lftoolbox, write_mosaic
 from mitsuba_plenoptic.lightfield import white_image
+from mitsuba_plenoptic.lightfield.exchange import write_lftoolbox, write_mosaic
 from mitsuba_plenoptic.reconstruction import write_reconstruction
 from mitsuba_plenoptic.report.light_fields import write_views
 

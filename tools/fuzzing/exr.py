@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from mitsuba_plenoptic import decode, read_capture, reconstruct
-from mitsuba_plenoptic._exr import ATTRIBUTE
 from mitsuba_plenoptic.camera import LATER
+from mitsuba_plenoptic.io.exr import ATTRIBUTE
 
 from . import cameras, corpus
 from .cases import Case

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 import scipy.io
 
-from mitsuba_plenoptic.interchange import open_light_field
+from mitsuba_plenoptic.lightfield.exchange import open_light_field
 
 from . import corpus
 from .cases import Case

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_plenoptic import checkpoint as checkpoints
 from mitsuba_plenoptic import render_capture
-from mitsuba_plenoptic.checkpoint import Checkpoint
+from mitsuba_plenoptic.io import checkpoints as checkpoints
+from mitsuba_plenoptic.io.checkpoints import Checkpoint
 from mitsuba_plenoptic.report.sweep import check_grid, merge_grids, parse_grid, read_grid
 
 from . import arrays, corpus

@@ -1,0 +1,84 @@
+"""What an allowed error of an image permits: how much light to cut, and how unlike wavefronts may be that count as one.
+
+The two rules are fitted to captures of walls and scenes by the camera of the paper, measured against images in which
+nothing is shared and nothing but the last 0.1 % of the light is cut (`tools/benchmark.py --only sharing`).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import InputError, require_number
+from ..optics.rays import conjugate_coordinate
+from .patch import Band
+
+DEFAULT_ACCURACY = 0.01
+"""Relative error, L2 over the image, that is allowed unless told."""
+
+_BANDS = ((0.004, Band(2.5, 110)), (0.02, Band(1.8, 60)), (1.0, Band(1.5, 45)))
+"""Bands, each with the allowed error of many radiators below which it is used."""
+
+_FEW = 512
+"""Radiators up to which the light that is cut does not average out."""
+
+_FEW_STRICTER = 5.0
+
+_WAVES_PER_ERROR = 10.0
+"""Waves across one microlens by which wavefronts may differ, over the allowed error of the sum of many."""
+
+_NEIGHBOURHOOD = 25
+"""Lenses whose radiators' point spreads overlap, about."""
+
+_MANY = 1600
+"""Overlapping point spreads from which on the allowed error is reached by `_WAVES_PER_ERROR`."""
+
+
+def check_accuracy(accuracy: Any, name: str = "accuracy") -> float:
+    """Return an allowed error as a float.
+
+    Raises
+    ------
+    InputError
+        If it is not a number from 0 to below 1.
+    """
+    number = require_number(name, accuracy)
+    if not 0 <= number < 1:
+        raise InputError(f"{name} = {accuracy!r}: it must be from 0 (exact) to below 1")
+    return number
+
+
+def band_for(accuracy: float, count: int) -> Band:
+    """Choose how much of the diffracted light to keep for an allowed error of the sum of some radiators."""
+    allowed = accuracy / _FEW_STRICTER if count <= _FEW else accuracy
+    return next(band for limit, band in _BANDS if allowed < limit)
+
+
+def wavefront_step(accuracy: float, camera: PlenopticCamera, positions: NDArray[np.float64]) -> float:
+    """Choose by how much wavefronts that count as one may differ across a microlens, in waves.
+
+    The errors of point spreads that overlap average out, so fewer of them must each be truer.
+
+    Parameters
+    ----------
+    accuracy : float
+        Allowed error.
+    camera : PlenopticCamera
+        The camera.
+    positions : float64 array (n, 3)
+        Scene points in the camera frame.
+
+    Returns
+    -------
+    float
+        0 if nothing may be shared.
+    """
+    if not len(positions):
+        return 0.0
+    image = conjugate_coordinate(positions[:, :2], positions[:, 2:], camera.mla_distance)
+    lenses = np.unique(np.floor(image / camera.mla_pitch), axis=0)
+    overlap = min(len(positions), _NEIGHBOURHOOD * len(positions) / len(lenses))
+    return accuracy * _WAVES_PER_ERROR * min(1.0, (overlap / _MANY) ** 0.5)

@@ -1,0 +1,348 @@
+r"""The field of one scene point through the whole camera, without shortcuts: the referee of the other routes.
+
+Behind the main lens, at the pupil point P, a point source at X has the field
+
+.. math:: U(P) = \frac{g}{|P - X|^2} \exp\left(i k \left(|P - X| - \frac{P^2}{2 f_1}\right)\right)
+
+(the first Rayleigh-Sommerfeld solution of a point source and a thin parabolic lens: Goodman, "Introduction to
+Fourier Optics", sections 3.5 and 5.1). It goes to the MLA by its angular spectrum, through the microlenses by
+:math:`\exp(-i \pi |m - c|^2 / \lambda f_2)` in each cell, and to the detector by its angular spectrum.
+
+Sampling: while the half widths of pupil and destination together fit the window, no band limit but the
+evanescent one is needed (Matsushima and Shimobaba 2009, "Band-limited angular spectrum method"). The pitch holds
+the steepest rays. The intensity has twice the field's bandwidth, so the grid is doubled before squaring; a
+pixel's integral is the intensity's spectrum times the sinc of the pixel.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import InputError
+from ..optics import guards
+from ..optics.free_space import advance
+from ..optics.microlenses import is_separable, plane_transmission, transmission, transmission_table
+from ..optics.sampling import check_memory, fast_length, footprint, in_millimetres, pupil_turns, scattered_cosine
+from ..runtime.backend import backend
+from ..runtime.fft import Field, as_field, fft, fft2, irfft, pack, resting_drjit, rfft
+from ..runtime.indexing import quotient
+
+_WINDOW_MARGIN = 1.2
+"""Window over what it must hold, on the way to the MLA."""
+
+_BLOCK = 512
+
+_PUPIL_BAND = 1.5
+"""Sampled directions on the way to the MLA over the steepest ray: the pupil's edge diffracts beyond that."""
+
+_KEPT_ORDERS = 3.3
+"""Steepest order of the microlenses that is kept, over the slope at a microlens's edge."""
+
+
+@dataclass(frozen=True)
+class SampledField:
+    r"""A complex field on a square grid in a plane of the camera.
+
+    Attributes
+    ----------
+    samples : complex64 array (rows, columns)
+        Scaled so that the sum of squared moduli times the squared pitch is the fraction of the power through
+        the pupil. Without the carrier :math:`\exp(i k d)` of the path from the main lens.
+    origin : (float, float)
+        Camera-frame x and y of the first sample, in millimetres.
+    pitch : float
+        Distance between samples in millimetres.
+    """
+
+    samples: Field
+    origin: tuple[float, float]
+    pitch: float
+
+    @property
+    def power(self) -> float:
+        """Fraction of the power through the pupil that is on the grid."""
+        return float(np.sum(np.abs(self.samples) ** 2, dtype=np.float64)) * self.pitch**2
+
+
+@dataclass(frozen=True)
+class PointFields:
+    """Fields of one scene point in the planes of the camera: behind the pupil, before the MLA, on the detector."""
+
+    pupil: SampledField
+    mla: SampledField
+    detector: SampledField
+
+
+@dataclass(frozen=True)
+class _Grids:
+    """Sizes and places of the grids; pairs are along x and y."""
+
+    pitch: float  # after the MLA: a whole fraction of a pixel
+    per_pixel: int
+    wide_origin: tuple[float, float]  # of the window that holds pupil, image and detector
+    wide_pupil: int  # samples across it, at the pupil's pitch
+    wide_mla: int  # samples across it, at the MLA's pitch
+    offset: tuple[int, int]  # of the detector's window in it, in samples of the MLA
+    count: tuple[int, int]  # samples of the detector's window
+    bend: float  # largest change of direction cosine by a microlens that the grid holds
+    margin: int  # pixels of the detector's window before the first recorded one
+
+
+def full_field(
+    camera: PlenopticCamera,
+    position: NDArray[np.float64],
+    wavelength: float,
+    *,
+    microlenses: bool = True,
+    refinement: float = 1.0,
+    growth: float = 1.0,
+) -> NDArray[np.float32]:
+    """Integrate one scene point's intensity over the recorded pixels.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    position : float64 array (3,)
+        Scene point (X, Y, g) in the camera frame, checked.
+    wavelength : float
+        Wavelength in nanometres, checked.
+    microlenses : bool
+        Whether the microlenses are there.
+    refinement, growth : float
+        Factors on the sampling density and on the window's margins, to test convergence.
+
+    Returns
+    -------
+    float32 array (rows, columns)
+        Fractions of the power through the pupil.
+
+    Raises
+    ------
+    InputError
+        If the grids would need too much memory.
+    """
+    grids = _grids(camera, position, wavelength, refinement, growth)
+    mla = _at_mla(camera, wavelength, grids, _pupil_field(camera, position, wavelength, grids))
+    spectrum = _detector_spectrum(camera, wavelength, grids, mla.samples, microlenses)
+    del mla
+    dr.flush_malloc_cache()
+    return backend().to_host(_pixel_integrals(camera, spectrum, grids))
+
+
+def point_fields(
+    camera: PlenopticCamera, position: NDArray[np.float64], wavelength: float, *, microlenses: bool = True
+) -> PointFields:
+    """Propagate one scene point's field, as `full_field` does, and keep it at every plane.
+
+    Raises
+    ------
+    InputError
+        If the grids would need too much memory.
+    """
+    grids = _grids(camera, position, wavelength, 1.0, 1.0)
+    pupil = _pupil_field(camera, position, wavelength, grids)
+    mla = _at_mla(camera, wavelength, grids, pupil)
+    spectrum = _detector_spectrum(camera, wavelength, grids, mla.samples.copy(), microlenses)
+    with resting_drjit():
+        detector = fft2(spectrum, inverse=True)
+    planes = (pupil, mla, SampledField(detector, mla.origin, mla.pitch))
+    return PointFields(*(SampledField(backend().to_host(p.samples), p.origin, p.pitch) for p in planes))
+
+
+def _grids(
+    camera: PlenopticCamera,
+    position: NDArray[np.float64],
+    wavelength: float,
+    refinement: float,
+    growth: float,
+) -> _Grids:
+    p, lam = camera.pixel_size, in_millimetres(wavelength)
+    image = footprint(camera, position[None])
+    place, half_width = image.centre[0], image.half_width[0]
+    steepest = float((np.abs(image.cosine[0]) + image.half_cosine[0]).max())
+    bent = steepest + scattered_cosine(camera) * _KEPT_ORDERS
+    per_pixel = max(1, math.ceil(p * 2 * bent * refinement / lam))
+    pitch = p / per_pixel
+    # The recorded window on the detector, with room for light that walks sideways between MLA and detector.
+    reach = growth * camera.detector_distance * bent / math.sqrt(max(1e-3, 1 - bent**2))
+    margin = math.ceil(reach / p)
+    width = np.array([camera.detector_width, camera.detector_height])
+    pixels = [fast_length(size + 2 * margin) for size in camera.crop_size]
+    start = -width / 2 + (np.array(camera.crop_offset) - margin) * p
+    # The window of the way to the MLA, square and on the same grid of pixels.
+    low = np.minimum(-camera.aperture_radius, np.minimum(place - half_width, start))
+    high = np.maximum(camera.aperture_radius, np.maximum(place + half_width, start + np.array(pixels) * p))
+    wide = fast_length(_WINDOW_MARGIN * growth * float((high - low).max()) / pitch + per_pixel, per_pixel)
+    before = np.floor((start - (low + high - wide * pitch) / 2) / p).astype(int)
+    coarse = min(wide, fast_length(wide * pitch * 2 * _PUPIL_BAND * steepest * refinement / lam))
+    detector_samples = pixels[0] * pixels[1] * per_pixel**2
+    check_memory(
+        # at the pupil, on the way to the MLA, or with the doubled grid of the detector
+        8.0 * max(4 * coarse**2, 2 * coarse**2 + pixels[1] * per_pixel * coarse, 5 * detector_samples)
+        + 32.0 * _BLOCK * wide,
+        f"full field of position = ({position[0]:g}, {position[1]:g}, {position[2]:g})",
+    )
+    return _Grids(
+        pitch=pitch,
+        per_pixel=per_pixel,
+        wide_origin=(float(start[0] - before[0] * p), float(start[1] - before[1] * p)),
+        wide_pupil=coarse,
+        wide_mla=wide,
+        offset=(int(before[0]) * per_pixel, int(before[1]) * per_pixel),
+        count=(pixels[0] * per_pixel, pixels[1] * per_pixel),
+        bend=lam / (2 * pitch) - steepest,
+        margin=margin,
+    )
+
+
+def _pupil_field(
+    camera: PlenopticCamera, position: NDArray[np.float64], wavelength: float, grids: _Grids
+) -> SampledField:
+    types = backend().types
+    count = grids.wide_pupil
+    pitch = grids.pitch * grids.wide_mla / count
+    index = dr.arange(types.UInt32, count * count)
+    row = quotient(types, index, count)
+    column = index - row * dr.opaque(types.UInt32, count)
+    step = dr.opaque(types.Float64, pitch)
+    Px = types.Float64(column) * step + dr.opaque(types.Float64, grids.wide_origin[0])
+    Py = types.Float64(row) * step + dr.opaque(types.Float64, grids.wide_origin[1])
+    X, Y, g = (dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
+    turns, length = pupil_turns(camera, Px, Py, X, Y, g, in_millimetres(wavelength))
+    sine, cosine = dr.sincos(types.Float(turns - dr.round(turns)) * (2 * math.pi))
+    # The edge is softened over one sample, so that it is round; the power is that of the hard edge.
+    cover = types.Float(dr.clip((camera.aperture_radius - dr.sqrt(Px * Px + Py * Py)) / step + 0.5, 0, 1))
+    bright = types.Float(g / (length * length))
+    power = dr.sum(types.Float64(bright * bright * cover))[0] * pitch**2
+    if not 0 < power < math.inf:
+        raise InputError(
+            f"aperture_radius = {camera.aperture_radius:g}: no light passes it on a grid of samples {pitch:g} apart"
+        )
+    field = types.Complex2f(cosine, sine) * (bright * cover / math.sqrt(power))
+    return SampledField(as_field(pack(field), (count, count)), grids.wide_origin, pitch)
+
+
+def _at_mla(camera: PlenopticCamera, wavelength: float, grids: _Grids, pupil: SampledField) -> SampledField:
+    """Propagate to the MLA, onto the finer grid there, and keep the detector's window."""
+    with resting_drjit():
+        spectrum = fft2(pupil.samples.copy())
+    guards.judge(guards.UNDERSAMPLED, guards.band_edge_share(spectrum))
+    spectrum = advance(spectrum, pupil.pitch, camera.mla_distance, wavelength)
+    (left, top), (columns, rows) = grids.offset, grids.count
+    arrays = backend().arrays
+    samples = arrays.empty((rows, columns), np.complex64)
+    with resting_drjit():
+        # axis by axis, so that rows and columns outside the spectrum and the window are never transformed
+        partial = arrays.empty((rows, spectrum.shape[1]), np.complex64)
+        rim, in_rim = guards.rim(grids.wide_mla), 0.0
+        for block in _blocks(spectrum.shape[1]):
+            tall = _interpolate(spectrum[:, block], grids.wide_mla, axis=0)
+            partial[:, block] = tall[top : top + rows]
+            in_rim += guards.power(tall[:rim]) + guards.power(tall[-rim:])
+        for block in _blocks(rows):
+            wide = _interpolate(partial[block], grids.wide_mla, axis=1)
+            samples[block] = wide[:, left : left + columns]
+    guards.judge_window(guards.share(in_rim, guards.power(spectrum) * grids.wide_mla / spectrum.shape[0] ** 2))
+    origin = (grids.wide_origin[0] + left * grids.pitch, grids.wide_origin[1] + top * grids.pitch)
+    return SampledField(samples, origin, grids.pitch)
+
+
+def _detector_spectrum(
+    camera: PlenopticCamera, wavelength: float, grids: _Grids, samples: Field, microlenses: bool
+) -> Field:
+    """Spectrum on the detector of the field that reaches the MLA, whose memory is used."""
+    if microlenses:
+        before = guards.power(samples)
+        if is_separable(camera):
+            along_x, along_y = map(backend().arrays.asarray, _microlens_phases(camera, wavelength, grids))
+            samples *= along_x[None, :]
+            samples *= along_y[:, None]
+        else:
+            _apply_plane(camera, wavelength, grids, samples)
+        # What lies between the lenses stops light rightly.
+        if before and camera.lattice.lens_area == camera.lattice.cell_area:
+            guards.judge(guards.MICROLENS, 1 - guards.power(samples) / before)
+    with resting_drjit():
+        spectrum = fft2(samples)
+    return advance(spectrum, grids.pitch, camera.detector_distance, wavelength)
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    """Cut a range into slices, so that what is made of each stays small."""
+    for start in range(0, count, _BLOCK):
+        yield slice(start, min(count, start + _BLOCK))
+
+
+def _interpolate(spectrum: Field, count: int, axis: int) -> Field:
+    """Transform a spectrum back along one axis onto `count` samples of the same window: zero-padded."""
+    size = spectrum.shape[axis]
+    shape = list(spectrum.shape)
+    shape[axis] = count
+    arrays = backend().arrays
+    padded = arrays.zeros(shape, np.complex64)
+    source, target = arrays.moveaxis(spectrum, axis, 0), arrays.moveaxis(padded, axis, 0)
+    positive = (size + 1) // 2
+    target[:positive] = source[:positive]
+    target[count - (size - positive) :] = source[positive:]
+    padded *= np.float32(count / size)
+    return fft(padded, axis=axis, inverse=True)
+
+
+def _microlens_phases(camera: PlenopticCamera, wavelength: float, grids: _Grids) -> tuple[NDArray[np.complex64], ...]:
+    """Transmission of the microlenses along x and along y; the whole is their product."""
+    table = transmission_table(camera, wavelength, grids.bend)
+    return tuple(
+        transmission(camera, table, start + (offset + np.arange(count)) * grids.pitch, axis)
+        for axis, (start, offset, count) in enumerate(zip(grids.wide_origin, grids.offset, grids.count, strict=True))
+    )
+
+
+def _apply_plane(camera: PlenopticCamera, wavelength: float, grids: _Grids, samples: Field) -> None:
+    """Multiply a field by the transmission of microlenses that are no product of two axes."""
+    types = backend().types
+    lenses = plane_transmission(camera, wavelength, grids.bend)
+    left, top = (start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
+    columns = grids.count[0]
+    for block in _blocks(grids.count[1]):
+        index = dr.arange(types.UInt32, (block.stop - block.start) * columns)
+        row = quotient(types, index, columns)
+        x = types.Float64(index - row * columns) * grids.pitch + dr.opaque(types.Float64, left)
+        y = types.Float64(row) * grids.pitch + dr.opaque(types.Float64, top + block.start * grids.pitch)
+        samples[block] *= as_field(pack(lenses.at(x, y)), (block.stop - block.start, columns))
+
+
+def _pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: _Grids) -> NDArray[np.float32]:
+    """Integrate the intensity over the recorded pixels, exactly for the band-limited field."""
+    arrays = backend().arrays
+    height, width = camera.shape
+    with resting_drjit():
+        partial = _interpolate(spectrum, 2 * spectrum.shape[0], axis=0)
+        rows = arrays.empty((partial.shape[0], width), np.float32)
+        for block in _blocks(partial.shape[0]):
+            parts = _interpolate(partial[block], 2 * partial.shape[1], axis=1).view(np.float32)
+            arrays.multiply(parts, parts, out=parts)
+            rows[block] = _along_pixels(parts[:, 0::2] + parts[:, 1::2], grids, width)
+        del partial
+        psf = arrays.empty((height, width), np.float32)
+        for block in _blocks(width):
+            psf[:, block] = _along_pixels(arrays.ascontiguousarray(rows[:, block].T), grids, height).T
+    return psf
+
+
+def _along_pixels(intensity: NDArray[np.float32], grids: _Grids, count: int) -> NDArray[np.float32]:
+    """Integrate rows of the doubled grid over the recorded pixels, by their spectrum times the pixel's sinc."""
+    size, per_pixel = intensity.shape[1], 2 * grids.per_pixel
+    spectrum = rfft(intensity, axis=1)
+    pixel = np.sinc(np.fft.rfftfreq(size) * per_pixel) * per_pixel * grids.pitch / 2
+    spectrum *= backend().arrays.asarray(pixel.astype(np.float32))
+    integrals = irfft(spectrum, size, axis=1)
+    first = grids.margin * per_pixel + grids.per_pixel
+    return integrals[:, first::per_pixel][:, :count]

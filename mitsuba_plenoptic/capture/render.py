@@ -1,0 +1,198 @@
+"""From a scene to a capture, by rays or by waves."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Callable
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ..camera import PlenopticCamera
+from ..errors import InputError, require_count
+from ..io.captures import MODELS, Capture
+from ..io.checkpoints import Checkpoint
+from ..optics import guards
+from ..runtime.backend import one_at_a_time
+from ..runtime.batches import BatchMap
+from ..runtime.limits import largest_fitting, require_memory
+from .scene import mitsuba_sentence
+
+# Rays traced at once: their random states take 16 bytes each, so that the paper's 4096 x 4096 pixels with one
+# sample each stay at 0.25 GiB beside the film.
+_RAYS_PER_PASS = 2**24
+
+MOST_SAMPLES = 2**24
+"""Samples per pixel, and light paths per radiator, at most."""
+
+# Bytes a pixel while a film is rendered: its block of red, green, blue and weight, what is developed of it, the copy
+# of that, and the sum of passes, each of up to four numbers.
+_PIXEL_BYTES = 4 * 4 * 4
+_RAY_BYTES = 16
+
+
+@one_at_a_time
+def render_capture(
+    scene: Any,
+    *,
+    model: str | None = None,
+    spp: int | None = None,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+    checkpoint: Checkpoint | None = None,
+    batch_map: BatchMap | None = None,
+    **wave: Any,
+) -> Capture:
+    """Render what the scene's first sensor, a plenoptic camera, records.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        A scene with a sensor of type ``plenoptic``.
+    model : {"ray", "wave"}, optional
+        How light is propagated through the camera: ``wave`` makes the scene's integrator the child of a
+        ``plenoptic_wave``, ``ray`` takes it out of one. Default: as the scene's integrator has it.
+    spp : int, optional
+        Samples per pixel, or by waves light paths per radiator. Default: those of the sensor's sampler.
+    seed : int
+        Seed of the random numbers; the same seed gives the same bits, on any number of threads and in any process.
+    progress : callable, optional
+        Called with what is done and how much there is: samples per pixel or, by waves, radiators.
+    checkpoint : Checkpoint, optional
+        By waves: what has been done is kept in its file, and taken from there. Rays are too quick to need one.
+    batch_map : callable, optional
+        By waves: computes the parts of the sums, for example `distributed.Cluster`. Default: threads of this process.
+    **wave
+        Parameters of ``plenoptic_wave``: ``wavelength``, ``radiators_per_lens``, ``passes``, ``method``,
+        ``occlusion``, ``accuracy``.
+
+    Raises
+    ------
+    InputError
+        If the scene is not of the active variant, has no plenoptic sensor or no integrator, a parameter is out of
+        range, the capture would take more memory than is allowed, or a pixel comes out as NaN or infinity.
+    PhysicsError
+        If too much of the light is lost; the shares that the guards found are in the metadata under ``guards``.
+    """
+    if not isinstance(scene, mi.Scene):
+        raise InputError(
+            f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant {mi.variant()}, "
+            "which is one for the whole process: load the scene after mi.set_variant"
+        )
+    if not scene.sensors():
+        raise InputError("scene: it has no sensor; add one of type 'plenoptic'")
+    sensor = scene.sensors()[0]
+    camera = PlenopticCamera.from_sensor(sensor)
+    integrator = _integrator(scene, model, wave)
+    if integrator.aov_names():
+        raise InputError(
+            f"integrator: it has the extra outputs {', '.join(integrator.aov_names())}; a capture needs one without"
+        )
+    spp = require_count("spp", sensor.sampler().sample_count() if spp is None else spp, maximum=MOST_SAMPLES)
+    seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
+    wavelengths = getattr(integrator, "wavelengths", None)
+    _require_film_memory(camera, spp)
+    metadata = _provenance(scene, integrator, seed=seed, spp=spp)
+    with guards.watch() as shares:
+        if wavelengths is None:
+            if batch_map:
+                raise InputError("batch_map: workers are of use for model 'wave' only")
+            guards.judge(guards.CROSSTALK, sensor.crosstalk_missed())
+            image = _render_passes(scene, sensor, integrator, camera, spp, seed, progress)
+        else:
+            if checkpoint:
+                checkpoint.run = {**metadata, "camera": camera.to_dict()}
+            integrator.progress, integrator.checkpoint, integrator.batch_map = progress, checkpoint, batch_map
+            image = np.array(integrator.render(scene, sensor, seed=seed, spp=spp))
+    metadata["guards"] = shares
+    if image.shape[2] == 1:
+        image = image[..., 0]
+    elif image.shape[2] != 3:
+        raise InputError(
+            f"film: it has {image.shape[2]} channels; a capture needs pixel_format 'luminance' or 'rgb' and an "
+            "integrator without extra outputs"
+        )
+    if wavelengths is None:
+        return Capture(image, camera, None, "ray", metadata)
+    if len(set(wavelengths)) == 1:
+        return Capture(image, camera, wavelengths[0], "wave", metadata)
+    # A film of luminance adds the three up, and no wavelength is left to tell.
+    return Capture(image, camera, wavelengths if image.ndim == 3 else None, "wave", metadata)
+
+
+def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
+    """Give the scene's integrator, wrapped into a wave integrator or taken out of one."""
+    integrator = scene.integrator()
+    if integrator is None:
+        raise InputError("scene: it has no integrator; add one, for example of type 'path'")
+    if model is not None and model not in MODELS:
+        raise InputError(f"model = {model!r}: it must be one of {', '.join(MODELS)}")
+    is_wave = hasattr(integrator, "wavelengths")
+    if not is_wave and model != "wave":
+        if wave:
+            raise InputError(f"{', '.join(wave)}: of use for model 'wave' only")
+        return integrator
+    if model == "ray":
+        return integrator.child
+    if is_wave and not wave:
+        return integrator
+    own = integrator.parameters() if is_wave else {}
+    child = integrator.child if is_wave else integrator
+    try:
+        return mi.load_dict({"type": "plenoptic_wave", **own, **wave, "child": child})
+    except RuntimeError as error:
+        raise InputError(mitsuba_sentence(error)) from None
+
+
+def _require_film_memory(camera: PlenopticCamera, spp: int) -> None:
+    """Refuse a film too large to render, before Mitsuba allocates it."""
+    rows, columns = camera.shape
+
+    def memory(width: int) -> float:
+        pixels = float(width) * max(1, round(width * rows / columns))
+        return _PIXEL_BYTES * pixels + _RAY_BYTES * max(min(_RAYS_PER_PASS, pixels * spp), pixels)
+
+    def fitting(limit: float) -> str | None:
+        width = largest_fitting(memory, limit, columns)
+        return f"{width} x {max(1, round(width * rows / columns))} pixels" if width else None
+
+    require_memory(memory(columns), f"capture of {columns} x {rows} pixels", fitting)
+
+
+def _render_passes(
+    scene: Any,
+    sensor: Any,
+    integrator: Any,
+    camera: PlenopticCamera,
+    spp: int,
+    seed: int,
+    progress: Callable[[int, int], None] | None,
+) -> np.ndarray:
+    """Render in passes whose memory does not grow with the number of samples."""
+    per_pass = min(spp, max(1, _RAYS_PER_PASS // (camera.shape[0] * camera.shape[1])))
+    # Seeds of neighbouring runs must not share passes, or their average would be no better than either.
+    seeds = np.random.SeedSequence(seed).generate_state(-(-spp // per_pass))
+    image = np.zeros(())
+    for index, pass_seed in enumerate(seeds):
+        count = min(per_pass, spp - index * per_pass)
+        # `integrator.render` rather than `mi.render`, which hides the cause of an error.
+        part = np.array(integrator.render(scene, sensor, seed=int(pass_seed), spp=count, develop=True))
+        part *= count / spp
+        image = np.add(image, part, out=image) if index else part
+        if progress:
+            progress(min((index + 1) * per_pass, spp), spp)
+    return image
+
+
+def _provenance(scene: Any, integrator: Any, **settings: Any) -> dict[str, Any]:
+    """Say what a capture was made with."""
+    packages = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy")
+    return {
+        "scene": scene.id(),
+        "variant": mi.variant(),
+        "integrator": getattr(integrator, "child", integrator).class_name(),
+        **(integrator.parameters() if hasattr(integrator, "parameters") else {}),
+        "software": {name: importlib.metadata.version(name) for name in packages},
+        **settings,
+    }

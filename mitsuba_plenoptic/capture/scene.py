@@ -1,0 +1,100 @@
+"""Loading scenes: files, and those that come with the package."""
+
+from __future__ import annotations
+
+import importlib.resources
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+
+from ..errors import InputError
+from ..io.files import require_file
+from ..runtime.backend import one_at_a_time
+from ..runtime.variant import set_variant
+from .scene_file import check_scene_file
+
+
+def scene_path(name: str) -> Path:
+    """Path of a scene that comes with the package, by its name without suffix.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name; the message lists those there are.
+    """
+    folder = Path(str(importlib.resources.files("mitsuba_plenoptic.scenes")))
+    path = folder / f"{name}.xml"
+    if path.name != f"{name}.xml" or not path.is_file():
+        names = ", ".join(sorted(p.stem for p in folder.glob("*.xml")))
+        raise InputError(f"scene = {name!r}: there is no such file, nor a built-in scene of that name ({names})")
+    return path
+
+
+@one_at_a_time
+def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Mapping[str, str] | None = None) -> Any:
+    """Load a scene file, or a built-in scene by its name.
+
+    Parameters
+    ----------
+    scene : str or path
+        An XML file or a built-in name such as ``letters``.
+    variant : str, optional
+        Mitsuba variant to set. Default: the active one, or ``llvm_ad_mono`` if none is.
+    parameters : mapping, optional
+        Values for the scene's ``$name`` parameters.
+
+    Returns
+    -------
+    mitsuba.Scene
+
+    Raises
+    ------
+    InputError
+        If there is no such scene or variant, it does what `scene_file` forbids, or Mitsuba
+        refuses the scene: one line with the place in the file.
+    """
+    path = _find(scene)
+    set_variant(variant)
+    parameters = {str(name): str(value) for name, value in (parameters or {}).items()}
+    check_scene_file(path, parameters)
+    text = path.read_text()
+    for name in parameters:
+        # Mitsuba takes a misspelled name in silence.
+        if f"${name}" not in text and "<include" not in text:
+            known = sorted(set(re.findall(r"<default\s+name=\"(\w+)\"", text)))
+            raise InputError(f"parameter {name}: the scene {path} has none of that name ({', '.join(known)})")
+    try:
+        # Mitsuba's optimisation lists merged shapes and emitters in an order that changes from run to run, and with
+        # it the random numbers that each gets.
+        loaded = mi.load_file(str(path), optimize=False, **parameters)
+    except InputError:
+        raise
+    except (RuntimeError, ValueError, TypeError) as error:
+        place = re.search(r"\b(line \d+(?:, col(?:umn)? \d+)?)", str(error))
+        raise InputError(f"{path}{f', {place.group(1)}' if place else ''}: {mitsuba_sentence(error)}") from None
+    # The name that captures carry in their metadata.
+    loaded.set_id(path.name)
+    return loaded
+
+
+def _find(scene: str | Path) -> Path:
+    """Tell the file of a scene, which a file's name or a built-in name means."""
+    text = str(scene)
+    if re.fullmatch(r"[\w-]{1,64}", text) and not Path(text).exists():
+        return scene_path(text)
+    return require_file(scene)
+
+
+def mitsuba_sentence(error: Exception) -> str:
+    """Shrink an error of Mitsuba's, which may hold a whole Python traceback, to what is wrong."""
+    text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    # A list of misspelled parameters stands below the sentence that says so.
+    start = max((i for i, line in enumerate(lines) if not line.startswith("- ")), default=0)
+    last = " ".join(lines[start:])
+    last = re.sub(r"^\[[\w.]+:\d+\] ", "", last)
+    last = re.sub(r"^(?:At|While loading|Error while loading) [^:]*?(?:\([^)]*\)|\"[^\"]*\"): ", "", last)
+    return re.sub(r"^(?:[\w.]+\.)?(?:InputError|RuntimeError|ValueError|TypeError|Exception): ", "", last)

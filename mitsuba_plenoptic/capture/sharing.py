@@ -1,0 +1,179 @@
+r"""Radiators that share one pattern by the symmetry of the microlens lattice.
+
+Move a scene point so that its image on the MLA moves by one lens: the pattern on the detector stays the same but
+for the aberrations of a thin lens far from the axis, and moves by one micro-image, :math:`D_2 (b + z) / b`. So
+radiators of the same wavefront at the same place of their lenses need one propagation for a zone of lenses.
+
+"The same" is a matter of what one microlens sees. Out of focus it sees a part of the pupil only, one of
+:math:`n = 2 a |\Delta b| / b D_2` across, and of a changed wavefront the changed tilt of this part, which moves its
+spot: for a change by :math:`\delta` waves at the pupil's edge :math:`4 \delta / n` waves across a lens, for an image
+that moves by :math:`\mu` :math:`\mu D_1 / \lambda b n`. So the farther from focus, the wider the steps of place and
+distance within which radiators share.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..optics.rays import conjugate_coordinate
+from ..optics.sampling import in_millimetres
+
+LARGEST_ZONE = 16
+"""Lenses along an axis over which patterns are shared at most; a power of two."""
+
+_LENS_PER_WAVE = 2.5
+"""Largest step of place, in lens pitches, over the allowed step of the wavefront in waves: the blur has an edge."""
+
+_ZONE_PER_WAVE = 0.6
+"""Width of a zone in steps of the wavefront from lens to lens, over the allowed one."""
+
+_OFF_LATTICE = 0.38196601
+"""Fraction of a step by which the bounds between steps are moved off the places that regular samples take."""
+
+
+@dataclass(frozen=True)
+class Patterns:
+    """Patterns, and which radiator takes which.
+
+    Attributes
+    ----------
+    positions : float64 array (patterns, 3)
+        The scene point that each is computed for.
+    zone : int array (patterns, 2)
+        First lens, along x and y, of the zone.
+    pattern : int array (n,)
+        For each radiator its pattern.
+    shift : int array (n, 2)
+        For each radiator the lenses, along x and y, from the pattern's place to its own.
+    """
+
+    positions: NDArray[np.float64]
+    zone: NDArray[np.int64]
+    pattern: NDArray[np.int64]
+    shift: NDArray[np.int64]
+
+
+def find_patterns(
+    camera: PlenopticCamera,
+    positions: NDArray[np.float64],
+    masks: NDArray[np.bool_] | None,
+    wavelength: float,
+    step: float,
+) -> Patterns:
+    """Find radiators that share patterns.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera in the frame of its lattice.
+    positions : float64 array (n, 3)
+        Scene points in that frame.
+    masks : bool array (n, m, m), optional
+        Visible cells of the pupil; only equal ones share.
+    wavelength : float
+        Wavelength in nanometres.
+    step : float
+        By how much wavefronts that count as the same may differ across a microlens, in waves; 0: nothing is shared.
+
+    Returns
+    -------
+    Patterns
+    """
+    g = positions[:, 2]
+    place = conjugate_coordinate(positions[:, :2], positions[:, 2:], camera.mla_distance)
+    image = _lattice_steps(camera, place)
+    if step == 0:
+        alone = np.zeros((len(positions), 2), np.int64)
+        return Patterns(positions, np.floor(image).astype(np.int64), np.arange(len(positions)), alone)
+    depth, parts = _depth_steps(camera, g, wavelength, step)
+    fine = np.floor(image * parts[:, None] + _OFF_LATTICE).astype(np.int64)
+    lens = fine // parts[:, None]
+    zone, size = _zones(camera, lens, wavelength, step)
+    keys = [zone, size[:, None], depth[:, None], fine - lens * parts[:, None]]
+    kinds = len(camera.mla_focal_lengths)
+    if kinds > 1:
+        kind = camera.lattice.lens_kind(*lens.T).astype(np.int64)
+        keys.append(kind[:, None])
+    if masks is not None:
+        packed = np.packbits(masks.reshape(len(masks), -1), axis=1)
+        keys.append(np.unique(packed, axis=0, return_inverse=True)[1].reshape(-1, 1))
+    _, first, pattern = np.unique(np.hstack(keys), axis=0, return_index=True, return_inverse=True)
+    pattern = pattern.reshape(-1)
+    # A pattern is computed for the mean of its radiators, in the middle lens of those that have it.
+    low, high = np.full((2, len(first), 2), np.iinfo(np.int64).max)
+    high = -high
+    np.minimum.at(low, pattern, lens)
+    np.maximum.at(high, pattern, lens)
+    middle = (low + high) // 2
+    if kinds > 1:
+        # the nearest lens of the same kind
+        off = kind[first] - camera.lattice.lens_kind(*middle.T).astype(np.int64)
+        middle[:, 0] += (off + 1) % kinds - 1
+    count = np.bincount(pattern)
+    place = np.column_stack([np.bincount(pattern, part) for part in (image - lens).T]) / count[:, None] + middle
+    distance = count / np.bincount(pattern, 1 / g)
+    scale = -camera.mla_pitch * distance / camera.mla_distance
+    position = _in_pitches(camera, place) * scale[:, None]
+    return Patterns(np.column_stack([position, distance]), zone[first], pattern, lens - middle[pattern])
+
+
+def _lattice_steps(camera: PlenopticCamera, place: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Express places on the MLA, (n, 2), in steps along the lattice vectors, the first of which is along x."""
+    (width, _), (aside, height) = camera.lattice.basis
+    x, y = (place - np.array(camera.mla_offset)).T
+    j = y / height
+    return np.stack([(x - j * aside) / width, j], axis=-1)
+
+
+def _in_pitches(camera: PlenopticCamera, steps: NDArray[Any]) -> NDArray[np.float64]:
+    """Express steps along the lattice vectors, (n, 2), as places on the MLA in pitches."""
+    basis, offset = np.array(camera.lattice.basis), np.array(camera.mla_offset)
+    return np.asarray(steps @ (basis / camera.mla_pitch) + offset / camera.mla_pitch)
+
+
+def _depth_steps(
+    camera: PlenopticCamera, g: NDArray[np.float64], wavelength: float, step: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the number of each distance's step, and into how many parts a lens is cut along an axis there."""
+    a, b, lam = camera.aperture_radius, camera.mla_distance, in_millimetres(wavelength)
+    defocus = a * a / (2 * lam) * (1 / camera.focal_length - 1 / g - 1 / b)
+    lenses_per_wave = 4 * b * lam / (a * camera.mla_pitch)
+    lenses = np.maximum(1, lenses_per_wave * np.abs(defocus))
+    # even where the blur is below one lens, logarithmic beyond
+    scale = np.where(lenses > 1, np.sign(defocus) * (1 + np.log(lenses)) / lenses_per_wave, defocus)
+    depth = np.floor(4 * scale / step + _OFF_LATTICE)
+    middle = np.abs(depth + 0.5 - _OFF_LATTICE) * step / 4 * lenses_per_wave
+    lenses = np.exp(np.maximum(0, middle - 1))
+    width = np.minimum(step * lam * b / (2 * a) * lenses / camera.mla_pitch, _LENS_PER_WAVE * step)
+    return depth.astype(np.int64), np.ceil(1 / width).astype(np.int64)
+
+
+def _zones(
+    camera: PlenopticCamera, lens: NDArray[np.int64], wavelength: float, step: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return first lens and size of each lens's zone, of as many steps along both lattice vectors.
+
+    In it the wavefront changes little enough. From lens to lens the path from a pupil of radius a to an image at r
+    changes by some a (a^2 + 3 r^2) D2 / 2 b^3.
+    """
+    a, b, pitch = camera.aperture_radius, camera.mla_distance, camera.mla_pitch
+    size = np.ones(len(lens), np.int64)
+    width = 2
+    while width <= LARGEST_ZONE:
+        first = lens // width * width
+        square = np.max(
+            [
+                ((_in_pitches(camera, first + np.array(corner) * width) * pitch) ** 2).sum(1)
+                for corner in ((0, 0), (0, 1), (1, 0), (1, 1))
+            ],
+            axis=0,
+        )
+        waves = a * (a * a + 3 * square) * pitch / (2 * b**3 * in_millimetres(wavelength))
+        size[width * waves <= _ZONE_PER_WAVE * step] = width
+        width *= 2
+    return lens // size[:, None] * size[:, None], size

@@ -1,0 +1,161 @@
+"""A capture: what a plenoptic camera's detector recorded, with the camera, on disk as OpenEXR."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..camera import PlenopticCamera, require_wavelength
+from ..errors import InputError, shown
+from .exr import read_exr, write_exr
+
+MODELS = ("ray", "wave")
+
+BRIGHTEST = 1e30
+"""Magnitude of a pixel at most: what is summed and squared of it stays within single precision's 3e38."""
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """What the detector of a plenoptic camera recorded.
+
+    Parameters
+    ----------
+    image : (rows, columns[, 1 or 3]) array
+        Pixel values, mean radiance over the aperture of the pixel's lens; kept as float32. All are finite and at most
+        1e30 in magnitude: a capture with NaN or infinity is never made, by whatever way its pixels come.
+    camera : PlenopticCamera
+        The camera; its `shape` is the image's.
+    wavelength : float or tuple of three floats, optional
+        Wavelength in nanometres, 1 to 1e6, one for all channels or one for each; None for a ray capture.
+    model : {"ray", "wave"}
+        How light was propagated.
+    metadata : dict
+        How it was made: scene, seed, samples, software versions. Plain JSON values.
+
+    Raises
+    ------
+    InputError
+        If the image does not fit the camera or holds a pixel that is not allowed, or the model, a wavelength or the
+        metadata is not a valid one.
+    """
+
+    image: np.ndarray
+    camera: PlenopticCamera
+    wavelength: float | tuple[float, ...] | None = None
+    model: str = "ray"
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.camera, PlenopticCamera):
+            raise InputError(f"camera = {shown(self.camera)}: it must be a PlenopticCamera")
+        image = as_array("image", self.image)
+        if image.dtype.kind not in "fiu":
+            raise InputError(f"image of type {image.dtype}: it must hold real numbers")
+        if image.ndim not in (2, 3) or image.shape[:2] != self.camera.shape:
+            raise InputError(
+                f"image of shape {image.shape}: the camera records {self.camera.shape[0]} rows and "
+                f"{self.camera.shape[1]} columns"
+            )
+        channels = image.shape[2] if image.ndim == 3 else 1
+        if channels not in (1, 3):
+            raise InputError(f"image of shape {image.shape}: a capture has 1 channel or 3")
+        require_pixels("image", image)
+        object.__setattr__(self, "image", np.asarray(image, dtype=np.float32))
+        if self.model not in MODELS:
+            raise InputError(f"model = {shown(self.model)}: it must be one of {', '.join(MODELS)}")
+        if isinstance(self.wavelength, (tuple, list)):
+            if len(self.wavelength) != channels:
+                raise InputError(f"wavelength = {shown(self.wavelength)}: the image has {channels} channels")
+            object.__setattr__(self, "wavelength", tuple(require_wavelength(value) for value in self.wavelength))
+        elif self.wavelength is not None:
+            object.__setattr__(self, "wavelength", require_wavelength(self.wavelength))
+        if not isinstance(self.metadata, dict):
+            raise InputError(f"metadata = {shown(self.metadata)}: it must be a dictionary")
+
+
+def as_array(name: str, values: Any) -> np.ndarray:
+    """Give the array of something that should be one.
+
+    Raises
+    ------
+    InputError
+        If it has no regular shape.
+    """
+    try:
+        return np.asarray(values)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name}: it must be an array: {error}") from None
+
+
+def require_pixels(name: str, image: np.ndarray) -> None:
+    """Refuse an image with a pixel that is not finite or whose magnitude is above `BRIGHTEST`.
+
+    Raises
+    ------
+    InputError
+        With their number and the place of the first.
+    """
+    # The largest and the smallest value tell of every NaN too, and cost far less than a test of each.
+    if image.size == 0 or max(float(image.max()), -float(image.min())) <= BRIGHTEST:
+        return
+    bad = ~np.isfinite(image)
+    what, rule = "NaN or infinite", "finite"
+    if not bad.any():
+        bad, what, rule = (
+            np.abs(image.astype(np.float64)) > BRIGHTEST,
+            "too large",
+            f"{BRIGHTEST:g} at most in magnitude",
+        )
+    first = ", ".join(str(index) for index in np.argwhere(bad)[0])
+    raise InputError(f"{name}: {bad.sum()} of its pixels are {what}, the first at ({first}): all must be {rule}")
+
+
+def write_capture(path: str | Path, capture: Capture) -> None:
+    """Write a capture as float32 OpenEXR: channel Y, or R, G and B, with all about it in the header.
+
+    The header attribute ``mitsuba_plenoptic`` is a JSON object with ``camera``, ``wavelength``, ``model`` and
+    ``metadata``. Any EXR viewer shows the image. An existing file is replaced only by a complete one.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    camera = capture.camera
+    attributes = {
+        "kind": "capture",
+        "camera": camera.to_dict(),
+        "wavelength": capture.wavelength,
+        "model": capture.model,
+        "metadata": capture.metadata,
+    }
+    write_exr(path, capture.image, attributes, offset=camera.crop_offset, full_size=camera.resolution)
+
+
+def read_capture(path: str | Path) -> Capture:
+    """Read a capture that `write_capture` wrote.
+
+    Raises
+    ------
+    InputError
+        If the file does not exist, is damaged, or is not a capture.
+    """
+    image, attributes = read_exr(path)
+    try:
+        if attributes.get("kind") != "capture":
+            raise InputError(f"it holds a {shown(attributes.get('kind'))}, not a capture")
+        if not isinstance(attributes.get("camera"), dict):
+            raise InputError("its header has no camera")
+        return Capture(
+            image=image,
+            camera=PlenopticCamera.from_dict(attributes["camera"]),
+            wavelength=attributes.get("wavelength"),
+            model=attributes.get("model", ""),
+            metadata=attributes.get("metadata", {}),
+        )
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None

@@ -1,0 +1,86 @@
+"""Writing files so that nothing half-written is left and nothing finished is lost."""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from ..errors import InputError, shown
+
+
+def require_writable(path: str | Path) -> Path:
+    """Check, before a long computation, that a file can be written, without touching it.
+
+    Raises
+    ------
+    InputError
+        If the folder does not exist or cannot be written, or the path is a folder.
+    """
+    path = _path(path)
+    try:
+        if path.is_dir():
+            raise InputError(f"{path}: it is a folder; give a file name")
+        if not path.parent.is_dir():
+            raise InputError(f"{path}: the folder {path.parent} does not exist")
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: it is a device or a pipe; give a file name")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from None
+    if not os.access(path.parent, os.W_OK) or (path.exists() and not os.access(path, os.W_OK)):
+        raise InputError(f"{path}: no permission to write it")
+    return path
+
+
+def require_file(path: str | Path) -> Path:
+    """Check that a file can be read.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name, or it is something else: a folder, a device, a pipe.
+    """
+    path = _path(path)
+    try:
+        there, regular = path.exists(), path.is_file()
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from None
+    if not regular:
+        raise InputError(f"{path}: {'it is not a regular file' if there else 'there is no such file'}")
+    if not os.access(path, os.R_OK):
+        raise InputError(f"{path}: no permission to read it")
+    return path
+
+
+def _path(path: str | Path) -> Path:
+    if not isinstance(path, (str, Path)) or "\0" in str(path):
+        raise InputError(f"path = {shown(path)}: it must be the name of a file")
+    return Path(path)
+
+
+@contextlib.contextmanager
+def atomic_output(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary name beside `path` that replaces it once it is written whole, or goes.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    path = require_writable(path)
+    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
+        # The suffix stays, because writers choose the format by it.
+        temporary = Path(folder) / path.name
+        yield temporary
+        temporary.replace(path)
+
+
+def remove_leftovers(path: str | Path) -> None:
+    """Remove what `atomic_output` of the same file left behind in a process that was killed."""
+    path = Path(path)
+    for folder in path.parent.glob(f".{glob.escape(path.name)}.*"):
+        shutil.rmtree(folder, ignore_errors=True)

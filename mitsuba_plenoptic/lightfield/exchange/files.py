@@ -1,0 +1,98 @@
+"""Light fields by file name: which reader and writer a suffix means."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from ...errors import InputError
+from ...io.captures import read_capture
+from .. import decode, estimate_lens_grid
+from .lftoolbox import read_lftoolbox, write_lftoolbox
+from .mosaic import read_mosaic, write_mosaic
+from .pictures import read_picture
+
+# The suffix that LFToolbox gives to pictures with the samples of each lens together.
+_LENSES = ".eslf.png"
+
+
+def open_light_field(
+    path: str | Path, *, white: str | Path | None = None, views: int | None = None, linear: bool = False
+) -> xr.DataArray:
+    """Read a light field, or decode one from a capture.
+
+    Parameters
+    ----------
+    path : path
+        ``.exr``: a capture of this package; ``.mat``: a light field of LFToolbox; ``.eslf.png`` with `views`: samples
+        of each lens together; ``.png`` with `views`: a mosaic of views; ``.png`` with `white`: a raw picture of some
+        plenoptic camera.
+    white : path, optional
+        A picture of something white by the same camera, ``.exr`` or ``.png``. For a capture of this package it
+        replaces the computed one; for a raw picture it tells where the micro-images are.
+    views : int, optional
+        Views along each axis of a mosaic.
+    linear : bool
+        Whether PNG files hold values proportional to light, as raw data does, instead of sRGB.
+
+    Raises
+    ------
+    InputError
+        If the name's suffix is unknown, an argument is missing or of no use for this kind of file, or the file
+        cannot be read.
+    """
+    path = Path(path)
+    name = path.name.lower()
+    if white is not None and views is not None:
+        raise InputError(f"{path}: a white image and a number of views exclude each other")
+    if name.endswith(".exr"):
+        _refuse(path, views=views)
+        return decode(read_capture(path), white=None if white is None else _white(white, linear))
+    if name.endswith(".mat"):
+        _refuse(path, white=white, views=views)
+        return read_lftoolbox(path)
+    if name.endswith(".png"):
+        if views is not None:
+            layout = "lenses" if name.endswith(_LENSES) else "views"
+            return read_mosaic(path, views, layout=layout, linear=linear)
+        if white is None:
+            raise InputError(f"{path}: give the white image of a raw picture, or the number of views of a mosaic")
+        reference = _white(white, linear)
+        return decode(read_picture(path, linear=linear), white=reference, grid=estimate_lens_grid(reference))
+    raise InputError(f"{path}: a capture or light field has a name that ends in .exr, .mat or .png")
+
+
+def save_light_field(path: str | Path, lf: xr.DataArray) -> None:
+    """Write a light field for another program.
+
+    Parameters
+    ----------
+    path : path
+        ``.mat``: LFToolbox; ``.eslf.png``: samples of each lens together; ``.png``: a mosaic of views.
+    lf : xarray.DataArray
+        The light field.
+
+    Raises
+    ------
+    InputError
+        If the name's suffix is unknown or the file cannot be written.
+    """
+    name = Path(path).name.lower()
+    if name.endswith(".mat"):
+        write_lftoolbox(path, lf)
+    elif name.endswith(".png"):
+        write_mosaic(path, lf, layout="lenses" if name.endswith(_LENSES) else "views")
+    else:
+        raise InputError(f"{path}: give a name that ends in .mat, .eslf.png or .png")
+
+
+def _white(path: str | Path, linear: bool) -> np.ndarray:
+    return read_capture(path).image if Path(path).suffix.lower() == ".exr" else read_picture(path, linear=linear)
+
+
+def _refuse(path: Path, **options: object) -> None:
+    for name, value in options.items():
+        if value is not None:
+            raise InputError(f"{name} = {value}: of no use for {path}")

@@ -1,0 +1,259 @@
+"""Files of the Light Field Toolbox for MATLAB (LFToolbox) by D. G. Dansereau.
+
+Its light fields are MATLAB files with an array ``LF`` of five dimensions, ``LF(j, i, l, k, c)``: row and column of the
+view, row and column of the lens, and channel; a second or fourth channel holds weights. That is our order. Its
+manual calls the first four axes t, s, v, u, with the letters of pupil and field exchanged against ours.
+
+``LensletGridModel`` describes the micro-image centres: spacings, the offset of the first centre, rotation, counts, and
+``FirstPosShiftRow``, the first (1 or 2) of the rows that are shifted by half a spacing. Its pixels are counted from
+1 and centred on whole numbers, ours cover [k, k + 1), so that offsets differ by a half.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.io
+import xarray as xr
+
+from ...camera import PlenopticCamera
+from ...errors import InputError, require_number
+from ...io.files import atomic_output, require_file
+from ...runtime.limits import require_memory
+from ..geometry import light_field, require_light_field
+from ..grid import LensGrid, bin_grid
+from .matlab5 import NUMERIC, read_variables
+
+# Bytes of a light field's number while it is read: as stored (at most 8), and twice in single precision.
+_NUMBER_BYTES = 8 + 4 + 4
+
+# Bytes of a variable other than the light field: a camera or a lens grid takes a few thousand.
+_SMALL = 2**20
+
+# What is read of a lens grid.
+_MODEL = ("HSpacing", "VSpacing", "HOffset", "VOffset", "Rot", "UMax", "VMax", "FirstPosShiftRow", "Orientation")
+
+# MATLAB's version 5 files hold at most so many bytes in one variable.
+_MAX_BYTES = 2**31 - 1
+
+_TYPES = {"uint8": np.uint8, "uint16": np.uint16, "single": np.float32}
+
+
+def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uint16") -> None:
+    """Write a light field as LFToolbox does, with its weights as the last channel.
+
+    Integers are scaled so that the largest value is full scale; the variable ``MaxLum`` keeps it, as in LFToolbox.
+    The variable ``Camera`` (a JSON text) keeps the camera, which LFToolbox does not read.
+
+    Parameters
+    ----------
+    path : path
+        File to write, in MATLAB's version 5 format.
+    lf : xarray.DataArray
+        The light field.
+    precision : {"uint8", "uint16", "single"}
+        MATLAB type of the numbers.
+
+    Raises
+    ------
+    InputError
+        If the precision is unknown, the light field too large for the format, or the file cannot be written.
+    """
+    lf = require_light_field(lf)
+    if precision not in _TYPES:
+        raise InputError(f"precision = {precision!r}: it must be one of {', '.join(_TYPES)}")
+    values = np.asarray(lf.values)
+    if values.ndim == 4:
+        values = values[..., None]
+    kind = np.dtype(_TYPES[precision])
+    size = values[..., 0].size * (values.shape[4] + 1) * kind.itemsize
+    if size > _MAX_BYTES:
+        raise InputError(f"{path}: a light field of shape {lf.shape} takes {size} bytes; the format holds {_MAX_BYTES}")
+    peak = float(values.max(initial=0)) or 1.0
+    if kind.kind == "f":
+        peak = 1.0
+    stored = np.concatenate([values / np.float32(peak), np.asarray(lf["weight"].values)[..., None]], axis=4)
+    if kind.kind == "u":
+        stored = np.round(np.clip(stored, 0, 1) * (2 ** (8 * kind.itemsize) - 1))
+    variables: dict[str, Any] = {"LF": stored.astype(kind), "MaxLum": peak}
+    if lf.attrs.get("grid") is not None:
+        variables["LensletGridModel"] = _to_model(LensGrid(**lf.attrs["grid"]))
+    if lf.attrs.get("camera") is not None:
+        variables["Camera"] = json.dumps(lf.attrs["camera"])
+    variables["GeneratedByInfo"] = {"mfilename": "mitsuba_plenoptic"}
+    with atomic_output(path) as temporary, temporary.open("wb") as file:
+        scipy.io.savemat(file, variables, do_compression=True)
+
+
+def read_lftoolbox(path: str | Path) -> xr.DataArray:
+    """Read a light field that LFToolbox or `write_lftoolbox` wrote.
+
+    Parameters
+    ----------
+    path : path
+        A MATLAB file; version 7.3, which LFToolbox writes, needs the package h5py.
+
+    Returns
+    -------
+    xarray.DataArray
+        Integers are scaled to 0 to 1 and by ``MaxLum``. Without weights in the file, views that are black throughout
+        have none. The coordinates are physical if the file tells the camera.
+
+    Raises
+    ------
+    InputError
+        If the file does not exist, is damaged, too large, or holds no light field.
+    """
+    path = require_file(path)
+    with path.open("rb") as file:
+        is_hdf5 = b"MATLAB 7.3" in file.read(128)
+    try:
+        found = _read_hdf5(path) if is_hdf5 else _read_version_5(path)
+        return _from_variables(found)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except Exception as error:
+        # Damage shows as many exception types; all mean the same to the user.
+        raise InputError(f"{path}: it cannot be read as a light field: {error}") from None
+
+
+def _from_variables(found: dict[str, Any]) -> xr.DataArray:
+    stored = found["LF"]
+    if stored.ndim == 4:
+        # MATLAB drops a last dimension of 1.
+        stored = stored[..., None]
+    values = stored.astype(np.float32)
+    if stored.dtype.kind == "u":
+        values /= np.iinfo(stored.dtype).max
+    channels = values.shape[4]
+    if channels in (2, 4):
+        weight = np.ascontiguousarray(values[..., -1])
+        values = values[..., :-1]
+    else:
+        seen = values.reshape(*values.shape[:2], -1).any(axis=2)
+        weight = np.broadcast_to(seen[:, :, None, None], values.shape[:4]).astype(np.float32)
+    values = values * np.float32(require_number("MaxLum", found.get("MaxLum", 1.0), positive=True))
+    values = np.ascontiguousarray(values if values.shape[4] == 3 else values[..., 0])
+    model, text = found.get("LensletGridModel"), found.get("Camera")
+    lenses = None if model is None else _from_model(model)
+    camera = None if text is None else PlenopticCamera.from_dict(json.loads(text))
+    bins = None if camera is None else bin_grid(camera)
+    if bins is not None and bins.shape != values.shape[2:4]:
+        raise InputError(f"its light field of shape {values.shape} does not fit its camera of {bins.shape} lenses")
+    return light_field(values, weight, camera, bins, lenses)
+
+
+def _check(shape: tuple[int, ...]) -> None:
+    if len(shape) not in (4, 5) or (len(shape) == 5 and shape[4] not in (1, 2, 3, 4)) or min(shape) < 1:
+        raise InputError(f"LF has the shape {shape}: it must be (t, s, v, u, c) with 1 to 4 channels")
+    require_memory(_NUMBER_BYTES * float(np.prod(shape, dtype=np.float64)), f"LF has the shape {shape}")
+
+
+def _read_version_5(path: Path) -> dict[str, Any]:
+    names = ("LF", "LensletGridModel", "Camera", "MaxLum")
+    sizes: dict[str, tuple[int, ...]] = {}
+    with path.open("rb") as file:
+        for name, variable in read_variables(file):
+            if name in names:
+                if name in sizes:
+                    raise InputError(f"it has two variables {name}")
+                sizes[name] = variable.shape
+                if name == "LF":
+                    if variable.kind not in NUMERIC:
+                        raise InputError("LF is not an array of numbers")
+                    _check(variable.shape)
+                variable.require_size(8 * math.prod(variable.shape) + _SMALL if name == "LF" else _SMALL)
+    if "LF" not in sizes:
+        raise InputError("it has no variable LF")
+    # One number, one structure, or one line of text.
+    small = [name for name in names[1:] if sizes.get(name, (0, 0))[0] == 1]
+    found = scipy.io.loadmat(str(path), variable_names=["LF", *small], simplify_cells=True)
+    return {name: found[name] for name in ("LF", *small)}
+
+
+def _read_hdf5(path: Path) -> dict[str, Any]:
+    try:
+        h5py = importlib.import_module("h5py")
+    except ImportError:
+        raise InputError("a MATLAB 7.3 file needs the package h5py; install it, or save with '-v7' in MATLAB") from None
+    with h5py.File(path, "r") as file:
+        stored = _dataset(h5py, file, "LF")
+        if stored is None:
+            raise InputError("it has no variable LF")
+        # HDF5 lists MATLAB's dimensions in the opposite order.
+        _check(stored.shape[::-1])
+        found: dict[str, Any] = {"LF": np.transpose(stored[()])}
+        largest = _dataset(h5py, file, "MaxLum")
+        if largest is not None:
+            found["MaxLum"] = float(largest[0, 0])
+        if isinstance(file.get("LensletGridModel", getlink=True), h5py.HardLink):
+            found["LensletGridModel"] = _read_model(h5py, file["LensletGridModel"])
+    return found
+
+
+def _read_model(h5py: Any, group: Any) -> dict[str, Any]:
+    model: dict[str, Any] = {}
+    for name in _MODEL:
+        stored = _dataset(h5py, group, name)
+        if stored is not None and stored.size <= 16:
+            values = stored[()].ravel()
+            model[name] = "".join(map(chr, values)) if name == "Orientation" else float(values[0])
+    return model
+
+
+def _dataset(h5py: Any, group: Any, name: str) -> Any:
+    """Give an array of numbers that lies in this very file, or None if there is none of the name.
+
+    HDF5 can link to other files, keep data in other files and assemble them from other files; of a light field from a
+    stranger that would read files of the user's.
+    """
+    if not isinstance(group, h5py.Group):
+        raise InputError("its lens grid is not a structure")
+    link = group.get(name, getlink=True)
+    if link is None:
+        return None
+    stored = group[name] if isinstance(link, h5py.HardLink) else None
+    if not isinstance(stored, h5py.Dataset) or stored.is_virtual or stored.external:
+        raise InputError(f"{name} is not an array in the file itself: links to other files are not followed")
+    if stored.dtype.kind not in "fiu" or stored.dtype.itemsize > 8:
+        raise InputError(f"{name} is not an array of numbers")
+    # A chunk is decompressed whole, however little of it the array uses.
+    if stored.chunks and math.prod(stored.chunks) > max(stored.size, 1) + _SMALL:
+        raise InputError(f"{name} is stored in chunks of {stored.chunks}, larger than itself")
+    return stored
+
+
+def _to_model(grid: LensGrid) -> dict[str, Any]:
+    rows, columns = grid.shape
+    return {
+        "HSpacing": grid.spacing[0],
+        "VSpacing": grid.spacing[1],
+        "HOffset": grid.offset[0] + 0.5,
+        "VOffset": grid.offset[1] + 0.5,
+        "Rot": grid.rotation,
+        "UMax": float(columns),
+        "VMax": float(rows),
+        # Beyond the last row: no row is shifted.
+        "FirstPosShiftRow": float(rows + 1 if grid.shifted_rows is None else grid.shifted_rows + 1),
+        "Orientation": "horz",
+    }
+
+
+def _from_model(model: dict[str, Any]) -> LensGrid | None:
+    """Turn a lenslet grid model into a grid, unless it describes the transposed image."""
+    if str(model.get("Orientation", "horz")).lower() != "horz":
+        return None
+    rows = int(model["VMax"])
+    first = int(model["FirstPosShiftRow"])
+    return LensGrid(
+        spacing=(float(model["HSpacing"]), float(model["VSpacing"])),
+        offset=(float(model["HOffset"]) - 0.5, float(model["VOffset"]) - 0.5),
+        shape=(rows, int(model["UMax"])),
+        rotation=float(model["Rot"]),
+        shifted_rows=None if first > rows else (first - 1) % 2,
+    )

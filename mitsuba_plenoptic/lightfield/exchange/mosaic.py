@@ -1,0 +1,91 @@
+"""Light fields as one picture: views side by side, or the samples of each lens together.
+
+The second layout is that of the ESLF files of Lytro's programs, of the Stanford Lytro archive and of LFToolbox
+(``LFReadESLF``): what a detector records whose lenses are square and a whole number of pixels wide. The first is the
+mosaic that PlenoptiCam and most papers show.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from ...errors import InputError, require_count
+from ..geometry import light_field, require_light_field
+from ..views import lens_mosaic, view_mosaic
+from .pictures import read_picture, write_picture
+
+LAYOUTS = ("lenses", "views")
+
+
+def write_mosaic(path: str | Path, lf: xr.DataArray, *, layout: str = "lenses") -> None:
+    """Write a light field as a 16-bit PNG mosaic, its largest value white.
+
+    Parameters
+    ----------
+    path : path
+        File to write.
+    lf : xarray.DataArray
+        A light field. Its coordinates and weights are lost; samples without weight are black.
+    layout : {"lenses", "views"}
+        Whether the samples of a lens or of a view lie together.
+
+    Raises
+    ------
+    InputError
+        If the layout is unknown or the file cannot be written.
+    """
+    _require_layout(layout)
+    lf = require_light_field(lf)
+    peak = float(np.max(lf.values, initial=0)) or 1.0
+    mosaic = lens_mosaic(lf) if layout == "lenses" else view_mosaic(lf)
+    write_picture(path, mosaic / peak)
+
+
+def read_mosaic(path: str | Path, views: int, *, layout: str = "lenses", linear: bool = False) -> xr.DataArray:
+    """Read a light field from a PNG mosaic.
+
+    Parameters
+    ----------
+    path : path
+        File to read.
+    views : int
+        Views along each axis; 14 in files of Lytro's programs.
+    layout : {"lenses", "views"}
+        Whether the samples of a lens or of a view lie together.
+    linear : bool
+        Whether the values are proportional to light, instead of encoded in sRGB.
+
+    Returns
+    -------
+    xarray.DataArray
+        A light field without a camera, values from 0 to 1.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or its sides are not whole multiples of the number of views.
+    """
+    _require_layout(layout)
+    image = read_picture(path, linear=linear)
+    views = require_count("views", views, maximum=min(image.shape[:2]))
+    rows, columns = image.shape[:2]
+    if rows % views or columns % views:
+        raise InputError(f"{path}: {columns} x {rows} pixels are not a whole number of {views} x {views} views")
+    rest = image.shape[2:]
+    if layout == "lenses":
+        values = image.reshape(rows // views, views, columns // views, views, *rest)
+        values = values.transpose(1, 3, 0, 2, *range(4, values.ndim))
+    else:
+        values = image.reshape(views, rows // views, views, columns // views, *rest).swapaxes(1, 2)
+    # Views beyond the pupil are black throughout; no weights are stored to tell them.
+    seen = np.any(values.reshape(views, views, -1), axis=2)
+    weight = np.broadcast_to(seen[:, :, None, None], values.shape[:4]).astype(np.float32)
+    return light_field(np.ascontiguousarray(values), weight)
+
+
+def _require_layout(layout: str) -> None:
+    if layout not in LAYOUTS:
+        raise InputError(f"layout = {layout!r}: it must be one of {', '.join(LAYOUTS)}")

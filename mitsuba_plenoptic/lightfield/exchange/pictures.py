@@ -1,0 +1,84 @@
+"""Pictures of 8 and 16 bits a channel, to and from linear values."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+
+from ...errors import InputError
+from ...io.files import atomic_output, require_file
+from ...runtime.limits import require_memory
+
+# Bytes of a pixel while it is read: up to four channels of 16 bits, and these and three of them in single precision.
+_PIXEL_BYTES = 8 + 16 + 12
+
+
+def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
+    """Read a PNG of 8 or 16 bits a channel.
+
+    Parameters
+    ----------
+    path : path
+        File to read.
+    linear : bool
+        Whether its values are proportional to light, as in raw data, instead of encoded in sRGB.
+
+    Returns
+    -------
+    (rows, columns[, 3]) float32 array
+        Linear values from 0 to 1; without a channel axis where the picture is grey. Transparency is dropped.
+
+    Raises
+    ------
+    InputError
+        If the file does not exist, is not a PNG, is damaged, or would take more memory than is allowed.
+    """
+    path = require_file(path)
+    try:
+        columns, rows = _size(path)
+        require_memory(float(_PIXEL_BYTES) * columns * rows, f"{path}: {columns} x {rows} pixels")
+        bitmap = mi.Bitmap(str(path))
+        bitmap.set_srgb_gamma(not linear)
+        grey = bitmap.pixel_format() in (mi.Bitmap.PixelFormat.Y, mi.Bitmap.PixelFormat.YA)
+        kind = mi.Bitmap.PixelFormat.Y if grey else mi.Bitmap.PixelFormat.RGB
+        values = np.array(bitmap.convert(kind, mi.Struct.Type.Float32, srgb_gamma=False), dtype=np.float32)
+    except InputError:
+        raise
+    except Exception as error:
+        # Damage shows as several exception types; all mean the same to the user.
+        raise InputError(f"{path}: it cannot be read as a PNG picture: {error}") from None
+    return values[..., 0] if values.ndim == 3 and values.shape[2] == 1 else values
+
+
+def _size(path: Path) -> tuple[int, int]:
+    """Columns and rows that the header claims: of all chunks the first, and nothing is allocated for it."""
+    with path.open("rb") as file:
+        head = file.read(24)
+    if len(head) < 24 or head[:8] != b"\x89PNG\r\n\x1a\n" or head[12:16] != b"IHDR":
+        raise ValueError("it does not begin as a PNG file")
+    columns, rows = struct.unpack(">II", head[16:])
+    return columns, rows
+
+
+def write_picture(path: str | Path, image: np.ndarray) -> None:
+    """Write linear values from 0 to 1 as a PNG of 16 bits a channel in sRGB encoding.
+
+    Parameters
+    ----------
+    path : path
+        File to write; an existing one is replaced only by a complete one.
+    image : (rows, columns[, 3]) array
+        What lies outside 0 to 1 is clipped.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    bitmap = mi.Bitmap(np.ascontiguousarray(np.clip(image, 0, 1), dtype=np.float32))
+    encoded = bitmap.convert(bitmap.pixel_format(), mi.Struct.Type.UInt16, srgb_gamma=True)
+    with atomic_output(path) as temporary:
+        encoded.write(str(temporary))

@@ -1,0 +1,214 @@
+r"""Free-space propagation of a sampled scalar field by its angular spectrum.
+
+Every plane wave of the field, of transverse wave vector :math:`(k_x, k_y)`, advances by the phase
+:math:`k_z d` with :math:`k_z = (k^2 - k_x^2 - k_y^2)^{1/2}`: an exact solution of the scalar wave equation
+(Goodman, "Introduction to Fourier Optics", section 3.10), without a paraxial step. The carrier
+:math:`\exp(i k d)`, the same for the whole field, is left out; evanescent waves are cut.
+
+The field is periodic: what leaves the window on one side comes back in on the other. Callers choose
+the window.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from ..errors import InputError, require_number
+from ..runtime.backend import array_module, backend, one_at_a_time
+from ..runtime.fft import Field, array_types, as_field, as_words, fft2_packed, pack, unpack
+from ..runtime.indexing import quotient
+from . import guards
+
+
+@one_at_a_time
+def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, overwrite: bool = False) -> Field:
+    r"""Propagate a field from one plane to a parallel one.
+
+    .. math:: U_d = F^{-1}\left[\exp\left(i (k_z - k) d\right) F[U_0]\right]
+
+    Parameters
+    ----------
+    field : complex array (rows, columns)
+        Samples of the field, taken as ``complex64``.
+    pitch : float
+        Distance between samples, along both axes, in millimetres.
+    distance : float
+        Distance to the new plane in millimetres; negative to go back.
+    wavelength : float
+        Wavelength in nanometres.
+    overwrite : bool
+        Whether the memory of `field` may be used for the work.
+
+    Returns
+    -------
+    complex64 array (rows, columns)
+        The field in the new plane, without the carrier :math:`\exp(i k d)`; where `field` is: with a CUDA variant a
+        CuPy array never leaves the device.
+
+    Raises
+    ------
+    InputError
+        If the field is not a two-dimensional finite array, or a number is out of range.
+    PhysicsError
+        If the field is under-sampled, or leaves its window (see `guards`, which warn long before that).
+    """
+    libraries = backend()
+    on_device = libraries.is_cuda and isinstance(field, libraries.arrays.ndarray)
+    arrays = libraries.arrays if on_device else np
+    samples = arrays.array(field, np.complex64, order="C", copy=None if overwrite else True)
+    if samples.ndim != 2 or samples.size == 0:
+        raise InputError(f"field of shape {samples.shape}: it must have rows and columns")
+    pitch, distance, wavelength = _check(pitch, distance, wavelength)
+    shape, guard = samples.shape, guards.StepGuard(samples, pitch, wavelength)
+    packed = fft2_packed(libraries.types.UInt64(as_words(samples)), shape)
+    guard.see_spectrum(packed)
+    packed = _advance(packed, shape, pitch, distance, wavelength)
+    result = as_field(fft2_packed(packed, shape, inverse=True), shape)
+    result = result if on_device else libraries.to_host(result)
+    # Every sample of a transform depends on every other: one that is not finite leaves none that is.
+    if not np.isfinite(complex(result[0, 0])):
+        raise InputError("field: its samples must be finite")
+    guard.see_result(result)
+    return result
+
+
+def advance(
+    spectrum: Field,
+    pitch: float | tuple[float, float],
+    distance: float,
+    wavelength: float,
+    *,
+    shift: tuple[float, float] = (0.0, 0.0),
+    part: tuple[int, int] | None = None,
+) -> Field:
+    r"""Multiply the spectrum of a field by the transfer function :math:`\exp(i (k_z - k) d)` of free space.
+
+    Parameters
+    ----------
+    spectrum : complex64 array (rows, columns)
+        Zero frequency first.
+    pitch : float or (float, float)
+        Sampling distance of the field, or those down and across, in millimetres.
+    distance : float
+        Distance to the new plane in millimetres.
+    wavelength : float
+        Wavelength in nanometres.
+    shift : (float, float)
+        How far down and across the new plane's samples lie from the old one's, in millimetres.
+    part : (int, int), optional
+        If the array holds some rows of the spectrum only: the number of the first, and how many there are in all.
+
+    Returns
+    -------
+    complex64 array (rows, columns)
+    """
+    packed = array_module().UInt64(as_words(spectrum))
+    packed = _advance(packed, spectrum.shape, pitch, distance, wavelength, shift, part)
+    return as_field(packed, spectrum.shape)
+
+
+def propagate_differentiable(
+    field: Any, shape: tuple[int, int], pitch: float, distance: float, wavelength: float
+) -> Any:
+    """Propagate a Dr.Jit complex array as `propagate` does, with gradients in both directions.
+
+    Parameters
+    ----------
+    field : Complex2f of Dr.Jit, size rows * columns
+        Left as it is.
+    shape : (int, int)
+        Rows and columns.
+    pitch, distance : float
+        Sampling distance and distance to the new plane, in millimetres.
+    wavelength : float
+        Wavelength in nanometres.
+
+    Returns
+    -------
+    Complex2f of Dr.Jit, size rows * columns
+
+    Raises
+    ------
+    InputError
+        If the size does not fit the shape, or a number is out of range.
+    """
+    if dr.width(field) != shape[0] * shape[1]:
+        raise InputError(f"field of {dr.width(field)} samples: it must have {shape[0]} x {shape[1]}")
+    return dr.custom(_AngularSpectrum, field, shape, *_check(pitch, distance, wavelength))
+
+
+class _AngularSpectrum(dr.CustomOp):
+    """One step and its adjoint, which is the step back: the transfer function has modulus one or zero."""
+
+    def eval(self, field: Any, shape: tuple[int, int], *numbers: float) -> Any:
+        self.shape = shape
+        self.pitch, self.distance, self.wavelength = numbers
+        return self._step(field, self.distance)
+
+    def _step(self, field: Any, distance: float) -> Any:
+        return unpack(_step(pack(field), self.shape, self.pitch, distance, self.wavelength))
+
+    def forward(self) -> None:
+        self.set_grad_out(self._step(self.grad_in("field"), self.distance))
+
+    def backward(self) -> None:
+        self.set_grad_in("field", self._step(self.grad_out(), -self.distance))
+
+
+def _step(packed: Any, shape: tuple[int, ...], pitch: float, distance: float, wavelength: float) -> Any:
+    """Propagate a packed field; its memory may be overwritten."""
+    packed = fft2_packed(packed, shape)
+    packed = _advance(packed, shape, pitch, distance, wavelength)
+    return fft2_packed(packed, shape, inverse=True)
+
+
+def _advance(
+    packed: Any,
+    shape: tuple[int, ...],
+    pitch: float | tuple[float, float],
+    distance: float,
+    wavelength: float,
+    shift: tuple[float, float] = (0.0, 0.0),
+    part: tuple[int, int] | None = None,
+) -> Any:
+    """Multiply a packed spectrum, zero frequency first, by the transfer function of free space.
+
+    The phase is some 10^6 rad, which single precision cannot hold: it is computed in turns in double
+    precision, reduced to half a turn, and only then taken to sine and cosine in single precision.
+    """
+    types = array_types(packed)
+    rows, columns = shape
+    index = dr.arange(types.UInt32, rows * columns)
+    row = quotient(types, index, columns)
+    column = index - row * dr.opaque(types.UInt32, columns)
+    down, across = pitch if isinstance(pitch, tuple) else (pitch, pitch)
+    sx = _cosine(types, column, columns, across, wavelength)
+    first, all_rows = part or (0, rows)
+    sy = _cosine(types, row + dr.opaque(types.UInt32, first), all_rows, down, wavelength)
+    square = sx * sx + sy * sy
+    turns = dr.opaque(types.Float64, distance / (wavelength * 1e-6)) * (dr.sqrt(dr.maximum(1 - square, 0)) - 1)
+    if any(shift):
+        waves = [dr.opaque(types.Float64, length / (wavelength * 1e-6)) for length in shift]
+        turns = turns + sy * waves[0] + sx * waves[1]
+    sine, cosine = dr.sincos(types.Float(turns - dr.round(turns)) * (2 * math.pi))
+    wave = unpack(packed) * types.Complex2f(cosine, sine)
+    return pack(dr.select(square < 1, wave, 0))
+
+
+def _cosine(types: Any, index: Any, count: int, pitch: float, wavelength: float) -> Any:
+    """Direction cosine of a plane wave, by its place in a spectrum with zero frequency first."""
+    place, size = types.Int32(index), dr.opaque(types.Int32, count)
+    order = dr.select(2 * place < size, place, place - size)
+    return types.Float64(order) * dr.opaque(types.Float64, wavelength * 1e-6 / (count * pitch))
+
+
+def _check(pitch: float, distance: float, wavelength: float) -> tuple[float, float, float]:
+    return (
+        require_number("pitch", pitch, positive=True),
+        require_number("distance", distance),
+        require_number("wavelength", wavelength, positive=True),
+    )

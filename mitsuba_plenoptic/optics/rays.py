@@ -1,0 +1,92 @@
+"""The thin-lens ray formulas, once, for the sensor, the wave capture and the reconstructions.
+
+In the camera frame: main lens in z = 0, scene towards +z, microlens array (MLA) in z = -b, detector in
+z = -(b + z). Rays are followed from the detector towards the scene and described by points and slopes
+(dx/dz, dy/dz), one axis at a time, which is exact for ideal (stigmatic) thin lenses. All functions work on
+floats, NumPy arrays and Dr.Jit arrays.
+
+Symbols: p detector point, m MLA point, c microlens centre, P pupil point, t slope between MLA and main lens,
+X scene point at distance g, q point of the MLA plane.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from ..camera import PlenopticCamera, defocus_factor
+
+
+def chief_point(p: Any, mla_distance: Any, detector_distance: Any) -> Any:
+    """Where the line from a detector point to the main lens's centre crosses the MLA: p b / (b + z).
+
+    The lens whose cell holds it is the one a pixel belongs to.
+    """
+    return p * (mla_distance / (mla_distance + detector_distance))
+
+
+def chief_detector_point(m: Any, mla_distance: Any, detector_distance: Any) -> Any:
+    """Where the line from the main lens's centre through an MLA point meets the detector: m (b + z) / b."""
+    return m * ((mla_distance + detector_distance) / mla_distance)
+
+
+def microlens_slope(p: Any, m: Any, c: Any, detector_distance: Any, mla_focal_length: Any) -> Any:
+    """Slope after the microlens of the ray from p through m: (m - p)/z - (m - c)/f2."""
+    return (m - p) / detector_distance - (m - c) / mla_focal_length
+
+
+def pupil_point(m: Any, t: Any, mla_distance: Any) -> Any:
+    """Where a ray of slope t from the MLA meets the main lens: m + b t."""
+    return m + mla_distance * t
+
+
+def main_lens_slope(t: Any, P: Any, focal_length: Any) -> Any:
+    """Slope of a ray after the main lens: t - P/f1."""
+    return t - P / focal_length
+
+
+def object_point(P: Any, slope: Any, distance: Any) -> Any:
+    """Where a ray of this slope from the pupil point meets the object plane: P + g t'."""
+    return P + distance * slope
+
+
+def mla_point(X: Any, P: Any, distance: Any, mla_distance: Any, focal_length: Any) -> Any:
+    """Where the ray from a scene point through a pupil point meets the MLA: -X b/g + P (1 + b/g - b/f1)."""
+    return conjugate_coordinate(X, distance, mla_distance) + P * defocus_factor(distance, mla_distance, focal_length)
+
+
+def conjugate_coordinate(X: Any, distance: Any, mla_distance: Any) -> Any:
+    """Project a scene point through the main lens's centre onto the MLA plane: -X b/g."""
+    return -X * mla_distance / distance
+
+
+def follow_back(
+    p: Any, m: Any, c: Any, distance: float, camera: PlenopticCamera, *, mla_focal_length: float | None = None
+) -> tuple[Any, Any]:
+    """Follow the ray from a detector point through a point of a lens back to an object plane.
+
+    Returns
+    -------
+    P : float or array
+        Where it meets the main lens.
+    u : float or array
+        Where the line from its object point through the main lens's centre meets the MLA: the place in the bins.
+    """
+    f2 = camera.mla_focal_length if mla_focal_length is None else mla_focal_length
+    t = microlens_slope(p, m, c, camera.detector_distance, f2)
+    P = pupil_point(m, t, camera.mla_distance)
+    X = object_point(P, main_lens_slope(t, P, camera.focal_length), distance)
+    return P, conjugate_coordinate(X, distance, camera.mla_distance)
+
+
+def slopes_to_cosines(tx: Any, ty: Any) -> tuple[Any, Any]:
+    """Turn slopes into direction cosines, t / sqrt(1 + tx^2 + ty^2)."""
+    scale = dr.rsqrt(1 + tx * tx + ty * ty)
+    return tx * scale, ty * scale
+
+
+def cosines_to_slopes(sx: Any, sy: Any) -> tuple[Any, Any]:
+    """Turn direction cosines into slopes, s / sqrt(1 - sx^2 - sy^2)."""
+    scale = dr.rsqrt(1 - sx * sx - sy * sy)
+    return sx * scale, sy * scale

@@ -1,0 +1,301 @@
+"""The integrator plugin ``plenoptic_wave``: what a plenoptic camera records by wave optics."""
+
+from __future__ import annotations
+
+import logging
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ..camera import PlenopticCamera, require_wavelength
+from ..capture.accuracy import DEFAULT_ACCURACY, check_accuracy
+from ..capture.incoherent import METHODS, estimate_cost, incoherent_sum
+from ..capture.radiators import Radiators, find_radiators, sample_pairs
+from ..errors import InputError, shown
+from ..io.checkpoints import Checkpoint, Snapshot, digest
+from ..optics import guards
+from ..runtime.batches import BatchMap
+from .properties import read_choice, read_count, read_flag, read_plain
+
+NAME = "plenoptic_wave"
+
+_log = logging.getLogger(__name__)
+
+DEFAULT_WAVELENGTH = 633.0
+
+MOST_RADIATORS = 256
+"""Radiators per lens and axis at most."""
+
+MOST_PASSES = 1024
+"""Passes at most; their radiators are held together."""
+
+# Dominant wavelengths of the sRGB primaries (IEC 61966-2-1), for variants of three channels.
+RGB_WAVELENGTHS = (611.4, 549.1, 464.3)
+
+# Integrators that follow light from the emitters and cannot tell the radiance along a ray.
+_LIGHT_TRACERS = ("ParticleTracerIntegrator", "AdjointIntegrator")
+
+
+def make_class() -> type:
+    """Define the plugin's class for the active Mitsuba variant, to which its types are bound."""
+
+    class PlenopticWaveIntegrator(mi.SamplingIntegrator):
+        r"""Wave capture: the incoherent, non-paraxial wave-optical image on a plenoptic camera's detector.
+
+        .. pluginparameters::
+
+         * - wavelength
+           - |float| or |string|
+           - Vacuum wavelength in nanometres, 1 to 1e6; for variants of three channels three of them, separated by
+             commas. (Default: 633; in three channels "611.4, 549.1, 464.3")
+         * - radiators_per_lens
+           - |int|
+           - Radiators per microlens and axis, up to 256; the time grows with its square. (Default: 8)
+         * - passes
+           - |int|
+           - How often the whole set of radiators is drawn, shifted, and averaged, up to 1024. (Default: 1)
+         * - method
+           - |string|
+           - ``patch``: each radiator's field on the part of the microlens array that it lights. ``full_field``:
+             on all of it, the slow referee. (Default: ``patch``)
+         * - occlusion
+           - |bool|
+           - Whether objects before a radiator hide a part of the pupil from it. (Default: true)
+         * - accuracy
+           - |float|
+           - Error of the capture (relative, L2) that ``patch`` may make for speed, by sharing point spreads among
+             radiators of nearly the same wavefront and by cutting light that diffracts far. 0: nothing is shared.
+             (Default: 0.01)
+         * - (Nested plugin)
+           - :paramtype:`integrator`
+           - Finds the radiance of the radiators, like ``path`` or ``direct``. (Default: ``path``)
+
+        Light from different scene points is mutually incoherent: the detector image is the sum over radiators
+        of weight times :math:`|\text{field}|^2`, integrated over each pixel. Radiators are found by rays from the
+        pupil into the scene, of which the nested integrator finds the radiance, so that every scene works that
+        Mitsuba renders; ``spp`` light paths are averaged for each. With a cell of area :math:`A_c` of the
+        microlens array to a radiator, a pixel gets
+
+        .. math:: L \frac{A_c A_{pupil} z^2}{b^2 A_{lens} A_{pixel} f} \, psf
+
+        where :math:`psf` is the fraction of the power through the visible pupil that lands in the pixel and
+        :math:`f` the share of the visible pupil whose rays land in the sampled part of the array. The pixel's
+        unit is that of the sensor by rays: a scene of radiance 1 reads 1 inside wide micro-images.
+
+        Scalar waves and thin elements: no polarisation, and both lenses are thin parabolic phases, whose geometric
+        twin is the sensor's ``lens_model="parabolic"``. Objects before a radiator hide parts of the pupil but do
+        not diffract. A mirror image or a refracted one radiates from the mirror or the glass.
+
+        The same seed gives the same bits, on any number of threads.
+
+        .. tabs::
+            .. code-tab:: xml
+
+                <integrator type="plenoptic_wave">
+                    <float name="wavelength" value="633"/>
+                    <integer name="radiators_per_lens" value="8"/>
+                    <integrator type="path"/>
+                </integrator>
+
+            .. code-tab:: python
+
+                'type': 'plenoptic_wave',
+                'wavelength': 633.0,
+                'radiators_per_lens': 8,
+                'child': {'type': 'path'}
+        """
+
+        def __init__(self, props: Any) -> None:
+            super().__init__(props)
+            self.wavelengths = _read_wavelengths(props)
+            self.radiators_per_lens = read_count(props, NAME, "radiators_per_lens", 8, maximum=MOST_RADIATORS)
+            self.passes = read_count(props, NAME, "passes", 1, maximum=MOST_PASSES)
+            self.method = read_choice(props, NAME, "method", METHODS)
+            self.occlusion = read_flag(props, NAME, "occlusion", True)
+            self.accuracy = check_accuracy(read_plain(props, "accuracy", DEFAULT_ACCURACY), f"{NAME}: accuracy")
+            nested = [value for _, value in props.objects()]
+            if len(nested) > 1:
+                raise InputError(f"{NAME}: {len(nested)} nested plugins: it takes one integrator")
+            self.child = nested[0] if nested else mi.load_dict({"type": "path"})
+            kind = self.child.class_name() if hasattr(self.child, "class_name") else type(self.child).__name__
+            if not isinstance(self.child, mi.SamplingIntegrator) or kind in _LIGHT_TRACERS:
+                raise InputError(f"{NAME}: nested {kind}: it cannot tell the radiance along a ray; use path or direct")
+            # For long runs, set by `mitsuba_plenoptic.render_capture`: called with the radiators done and their
+            # number, computes the batches of the sums, keeps what is done.
+            self.progress: Callable[[int, int], None] | None = None
+            self.batch_map: BatchMap | None = None
+            self.checkpoint: Checkpoint | None = None
+
+        def render(
+            self,
+            scene: Any,
+            sensor: Any = 0,
+            seed: Any = 0,
+            spp: int = 0,
+            develop: bool = True,
+            evaluate: bool = True,
+        ) -> Any:
+            """Render the capture; `spp` is the number of light paths for each radiator."""
+            if isinstance(sensor, int):
+                sensor = scene.sensors()[sensor]
+            camera = PlenopticCamera.from_sensor(sensor)
+            film = sensor.film()
+            if not film.rfilter().is_box_filter():
+                raise InputError(
+                    f"{NAME}: the film's filter is {film.rfilter().class_name()}: pixels are integrated exactly, "
+                    'use <rfilter type="box"/>'
+                )
+            seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
+            with guards.watch():
+                image = self._capture(scene, sensor, camera, seed, spp or sensor.sampler().sample_count())
+
+            film.prepare([])
+            rows, columns = camera.shape
+            block = np.ones((rows, columns, 4), dtype=np.float32)
+            block[..., :3] = image
+            film.put_block(mi.ImageBlock(mi.TensorXf(block), film.crop_offset()))
+            return film.develop() if develop else None
+
+        def _capture(self, scene: Any, sensor: Any, camera: PlenopticCamera, seed: int, spp: int) -> np.ndarray:
+            """Sum all radiators of all passes: (rows, columns, 1 or 3) pixel values."""
+            random = np.random.default_rng(seed)
+            # The first pass is not shifted: it is the best single set.
+            shifts = [np.zeros(4), *random.random((self.passes - 1, 4))]
+            seeds = np.random.SeedSequence(seed).generate_state(self.passes)
+            sets = [
+                find_radiators(
+                    scene,
+                    sensor,
+                    self.child,
+                    camera,
+                    sample_pairs(self.radiators_per_lens, shift),
+                    spp=spp,
+                    seed=int(pass_seed) >> 1,
+                    wavelength=self.wavelengths[0] if mi.is_spectral else None,
+                    occlusion=self.occlusion,
+                )
+                for shift, pass_seed in zip(shifts, seeds, strict=True)
+            ]
+            jobs = [(radiators, channel) for radiators in sets for channel in range(radiators.radiance.shape[1])]
+            total = sum(len(radiators.positions) for radiators, _ in jobs)
+            if total == 0:
+                warnings.warn(
+                    f"{NAME}: no ray from the pupil meets anything that shines; a nested integrator with "
+                    "hide_emitters sees no emitters",
+                    stacklevel=2,
+                )
+            if self.method == "patch":
+                self._estimate(camera, sets[0], len(jobs))
+            state = self._begin(camera, sets, len(jobs))
+            done = 0
+            for number, (radiators, channel) in enumerate(jobs):
+                if number >= state.sums:
+                    state = replace(state, sums=number)
+                    state.image[..., channel] += self._sum(camera, radiators, channel, state, done, total)
+                    state = replace(state, partial=None)
+                done += len(radiators.positions)
+            return state.image
+
+        def _begin(self, camera: PlenopticCamera, sets: list[Radiators], jobs: int) -> Snapshot:
+            """Begin with nothing, or where the checkpoint stands."""
+            shape = (*camera.shape, len(self.wavelengths))
+            if self.checkpoint:
+                arrays = [array for r in sets for array in (r.positions, r.radiance, r.share, r.masks)]
+                found = self.checkpoint.begin(
+                    shape, radiators=sum(len(r.positions) for r in sets), scene_digest=digest(*arrays)
+                )
+                if found:
+                    if found.sums >= jobs:
+                        raise InputError(
+                            f"{self.checkpoint.path}: it is damaged: {found.sums} sums are no part of {jobs}"
+                        )
+                    return found
+            return Snapshot(0, np.zeros(shape, dtype=np.float32), None)
+
+        def _estimate(self, camera: PlenopticCamera, radiators: Radiators, jobs: int) -> None:
+            """Tell what is to come, or refuse it if memory would not do."""
+            cost = estimate_cost(
+                camera,
+                radiators.positions,
+                wavelength=self.wavelengths[0],
+                accuracy=self.accuracy,
+                pupil_masks=radiators.masks,
+                batch_map=self.batch_map,
+            )
+            _log.info(
+                "%d radiators, %d point spreads, about %.0f s and %.1f GiB",
+                cost.radiators * jobs,
+                cost.patterns * jobs,
+                cost.seconds * jobs,
+                cost.memory / 2**30,
+            )
+
+        def _sum(
+            self, camera: PlenopticCamera, radiators: Radiators, channel: int, state: Snapshot, done: int, total: int
+        ) -> np.ndarray:
+            """Sum the point spreads of one set in one channel."""
+            b, z = camera.mla_distance, camera.detector_distance
+            lattice = camera.lattice
+            cell = lattice.cell_area / self.radiators_per_lens**2
+            pupil = math.pi * camera.aperture_radius**2
+            scale = cell * pupil * z**2 / (b**2 * lattice.lens_area * camera.pixel_size**2 * self.passes)
+            progress, checkpoint = self.progress, self.checkpoint
+            return incoherent_sum(
+                camera,
+                radiators.positions,
+                scale * radiators.radiance[:, channel] / radiators.share,
+                wavelength=self.wavelengths[channel],
+                method=self.method,
+                accuracy=self.accuracy,
+                pupil_masks=radiators.masks,
+                progress=progress and (lambda some, _: progress(done + some, total)),
+                batch_map=self.batch_map,
+                start=state.partial,
+                keep=None if checkpoint is None else (lambda some: checkpoint.save(replace(state, partial=some))),
+            )
+
+        def parameters(self) -> dict[str, Any]:
+            """Its own parameters by name, as ``mi.load_dict`` takes them."""
+            return {
+                "wavelength": ", ".join(f"{wavelength:g}" for wavelength in self.wavelengths),
+                "radiators_per_lens": self.radiators_per_lens,
+                "passes": self.passes,
+                "method": self.method,
+                "occlusion": self.occlusion,
+                "accuracy": self.accuracy,
+            }
+
+        def to_string(self) -> str:
+            """Describe the integrator."""
+            lines = [f"  {name} = {value}," for name, value in self.parameters().items()]
+            return "\n".join(["PlenopticWaveIntegrator[", *lines, f"  child = {self.child}", "]"])
+
+    return PlenopticWaveIntegrator
+
+
+def _read_wavelengths(props: Any) -> tuple[float, ...]:
+    """Take one wavelength, or one a channel, for the active variant."""
+    value = props.get("wavelength", None)
+    if value is None:
+        return RGB_WAVELENGTHS if mi.is_rgb else (DEFAULT_WAVELENGTH,)
+    parts = value.split(",") if isinstance(value, str) else list(value) if hasattr(value, "__len__") else [value]
+    try:
+        parts = [float(part) if isinstance(part, str) else part for part in parts]
+    except ValueError:
+        raise InputError(
+            f"{NAME}: wavelength = {shown(value)}: it must be nanometres, or three of them separated by commas"
+        ) from None
+    wavelengths = tuple(require_wavelength(part, f"{NAME}: wavelength") for part in parts)
+    if len(wavelengths) == 1 and mi.is_rgb:
+        wavelengths *= 3
+    channels = 3 if mi.is_rgb else 1
+    if len(wavelengths) != channels:
+        raise InputError(
+            f"{NAME}: wavelength = {shown(value)}: variant {mi.variant()} has {channels} channel{'s' * (channels > 1)}"
+        )
+    return wavelengths

@@ -1,0 +1,387 @@
+"""The sensor plugin ``plenoptic``: a plenoptic camera traced by rays."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..camera import PlenopticCamera
+from ..errors import InputError
+from ..lattice import Lattice
+from ..optics import rays
+from .properties import read_number, read_numbers, read_plain
+
+NAME = "plenoptic"
+
+# Positive numbers that can be changed and differentiated through `mi.traverse`, in the order of the documentation;
+# so can `mla_focal_length`, `mla_rotation` and `mla_offset`.
+POSITIVE = (
+    "focal_length",
+    "aperture_radius",
+    "mla_distance",
+    "mla_pitch",
+    "mla_fill",
+    "detector_distance",
+    "detector_width",
+)
+NUMBERS = (*POSITIVE, "mla_focal_length", "mla_rotation", "mla_offset")
+WORDS = ("mla_lattice", "mla_aperture", "lens_model")
+
+_CROSSTALK_RAYS = 2**16
+
+
+def make_class() -> type:
+    """Define the plugin's class for the active Mitsuba variant, to which its types are bound."""
+
+    class PlenopticSensor(mi.Sensor):
+        r"""Plenoptic (light-field) camera: thin main lens, microlens array, detector.
+
+        .. pluginparameters::
+
+         * - focal_length
+           - |float|
+           - Focal length of the main lens. (Default: 80)
+           - |exposed|, |differentiable|
+         * - aperture_radius
+           - |float|
+           - Radius of the main lens, as for ``thinlens``. (Default: 5)
+           - |exposed|, |differentiable|, |discontinuous|
+         * - mla_distance
+           - |float|
+           - Distance from the main lens to the microlens array. (Default: 120)
+           - |exposed|, |differentiable|, |discontinuous|
+         * - focus_distance
+           - |float|
+           - Instead of ``mla_distance``: distance of the object plane that is in focus on the microlens array
+             (larger than ``focal_length``). It is turned into ``mla_distance`` when the scene is loaded.
+         * - mla_focal_length
+           - |float| or |string|
+           - Focal length of a microlens; or three, with commas between them, for a multi-focus array: three kinds
+             of lenses interleaved on a hexagonal lattice, so that no two neighbours are alike. (Default: 0.512)
+           - |exposed|, |differentiable|, |discontinuous|
+         * - mla_pitch
+           - |float|
+           - Pitch of the microlens lattice, the distance of neighbouring centres. (Default: 0.064)
+           - |exposed|, |differentiable|, |discontinuous|
+         * - mla_lattice
+           - |string|
+           - ``square``: the corner of four lenses is on the axis. ``hexagonal``: rows along x, every second one
+             offset by half a pitch; the centre of a lens is on the axis. Either covers the whole plane.
+             (Default: ``square``)
+         * - mla_rotation
+           - |float|
+           - Angle of the lattice about the axis in degrees, counter-clockwise in the camera frame, that is from
+             left to up and clockwise as one looks at the capture. (Default: 0)
+           - |exposed|, |differentiable|, |discontinuous|
+         * - mla_offset
+           - |string| or |point|
+           - Place "x, y" in the camera frame of the corner or centre that is on the axis by default; a point's or
+             vector's z must be 0. (Default: "0, 0")
+           - |exposed|, |differentiable|, |discontinuous|
+         * - mla_aperture
+           - |string|
+           - ``cell``: a lens has the shape of its cell, a square or a hexagon. ``circle``: it is round. The rest of
+             the cell is opaque. (Default: ``cell``)
+         * - mla_fill
+           - |float|
+           - Width of a lens's aperture over the pitch, at most 1. (Default: 1)
+           - |exposed|, |differentiable|, |discontinuous|
+         * - detector_distance
+           - |float|
+           - Distance from the microlens array to the detector. (Default: ``mla_focal_length``, the first of three)
+           - |exposed|, |differentiable|, |discontinuous|
+         * - detector_width
+           - |float|
+           - Width that the full film's columns span, whatever its crop window. Pixels are square.
+             (Default: 8.192)
+           - |exposed|, |differentiable|, |discontinuous|
+         * - lens_model
+           - |string|
+           - ``ideal``: stigmatic thin lenses, like ``thinlens``. ``parabolic``: thin parabolic phase elements,
+             with the aberrations that go with them: the geometric twin of the wave capture. (Default: ``ideal``)
+         * - to_world
+           - |transform|
+           - Camera to world, without scale. The camera looks along +z, +x is left and +y is up.
+             (Default: identity)
+           - |exposed|, |differentiable|, |discontinuous|
+         * - shutter_open, shutter_close
+           - |float|
+           - Shutter interval, as for every sensor. (Default: 0)
+           - |exposed|
+         * - (Nested plugin)
+           - :paramtype:`film`
+           - Its size is the detector's resolution. Its filter should be ``box``: a wider one smears the
+             micro-images.
+
+        All lengths are in scene units, taken as millimetres. A ray starts at a detector point :math:`p`,
+        passes a point :math:`m` of a microlens of centre :math:`c` with slope
+        :math:`t = (m - p)/z - (m - c)/f_2`, meets the main lens in :math:`P = m + b t` and leaves it with slope
+        :math:`t - P/f_1`. Where :math:`P` is outside the main lens, nothing is traced and the weight is zero.
+        The value of a pixel is the mean radiance over its lens's aperture, so that a scene of radiance 1 reads 1
+        inside the micro-images, however much of its cell a lens fills; there is no :math:`\cos^4` falloff. Light
+        that crosses into a neighbour's micro-image is found by drawing among all lenses that can light a pixel.
+
+        With the default ``detector_distance`` this is an unfocused camera: ``mla_distance`` is the image distance of
+        what is in focus. With another one the microlenses see the main lens's image at :math:`a` before the array,
+        :math:`1/a + 1/z = 1/f_2`, or behind it: a focused camera, sharp at the object distance whose image is
+        :math:`b - a` from the main lens. The scenes ``keplerian``, ``galilean`` and ``raytrix`` are such cameras.
+
+        The capture has the orientation of a ``perspective`` sensor's image. Gradients flow through the ``path``
+        and ``direct`` integrators, but the pupil's moving edge contributes none: the gradient is that of the
+        light inside the micro-images.
+
+        .. tabs::
+            .. code-tab:: xml
+
+                <sensor type="plenoptic">
+                    <float name="focal_length" value="80"/>
+                    <float name="aperture_radius" value="5"/>
+                    <float name="focus_distance" value="240"/>
+                    <film type="hdrfilm">
+                        <integer name="width" value="4096"/>
+                        <integer name="height" value="4096"/>
+                        <rfilter type="box"/>
+                        <string name="component_format" value="float32"/>
+                    </film>
+                </sensor>
+
+            .. code-tab:: python
+
+                'type': 'plenoptic',
+                'focal_length': 80.0,
+                'aperture_radius': 5.0,
+                'focus_distance': 240.0,
+                'film': {
+                    'type': 'hdrfilm', 'width': 4096, 'height': 4096,
+                    'rfilter': {'type': 'box'}, 'component_format': 'float32',
+                }
+        """
+
+        def __init__(self, props: Any) -> None:
+            for name in ("near_clip", "far_clip"):
+                if name in props:
+                    raise InputError(
+                        f"{NAME}: {name} = {props[name]:g}: this camera has no clipping planes, its rays start "
+                        "at the main lens; remove the parameter"
+                    )
+            super().__init__(props)
+            film = self.film()
+            given: dict[str, Any] = {
+                **{name: read_number(props, NAME, name, None) for name in (*POSITIVE, "focus_distance")},
+                **{name: read_plain(props, name, None) for name in WORDS},
+                "mla_focal_length": read_numbers(props, NAME, "mla_focal_length"),
+                "mla_rotation": read_plain(props, "mla_rotation", None),
+                "mla_offset": _flat(read_numbers(props, NAME, "mla_offset")),
+            }
+            try:
+                camera = PlenopticCamera(
+                    **{name: value for name, value in given.items() if value is not None},
+                    resolution=tuple(film.size()),
+                    crop_offset=tuple(film.crop_offset()),
+                    crop_size=tuple(film.crop_size()),
+                )
+            except InputError as error:
+                raise InputError(f"{NAME}: {error}") from None
+            for name in WORDS:
+                setattr(self, name, getattr(camera, name))
+            for name in (*POSITIVE, "mla_rotation"):
+                setattr(self, name, mi.Float(getattr(camera, name)))
+            self.mla_focal_length = mi.Float(camera.mla_focal_lengths)
+            self.mla_offset = mi.Point2f(camera.mla_offset)
+            self.m_needs_sample_3 = True
+            self._update()
+            if not film.rfilter().is_box_filter():
+                warnings.warn(
+                    f"{NAME}: the film's filter {film.rfilter().class_name()} smears the micro-images into each "
+                    'other; use <rfilter type="box"/>',
+                    stacklevel=2,
+                )
+
+        def traverse(self, callback: Any) -> None:
+            """Expose the parameters to `mi.traverse`."""
+            super().traverse(callback)
+            differentiable, discontinuous = mi.ParamFlags.Differentiable, mi.ParamFlags.Discontinuous
+            callback.put("to_world", self.m_to_world, differentiable | discontinuous)
+            for name in NUMBERS:
+                flags = differentiable if name == "focal_length" else differentiable | discontinuous
+                callback.put(name, getattr(self, name), flags)
+
+        def parameters_changed(self, keys: list[str] | None = None) -> None:
+            """Check and take over changed parameters."""
+            super().parameters_changed(keys or [])
+            self._update()
+
+        def _update(self) -> None:
+            if not np.isfinite(self.world_transform().matrix.numpy()).all():
+                raise InputError(f"{NAME}: to_world: its numbers must be finite")
+            if dr.any(self.world_transform().has_scale()):
+                raise InputError(f"{NAME}: to_world: it must not scale; give lengths in scene units instead")
+            camera = self.camera
+            # Opaque values are kernel inputs, so that changing one does not compile the kernels again.
+            dr.make_opaque(*(getattr(self, name) for name in NUMBERS))
+            # An upright lattice needs no turning, unless the gradient for its angle is asked for.
+            turned = camera.mla_rotation != 0 or dr.grad_enabled(self.mla_rotation)
+            self._lattice = Lattice(
+                camera.mla_lattice,
+                self.mla_pitch,
+                self.mla_rotation if turned else 0.0,
+                (self.mla_offset.x, self.mla_offset.y),
+                camera.mla_aperture,
+                self.mla_fill,
+            )
+            self._candidates = [mi.Float(steps) for steps in camera.crosstalk_neighbours().T]
+            dr.make_opaque(*self._candidates)
+
+        @property
+        def camera(self) -> PlenopticCamera:
+            """The camera's present numbers."""
+            film = self.film()
+            numbers: dict[str, Any] = {name: _decimals(getattr(self, name))[0] for name in (*POSITIVE, "mla_rotation")}
+            return PlenopticCamera(
+                **numbers,
+                **{name: getattr(self, name) for name in WORDS},
+                mla_focal_length=_decimals(self.mla_focal_length),
+                mla_offset=(_decimals(self.mla_offset.x)[0], _decimals(self.mla_offset.y)[0]),
+                resolution=tuple(film.size()),
+                crop_offset=tuple(film.crop_offset()),
+                crop_size=tuple(film.crop_size()),
+            )
+
+        def _trace(self, px: Any, py: Any, mx: Any, my: Any, cx: Any, cy: Any, f2: Any) -> tuple[Any, Any, Any, Any]:
+            """Pupil point and slopes behind the main lens of the ray from p through m of the lens at c."""
+            b, z = self.mla_distance, self.detector_distance
+            ideal = self.lens_model == "ideal"
+            if ideal:
+                tx = rays.microlens_slope(px, mx, cx, z, f2)
+                ty = rays.microlens_slope(py, my, cy, z, f2)
+            else:
+                sx, sy = rays.slopes_to_cosines((mx - px) / z, (my - py) / z)
+                tx, ty = rays.cosines_to_slopes(sx - (mx - cx) / f2, sy - (my - cy) / f2)
+            Px, Py = rays.pupil_point(mx, tx, b), rays.pupil_point(my, ty, b)
+            if ideal:
+                return Px, Py, *(rays.main_lens_slope(t, P, self.focal_length) for t, P in ((tx, Px), (ty, Py)))
+            sx, sy = rays.slopes_to_cosines(tx, ty)
+            return (
+                Px,
+                Py,
+                *rays.cosines_to_slopes(
+                    rays.main_lens_slope(sx, Px, self.focal_length), rays.main_lens_slope(sy, Py, self.focal_length)
+                ),
+            )
+
+        def _places(self, film_sample: Any, lens_sample: Any, candidates: list[Any]) -> tuple[tuple[Any, ...], Any]:
+            """Detector point, point on a lens, its centre and focal length, and which of the candidates it is."""
+            film, lattice = self.film(), self._lattice
+            pixel = self.detector_width / film.size()[0]
+            b, z = self.mla_distance, self.detector_distance
+            px, py = (
+                (film_sample[axis] * film.crop_size()[axis] + film.crop_offset()[axis] - 0.5 * film.size()[axis])
+                * pixel
+                for axis in (0, 1)
+            )
+            i, j = lattice.cell(rays.chief_point(px, b, z), rays.chief_point(py, b, z))
+            within, candidate = mi.Float(lens_sample[0]), mi.UInt32(0)
+            count = dr.width(candidates[0])
+            if count > 1:
+                scaled = within * count
+                whole = dr.minimum(dr.floor(scaled), count - 1)
+                within, candidate = scaled - whole, mi.UInt32(whole)
+                steps = (dr.gather(mi.Float, step, candidate) for step in candidates)
+                i, j = (index + step for index, step in zip((i, j), steps, strict=True))
+            cx, cy = lattice.centre(i, j)
+            dx, dy = lattice.aperture_point(within, lens_sample[1])
+            f2 = self.mla_focal_length
+            if dr.width(f2) > 1:
+                f2 = dr.gather(mi.Float, f2, mi.UInt32(lattice.lens_kind(i, j)))
+            return (px, py, cx + dx, cy + dy, cx, cy, f2), candidate
+
+        def crosstalk_missed(self) -> float:
+            """Share of the light that comes through lenses just beyond those that rays try, from a sample of rays."""
+            tried = set(zip(*(steps.numpy().astype(int).tolist() for steps in self._candidates), strict=True))
+            around = self.camera.crosstalk_neighbours(beyond=self.camera.mla_pitch)
+            random = mi.PCG32(size=_CROSSTALK_RAYS)
+            film_sample, lens_sample = (
+                mi.Point2f(random.next_float32(), random.next_float32()) for _ in ("film", "lens")
+            )
+            places, candidate = self._places(film_sample, lens_sample, [mi.Float(steps) for steps in around.T])
+            Px, Py, _, _ = self._trace(*places)
+            open_ = Px * Px + Py * Py <= self.aperture_radius * self.aperture_radius
+            beyond = dr.gather(mi.Bool, mi.Bool([tuple(steps) not in tried for steps in around]), candidate)
+            return int(dr.count(open_ & beyond)[0]) / max(1, int(dr.count(open_)[0]))
+
+        def _sample(
+            self, time: Any, wavelength_sample: Any, film_sample: Any, lens_sample: Any, active: Any, differential: bool
+        ) -> tuple[Any, Any]:
+            pixel = self.detector_width / self.film().size()[0]
+            (px, py, *lens), _ = self._places(film_sample, lens_sample, self._candidates)
+            Px, Py, tx, ty = self._trace(px, py, *lens)
+            open_ = active & (Px * Px + Py * Py <= self.aperture_radius * self.aperture_radius)
+            wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
+            to_world = self.world_transform()
+            ray = mi.RayDifferential3f() if differential else mi.Ray3f()
+            ray.o = to_world @ mi.Point3f(Px, Py, 0)
+            ray.d = to_world @ dr.normalize(mi.Vector3f(tx, ty, 1))
+            # A ray of no length meets nothing: it is cheap, and depth or normals of dark pixels stay 0.
+            ray.maxt = dr.select(open_, dr.largest(mi.Float), 0)
+            ray.time = time
+            ray.wavelengths = wavelengths
+            if differential:
+                for name, dx, dy in (("x", pixel, 0), ("y", 0, pixel)):
+                    Px, Py, tx, ty = self._trace(px + dx, py + dy, *lens)
+                    setattr(ray, f"o_{name}", to_world @ mi.Point3f(Px, Py, 0))
+                    setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(tx, ty, 1)))
+                ray.has_differentials = True
+            return ray, dr.select(open_, weight * dr.width(self._candidates[0]), 0)
+
+        def sample_ray(
+            self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
+        ) -> tuple[Any, Any]:
+            """Draw a ray and its weight; `sample2` is the place on the film's crop window, `sample3` on the lens."""
+            return self._sample(time, sample1, sample2, sample3, active, differential=False)
+
+        def sample_ray_differential(
+            self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
+        ) -> tuple[Any, Any]:
+            """Draw a ray with those from the next pixel in x and y through the same lens point."""
+            return self._sample(time, sample1, sample2, sample3, active, differential=True)
+
+        def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
+            """Refuse light tracing: a scene point sees the detector through many lenses at once."""
+            raise InputError(
+                f"{NAME}: light tracing (an integrator such as ptracer) cannot reach the detector through the "
+                "lenses; use path or direct"
+            )
+
+        def bbox(self) -> Any:
+            """Bounds of the main lens, where all rays start."""
+            to_world = self.world_transform()
+            radius = self.camera.aperture_radius
+            box = mi.ScalarBoundingBox3f()
+            for x in (-radius, radius):
+                for y in (-radius, radius):
+                    corner = to_world @ mi.Point3f(x, y, 0)
+                    box.expand(mi.ScalarPoint3f([float(corner[i][0]) for i in range(3)]))
+            return box
+
+        def to_string(self) -> str:
+            """Describe the camera."""
+            lines = [f"  {name} = {value}," for name, value in self.camera.to_dict().items()]
+            return "\n".join(["PlenopticSensor[", *lines, f"  film = {self.film().class_name()}", "]"])
+
+    return PlenopticSensor
+
+
+def _flat(offset: tuple[float, ...] | None) -> tuple[float, ...] | None:
+    """Drop the z of a point or vector, which must be 0."""
+    if offset is not None and len(offset) == 3 and offset[2] == 0:
+        return offset[:2]
+    return offset
+
+
+def _decimals(values: Any) -> list[float]:
+    """Give the shortest decimal numbers of single-precision ones: 0.512, not 0.5120000243."""
+    return [float(str(np.float32(value))) for value in dr.detach(values)]

@@ -1,0 +1,1 @@
+"""What computes, and under which limits: processor or device, memory, batches, threads and workers."""

@@ -1,0 +1,166 @@
+"""Which libraries to compute with, outside of Mitsuba's plugins: Dr.Jit beside NumPy and SciPy, or beside CuPy.
+
+The active variant of Mitsuba chooses. The same code runs on both: it takes its modules from here, and arrays that it
+made on a CUDA device stay there until `Backend.to_host` fetches what is finished. Dr.Jit and CuPy share the memory of
+their arrays by DLPack, and CuPy's default stream and Dr.Jit's wait for each other, as CUDA defines it for the legacy
+default stream and streams that are not created otherwise.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import os
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ParamSpec, TypeVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import scipy.fft
+import scipy.sparse
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from . import llvm
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+_turn = threading.RLock()
+_started = False
+_forked = False
+
+
+def _after_fork() -> None:
+    global _forked
+    _forked = _forked or _started or mi.variant() is not None
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
+
+
+def require_own_process() -> None:
+    """Make sure that Dr.Jit's threads are this process's own: without them it waits for ever, sooner or later.
+
+    Raises
+    ------
+    InputError
+        If the process was forked from one in which Dr.Jit was at work.
+    """
+    if _forked:
+        raise InputError(
+            "process: it was forked from one in which Dr.Jit was at work, and has none of its threads; start it with "
+            "multiprocessing.get_context('spawn')"
+        )
+
+
+def one_at_a_time(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Let only one thread at a time into all functions that are decorated so.
+
+    Mitsuba's loader changes where the whole process looks for files, and Dr.Jit confuses arrays when two threads trace
+    scenes at once. Nothing is lost: each computation has all cores to itself.
+    """
+
+    @functools.wraps(function)
+    def in_turn(*arguments: _P.args, **options: _P.kwargs) -> _R:
+        require_own_process()
+        with _turn:
+            return function(*arguments, **options)
+
+    return in_turn
+
+
+@dataclass(frozen=True)
+class Backend:
+    """The libraries of one kind of processor.
+
+    Attributes
+    ----------
+    types : module
+        Types of Dr.Jit's arrays, without gradients.
+    arrays : module
+        NumPy, or CuPy, which has its functions.
+    transforms : module
+        `scipy.fft` or `cupyx.scipy.fft`.
+    sparse : module
+        `scipy.sparse` or `cupyx.scipy.sparse`.
+    is_cuda : bool
+        Whether the arrays lie on a CUDA device.
+    """
+
+    types: Any
+    arrays: Any
+    transforms: Any
+    sparse: Any
+    is_cuda: bool
+
+    def from_drjit(self, array: Any) -> Any:
+        """Give the memory of a flat Dr.Jit array as an array of `arrays`, computed or about to be."""
+        return self.arrays.from_dlpack(array) if self.is_cuda else array.numpy()
+
+    def to_host(self, array: Any) -> NDArray[Any]:
+        """Fetch a finished array into NumPy's memory."""
+        return self.arrays.asnumpy(array) if self.is_cuda else array
+
+    def synchronize(self) -> None:
+        """Wait until everything that was asked for has been computed."""
+        dr.sync_thread()
+        if self.is_cuda:
+            self.arrays.cuda.Device().synchronize()
+
+
+def backend() -> Backend:
+    """Give the libraries for the active variant: CUDA's for a CUDA variant, the processor's elsewhere.
+
+    Raises
+    ------
+    InputError
+        If LLVM or CuPy is needed and no usable one was found.
+    """
+    types = array_module()
+    return _cuda() if types is dr.cuda else _processor()
+
+
+def backend_of(array: Any) -> Backend:
+    """Give the libraries for an array of Dr.Jit, NumPy or CuPy, by where it lies."""
+    if dr.is_array_v(array):
+        return _cuda() if dr.backend_v(array) == dr.JitBackend.CUDA else _processor()
+    return _processor() if isinstance(array, np.ndarray) else _cuda()
+
+
+def array_module() -> Any:
+    """Give Dr.Jit's types for the active variant; unlike `backend` it needs no CuPy.
+
+    Raises
+    ------
+    InputError
+        If LLVM is needed and no usable one was found, or the process was forked while Dr.Jit was at work.
+    """
+    global _started
+    require_own_process()
+    _started = True
+    if (mi.variant() or "").startswith("cuda"):
+        return dr.cuda
+    llvm.require()
+    return dr.llvm
+
+
+@functools.cache
+def _processor() -> Backend:
+    return Backend(dr.llvm, np, scipy.fft, scipy.sparse, is_cuda=False)
+
+
+@functools.cache
+def _cuda() -> Backend:
+    try:
+        cupy, transforms, sparse = map(importlib.import_module, ("cupy", "cupyx.scipy.fft", "cupyx.scipy.sparse"))
+    except ImportError as missing:
+        raise InputError(
+            f"variant {mi.variant()}: waves on CUDA need CuPy, which does not load ({missing}); "
+            'pip install "mitsuba-plenoptic[cuda]"'
+        ) from None
+    return Backend(dr.cuda, cupy, transforms, sparse, is_cuda=True)

@@ -1,0 +1,214 @@
+"""Two-dimensional Fourier transforms of fields: SciPy on the processor, CuPy on CUDA, under Dr.Jit arrays.
+
+Dr.Jit has no FFT of its own. A field travels between the libraries without being copied, as one 64-bit word
+per sample whose lower half is the real part and whose upper half is the imaginary part: that is how NumPy and
+CuPy lay out ``complex64``, and a Dr.Jit kernel takes the halves apart again at no cost.
+
+SciPy transforms in place what it is told it may overwrite, views too. CuPy does so with whole arrays, copies a view
+first, and keeps the plans of cuFFT by shape (`cupy.fft.config.get_plan_cache`). So callers go on with the array that
+a transform returns, and on neither side need anything else be said.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from .backend import backend_of
+
+Field = NDArray[np.complex64]
+"""A field or spectrum: NumPy's array, or with a CUDA variant CuPy's, which lies on the device."""
+
+_rest = threading.Lock()
+_resting = 0
+_busy_threads = 0
+
+
+def worker_count() -> int:
+    """Return the number of processor cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@contextmanager
+def resting_drjit() -> Iterator[None]:
+    """Keep Dr.Jit's own threads off the processor cores while another library uses them.
+
+    Its idle workers wait actively for up to 20 ms, during which a threaded FFT would get half of every core. The
+    number of its threads is one for the whole process: the first of several Python threads to come here sets it to
+    one, and the last to leave restores it.
+    """
+    global _resting, _busy_threads
+    with _rest:
+        if _resting == 0:
+            _busy_threads = dr.thread_count()
+            dr.set_thread_count(1)
+        _resting += 1
+    try:
+        yield
+    finally:
+        with _rest:
+            _resting -= 1
+            if _resting == 0:
+                dr.set_thread_count(_busy_threads)
+
+
+def fft(
+    field: Field, *, axis: int, inverse: bool = False, norm: str | None = None, workers: int | None = None
+) -> Field:
+    """Transform a field along one axis, in place where the library can.
+
+    Parameters
+    ----------
+    field : complex64 array
+        Overwritten.
+    axis : int
+        The axis.
+    inverse : bool
+        Whether to transform with a positive exponent.
+    norm : {"backward", "forward", "ortho"}, optional
+        Which transform is divided by the number of samples, as in `scipy.fft`. Default: the inverse one.
+    workers : int, optional
+        Threads. Default: all cores this process may use.
+
+    Returns
+    -------
+    complex64 array
+        Zero frequency first.
+    """
+    return _transform("ifft" if inverse else "fft", field, workers, axis=axis, norm=norm)
+
+
+def fft2(field: Field, *, inverse: bool = False, workers: int | None = None) -> Field:
+    """Transform a field over its last two axes, in place where the library can.
+
+    Parameters
+    ----------
+    field : complex64 array (..., rows, columns)
+        Overwritten.
+    inverse : bool
+        Whether to transform with a positive exponent and divide by the number of samples.
+    workers : int, optional
+        Threads. Default: all cores this process may use.
+
+    Returns
+    -------
+    complex64 array (..., rows, columns)
+        Zero frequency first.
+    """
+    return _transform("ifft2" if inverse else "fft2", field, workers)
+
+
+def rfft(samples: NDArray[np.float32], *, axis: int) -> Field:
+    """Transform real samples along one axis; the frequencies from zero on."""
+    return _transform("rfft", samples, None, axis=axis)
+
+
+def irfft(spectrum: Field, count: int, *, axis: int) -> NDArray[np.float32]:
+    """Transform what `rfft` gives back to `count` real samples, along one axis; the spectrum is overwritten."""
+    return _transform("irfft", spectrum, None, n=count, axis=axis)
+
+
+def _transform(name: str, field: Any, workers: int | None, **options: Any) -> Any:
+    libraries = backend_of(field)
+    if not libraries.is_cuda:
+        options["workers"] = workers or worker_count()
+    return getattr(libraries.transforms, name)(field, overwrite_x=True, **options)
+
+
+def fft2_packed(packed: Any, shape: tuple[int, ...], *, inverse: bool = False) -> Any:
+    """Transform a field held in a flat Dr.Jit array of 64-bit words (see `pack`).
+
+    Parameters
+    ----------
+    packed : UInt64 array of Dr.Jit, size rows * columns
+        Its memory may be overwritten.
+    shape : (int, int)
+        Rows and columns.
+    inverse : bool
+        As for `fft2`.
+
+    Returns
+    -------
+    UInt64 array of the same type
+    """
+    kind = type(packed)
+    field = as_field(packed, shape)
+    with resting_drjit():
+        field = fft2(field, inverse=inverse)
+    return kind(as_words(field))
+
+
+def pack(field: Any) -> Any:
+    """Lay a Dr.Jit complex array (``Complex2f``) out as 64-bit words. Carries no gradient."""
+    types = array_types(field.real)
+    real, imaginary = (types.UInt64(dr.reinterpret_array(types.UInt32, part)) for part in (field.real, field.imag))
+    return real | (imaginary << 32)
+
+
+def unpack(packed: Any) -> Any:
+    """Take 64-bit words apart into a Dr.Jit complex array (``Complex2f``). Carries no gradient."""
+    types = array_types(packed)
+    real, imaginary = types.UInt32(packed), types.UInt32(packed >> 32)
+    return types.Complex2f(dr.reinterpret_array(types.Float, real), dr.reinterpret_array(types.Float, imaginary))
+
+
+def as_field(packed: Any, shape: tuple[int, ...]) -> Field:
+    """Give the memory of a flat Dr.Jit array of 64-bit words as a field, of which everything is computed."""
+    dr.eval(packed)
+    return backend_of(packed).from_drjit(packed).view(np.complex64).reshape(shape)
+
+
+def as_words(field: Field) -> NDArray[np.uint64]:
+    """Give the memory of a contiguous field as 64-bit words, from which a Dr.Jit array can be made without a copy."""
+    return field.reshape(-1).view(np.uint64)
+
+
+def array_types(array: Any) -> Any:
+    """Dr.Jit's module of array types that go with a flat array: of its backend, with or without gradients."""
+    types = backend_of(array).types
+    return types.ad if dr.is_diff_v(array) else types
+
+
+class _FourierTransform(dr.CustomOp):
+    """The transform and its adjoint: for x -> F x that is F^H = rows * columns * F^-1, and the reverse."""
+
+    def eval(self, field: Any, shape: tuple[int, int], inverse: bool) -> Any:
+        self.shape, self.inverse = shape, inverse
+        return unpack(fft2_packed(pack(field), shape, inverse=inverse))
+
+    def forward(self) -> None:
+        gradient = self.grad_in("field")
+        self.set_grad_out(unpack(fft2_packed(pack(gradient), self.shape, inverse=self.inverse)))
+
+    def backward(self) -> None:
+        gradient = unpack(fft2_packed(pack(self.grad_out()), self.shape, inverse=not self.inverse))
+        samples = self.shape[0] * self.shape[1]
+        self.set_grad_in("field", gradient / samples if self.inverse else gradient * samples)
+
+
+def fft2_differentiable(field: Any, shape: tuple[int, int], *, inverse: bool = False) -> Any:
+    """Transform a Dr.Jit complex array, with gradients in both directions.
+
+    Parameters
+    ----------
+    field : Complex2f of Dr.Jit, size rows * columns
+        Left as it is.
+    shape : (int, int)
+        Rows and columns.
+    inverse : bool
+        As for `fft2`.
+
+    Returns
+    -------
+    Complex2f of Dr.Jit, size rows * columns
+    """
+    return dr.custom(_FourierTransform, field, shape, inverse)

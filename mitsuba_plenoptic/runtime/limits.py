@@ -1,0 +1,110 @@
+"""How much memory a piece of work may take: estimated before anything is allocated, refused with what would fit."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+from ..errors import InputError, require_number
+
+GIB = 2**30
+
+VARIABLE = "MITSUBA_PLENOPTIC_MEMORY"
+"""Environment variable that sets the limit, in GiB."""
+
+_SHARE = 0.75
+"""Share of the machine's memory that is allowed unless told; the rest is for what is underestimated."""
+
+_UNKNOWN = 8 * GIB
+_CGROUP_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
+
+
+def memory_limit() -> float:
+    """Bytes that one piece of work may take.
+
+    Three quarters of the memory that the machine, or the container that the process runs in, has; or as many GiB as
+    the environment variable ``MITSUBA_PLENOPTIC_MEMORY`` says.
+
+    Raises
+    ------
+    InputError
+        If the variable is not a positive number.
+    """
+    told = os.environ.get(VARIABLE)
+    if told is None:
+        return _SHARE * _machine_memory()
+    try:
+        number = float(told)
+    except ValueError:
+        raise InputError(f"{VARIABLE} = {told!r}: it must be a number of GiB") from None
+    return require_number(VARIABLE, number, positive=True) * GIB
+
+
+def require_memory(
+    needed: float, what: str, fits: Callable[[float], str | None] | None = None, *, limit: float | None = None
+) -> None:
+    """Refuse work that needs more memory than is allowed.
+
+    Parameters
+    ----------
+    needed : float
+        Bytes, estimated.
+    what : str
+        What the message calls the work, with the values that make it large.
+    fits : callable, optional
+        Given the limit in bytes, says what would fit, or None if nothing would.
+    limit : float, optional
+        Bytes that are allowed. Default: `memory_limit`.
+
+    Raises
+    ------
+    InputError
+        With the estimate, the limit and what would fit.
+    """
+    limit = memory_limit() if limit is None else limit
+    # Written so that an estimate that is not a number is refused too.
+    if needed <= limit:
+        return
+    hint = fits(limit) if fits else None
+    raise InputError(
+        f"{what}: it would need {_gib(needed)} of memory, at most {_gib(limit)} are allowed"
+        + (f"; {hint} would fit" if hint else "")
+    )
+
+
+def largest_fitting(estimate: Callable[[int], float], limit: float, highest: int) -> int:
+    """Find the largest count whose estimate is within a limit, for an estimate that grows with the count.
+
+    Returns
+    -------
+    int
+        From 1 to `highest`, or 0 if not even 1 fits.
+    """
+    low, high = 0, highest + 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if estimate(middle) <= limit else (low, middle)
+    return low
+
+
+@cache
+def _machine_memory() -> float:
+    """Bytes of memory of the machine or of the container, whichever has less."""
+    try:
+        machine = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, OSError, ValueError):
+        machine = _UNKNOWN
+    for name in _CGROUP_LIMITS:
+        try:
+            text = Path(name).read_text().strip()
+        except OSError:
+            continue
+        if text.isdecimal():
+            machine = min(machine, float(text))
+    return machine
+
+
+def _gib(size: float) -> str:
+    return f"{size / GIB:.0f} GiB" if size >= 10 * GIB else f"{size / GIB:.1f} GiB"

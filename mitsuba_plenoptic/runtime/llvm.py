@@ -1,0 +1,193 @@
+"""Choose and check the LLVM library that Dr.Jit compiles with.
+
+Dr.Jit loads LLVM when it is first imported, from where ``DRJIT_LIBLLVM_PATH`` says or else from a few folders
+that it searches itself, and it takes what it finds: 14 is refused, and with 15 and 16 the process aborts at
+the first kernel that needs a minimum or maximum. So `choose` looks in more places and names a usable library
+before Dr.Jit loads, and `require` tells a user what to do where there is none, before a kernel is compiled.
+
+Only the standard library is imported here, so that ``tools/ensure_llvm.py`` can load this file on its own.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+VARIABLE = "DRJIT_LIBLLVM_PATH"
+MINIMUM = 17
+
+# Debian and Fedora: libLLVM-14.so.1, libLLVM.so.19.1; Conda: libLLVM-19.so, libLLVM.19.1.dylib.
+_NAME = re.compile(
+    r"libLLVM(?:[-.](?P<stem>\d[\d.]*?)(?:\.so(?:\.\d+)*|\.dylib)|\.so\.(?P<suffix>\d[\d.]*)|\.so|\.dylib)"
+)
+# Homebrew's Cellar/llvm/19.1.7/lib/libLLVM.dylib and Fedora's llvm19/lib64/libLLVM.so: the folder tells.
+_FOLDER = re.compile(r"llvm(?:@\d+/|[-/])?(\d[\d.]*)")
+
+
+@dataclass(frozen=True)
+class Library:
+    """An LLVM library on this machine, and its version as far as its name tells."""
+
+    path: Path
+    version: tuple[int, ...]
+
+    @property
+    def usable(self) -> bool:
+        """Whether Dr.Jit can compile everything with it."""
+        return self.version >= (MINIMUM,)
+
+    @property
+    def version_text(self) -> str:
+        """The version, as in ``LLVM 19.1``."""
+        return format_version(self.version)
+
+
+def format_version(version: tuple[int, ...]) -> str:
+    """Write a version as in ``LLVM 19.1``."""
+    return "LLVM " + ".".join(map(str, version)) if version else "LLVM of unknown version"
+
+
+def library(path: str | Path) -> Library:
+    """Tell the version of a library from its name, or else from the folder that it lies in."""
+    real = Path(path).resolve()
+    name = _NAME.fullmatch(real.name)
+    digits = (name["stem"] or name["suffix"]) if name else None
+    if digits is None and (folder := _FOLDER.search(str(real.parent))):
+        digits = folder[1]
+    return Library(Path(path), tuple(int(part) for part in (digits or "").split(".") if part))
+
+
+def candidates() -> list[Library]:
+    """List the LLVM libraries on this machine, the newest first and each once."""
+    found: dict[Path, Library] = {}
+    for folder in _folders():
+        for path in sorted(folder.glob("libLLVM*")):
+            if _NAME.fullmatch(path.name) and path.is_file():
+                found.setdefault(path.resolve(), library(path))
+    return sorted(found.values(), key=lambda item: item.version, reverse=True)
+
+
+def choose() -> None:
+    """Let Dr.Jit load the newest usable LLVM; to be called before Dr.Jit is imported.
+
+    A choice of the user's stays, and after Dr.Jit has loaded there is nothing left to choose.
+    """
+    if "drjit" in sys.modules or os.environ.get(VARIABLE):
+        return
+    best = next((item for item in candidates() if item.usable), None)
+    if best is not None:
+        os.environ[VARIABLE] = str(best.path)
+
+
+def problem() -> str | None:
+    """Tell in one sentence why the LLVM that Dr.Jit has loaded is unusable and what to do, if it is.
+
+    Nothing is compiled, since that is what aborts the process.
+    """
+    import drjit
+
+    version = tuple(drjit.detail.llvm_version())
+    if version >= (MINIMUM,):
+        return None
+    loaded = format_version(version) if version > (0,) else None
+    return explain(loaded, os.environ.get(VARIABLE), candidates())
+
+
+def require() -> None:
+    """Make sure that Dr.Jit can compile with LLVM.
+
+    Raises
+    ------
+    InputError
+        If it cannot, with what to do.
+    """
+    from ..errors import InputError
+
+    sentence = problem()
+    if sentence is not None:
+        raise InputError(sentence)
+
+
+def explain(loaded: str | None, named: str | None, found: list[Library]) -> str:
+    """Word the complaint about an unusable LLVM.
+
+    Parameters
+    ----------
+    loaded : str, optional
+        The version that Dr.Jit loaded; None if it loaded nothing.
+    named : str, optional
+        The value of ``DRJIT_LIBLLVM_PATH``.
+    found : list of Library
+        What `candidates` gives.
+    """
+    best = next((item for item in found if item.usable), None)
+    if named and not Path(named).is_file():
+        fault = f"{VARIABLE} = {named!r}: there is no such file"
+    elif named:
+        # The name helps where Dr.Jit refused to load the file at all.
+        by_name = library(named).version
+        what = loaded or (format_version(by_name) if by_name else "not an LLVM library that loads")
+        fault = f"{VARIABLE} = {named!r}: it is {what}, but the llvm variants need LLVM {MINIMUM} or newer"
+    elif loaded:
+        fault = f"Dr.Jit loaded {loaded}, but the llvm variants need LLVM {MINIMUM} or newer"
+    else:
+        fault = f"no LLVM {MINIMUM} or newer was found, which the llvm variants need"
+    if best is None:
+        command = install_command()
+        remedy = f"run: {command}" if command else "install one with your package manager"
+    elif named:
+        return f"{fault}; unset the variable, and {best.path} is used"
+    else:
+        remedy = f"import mitsuba_plenoptic before drjit and mitsuba, or set {VARIABLE}={best.path}"
+    return f"{fault}; unset the variable and {remedy}" if named else f"{fault}; {remedy}"
+
+
+def install_command() -> str | None:
+    """Give the one command that installs a usable LLVM here, or None where no known package manager is."""
+    if shutil.which("apt-get"):
+        sudo = "" if os.geteuid() == 0 else "sudo "
+        if package := newest_apt_package():
+            return f"{sudo}apt-get install -y {package}"
+        # Fresh systems have no list of packages yet; this one is in Debian 12 and Ubuntu 24.04.
+        return f"{sudo}apt-get update && {sudo}apt-get install -y libllvm19"
+    if shutil.which("brew"):
+        return "brew install llvm"
+    if shutil.which("dnf"):
+        return "sudo dnf install llvm-libs"
+    if shutil.which("pacman"):
+        return "sudo pacman -S llvm-libs"
+    return None
+
+
+def newest_apt_package() -> str | None:
+    """Name the newest usable ``libllvmNN`` that apt knows of."""
+    listing = subprocess.run(
+        ["apt-cache", "search", "--names-only", "^libllvm[0-9]+(t64)?$"],
+        capture_output=True,
+        text=True,
+        check=False,
+    ).stdout
+    packages = re.findall(r"^(libllvm(\d+)(?:t64)?) ", listing, flags=re.MULTILINE)
+    usable = [(int(number), name) for name, number in packages if int(number) >= MINIMUM]
+    return max(usable)[1] if usable else None
+
+
+def _folders() -> Iterator[Path]:
+    """Folders in which package managers put LLVM."""
+    root = Path("/")
+    # Only this machine's own architecture: Debian's multiarch puts foreign ones beside it.
+    yield root / "usr/lib" / f"{platform.machine()}-linux-gnu"
+    yield from sorted(root.glob("usr/lib/llvm-*/lib"))
+    yield root / "usr/lib64"
+    if prefix := os.environ.get("CONDA_PREFIX"):
+        yield Path(prefix) / "lib"
+    for brew in ("opt/homebrew", "usr/local", "home/linuxbrew/.linuxbrew"):
+        yield root / brew / "opt/llvm/lib"
+        yield from sorted(root.glob(f"{brew}/opt/llvm@*/lib"))

@@ -1,0 +1,283 @@
+"""The built-in scenes: what stands where, that parameters reach it, and that the meshes can be made again."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import sys
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import PlenopticCamera, scene_path
+
+ROOT = Path(__file__).resolve().parents[2]
+NAMES = ("letters", "white", "chart", "still_life")
+DISTANCES = {"eight": 210.0, "f": 240.0, "hash": 280.0}
+STILL_LIFE = ("table", "backdrop", "pawn", "die", "ball", "lambda", "knot", "window", "lamp")
+
+
+@pytest.fixture(scope="module")
+def make_meshes():
+    specification = importlib.util.spec_from_file_location("make_meshes", ROOT / "tools" / "make_meshes.py")
+    module = importlib.util.module_from_spec(specification)
+    # Its dataclass looks its own module up.
+    sys.modules[specification.name] = module
+    specification.loader.exec_module(module)
+    return module
+
+
+def load(name, **parameters):
+    return mi.load_file(str(scene_path(name)), **{"resolution": "64", **parameters})
+
+
+def referee(resolution, **parameters):
+    """Build one of Mitsuba's own cameras with the view of the plenoptic one."""
+    return mi.load_dict(
+        {
+            "type": "perspective",
+            "fov": math.degrees(2 * math.atan(8.192 / 2 / 120)),
+            "film": {
+                "type": "hdrfilm",
+                "width": resolution,
+                "height": resolution,
+                "rfilter": {"type": "box"},
+                "pixel_format": "luminance",
+                "component_format": "float32",
+            },
+            **parameters,
+        }
+    )
+
+
+def render(scene, resolution=128, spp=64, **parameters):
+    return np.array(mi.render(scene, sensor=referee(resolution, **parameters), spp=spp, seed=1))[..., 0]
+
+
+def shapes(scene):
+    return {shape.id(): shape for shape in scene.shapes()}
+
+
+def box(shape):
+    return np.array(shape.bbox().min), np.array(shape.bbox().max)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_camera_is_the_papers_and_parameters_reach_it(name):
+    scene = mi.load_file(str(scene_path(name)))
+    assert PlenopticCamera.from_sensor(scene.sensors()[0]) == PlenopticCamera()
+    assert scene.sensors()[0].sampler().sample_count() == 16
+
+    changed = {
+        "detector_width": 2.048,
+        "focal_length": 70.0,
+        "aperture_radius": 4.0,
+        "mla_distance": 110.0,
+        "mla_focal_length": 0.4,
+        "mla_pitch": 0.05,
+        "lens_model": "parabolic",
+    }
+    scene = load(name, resolution="96", spp="9", **{key: str(value) for key, value in changed.items()})
+    sensor = scene.sensors()[0]
+    camera = PlenopticCamera.from_sensor(sensor)
+    assert sensor.sampler().sample_count() == 9
+    assert camera.resolution == (96, 96)
+    for key, value in changed.items():
+        assert getattr(camera, key) == (pytest.approx(value) if isinstance(value, float) else value)
+    # Nobody asked for another detector distance, so the detector stays in the microlenses' focus.
+    assert camera.detector_distance == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_film_and_keys(name):
+    scene = load(name)
+    film = scene.sensors()[0].film()
+    film.prepare([])
+    assert film.rfilter().class_name() == "BoxFilter"
+    assert film.bitmap().pixel_format() == mi.Bitmap.PixelFormat.Y
+    assert film.bitmap().component_format() == mi.Struct.Type.Float32
+    assert not [key for key in mi.traverse(scene).properties if "object_" in key]
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_rgb", "llvm_ad_spectral"])
+@pytest.mark.parametrize("name", NAMES)
+def test_renders_in_every_colour_mode(name, variant):
+    mi.set_variant(variant)
+    capture = np.array(mi.render(load(name, mla_pitch="0.512", mla_focal_length="4.096"), spp=4, seed=3))
+    assert capture.shape == (64, 64, 1)
+    assert np.isfinite(capture).all()
+    assert capture.max() > 0.5
+
+
+def test_letters_stand_where_they_should():
+    found = shapes(load("letters"))
+    assert set(found) == set(DISTANCES)
+    for (name, distance), place in zip(DISTANCES.items(), (1, 0, -1), strict=True):
+        low, high = box(found[name])
+        assert low[2] == high[2] == distance
+        np.testing.assert_allclose([low[1], high[1]], [-2, 2], atol=1e-6)
+        np.testing.assert_allclose((low[0] + high[0]) / 2, place * 3.2 * distance / 240, atol=1e-5)
+
+
+def test_letters_scale_in_their_planes():
+    small = shapes(load("letters", letter_scale="0.25"))
+    for name, shape in shapes(load("letters")).items():
+        for scaled, full in zip(box(small[name]), box(shape), strict=True):
+            np.testing.assert_allclose(scaled, full * [0.25, 0.25, 1], atol=1e-6)
+
+
+def test_letters_read_from_left_to_right(make_meshes):
+    resolution = 256
+    image = render(load("letters"), resolution)
+    assert image.max() == pytest.approx(1, abs=1e-5)
+    bright = np.flatnonzero(image.sum(axis=0))
+    runs = np.split(bright, np.flatnonzero(np.diff(bright) > 1) + 1)
+    assert len(runs) == 3
+    pixel = 8.192 / 120 * 240 / resolution
+    v, u = (0.5 * resolution - 0.5 - np.arange(resolution)) * pixel, (np.arange(resolution) + 0.5) * pixel
+    outlines = (make_meshes.letter_eight(), make_meshes.letter_f(), make_meshes.letter_hash())
+    for run, outline, distance, place in zip(runs, outlines, DISTANCES.values(), (-3.2, 0, 3.2), strict=True):
+        letter = image[:, run]
+        # First and second moments tell the letters apart, and each from its mirror images.
+        w, (y, x) = letter.sum(), np.meshgrid(v, u[run] - 8.192 - place, indexing="ij")
+        seen = np.array([w * pixel**2, (letter * x).sum() / w, (letter * y).sum() / w, (letter * x * y).sum() / w])
+        points = np.array([polygon_moments(piece) for piece in outline]).sum(axis=0)
+        scale = 240 / distance
+        area, mx, my, mxy = points
+        drawn = np.array([area * scale**2, mx / area * scale, my / area * scale, mxy / area * scale**2])
+        np.testing.assert_allclose(seen, drawn, atol=0.02, rtol=0.005)
+
+
+def polygon_moments(polygon):
+    """Return the integrals of 1, x, y and xy over a convex polygon."""
+    p = np.array(polygon)
+    total = np.zeros(4)
+    for a, b, c in ((p[0], p[i], p[i + 1]) for i in range(1, len(p) - 1)):
+        area = 0.5 * ((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0])
+        centre = (a + b + c) / 3
+        # The midpoints of the sides integrate polynomials of degree two exactly.
+        middles = (np.array([a, b, c]) + np.array([b, c, a])) / 2
+        total += area * np.array([1, *centre, (middles[:, 0] * middles[:, 1]).mean()])
+    return total
+
+
+@pytest.mark.parametrize("name", ["letters", "chart"])
+def test_nothing_hides_anything_from_the_pupil(name):
+    boxes = [box(shape) for shape in shapes(load(name)).values()]
+    pupil = 5.0
+    for low, high in boxes:
+        for low2, high2 in boxes:
+            if low2[2] <= low[2]:
+                continue
+            # Seen from the pupil, the nearer box shifts against the farther one by at most this.
+            shift = pupil * (1 - low[2] / low2[2])
+            near, far = (low[0], high[0]), (low2[0] * low[2] / low2[2], high2[0] * low[2] / low2[2])
+            assert near[1] + shift < far[0] or far[1] + shift < near[0]
+
+
+@pytest.mark.parametrize("aperture", [5.0, 10.0])
+def test_white_wall_fills_the_view(aperture):
+    scene = load("white")
+    low, high = box(shapes(scene)["wall"])
+    assert low[2] == high[2] == 240.0
+    camera = PlenopticCamera(aperture_radius=aperture)
+    # Any MLA point that the detector sees, through any pupil point.
+    edge = (camera.detector_width / 2 + camera.mla_pitch) * 240.0 / 120.0
+    assert min(-low[0], high[0], -low[1], high[1]) > edge + aperture
+    image = render(scene, 64, 64, type="thinlens", aperture_radius=aperture, focus_distance=200.0)
+    np.testing.assert_allclose(image, 1, atol=1e-5)
+    low, high = box(shapes(load("white", wall_distance="300"))["wall"])
+    assert low[2] == high[2] == 300.0
+
+
+def test_chart_has_every_figure_at_every_distance(make_meshes):
+    found = shapes(load("chart"))
+    assert set(found) == {f"{kind}_{g}" for kind in ("star", "bars", "edge") for g in (210, 240, 280)}
+    for name, shape in found.items():
+        low, high = box(shape)
+        assert low[2] == high[2] == float(name.split("_")[1])
+        # The whole figure is in view, even blurred by a camera that focuses at 240.
+        blur = 5.0 * abs(1 - low[2] / 240)
+        assert max(-low[0], high[0], -low[1], high[1]) + blur < 8.192 / 2 / 120 * low[2]
+    # On a line through the middle of the coarsest upright bars: 1.5 line pairs per mm.
+    group, _ = make_meshes.bar_group(1.5, 0.0, 0.0, 0.15)
+    edges = sorted({u for bar in group[:3] for u, _ in bar})
+    np.testing.assert_allclose(np.diff(edges), 1 / 3)
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_rgb"])
+def test_still_life_shows_everything_between_200_and_300(variant):
+    mi.set_variant(variant)
+    scene = load("still_life")
+    found = shapes(scene)
+    assert set(STILL_LIFE) <= set(found)
+    resolution = 128
+    image = render(scene, resolution, 16)
+    assert np.isfinite(image).all()
+    # A typical surface is between 0.1 and 1, and nothing is black.
+    assert np.mean((image > 0.08) & (image < 1)) > 0.75
+    assert image.min() > 0
+
+    x, y = dr.meshgrid(*[(dr.arange(mi.Float, resolution) + 0.5) / resolution] * 2)
+    ray, _ = referee(resolution).sample_ray(0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
+    hit = scene.ray_intersect(ray)
+    depth = np.array(hit.p.z)
+    assert depth.min() > 190
+    assert depth.max() < 300.01
+    for name, shape in found.items():
+        count = np.count_nonzero(np.array(hit.shape == mi.ShapePtr(shape)))
+        if name in ("window", "lamp"):
+            assert count == 0
+        elif not name.startswith("pearl"):
+            assert count > 100, name
+
+
+def test_flat_figures_face_the_camera_and_do_not_overlap(make_meshes):
+    rng = np.random.default_rng(1)
+    for outline in (
+        make_meshes.letter_eight(),
+        make_meshes.letter_f(),
+        make_meshes.letter_hash(),
+        make_meshes.siemens_star(24, 0.1, 2.0, 6),
+        make_meshes.chart_bars(),
+        make_meshes.slanted_square(3.0, 5.0),
+    ):
+        mesh = make_meshes.flat_mesh(outline)
+        a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+        assert (np.cross(b - a, c - a)[:, 2] < 0).all()
+        points = rng.uniform(mesh.vertices.min(axis=0)[:2], mesh.vertices.max(axis=0)[:2], (5000, 2))
+        inside = np.ones((len(mesh.faces), len(points)), bool)
+        for p, q in ((a, b), (b, c), (c, a)):
+            side = (q - p)[:, None, :2]
+            to_point = points[None] - p[:, None, :2]
+            inside &= side[..., 0] * to_point[..., 1] - side[..., 1] * to_point[..., 0] < 0
+        assert inside.sum(axis=0).max() == 1
+
+
+def test_solid_meshes_are_closed_and_turned_outwards(make_meshes):
+    for mesh in (
+        make_meshes.pawn(),
+        make_meshes.rounded_die(3.4, 0.42, 4),
+        make_meshes.torus_knot(2.3, 0.42, 128, 20),
+        make_meshes.solid_lambda(4.2, 1.0),
+    ):
+        a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+        normal = np.cross(b - a, c - a)
+        assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() > 0
+        np.testing.assert_allclose(normal.sum(axis=0), 0, atol=1e-9)
+        assert mesh.vertices[:, 1].min() == pytest.approx(0, abs=1e-9)
+        if mesh.normals is not None:
+            assert (np.einsum("ij,ij->i", normal, mesh.normals[mesh.faces].mean(axis=1)) > 0).all()
+
+
+def test_meshes_and_textures_come_out_the_same(make_meshes, tmp_path):
+    made = {path.relative_to(tmp_path) for path in make_meshes.write_all(tmp_path)}
+    scenes = ROOT / "scenes"
+    committed = {path.relative_to(scenes) for pattern in ("*.png", "meshes/*.ply") for path in scenes.glob(pattern)}
+    assert made == committed
+    for path in made:
+        assert (tmp_path / path).read_bytes() == (scenes / path).read_bytes(), path
+    assert sum(path.stat().st_size for path in scenes.rglob("*") if path.suffix in (".png", ".ply", ".xml")) < 2**20

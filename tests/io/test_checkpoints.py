@@ -1,0 +1,467 @@
+"""Wave captures that are stopped: they go on from their checkpoint, with the bits of one that was not."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, read_capture, render_capture
+from mitsuba_plenoptic.capture.incoherent import incoherent_sum
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.io import checkpoints as checkpoints
+from mitsuba_plenoptic.io.checkpoints import Checkpoint
+from mitsuba_plenoptic.runtime.batches import PartialSum
+
+SMALL = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
+SCENE = {"resolution": "256", "detector_width": "0.512", "letter_scale": "0.06"}
+WAVE = ["render", "letters", "--model", "wave", "--spp", "1", "--radiators-per-lens", "4"]
+WAVE += [word for name, value in SCENE.items() for word in ("-D", f"{name}={value}")]
+
+# The command, with a checkpoint after every batch instead of every ten seconds.
+COMMAND = """
+import sys
+from mitsuba_plenoptic.io import checkpoints as checkpoint
+checkpoint._SECONDS, checkpoint._SHARE = 0.0, 1e9
+from mitsuba_plenoptic.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+class StoppedError(Exception):
+    """Stands in for whatever ends a run."""
+
+
+@pytest.fixture
+def often(monkeypatch):
+    """Write a checkpoint after every batch."""
+    monkeypatch.setattr(checkpoints, "_SECONDS", 0.0)
+    monkeypatch.setattr(checkpoints, "_SHARE", 1e9)
+
+
+@pytest.fixture(scope="module")
+def clean():
+    """Render the capture that no run is allowed to differ from."""
+    mi.set_variant("llvm_ad_mono")
+    return render_capture(load_scene("letters", parameters=SCENE), model="wave", spp=1, radiators_per_lens=4).image
+
+
+@pytest.fixture
+def stop_after(monkeypatch, often):
+    """Make runs end after some checkpoints."""
+
+    def stop(count):
+        write = checkpoints._write
+        written = []
+
+        def counted(path, run, snapshot):
+            if len(written) == count:
+                raise StoppedError
+            write(path, run, snapshot)
+            written.append(path)
+
+        monkeypatch.setattr(checkpoints, "_write", counted)
+        return lambda: monkeypatch.setattr(checkpoints, "_write", write)
+
+    return stop
+
+
+def positions(count, seed=0):
+    rng = np.random.default_rng(seed)
+    g = rng.uniform(205, 275, count)
+    image = rng.uniform(-0.2, 0.2, (count, 2))
+    return np.column_stack([-image * g[:, None] / SMALL.mla_distance, g])
+
+
+@pytest.mark.parametrize("method", ["patch", "full_field"])
+def test_a_sum_goes_on_from_any_batch(method):
+    points = positions(30 if method == "patch" else 3)
+    weights = np.random.default_rng(1).uniform(0, 1, (len(points), 2))
+    weights[1] = 0
+    states = []
+    whole = incoherent_sum(
+        SMALL,
+        points,
+        weights,
+        wavelength=633,
+        method=method,
+        keep=lambda state: states.append(PartialSum(state.batches, state.sums.copy())),
+    )
+    assert len(states) >= 2
+    assert [state.batches for state in states] == list(range(1, len(states) + 1))
+    for state in (states[0], states[len(states) // 2], states[-1]):
+        calls = []
+        rest = incoherent_sum(
+            SMALL,
+            points,
+            weights,
+            wavelength=633,
+            method=method,
+            start=state,
+            progress=lambda *c, calls=calls: calls.append(c),
+        )
+        np.testing.assert_array_equal(rest, whole)
+        assert calls[-1] == (len(points), len(points)) and (len(calls) == 1) == (state is states[-1])
+
+
+def test_a_sum_refuses_the_state_of_another():
+    for state in (PartialSum(1, np.zeros((1, 3, 3), np.float32)), PartialSum(99, np.zeros((1, 256, 256), np.float32))):
+        with pytest.raises(InputError, match=r"^start: .* batches of shape"):
+            incoherent_sum(SMALL, positions(2), np.ones(2), wavelength=633, method="full_field", start=state)
+
+
+@pytest.mark.parametrize("checkpoint_count", [1, 4])
+def test_a_capture_goes_on_where_it_was_stopped(tmp_path, clean, stop_after, checkpoint_count):
+    go_on = stop_after(checkpoint_count)
+    scene, path = load_scene("letters", parameters=SCENE), tmp_path / "raw.exr.checkpoint"
+
+    def render(existing):
+        with Checkpoint(path, existing) as checkpoint:
+            calls = []
+            capture = render_capture(
+                scene,
+                model="wave",
+                spp=1,
+                radiators_per_lens=4,
+                checkpoint=checkpoint,
+                progress=lambda *call: calls.append(call),
+            )
+            return capture.image, calls[0][0]
+
+    with pytest.raises(StoppedError):
+        render("refuse")
+    assert path.exists()
+    go_on()
+    with pytest.raises(InputError, match=r"raw.exr.checkpoint: the checkpoint of a run that was stopped"):
+        render("refuse")
+    image, done = render("resume")
+    assert done > 0
+    np.testing.assert_array_equal(image, clean)
+    assert not path.exists()
+
+
+def test_finished_sums_are_remembered(tmp_path, stop_after):
+    """Stopped in the third of three sums, one a pass."""
+    scene = load_scene("letters", parameters=SCENE)
+    options = {"model": "wave", "spp": 1, "radiators_per_lens": 2, "passes": 3, "seed": 3}
+    whole = render_capture(scene, **options).image
+    sums = []
+    go_on = stop_after(10**6)
+    write = checkpoints._write
+
+    def until_the_last(path, run, snapshot):
+        write(path, run, snapshot)
+        sums.append(snapshot.sums)
+        # The second checkpoint of the last sum never takes the place of the first.
+        if sums.count(2) == 2:
+            raise StoppedError
+
+    checkpoints._write = until_the_last
+    path = tmp_path / "checkpoint"
+    with pytest.raises(StoppedError), Checkpoint(path) as checkpoint:
+        render_capture(scene, checkpoint=checkpoint, **options)
+    go_on()
+    assert sums[0] == 0 and 1 in sums
+    with Checkpoint(path, "resume") as checkpoint:
+        resumed = render_capture(scene, checkpoint=checkpoint, **options).image
+    np.testing.assert_array_equal(resumed, whole)
+
+
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory):
+    """Stop a capture and return its checkpoint's content."""
+    mi.set_variant("llvm_ad_mono")
+    path = tmp_path_factory.mktemp("stopped") / "raw.checkpoint"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(checkpoints, "_SECONDS", 0.0)
+        write = checkpoints._write
+
+        def write_once(*state):
+            if path.exists():
+                raise StoppedError
+            write(*state)
+
+        patch.setattr(checkpoints, "_SHARE", 1e9)
+        patch.setattr(checkpoints, "_write", write_once)
+        with pytest.raises(StoppedError), Checkpoint(path) as checkpoint:
+            scene = load_scene("letters", parameters=SCENE)
+            render_capture(scene, model="wave", spp=1, radiators_per_lens=4, checkpoint=checkpoint)
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "options", "difference"),
+    [
+        ({"aperture_radius": "4"}, {}, "camera.aperture_radius = 5.0 there, 4.0 here"),
+        ({"letter_scale": "0.05"}, {}, "scene_digest = "),
+        ({}, {"wavelength": 500}, "wavelength = 633 there, 500 here"),
+        ({}, {"seed": 1}, "seed = 0 there, 1 here"),
+        ({}, {"accuracy": 0.02}, "accuracy = 0.01 there, 0.02 here"),
+    ],
+)
+def test_another_run_is_refused_with_the_difference(tmp_path, stopped, parameters, options, difference):
+    path = tmp_path / "raw.checkpoint"
+    path.write_bytes(stopped)
+    scene = load_scene("letters", parameters=SCENE | parameters)
+    options = {"model": "wave", "spp": 1, "radiators_per_lens": 4} | options
+    with pytest.raises(InputError) as caught, Checkpoint(path, "resume") as checkpoint:
+        render_capture(scene, checkpoint=checkpoint, **options)
+    assert str(caught.value).startswith(f"{path}: the checkpoint of another run: ")
+    assert difference in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert path.read_bytes() == stopped
+
+
+def rewrite(path, change):
+    """Change the header of a checkpoint."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    header = json.loads(members["header.json"])
+    change(header, members)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("header.json", json.dumps(header))
+        for name, content in members.items():
+            if name != "header.json":
+                archive.writestr(name, content)
+
+
+def put(*names, value):
+    def change(header, _):
+        for name in names[:-1]:
+            header = header[name]
+        header[names[-1]] = value
+
+    return change
+
+
+def test_another_version_or_a_damaged_file_is_refused(tmp_path, stopped):
+    path = tmp_path / "raw.checkpoint"
+    path.write_bytes(stopped)
+    scene = load_scene("letters", parameters=SCENE)
+
+    def complaint():
+        with pytest.raises(InputError) as caught, Checkpoint(path, "resume") as checkpoint:
+            render_capture(scene, model="wave", spp=1, radiators_per_lens=4, checkpoint=checkpoint)
+        path.write_bytes(stopped)
+        return str(caught.value)
+
+    rewrite(path, put("format", value=2))
+    assert "format = 2 there, 1 here" in complaint()
+    rewrite(path, put("run", "software", "mitsuba_plenoptic", value="0123"))
+    assert "software.mitsuba_plenoptic = 0123 there" in complaint()
+    rewrite(path, put("shapes", "partial", value=[1, 2**20, 2**20]))
+    assert "is damaged: partial of shape" in complaint()
+    rewrite(path, put("shapes", "partial", value=[1, -4, -4]))
+    assert "is damaged: partial has the shape" in complaint()
+    rewrite(path, lambda header, members: (header["shapes"].update(image=[1, 4, 1]), members.update(image=bytes(16))))
+    assert "image has the shape (1, 4, 1) instead of (256, 256, 1)" in complaint()
+    rewrite(path, put("batches", value=10**6))
+    assert "1000000 batches" in complaint()
+    rewrite(path, lambda header, members: members.pop("image"))
+    assert "is damaged" in complaint()
+    path.write_bytes(stopped[: len(stopped) // 2])
+    assert "it is not a checkpoint, or is damaged" in complaint()
+    flipped = bytearray(stopped)
+    flipped[len(stopped) // 2] ^= 1
+    path.write_bytes(flipped)
+    assert "Bad CRC-32" in complaint()
+
+
+def test_nothing_in_a_checkpoint_is_unpickled(tmp_path, stopped):
+    """The arrays are plain numbers: a pickle in their place is read as such, or refused by its size."""
+    path, trap = tmp_path / "raw.checkpoint", tmp_path / "trap"
+    path.write_bytes(stopped)
+    pickle = b"cpathlib\nPath.touch\n(cpathlib\nPath\n(V%s\ntRtR." % str(trap).encode()
+    rewrite(path, lambda header, members: members.update(image=pickle))
+    scene = load_scene("letters", parameters=SCENE)
+    with pytest.raises(InputError, match="is damaged: image of shape"), Checkpoint(path, "resume") as checkpoint:
+        render_capture(scene, model="wave", spp=1, radiators_per_lens=4, checkpoint=checkpoint)
+    assert not trap.exists()
+
+
+def test_a_stage_replaces_the_checkpoint_of_another_run_unless_told(tmp_path, stopped, clean, caplog):
+    path = tmp_path / "raw.checkpoint"
+    path.write_bytes(stopped)
+    rewrite(path, put("run", "seed", value=5))
+    caplog.set_level("INFO", "mitsuba_plenoptic")
+    with Checkpoint(path, "resume_if_same") as checkpoint:
+        scene = load_scene("letters", parameters=SCENE)
+        image = render_capture(scene, model="wave", spp=1, radiators_per_lens=4, checkpoint=checkpoint).image
+    np.testing.assert_array_equal(image, clean)
+    assert "seed = 5 there, 0 here; beginning anew" in caplog.text
+    assert not path.exists()
+
+
+def test_checkpoints_take_a_small_share_of_the_time(tmp_path, monkeypatch):
+    clock, written = [0.0], []
+    monkeypatch.setattr(checkpoints.time, "monotonic", lambda: clock[0])
+
+    def write(path, run, snapshot):
+        path.write_bytes(b"")
+        clock[0] += 2
+        written.append(clock[0])
+
+    monkeypatch.setattr(checkpoints, "_write", write)
+    with Checkpoint(tmp_path / "checkpoint") as checkpoint:
+        checkpoint.begin((1, 1, 1))
+        while clock[0] < 1000:
+            clock[0] += 0.5
+            checkpoint.save(None)
+    assert written[0] == 12
+    assert 2 * len(written) <= 0.05 * clock[0] + 2
+    assert len(written) > 20
+
+
+def test_a_ray_capture_leaves_a_checkpoint_alone(tmp_path, capfd):
+    kept = tmp_path / "raw.exr.checkpoint"
+    kept.write_bytes(b"days of work")
+    words = ["letters", "-o", str(tmp_path / "raw.exr"), "-D", "resolution=64"]
+    assert main(["render", *words]) == 2
+    assert "the checkpoint of a run that was stopped" in capfd.readouterr().err
+    assert main(["render", *words, "--resume"]) == 0
+    assert kept.read_bytes() == b"days of work"
+
+
+def names(folder):
+    """Everything in a folder, hidden or not."""
+    return sorted(path.name for path in folder.iterdir())
+
+
+# -- real processes --------------------------------------------------------------------------------------
+
+
+def start(*words, limit=None, **options):
+    """Start the command in a process of its own, which may be allowed to write files of limited size only."""
+
+    def prepare():
+        if limit is not None:
+            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    environment = os.environ | {"DRJIT_NUM_THREADS": "1"}
+    if limit is not None:
+        # What measures the tests' coverage could not write its own file either.
+        environment.pop("COVERAGE_PROCESS_CONFIG", None)
+    return subprocess.Popen(
+        [sys.executable, "-c", COMMAND, *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=prepare,
+        env=environment,
+        **options,
+    )
+
+
+def kill_at_random(words, output, rng, kills, latest=None):
+    """Kill runs at random moments after their first checkpoint, resume each, and let the last one end."""
+    path = Path(f"{output}.checkpoint")
+    resumed = 0
+    for _ in range(kills):
+        process = start(*words, "-o", output, "--resume")
+        before = path.stat().st_mtime_ns if path.exists() else None
+        while process.poll() is None and (path.stat().st_mtime_ns if path.exists() else None) == before:
+            time.sleep(0.01)
+        time.sleep(rng.uniform(0, 0.3))
+        process.kill()
+        _, errors = process.communicate()
+        resumed += "going on from there" in errors
+    process = start(*words, "-o", output, "--resume")
+    _, errors = process.communicate(timeout=300)
+    assert process.returncode == 0, errors
+    assert list(output.parent.glob(f".{output.name}.*")) == []
+    return resumed + ("going on from there" in errors)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
+def test_killed_captures_end_with_the_bits_of_the_clean_one(tmp_path, clean):
+    output = tmp_path / "raw.exr"
+    assert kill_at_random(WAVE, output, random.Random(1), kills=2) >= 1
+    np.testing.assert_array_equal(read_capture(output).image, clean)
+    assert names(tmp_path) == ["raw.exr"]
+
+
+def test_a_limit_of_file_sizes_costs_the_checkpoint_and_then_the_capture_but_nothing_older(tmp_path, clean):
+    """The portable variant of a full disk: writes fail beyond a size."""
+    output = tmp_path / "raw.exr"
+    output.write_bytes(b"yesterday's")
+    process = start(*WAVE, "-o", output, limit=20_000)
+    _, errors = process.communicate(timeout=300)
+    assert process.returncode == 2
+    lines = [line for line in errors.splitlines() if "point spreads" not in line]
+    assert len(lines) == 2, errors
+    assert "warning" in lines[0] and "raw.exr.checkpoint: no checkpoint can be written: File too large" in lines[0]
+    assert "error: " in lines[1] and "raw.exr: it cannot be written" in lines[1]
+    assert output.read_bytes() == b"yesterday's"
+    assert names(tmp_path) == ["raw.exr"]
+
+
+@pytest.fixture
+def tiny_disk(tmp_path):
+    """Mount a disk of 4 MiB, where that is allowed."""
+    if not sys.platform.startswith("linux") or os.geteuid() != 0:
+        pytest.skip("only root on Linux can mount a small disk")
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", folder], capture_output=True, text=True)
+    if mounted.returncode:
+        pytest.skip(f"mounting is not allowed: {mounted.stderr.strip()}")
+    yield folder
+    subprocess.run(["umount", folder], check=True)
+
+
+def test_a_full_disk_keeps_what_was_there_and_the_capture_ends_when_there_is_room(tiny_disk, clean):
+    output, filler = tiny_disk / "raw.exr", tiny_disk / "filler"
+    output.write_bytes(b"yesterday's")
+    process = start(*WAVE, "-o", output)
+    path = Path(f"{output}.checkpoint")
+    # Now, between two checkpoints, the disk fills up.
+    while True:
+        assert process.poll() is None
+        process.send_signal(signal.SIGSTOP)
+        time.sleep(0.01)
+        if path.exists() and not list(tiny_disk.glob(f".{path.name}.*")):
+            break
+        process.send_signal(signal.SIGCONT)
+        time.sleep(0.01)
+    with contextlib.suppress(OSError), filler.open("wb", buffering=0) as file:
+        while file.write(b"x" * 4096):
+            pass
+    process.send_signal(signal.SIGCONT)
+    _, errors = process.communicate(timeout=300)
+    assert process.returncode == 2, errors
+    assert "raw.exr.checkpoint: no checkpoint can be written: No space left on device" in errors
+    assert errors.splitlines()[-1].startswith("mitsuba-plenoptic: error: ")
+    assert "raw.exr: it cannot be written" in errors.splitlines()[-1]
+    assert "Traceback" not in errors
+    assert output.read_bytes() == b"yesterday's"
+    assert path.exists()
+    filler.unlink()
+    process = start(*WAVE, "-o", output, "--resume")
+    _, errors = process.communicate(timeout=300)
+    assert process.returncode == 0, errors
+    assert "going on from there" in errors
+    np.testing.assert_array_equal(read_capture(output).image, clean)
+    assert names(tiny_disk) == ["raw.exr"]
+
+
+@pytest.mark.slow
+def test_twenty_kills(tmp_path, clean):
+    output = tmp_path / "raw.exr"
+    rng = random.Random(7)
+    for _ in range(20):
+        kill_at_random(WAVE, output, rng, kills=1)
+        np.testing.assert_array_equal(read_capture(output).image, clean)
+        output.unlink()

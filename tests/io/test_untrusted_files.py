@@ -1,0 +1,341 @@
+"""Captures, light fields and scenes from strangers: they run nothing, reach nothing, and take no more than they are."""
+
+from __future__ import annotations
+
+import ast
+import io
+import os
+import shutil
+import struct
+import subprocess
+import time
+import zlib
+from pathlib import Path
+
+import h5py
+import numpy as np
+import OpenEXR
+import pytest
+import scipy.io
+
+import mitsuba_plenoptic
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, load_scene, read_capture, write_capture
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.lightfield.exchange import open_light_field, read_picture
+
+CAMERA = PlenopticCamera(resolution=(64, 64), detector_width=0.256)
+SCENE = """<scene version="3.0.0">
+<integrator type="path"/>
+<sensor type="plenoptic"><float name="detector_width" value="0.128"/>
+<film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="16"/>
+<rfilter type="box"/></film></sensor>
+{}
+</scene>"""
+
+
+@pytest.fixture
+def capture(tmp_path):
+    path = tmp_path / "raw.exr"
+    write_capture(path, Capture(np.ones((64, 64)), CAMERA, metadata={"scene": "white.xml"}))
+    return path
+
+
+def scene(folder, text="", name="scene.xml"):
+    path = folder / name
+    path.write_text(SCENE.format(text))
+    return path
+
+
+class TestCaptures:
+    @pytest.mark.parametrize("size", [(10**9, 10**9), (2**30, 1), (200_000, 200_000), (65, 64)])
+    def test_a_header_that_claims_more_than_the_file_holds(self, capture, size):
+        data = capture.read_bytes()
+        place = data.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4
+        window = struct.pack("<iiii", 0, 0, *(min(count, 2**30) - 1 for count in size))
+        capture.write_bytes(data[:place] + window + data[place + 16 :])
+        start = time.perf_counter()
+        with pytest.raises(InputError, match=r"raw\.exr"):
+            read_capture(capture)
+        assert time.perf_counter() - start < 1
+
+    def test_a_small_file_cannot_unpack_into_more_than_is_allowed(self, tmp_path, monkeypatch):
+        path = tmp_path / "bomb.exr"
+        header = {"mitsuba_plenoptic": "{}", "compression": OpenEXR.ZIP_COMPRESSION}
+        OpenEXR.File(header, {"Y": np.zeros((4000, 4000), np.float32)}).write(str(path))
+        assert path.stat().st_size < 4000 * 4000 * 4 / 100
+        monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", "0.05")
+        with pytest.raises(InputError, match=r"4000 x 4000 pixels of 1 channels: it would need 0\.1 GiB"):
+            read_capture(path)
+
+    @pytest.mark.parametrize("kind", [OpenEXR.PXR24_COMPRESSION, OpenEXR.B44_COMPRESSION, OpenEXR.DWAB_COMPRESSION])
+    def test_lossy_pixels_are_no_capture(self, capture, kind):
+        with OpenEXR.File(str(capture)) as file:
+            text = file.header()["mitsuba_plenoptic"]
+        pixels = {"Y": np.ones((64, 64), np.float32)}
+        OpenEXR.File({"mitsuba_plenoptic": text, "compression": kind}, pixels).write(str(capture))
+        with pytest.raises(InputError, match="lossy or unknown"):
+            read_capture(capture)
+
+    @pytest.mark.parametrize(
+        "kind", [OpenEXR.NO_COMPRESSION, OpenEXR.RLE_COMPRESSION, OpenEXR.ZIPS_COMPRESSION, OpenEXR.PIZ_COMPRESSION]
+    )
+    def test_other_programs_may_pack_it_anew(self, tmp_path, kind):
+        path = tmp_path / "raw.exr"
+        image = np.random.default_rng(0).random((64, 64), dtype=np.float32)
+        write_capture(path, Capture(image, CAMERA))
+        with OpenEXR.File(str(path)) as file:
+            text = file.header()["mitsuba_plenoptic"]
+        OpenEXR.File({"mitsuba_plenoptic": text, "compression": kind}, {"Y": image}).write(str(path))
+        np.testing.assert_array_equal(read_capture(path).image, image)
+
+    @pytest.mark.parametrize(
+        "text",
+        [
+            "cos\nsystem\n(S'touch hacked'\ntR.",
+            "__import__('os').system('touch hacked')",
+            "!!python/object/apply:os.system ['touch hacked']",
+            '{"a":' * 100_000,
+            "9" * 10_000,
+        ],
+    )
+    def test_a_header_is_data_not_code(self, tmp_path, monkeypatch, text):
+        monkeypatch.chdir(tmp_path)
+        OpenEXR.File({"mitsuba_plenoptic": text}, {"Y": np.zeros((4, 4), np.float32)}).write("evil.exr")
+        with pytest.raises(InputError, match=r"evil\.exr"):
+            read_capture("evil.exr")
+        assert [item.name for item in tmp_path.iterdir()] == ["evil.exr"]
+
+    def test_no_name_of_a_header_becomes_a_path(self, tmp_path, capfd):
+        """Names in the header that look like paths stay text: only the named outputs are written."""
+        folder = tmp_path / "in" / "deep"
+        folder.mkdir(parents=True)
+        evil = {"scene": "../../evil", "output": "/tmp/evil", "view": "../x", "key": "../../k"}
+        path = folder / "raw.exr"
+        write_capture(path, Capture(np.ones((64, 64)), CAMERA, 633.0, "wave", evil))
+        before = set(tmp_path.rglob("*"))
+        for command, name, options in (
+            ("views", "views.exr", ["--count", "2"]),
+            ("stack", "stack.exr", ["--distance", "240"]),
+            ("convert", "lf.mat", []),
+            ("convert", "lf.eslf.png", []),
+            ("reconstruct", "r.exr", ["--distance", "210", "--distance", "240"]),
+            ("expose", "e.exr", ["--photons", "100"]),
+        ):
+            assert main([command, str(path), "-o", str(folder / name), *options]) == 0
+        new = {item.relative_to(folder).as_posix() for item in {*tmp_path.rglob("*")} - before}
+        assert new == {"views.exr", "stack.exr", "lf.mat", "lf.eslf.png", "r_210.exr", "r_240.exr", "e.exr"}
+
+    def test_a_terminal_is_told_nothing_but_text(self, tmp_path, capfd):
+        path = tmp_path / "raw.exr"
+        evil = "\x1b]0;title\x07\x1b[2J\rline\nline\u202e"
+        write_capture(path, Capture(np.ones((64, 64)), CAMERA, metadata={"scene": evil, evil: 1, "list": [evil]}))
+        assert main(["info", str(path)]) == 0
+        said = capfd.readouterr().out
+        assert "title" in said
+        assert all(character.isprintable() or character == "\n" for character in said)
+
+    def test_a_pipe_or_a_device_is_no_file(self, tmp_path):
+        os.mkfifo(tmp_path / "raw.exr")
+        for path in (tmp_path / "raw.exr", Path("/dev/zero"), tmp_path):
+            with pytest.raises(InputError, match="not a regular file"):
+                read_capture(path)
+        with pytest.raises(InputError, match="device or a pipe"):
+            write_capture("/dev/null", Capture(np.ones((64, 64)), CAMERA))
+
+
+class TestLightFields:
+    def test_hdf5_links_lead_nowhere(self, tmp_path):
+        numbers = np.ones((2, 4, 4, 3, 3), np.uint8)
+        with h5py.File(tmp_path / "other.h5", "w") as other:
+            other["LF"] = numbers
+        (tmp_path / "secret").write_bytes(b"s" * numbers.size)
+
+        def external(file):
+            file["LF"] = h5py.ExternalLink(str(tmp_path / "other.h5"), "LF")
+
+        def storage(file):
+            file.create_dataset("LF", numbers.shape, np.uint8, external=[(str(tmp_path / "secret"), 0, numbers.size)])
+
+        def virtual(file):
+            layout = h5py.VirtualLayout(numbers.shape, np.uint8)
+            layout[...] = h5py.VirtualSource(str(tmp_path / "other.h5"), "LF", numbers.shape)
+            file.create_virtual_dataset("LF", layout)
+
+        for make in (external, storage, virtual):
+            path = _version_7(tmp_path / "lf.mat", make)
+            with pytest.raises(InputError, match="links to other files are not followed"):
+                open_light_field(path)
+        whole = _version_7(tmp_path / "lf.mat", lambda file: file.create_dataset("LF", data=numbers))
+        assert open_light_field(whole).shape == (3, 3, 4, 4)
+
+    def test_hdf5_that_claims_more_than_memory(self, tmp_path):
+        path = _version_7(
+            tmp_path / "lf.mat",
+            lambda file: file.create_dataset("LF", (2, 10**6, 10**6, 9, 9), np.uint8, chunks=(1, 16, 16, 3, 3)),
+        )
+        assert path.stat().st_size < 10_000
+        with pytest.raises(InputError, match=r"shape .*: it would need .* GiB"):
+            open_light_field(path)
+
+    def test_a_variable_beside_the_light_field_cannot_grow(self, tmp_path):
+        buffer = io.BytesIO()
+        bomb = {"HSpacing": np.zeros(10_000_000)}
+        scipy.io.savemat(buffer, {"LF": np.ones((3, 3, 4, 4), np.uint8), "LensletGridModel": bomb}, do_compression=True)
+        path = tmp_path / "lf.mat"
+        path.write_bytes(buffer.getvalue())
+        assert path.stat().st_size < 200_000
+        with pytest.raises(InputError, match="holds more than"):
+            open_light_field(path)
+
+    def test_objects_of_matlab_are_no_light_field(self, tmp_path):
+        path = tmp_path / "lf.mat"
+        for wrong in (np.array([[1, "a"]], dtype=object), {"a": 1.0}, "text", np.ones((3, 3, 4, 4)) * 1j):
+            scipy.io.savemat(path, {"LF": wrong})
+            with pytest.raises(InputError, match="not an array of numbers"):
+                open_light_field(path)
+
+    @pytest.mark.parametrize("size", [(10**6, 10**6), (2**31 - 1, 2**31 - 1), (100_000, 100_000)])
+    def test_a_picture_that_claims_more_than_memory(self, tmp_path, size):
+        def chunk(kind, data):
+            return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+        head = struct.pack(">IIBBBBB", *size, 16, 2, 0, 0, 0)
+        path = tmp_path / "bomb.png"
+        data = chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(b"\0" * 10**6)) + chunk(b"IEND", b"")
+        path.write_bytes(b"\x89PNG\r\n\x1a\n" + data)
+        with pytest.raises(InputError, match="it would need"):
+            read_picture(path)
+
+
+class TestScenes:
+    def test_a_plain_scene_loads(self, tmp_path):
+        assert load_scene(scene(tmp_path, '<emitter type="constant"/>')).sensors()
+
+    @pytest.mark.parametrize("name", ["evil.so", "path.dylib", "EVIL.DLL"])
+    def test_native_code_beside_a_scene_is_not_run(self, tmp_path, name):
+        (tmp_path / "plugins").mkdir()
+        (tmp_path / "plugins" / name).write_bytes(b"")
+        with pytest.raises(InputError, match="would run the native code"):
+            load_scene(scene(tmp_path))
+
+    @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+    def test_a_library_of_a_stranger_is_never_loaded(self, tmp_path):
+        """What Mitsuba does with such a scene, and we do not let it."""
+        source, mark = tmp_path / "evil.c", tmp_path / "loaded"
+        source.write_text(
+            "#include <stdio.h>\n__attribute__((constructor)) static void run(void)"
+            f'{{ FILE *f = fopen("{mark}", "w"); if (f) fclose(f); }}'
+        )
+        folder = tmp_path / "elsewhere" / "plugins"
+        folder.mkdir(parents=True)
+        subprocess.run(["cc", "-shared", "-fPIC", "-o", folder / "evil.so", source], check=True)
+        (tmp_path / "inner.xml").write_text(f'<scene version="3.0.0"><path value="{folder.parent}"/></scene>')
+        for text in (
+            f'<path value="{folder.parent}"/><shape type="evil"/>',
+            '<path value="elsewhere"/><default name="kind" value="evil"/><shape type="$kind"/>',
+            '<include filename="inner.xml"/><shape type="evil"/>',
+        ):
+            with pytest.raises(InputError, match="would run the native code"):
+                load_scene(scene(tmp_path, text))
+        for name in ("elsewhere/plugins/evil", "../evil", str(folder / "evil")):
+            with pytest.raises(InputError, match="must be the name of a plugin"):
+                load_scene(scene(tmp_path, f'<shape type="{name}"/>'))
+            with pytest.raises(InputError, match="must be the name of a plugin"):
+                text = '<default name="kind" value="sphere"/><shape type="$kind"/>'
+                load_scene(scene(tmp_path, text), parameters={"kind": name})
+        assert not mark.exists()
+
+    def test_entities_do_not_grow(self, tmp_path):
+        entities = "".join(f'<!ENTITY l{i} "{f"&l{i - 1};" * 10}">' for i in range(1, 30))
+        path = tmp_path / "laughs.xml"
+        path.write_text(f'<!DOCTYPE scene [<!ENTITY l0 "ha">{entities}]>{SCENE.format("&l29;")}')
+        start = time.perf_counter()
+        with pytest.raises(InputError, match="document type"):
+            load_scene(path)
+        assert time.perf_counter() - start < 1
+
+    def test_nesting_has_an_end(self, tmp_path):
+        # Mitsuba's parser overflows its stack and ends the process.
+        deep = '<bsdf type="twosided">' * 100_000 + "</bsdf>" * 100_000
+        with pytest.raises(InputError, match="nested deeper than 64"):
+            load_scene(scene(tmp_path, deep))
+
+    def test_includes_have_an_end(self, tmp_path):
+        with pytest.raises(InputError, match="include each other"):
+            load_scene(scene(tmp_path, '<include filename="scene.xml"/>'))
+        for level in range(7):
+            twice = f'<include filename="i{level + 1}.xml"/>' * 6 if level < 6 else ""
+            (tmp_path / f"i{level}.xml").write_text(f'<scene version="3.0.0">{twice}</scene>')
+        with pytest.raises(InputError, match="more than 256"):
+            load_scene(scene(tmp_path, '<include filename="i0.xml"/>'))
+
+    def test_an_include_is_judged_as_the_scene_is(self, tmp_path):
+        (tmp_path / "inner.xml").write_text('<!DOCTYPE scene><scene version="3.0.0"/>')
+        with pytest.raises(InputError, match=r"inner\.xml.*document type"):
+            load_scene(scene(tmp_path, '<default name="x" value="inner"/><include filename="$x.xml"/>'))
+
+    @pytest.mark.parametrize("name", ["/dev/zero", "/dev/random", "pipe.ply"])
+    def test_what_never_ends_is_not_read(self, tmp_path, name):
+        os.mkfifo(tmp_path / "pipe.ply")
+        with pytest.raises(InputError, match="a device, a pipe or a socket"):
+            load_scene(scene(tmp_path, f'<shape type="ply"><string name="filename" value="{name}"/></shape>'))
+
+    def test_meshes_and_pictures_are_no_larger_than_they_are(self, tmp_path):
+        (tmp_path / "mesh.ply").write_text(
+            "ply\nformat ascii 1.0\nelement vertex 4000000000\nproperty float x\nend_header\n"
+        )
+        with pytest.raises(InputError, match="claims '4000000000' elements 'vertex' in"):
+            load_scene(scene(tmp_path, '<shape type="ply"><string name="filename" value="mesh.ply"/></shape>'))
+        head = struct.pack(">IIBBBBB", 10**6, 10**6, 8, 2, 0, 0, 0)
+        data = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + b"IHDR" + head
+        (tmp_path / "bomb.png").write_bytes(data + struct.pack(">I", zlib.crc32(b"IHDR" + head)))
+        with pytest.raises(InputError, match=r"bomb\.png"):
+            load_scene(scene(tmp_path, '<texture type="bitmap"><string name="filename" value="bomb.png"/></texture>'))
+
+    @pytest.mark.parametrize("encoding", ["utf-16", "utf-32", "latin-1"])
+    def test_one_encoding_so_that_all_parsers_read_the_same(self, tmp_path, encoding):
+        path = tmp_path / "scene.xml"
+        path.write_bytes(SCENE.format("<!-- ä -->").encode(encoding))
+        with pytest.raises(InputError, match="UTF-8"):
+            load_scene(path)
+        path.write_text('<?xml version="1.0" encoding="cp037"?>' + SCENE.format(""))
+        with pytest.raises(InputError, match="its encoding is 'cp037'"):
+            load_scene(path)
+
+    def test_a_scene_of_radiance_nan_makes_no_capture(self, tmp_path, capfd):
+        for text in ("nan", "inf"):
+            light = f'<emitter type="constant"><spectrum name="radiance" value="{text}"/></emitter>'
+            path = scene(tmp_path, light)
+            for model in ("ray", "wave"):
+                output = tmp_path / "raw.exr"
+                assert main(["render", str(path), "-o", str(output), "--spp", "1", "--model", model]) == 2
+                assert "must be finite" in capfd.readouterr().err
+                assert not output.exists()
+
+
+def test_nothing_of_the_package_unpickles_or_evaluates():
+    """No module calls what turns data into code."""
+    modules = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "shelve"}
+    functions = {"eval", "exec", "compile", "__import__"}
+    sources = list(Path(mitsuba_plenoptic.__file__).parent.rglob("*.py"))
+    assert len(sources) > 50
+    for source in sources:
+        for node in ast.walk(ast.parse(source.read_text())):
+            found: set[str] = set()
+            if isinstance(node, ast.Import):
+                found = {alias.name.partition(".")[0] for alias in node.names} & modules
+            elif isinstance(node, ast.ImportFrom):
+                found = {str(node.module).partition(".")[0]} & modules
+            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                found = {node.func.id} & functions
+            elif isinstance(node, ast.keyword):
+                found = {str(node.arg)} & {"allow_pickle"}
+            assert not found, f"{source}: {found}"
+
+
+def _version_7(path, fill):
+    with h5py.File(path, "w", userblock_size=512) as file:
+        fill(file)
+    with path.open("r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\0\2IM")
+    return path

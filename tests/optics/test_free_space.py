@@ -1,0 +1,210 @@
+"""Angular spectrum and FFT: unitarity, adjoints, closed forms and the rules on input."""
+
+import drjit as dr
+import numpy as np
+import pytest
+from drjit.llvm.ad import Complex2f, Float
+
+from mitsuba_plenoptic import PhysicsError, PhysicsWarning
+from mitsuba_plenoptic.errors import InputError
+from mitsuba_plenoptic.optics.free_space import propagate, propagate_differentiable
+from mitsuba_plenoptic.runtime.fft import fft2, fft2_differentiable
+
+WAVELENGTH = 633.0
+
+
+def random_field(shape, seed=0):
+    rng = np.random.default_rng(seed)
+    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)).astype(np.complex64)
+
+
+def resolved_field(shape, seed=0):
+    """Random, but for the outer eighth of its spectrum, which is empty: a guard takes it for resolved."""
+    y, x = (np.abs(np.fft.fftfreq(size)) < 7 / 16 for size in shape)
+    return np.fft.ifft2(np.fft.fft2(random_field(shape, seed)) * (y[:, None] & x)).astype(np.complex64)
+
+
+periodic = pytest.mark.filterwarnings("ignore:.*outer eighth of its window:mitsuba_plenoptic.PhysicsWarning")
+
+
+def smooth_field(n, pitch):
+    """A gaussian beam, well inside its window in space and in frequency."""
+    x = (np.arange(n) - n / 2) * pitch
+    r2 = x[:, None] ** 2 + (x - 0.1 * n * pitch)[None, :] ** 2
+    return np.exp(-r2 / (n * pitch / 10) ** 2).astype(np.complex64)
+
+
+def to_drjit(field):
+    flat = field.reshape(-1)
+    return Complex2f(Float(flat.real.copy()), Float(flat.imag.copy()))
+
+
+def to_numpy(field, shape):
+    return (field.real.numpy() + 1j * field.imag.numpy()).reshape(shape)
+
+
+def inner(a, b):
+    """Real inner product of two complex arrays, the one that gradients belong to."""
+    return np.sum(a.real.astype(float) * b.real + a.imag.astype(float) * b.imag)
+
+
+@pytest.mark.parametrize("shape", [(64, 64), (48, 90)])
+def test_fft2_is_numpys(shape):
+    field = random_field(shape)
+    assert np.allclose(fft2(field.copy()), np.fft.fft2(field), atol=1e-3)
+    assert np.allclose(fft2(field.copy(), inverse=True), np.fft.ifft2(field), atol=1e-6)
+
+
+@pytest.mark.parametrize("inverse", [False, True])
+def test_differentiable_fft_is_the_fft_and_leaves_its_input(inverse):
+    shape = (30, 44)
+    field = random_field(shape)
+    x = to_drjit(field)
+    y = to_numpy(fft2_differentiable(x, shape, inverse=inverse), shape)
+    expected = np.fft.ifft2(field) if inverse else np.fft.fft2(field)
+    assert np.linalg.norm(y - expected) < 1e-5 * np.linalg.norm(expected)
+    assert np.array_equal(to_numpy(x, shape), field)
+
+
+def linear_maps():
+    return [
+        lambda x, shape: fft2_differentiable(x, shape),
+        lambda x, shape: fft2_differentiable(x, shape, inverse=True),
+        lambda x, shape: propagate_differentiable(x, shape, 2e-3, 3.0, WAVELENGTH),
+        # so fine a grid that a part of the spectrum is evanescent
+        lambda x, shape: propagate_differentiable(x, shape, 2e-4, -0.01, WAVELENGTH),
+    ]
+
+
+@pytest.mark.parametrize("case", range(4))
+def test_adjoint(case):
+    """<A x, y> = <x, A' y>, backward and forward mode."""
+    shape = (36, 50)
+    linear = linear_maps()[case]
+    x, y = random_field(shape, 1), random_field(shape, 2)
+    variable = to_drjit(x)
+    dr.enable_grad(variable)
+    image = linear(variable, shape)
+    weights = to_drjit(y)
+    dr.backward(dr.sum(image.real * weights.real + image.imag * weights.imag))
+    adjoint = to_numpy(dr.grad(variable), shape)
+    forward = to_numpy(dr.detach(image), shape)
+    assert inner(forward, y) == pytest.approx(inner(x, adjoint), rel=1e-5)
+
+    variable = to_drjit(x)
+    dr.enable_grad(variable)
+    dr.set_grad(variable, to_drjit(y))
+    tangent = to_numpy(dr.forward_to(linear(variable, shape)), shape)
+    expected = to_numpy(linear(to_drjit(y), shape), shape)
+    assert np.linalg.norm(tangent - expected) < 1e-6 * np.linalg.norm(expected)
+
+
+@periodic
+@pytest.mark.parametrize("distance", [0.512, 120.0, -240.0])
+def test_unitary_in_the_window(distance):
+    """Every wave that propagates keeps its power: Parseval to 1e-6, at any distance."""
+    field = resolved_field((300, 256))
+    out = propagate(field, 2e-3, distance, WAVELENGTH)
+    power = [np.sum(np.abs(f.astype(np.complex128)) ** 2) for f in (field, out)]
+    assert power[1] == pytest.approx(power[0], rel=1e-6)
+
+
+@periodic
+def test_there_and_back():
+    field = resolved_field((128, 200))
+    original = field.copy()
+    out = propagate(propagate(field, 2e-3, 120.0, WAVELENGTH), 2e-3, -120.0, WAVELENGTH)
+    assert np.linalg.norm(out - field) < 2e-6 * np.linalg.norm(field)
+    assert np.array_equal(field, original)
+
+
+@periodic
+def test_overwrite_gives_the_same_numbers():
+    field = resolved_field((128, 128))
+    expected = propagate(field, 2e-3, 5.0, WAVELENGTH)
+    assert np.array_equal(propagate(field.copy(), 2e-3, 5.0, WAVELENGTH, overwrite=True), expected)
+
+
+@periodic
+def test_against_double_precision():
+    """The phase, some 10^6 rad over the path, is right to single precision."""
+    n, pitch, distance = 256, 2e-3, 120.0
+    field = resolved_field((n, n))
+    k = 2 * np.pi / (WAVELENGTH * 1e-6)
+    kx = 2 * np.pi * np.fft.fftfreq(n, pitch)
+    kz = np.sqrt(k**2 - kx[None, :] ** 2 - kx[:, None] ** 2)
+    expected = np.fft.ifft2(np.fft.fft2(field.astype(np.complex128)) * np.exp(1j * (kz - k) * distance))
+    out = propagate(field, pitch, distance, WAVELENGTH)
+    assert np.linalg.norm(out - expected) < 1e-6 * np.linalg.norm(expected)
+
+
+@periodic
+def test_plane_wave_turns_by_kz():
+    n, pitch, distance = 64, 1e-3, 7.0
+    x = np.arange(n)
+    field = np.exp(2j * np.pi * (5 * x[None, :] - 9 * x[:, None]) / n)
+    sx, sy = 5 * WAVELENGTH * 1e-6 / (n * pitch), 9 * WAVELENGTH * 1e-6 / (n * pitch)
+    turns = distance / (WAVELENGTH * 1e-6) * (np.sqrt(1 - sx**2 - sy**2) - 1)
+    expected = field * np.exp(2j * np.pi * turns)
+    assert np.abs(propagate(field, pitch, distance, WAVELENGTH) - expected).max() < 1e-5
+
+
+def test_gaussian_beam_spreads_by_its_closed_form():
+    """The width of a gaussian beam at its Rayleigh length is sqrt(2) times that of its waist."""
+    n, pitch, waist = 256, 4e-3, 0.06
+    x = (np.arange(n) - n / 2) * pitch
+    beam = np.exp(-(x[:, None] ** 2 + x[None, :] ** 2) / waist**2)
+    distance = np.pi * waist**2 / (WAVELENGTH * 1e-6)
+    intensity = np.abs(propagate(beam, pitch, distance, WAVELENGTH)) ** 2
+    variance = (intensity * x**2).sum() / intensity.sum()
+    assert np.sqrt(4 * variance) == pytest.approx(np.sqrt(2) * waist, rel=1e-4)
+    assert intensity.max() == pytest.approx(0.5, rel=1e-4)
+
+
+@periodic
+@pytest.mark.parametrize("distance", [1e-3, -1e-3])
+def test_evanescent_waves_are_cut(distance):
+    """Of a plane wave and one finer than the wavelength the first is left, and a guard tells of the second."""
+    n, pitch = 64, 1e-4
+    plane, fine = np.ones((n, n)), 0.7 * np.exp(2j * np.pi * 20 * np.arange(n) / n)[None, :] * np.ones((n, 1))
+    with pytest.warns(PhysicsWarning, match="32.89% .* finer than the wavelength"):
+        out = propagate(plane + fine, pitch, distance, WAVELENGTH)
+    assert np.abs(out - plane).max() < 1e-6
+    with pytest.raises(PhysicsError, match="finer than the wavelength"):
+        propagate(fine, pitch, distance, WAVELENGTH)
+
+
+@pytest.mark.parametrize(
+    "change, word",
+    [
+        ({"field": np.zeros(5)}, "field"),
+        ({"field": np.full((4, 4), np.nan)}, "field"),
+        ({"pitch": 0.0}, "pitch"),
+        ({"distance": float("nan")}, "distance"),
+        ({"wavelength": -633.0}, "wavelength"),
+        ({"wavelength": "red"}, "wavelength"),
+    ],
+)
+def test_mistakes(change, word):
+    arguments = {"field": np.ones((4, 4)), "pitch": 1e-3, "distance": 1.0, "wavelength": 633.0} | change
+    with pytest.raises(InputError, match=f"^{word}"):
+        propagate(**arguments)
+
+
+def test_size_that_does_not_fit_the_shape():
+    with pytest.raises(InputError, match="5 x 5"):
+        propagate_differentiable(to_drjit(random_field((4, 4))), (5, 5), 1e-3, 1.0, 633.0)
+
+
+def test_against_hcipy():
+    """One peer's propagator on one grid."""
+    hcipy = pytest.importorskip("hcipy")
+    n, pitch, distance = 512, 4e-3, 20.0
+    field = smooth_field(n, pitch)
+    grid = hcipy.make_uniform_grid([n, n], [n * pitch, n * pitch])
+    wavefront = hcipy.Wavefront(hcipy.Field(field.astype(np.complex128).ravel(), grid), WAVELENGTH * 1e-6)
+    peer = hcipy.AngularSpectrumPropagator(grid, distance)(wavefront)
+    expected = np.asarray(peer.electric_field).reshape(n, n)
+    expected = expected * np.exp(-2j * np.pi * distance / (WAVELENGTH * 1e-6))
+    out = propagate(field, pitch, distance, WAVELENGTH)
+    assert np.linalg.norm(out - expected) < 1e-4 * np.linalg.norm(expected)

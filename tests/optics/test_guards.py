@@ -1,0 +1,209 @@
+"""Guards of the physics: each fires on what it is there for, with the right number, and is silent otherwise."""
+
+from __future__ import annotations
+
+import warnings
+from math import erf
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import (
+    PhysicsError,
+    PhysicsWarning,
+    PlenopticCamera,
+    load_scene,
+    point_spread_function,
+    read_capture,
+    reconstruct,
+    render_capture,
+    write_capture,
+)
+from mitsuba_plenoptic.capture import full_field, incoherent
+from mitsuba_plenoptic.capture.patch import Band
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.io.exr import read_exr
+from mitsuba_plenoptic.optics import guards
+from mitsuba_plenoptic.optics.free_space import propagate
+from mitsuba_plenoptic.reconstruction import write_reconstruction
+
+WAVELENGTH = 633.0
+SMALL = {"detector_width": 1.024, "resolution": (512, 512)}
+
+
+def beam(n, width):
+    """A gaussian beam of unit power on n x n samples of 2 um; width in samples."""
+    x = np.arange(n) - (n - 1) / 2
+    field = np.exp(-(x[None, :] ** 2 + x[:, None] ** 2) / width**2)
+    return field / np.sqrt((field**2).sum())
+
+
+def wave(n, column, row):
+    """A plane wave of unit power, by its place in the spectrum."""
+    k = np.arange(n)
+    return np.exp(2j * np.pi * (column * k[None, :] + row * k[:, None]) / n) / n
+
+
+class TestPropagation:
+    @pytest.mark.parametrize("n", [128, 900])
+    @pytest.mark.parametrize("width", [0.01, 0.1])
+    def test_silent_on_what_fits(self, n, width):
+        propagate(beam(n, max(2, width * n)), 2e-3, 0.05, WAVELENGTH)
+
+    @pytest.mark.parametrize("n, column, row", [(128, 63, 2), (128, 3, -61), (900, 401, 7), (900, 5, 431)])
+    def test_content_at_the_band_limit(self, n, column, row):
+        """A beam with a twentieth of its power in one plane wave, wherever that is in the outer eighth."""
+        field = np.sqrt(0.95) * beam(n, n / 10) + np.sqrt(0.05) * wave(n, column, row)
+        with pytest.warns(PhysicsWarning) as caught:
+            propagate(field, 2e-3, 0.05, WAVELENGTH)
+        found = [str(warning.message) for warning in caught if "under-sampled" in str(warning.message)]
+        assert len(found) == 1
+        assert float(found[0].split("%")[0]) == pytest.approx(5, rel=0.05)
+
+    def test_noise_is_refused(self):
+        noise = np.random.default_rng(0).standard_normal((200, 200, 2)) @ (1, 1j)
+        with pytest.raises(PhysicsError, match=r"^2[234]\.\d+% of a field's power .* under-sampled; use a finer pitch"):
+            propagate(noise, 2e-3, 1.0, WAVELENGTH)
+
+    def test_what_goes_round_a_small_window(self):
+        """A beam in a window of six widths is warned of and, at ten widths, refused; a wider window is fine."""
+        rayleigh = np.pi * (20 * 2e-3) ** 2 / (WAVELENGTH * 1e-6)
+        with pytest.warns(PhysicsWarning, match="outer eighth of its window"):
+            propagate(beam(128, 20), 2e-3, 2.5 * rayleigh, WAVELENGTH)
+        with pytest.raises(PhysicsError, match="gone round the window"):
+            propagate(beam(128, 20), 2e-3, 10 * rayleigh, WAVELENGTH)
+        propagate(beam(1024, 20), 2e-3, 10 * rayleigh, WAVELENGTH)
+
+    def test_the_share_in_the_rim_is_that_of_the_beam(self):
+        """The closed form: a gaussian of width w has erf(2^1/2 a / w)^2 of its power within +-a."""
+        inside = (erf(2**0.5 * 56 / 50) / erf(2**0.5 * 64 / 50)) ** 2
+        with pytest.warns(PhysicsWarning) as caught:
+            propagate(beam(128, 50), 2e-3, 1e-4, WAVELENGTH)
+        assert float(str(caught[0].message).split("%")[0]) == pytest.approx(100 * (1 - inside), rel=0.03)
+
+    def test_a_warning_names_the_callers_line(self):
+        with pytest.warns(PhysicsWarning) as caught:
+            propagate(np.ones((64, 64)), 2e-3, 1.0, WAVELENGTH)
+        assert [warning.filename for warning in caught] == [__file__]
+
+    def test_darkness_is_silent(self):
+        assert not propagate(np.zeros((64, 64)), 2e-3, 1.0, WAVELENGTH).any()
+
+
+class TestPointSpreads:
+    CAMERA = PlenopticCamera(**SMALL)
+    PLACE = (0.0, 0.0, 240.0)
+
+    @pytest.mark.parametrize("cone, width, outcome", [(1.0, 25, "warned"), (0.5, 60, "refused")])
+    def test_a_patch_with_a_narrow_band(self, monkeypatch, cone, width, outcome):
+        monkeypatch.setattr(incoherent, "band_for", lambda accuracy, count: Band(cone, width))
+        if outcome == "refused":
+            with pytest.raises(PhysicsError, match="lost by the patches"):
+                point_spread_function(self.CAMERA, self.PLACE, wavelength=WAVELENGTH)
+            return
+        with pytest.warns(PhysicsWarning, match="lost by the patches") as caught:
+            psf = point_spread_function(self.CAMERA, self.PLACE, wavelength=WAVELENGTH)
+        # the detector holds all of the patch
+        assert float(str(caught[0].message).split("%")[0]) == pytest.approx(100 * (1 - psf.sum()), abs=0.05)
+
+    def test_the_loss_does_not_depend_on_where_masks_are_shut(self):
+        """Radiators that see nothing of the pupil send nothing, and that is no loss."""
+        masks = np.ones((2, 4, 4), bool)
+        masks[1] = False
+        with guards.watch() as shares:
+            incoherent.incoherent_sum(self.CAMERA, [self.PLACE] * 2, [1, 1], wavelength=633, pupil_masks=masks)
+        assert 0 < shares["patch_loss"] < 0.02
+
+    def test_a_full_field_on_a_coarse_grid(self, monkeypatch):
+        monkeypatch.setattr(full_field, "_KEPT_ORDERS", 0.3)
+        camera = PlenopticCamera(detector_width=1.024, resolution=(256, 256))
+        with pytest.raises(PhysicsError, match="directions that the grid does not hold"):
+            point_spread_function(camera, (0.0, 0.0, 210.0), wavelength=WAVELENGTH, method="full_field")
+
+    def test_a_full_field_on_a_coarse_grid_at_the_pupil(self, monkeypatch):
+        monkeypatch.setattr(full_field, "_PUPIL_BAND", 0.5)
+        with pytest.raises(PhysicsError, match=r"under-sampled|round the window"):
+            point_spread_function(self.CAMERA, (0.0, 0.0, 210.0), wavelength=WAVELENGTH, method="full_field")
+
+
+class TestReconstruction:
+    CAMERA = PlenopticCamera(**SMALL)
+
+    @pytest.mark.parametrize("interleave", [1, "auto"])
+    def test_grey_is_no_capture_and_one_warning_says_so(self, interleave):
+        """Light beside the micro-images: 1 - pi/4 (43 / 64)^2 = 65 % of it, and three channels still warn once."""
+        with pytest.warns(PhysicsWarning) as caught:
+            result = reconstruct(
+                np.ones((512, 512, 3)),
+                240,
+                camera=self.CAMERA,
+                wavelength=[633, 550, 460],
+                method="partial",
+                interleave=interleave,
+            )
+        assert len(caught) == 1
+        beside = 1 - self.CAMERA.white_mean
+        assert result.guards["outside_pupil"] == pytest.approx(beside, abs=0.05)
+
+    def test_light_that_leaves_the_object_window(self, monkeypatch):
+        """One lens's light, kept in a window without a margin."""
+        monkeypatch.setattr("mitsuba_plenoptic.reconstruction._plan.OBJECT_MARGIN", -0.2)
+        image = np.zeros((512, 512), np.float32)
+        image[261:283, 261:283] = 1
+        with pytest.warns(PhysicsWarning, match="misses the window"):
+            reconstruct(image, 240, camera=self.CAMERA, wavelength=633, method="coherent")
+
+    def test_the_number_is_in_the_header(self, tmp_path):
+        image = np.zeros((512, 512), np.float32)
+        image[261:283, 261:283] = 1
+        result = reconstruct(image, 240, camera=self.CAMERA, wavelength=633, method="coherent")
+        assert 0 < result.guards["outside_pupil"] < 0.5
+        assert 0 <= result.guards["object_window"] < 0.05
+        write_reconstruction(tmp_path / "out.exr", result)
+        assert read_exr(tmp_path / "out.exr")[1]["guards"] == result.guards
+
+
+class TestCrosstalk:
+    def test_one_lens_where_three_are_needed(self, camera_dict):
+        """The ray camera is made to try one lens only: a quarter of the light is missed, and nothing is rendered."""
+        scene = mi.load_dict({"type": "scene", "i": {"type": "path"}, "s": camera_dict(aperture_radius=10.0)})
+        render_capture(scene, spp=1)
+        scene.sensors()[0]._candidates = [mi.Float(0), mi.Float(0)]
+        with pytest.raises(PhysicsError, match=r"^27\..*through microlenses that are too far"):
+            render_capture(scene, spp=1)
+
+    def test_a_wide_field_of_parabolic_lenses(self, camera_dict):
+        """The number of lenses follows from slopes, but parabolic lenses bend direction cosines."""
+        sensor = camera_dict(detector_width=80.0, aperture_radius=7.2, lens_model="parabolic", resolution=64)
+        scene = mi.load_dict({"type": "scene", "i": {"type": "path"}, "s": sensor})
+        with pytest.warns(PhysicsWarning, match="^0.99% of the light comes through microlenses"):
+            capture = render_capture(scene, spp=1)
+        assert 0.005 < capture.metadata["guards"]["crosstalk_missed"] < 0.015
+
+
+@pytest.mark.parametrize("name", ["letters", "white", "chart", "still_life"])
+def test_built_in_scenes_are_silent_by_rays_and_waves(name, tmp_path):
+    """And their files tell the shares."""
+    parameters = {"detector_width": "0.512", "resolution": "256"}
+    scene = load_scene(name, parameters=parameters)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", PhysicsWarning)
+        ray = render_capture(scene, spp=4)
+        wave = render_capture(scene, model="wave", spp=1, radiators_per_lens=1)
+        reconstruct(wave, 240, method="partial", interleave="auto")
+        reconstruct(ray, 240, method="partial", wavelength=633)
+    assert ray.metadata["guards"] == {"crosstalk_missed": 0.0}
+    assert 0.003 < wave.metadata["guards"]["patch_loss"] < 0.02
+    write_capture(tmp_path / "wave.exr", wave)
+    assert read_capture(tmp_path / "wave.exr").metadata["guards"] == wave.metadata["guards"]
+
+
+@pytest.mark.filterwarnings("default::mitsuba_plenoptic.PhysicsWarning")
+def test_the_command_shows_one_line(tmp_path, capsys):
+    out = tmp_path / "raw.exr"
+    arguments = ["-D", "resolution=64", "-D", "detector_width=80", "-D", "aperture_radius=7.2"]
+    assert main(["render", "white", "-o", str(out), "--spp", "1", *arguments, "-D", "lens_model=parabolic"]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "warning" in line]
+    assert len(lines) == 1
+    assert lines[0].startswith("mitsuba-plenoptic: warning: 0.99")

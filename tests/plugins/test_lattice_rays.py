@@ -1,0 +1,335 @@
+"""Captures and refocused images of cameras with other lattices than the default, by rays."""
+
+from __future__ import annotations
+
+import json
+import math
+import warnings
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, read_capture, reconstruct, render_capture
+from mitsuba_plenoptic.io.captures import Capture, write_capture
+from mitsuba_plenoptic.lightfield import white_image
+from mitsuba_plenoptic.report.referee import agreement, best_shift, thin_lens_image
+
+ROOT3 = math.sqrt(3)
+HEXAGONAL = {"mla_lattice": "hexagonal"}
+ROTATED = {"mla_rotation": 13.0, "mla_offset": "0.021, -0.008"}
+MULTI_FOCUS = {**HEXAGONAL, "mla_focal_length": "0.47, 0.512, 0.56", "detector_distance": 0.512}
+
+
+def white_capture(sensor, spp):
+    return render_capture(
+        mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "camera": sensor, "sky": {"type": "constant"}}),
+        spp=spp,
+    )
+
+
+def model_centres(camera):
+    """Micro-image centres in pixels of the recorded image, written out: lenses turned, moved and projected."""
+    steps = np.arange(-200, 201.0)
+    i, j = (axis.ravel() for axis in np.meshgrid(steps, steps))
+    if camera.mla_lattice == "square":
+        u, v = i + 0.5, j + 0.5
+    else:
+        u, v = i + 0.5 * (j % 2), ROOT3 / 2 * j
+    angle = math.radians(camera.mla_rotation)
+    x = (math.cos(angle) * u - math.sin(angle) * v) * camera.mla_pitch + camera.mla_offset[0]
+    y = (math.sin(angle) * u + math.cos(angle) * v) * camera.mla_pitch + camera.mla_offset[1]
+    scale = (camera.mla_distance + camera.detector_distance) / camera.mla_distance / camera.pixel_size
+    return np.stack(
+        [axis * scale + camera.resolution[k] / 2 - camera.crop_offset[k] for k, axis in enumerate((x, y))], axis=-1
+    )
+
+
+def centroids(image, centres, half):
+    """Centroid of the image within a square about each centre, which must lie inside it."""
+    base = np.floor(centres).astype(int)
+    window = np.arange(-half, half + 1)
+    x, y = (base[:, axis, None] + window for axis in (0, 1))
+    patch = image[y[:, :, None], x[:, None, :]].astype(np.float64)
+    total = patch.sum((1, 2))
+    return np.stack([(patch.sum(1) * (x + 0.5)).sum(1), (patch.sum(2) * (y + 0.5)).sum(1)], axis=-1) / total[:, None]
+
+
+@pytest.mark.parametrize("lattice", [HEXAGONAL, ROTATED, {**HEXAGONAL, **ROTATED}], ids=["hexagonal", "turned", "both"])
+@pytest.mark.parametrize("corner", [(0, 0), (4000, 4000)])
+def test_micro_images_stand_where_the_lattice_says(camera_dict, lattice, corner):
+    crop = {"crop_offset_x": corner[0], "crop_offset_y": corner[1], "crop_width": 96, "crop_height": 96}
+    capture = white_capture(camera_dict(resolution=4096, detector_width=8.192, film=crop, **lattice), spp=256)
+    centres = model_centres(capture.camera)
+    centres = centres[((centres > 14) & (centres < 96 - 14)).all(1)]
+    assert len(centres) >= 4
+    assert np.abs(centroids(capture.image, centres, 13) - centres).max() < 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lattice", [HEXAGONAL, ROTATED], ids=["hexagonal", "turned"])
+def test_micro_images_stand_in_their_places_on_the_whole_detector(lattice):
+    capture = render_capture(load_scene("white", parameters={k: str(v) for k, v in lattice.items()}), spp=64)
+    centres = model_centres(capture.camera)
+    centres = centres[((centres > 14) & (centres < 4096 - 14)).all(1)]
+    assert len(centres) > 15_000
+    assert np.abs(centroids(capture.image, centres, 13) - centres).max() < 0.1
+
+
+@pytest.mark.parametrize(
+    "lattice",
+    [
+        {"mla_aperture": "circle", "mla_fill": 0.8},
+        {"mla_fill": 0.6, "mla_rotation": 20.0},
+        HEXAGONAL,
+        {**HEXAGONAL, "mla_aperture": "circle", "aperture_radius": 9.0},
+        MULTI_FOCUS,
+    ],
+    ids=["square, discs", "small squares", "hexagons", "hexagonal, discs, overlapping", "three kinds"],
+)
+def test_mean_of_a_white_capture_is_the_closed_form_and_the_computed_one(camera_dict, lattice):
+    capture = white_capture(camera_dict(resolution=256, **lattice), spp=256)
+    camera = capture.camera
+    # Under this window the pattern of the lenses averages out.
+    window = np.hanning(258)[1:-1]
+    mean = window @ capture.image.astype(np.float64) @ window / window.sum() ** 2
+    assert mean == pytest.approx(camera.white_mean, rel=5e-3)
+    area = 0.064**2 * (ROOT3 / 2 if camera.mla_lattice == "hexagonal" else 1)
+    by_hand = math.pi * (camera.aperture_radius * 0.512 / 120.512) ** 2 / area
+    assert camera.white_mean == pytest.approx(by_hand, rel=1e-6)
+    inner = (slice(20, -20), slice(20, -20))
+    difference = (white_image(camera) - capture.image)[inner]
+    assert abs(difference.mean()) < 2e-3
+    if camera.aperture_radius == 5:
+        assert np.sqrt(np.mean(difference**2)) < 0.03
+
+
+@pytest.mark.parametrize("lattice", [{}, ROTATED, HEXAGONAL, {**MULTI_FOCUS, "mla_aperture": "circle"}])
+@pytest.mark.parametrize("aperture_radius", [5.0, 9.0, 20.0])
+def test_every_lens_that_can_light_a_pixel_is_tried(camera_dict, lattice, aperture_radius):
+    sensor = mi.load_dict(camera_dict(aperture_radius=aperture_radius, **lattice))
+    assert sensor.crosstalk_missed() == 0
+    assert (len(sensor.camera.crosstalk_neighbours()) > 1) == (aperture_radius > 8)
+
+
+def test_opaque_gaps_swallow_what_is_focused_on_them(camera_dict):
+    """A small source in focus, imaged 0.02 mm from a lens's centre, is within a lens, but not within half of one."""
+
+    def brightness(x, fill):
+        source = {
+            "type": "disk",
+            # The lens at the axis's upper right has its centre at 0.032 mm on both axes.
+            "to_world": mi.ScalarTransform4f().translate([-2 * x, -2 * 0.032, 240]).rotate([0, 1, 0], 180).scale(2e-3),
+            "emitter": {"type": "area", "radiance": 1.0},
+        }
+        sensor = camera_dict(resolution=64, detector_width=0.128, mla_fill=fill)
+        scene = mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "camera": sensor, "source": source})
+        return render_capture(scene, spp=4096, seed=1).image.sum()
+
+    assert brightness(0.052, 0.5) == 0
+    assert brightness(0.052, 1.0) > 0
+    # The mean over a quarter of the lens that holds all of the light is four times as much.
+    assert brightness(0.032, 0.5) / brightness(0.032, 1.0) == pytest.approx(4, rel=0.1)
+
+
+def test_three_kinds_of_lenses_have_three_sizes_of_white_spots_and_no_neighbours_alike(camera_dict):
+    sensor = camera_dict(aperture_radius=1.5, **{**MULTI_FOCUS, "mla_focal_length": "0.47, 0.512, 0.6"})
+    capture = white_capture(sensor, spp=256)
+    camera = capture.camera
+    assert camera.mla_focal_lengths == (0.47, 0.512, 0.6)
+    centres = model_centres(camera)
+    centres = centres[((centres > 20) & (centres < 512 - 20)).all(1)]
+    base = np.floor(centres).astype(int)
+    window = np.arange(-12, 13)
+    x, y = (base[:, axis, None] + window for axis in (0, 1))
+    patch = capture.image[y[:, :, None], x[:, None, :]].astype(np.float64)
+    dx, dy = x + 0.5 - centres[:, 0, None], y + 0.5 - centres[:, 1, None]
+    spread = (patch * (dx[:, None, :] ** 2 + dy[:, :, None] ** 2)).sum((1, 2)) / patch.sum((1, 2)) / 2
+    # The pupil's disc, the hexagon of the lens, enlarged, and the pixel each add their variance.
+    pixel = camera.pixel_size * 120 / 0.512
+    smear = [1 + 120 / 0.512 - 120 / f for f in camera.mla_focal_lengths]
+    expected = [(1.5**2 / 4 + 5 / 72 * (s * 0.064) ** 2) / pixel**2 + 1 / 12 for s in smear]
+    assert min(expected) == expected[1]
+    kind = np.abs(spread[:, None] - expected).argmin(1)
+    np.testing.assert_allclose(spread, np.array(expected)[kind], rtol=0.03)
+    assert np.bincount(kind).min() > 0.3 * len(kind)
+    apart = np.hypot(*(centres[:, None] - centres).transpose(2, 0, 1))
+    neighbours = (apart > 1) & (apart < 1.1 * camera.micro_image_pitch / camera.pixel_size)
+    assert neighbours.sum(1).max() == 6
+    assert not (neighbours & (kind[:, None] == kind)).any()
+
+
+@pytest.mark.parametrize(
+    "lattice",
+    [
+        {"mla_rotation": 10.0},
+        HEXAGONAL,
+        {**HEXAGONAL, "mla_rotation": 7.0, "mla_offset": (0.02, 0.01), "mla_aperture": "circle", "mla_fill": 0.8},
+        {**HEXAGONAL, "mla_focal_length": (0.47, 0.512, 0.56), "detector_distance": 0.512},
+        {"mla_fill": 0.5},
+    ],
+    ids=["turned", "hexagonal", "hexagonal, turned discs", "three kinds", "gaps"],
+)
+@pytest.mark.parametrize("footprint", ["lens", "point"])
+def test_a_white_capture_is_refocused_to_one(lattice, footprint):
+    camera = PlenopticCamera(detector_width=1.28, resolution=(640, 480), **lattice)
+    # By points, bins stay empty in focus where they hold no lens's centre.
+    distances = (210.0, 240.0, 280.0) if footprint == "lens" else (210.0, 280.0)
+    for result in reconstruct(white_image(camera), distances, camera=camera, footprint=footprint):
+        assert result.image.shape == (16, 20)
+        np.testing.assert_allclose(result.image[4:-4, 4:-4], 1, atol=2e-3)
+
+
+def test_the_two_ways_to_refocus_agree_on_a_square_lattice():
+    camera = PlenopticCamera(detector_width=2.048, resolution=(1024, 1024))
+    # Too little to matter, but not upright.
+    turned = camera.replace(mla_rotation=1e-7)
+    y, x = np.mgrid[0:1, 0:1:1024j], np.mgrid[0:1:1024j][:, None]
+    image = (white_image(camera) * (1 + 0.5 * np.sin(9 * x) * np.cos(7 * y[1]))).astype(np.float32)
+    for distance in (210.0, 240.0, 280.0):
+        fast, slow = (reconstruct(image, distance, camera=c).image[6:-6, 6:-6] for c in (camera, turned))
+        assert np.abs(fast - slow).max() < 0.01
+        assert fast.std() > 0.1
+
+
+def test_the_same_bits_every_time_on_any_lattice():
+    camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256), mla_lattice="hexagonal")
+    image = np.random.default_rng(0).random((256, 256, 3), dtype=np.float32)
+    first = reconstruct(image, 250, camera=camera).image
+    assert first.shape == (8, 8, 3)
+    assert np.array_equal(first, reconstruct(image, 250, camera=camera).image)
+    np.testing.assert_allclose(first[..., 1], reconstruct(image[..., 1], 250, camera=camera).image, rtol=1e-5)
+
+
+def test_a_hexagonal_camera_refocuses_as_a_thin_lens_focuses():
+    small = {"detector_width": "2.048", "resolution": "1024", "letter_scale": "0.25"}
+    scene = load_scene("letters", parameters={**small, **HEXAGONAL, "mla_rotation": "11", "mla_aperture": "circle"})
+    capture = render_capture(scene, spp=16)
+    distances = (210.0, 240.0, 280.0)
+    images = [result.image.astype(np.float64) for result in reconstruct(capture, distances)]
+    references = [thin_lens_image(scene, capture.camera, g, 256) for g in distances]
+    scale, scores = agreement(images, references)
+    assert scale == pytest.approx(1, abs=0.06)
+    for image, reference, (psnr, correlation) in zip(images, references, scores, strict=True):
+        assert best_shift(image, reference) == (0, 0)
+        assert correlation > 0.98
+        assert psnr > 31
+
+
+def test_lattices_survive_the_header_of_a_capture_and_older_headers_are_square(tmp_path):
+    camera = PlenopticCamera(
+        detector_width=0.128,
+        resolution=(64, 64),
+        mla_lattice="hexagonal",
+        mla_rotation=-3.5,
+        mla_offset=(0.01, -0.02),
+        mla_aperture="circle",
+        mla_fill=0.9,
+        mla_focal_length=(0.5, 0.55, 0.6),
+    )
+    assert camera.mla_focal_length == camera.detector_distance == 0.5
+    assert PlenopticCamera.from_dict(json.loads(json.dumps(camera.to_dict()))) == camera
+    write_capture(tmp_path / "raw.exr", Capture(np.zeros((64, 64)), camera))
+    assert read_capture(tmp_path / "raw.exr").camera == camera
+    old = {
+        k: v
+        for k, v in PlenopticCamera().to_dict().items()
+        if not k.startswith("mla_") or k in ("mla_distance", "mla_focal_length", "mla_pitch")
+    }
+    assert len(old) < len(PlenopticCamera().to_dict())
+    assert PlenopticCamera.from_dict(old) == PlenopticCamera()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"mla_lattice": "round"}, "mla_lattice = 'round': it must be one of square, hexagonal"),
+        ({"mla_aperture": 3}, "mla_aperture = 3: it must be one of cell, circle"),
+        ({"mla_fill": 1.5}, "mla_fill = 1.5: it must be at most 1"),
+        ({"mla_fill": 0.0}, "mla_fill = 0: it must be greater than 0"),
+        ({"mla_rotation": math.inf}, "mla_rotation = inf: it must be finite"),
+        ({"mla_offset": 3}, "mla_offset = 3: it must be a pair (x, y)"),
+        ({"mla_offset": (1, math.nan)}, "mla_offset = nan: it must be finite"),
+        ({"mla_focal_length": (0.5, 0.6, 0.7)}, "need a hexagonal lattice"),
+        ({"mla_focal_length": (0.5, 0.6), "mla_lattice": "hexagonal"}, "it must be one number or 3"),
+        ({"mla_focal_length": (0.5, 0.6, -1), "mla_lattice": "hexagonal"}, "mla_focal_length = -1"),
+        ({"mla_focal_length": "wide"}, "mla_focal_length = 'wide': it must be a number"),
+    ],
+)
+def test_impossible_lattices_are_refused(parameters, message):
+    with pytest.raises(InputError) as caught:
+        PlenopticCamera(**parameters)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"mla_offset": "a, b"}, "plenoptic: mla_offset = 'a, b': it must be a number, or several with commas"),
+        ({"mla_offset": [1.0, 2.0, 3.0]}, "plenoptic: mla_offset = (1.0, 2.0, 3.0): it must be a pair"),
+        ({"mla_offset": 0.1}, "plenoptic: mla_offset = (0.1,): it must be a pair"),
+        ({"mla_rotation": "steep"}, "plenoptic: mla_rotation = 'steep': it must be a number"),
+        ({"mla_lattice": 3}, "plenoptic: mla_lattice = 3: it must be one of square, hexagonal"),
+        ({"mla_focal_length": "0.5, 0.6, 0.7"}, "need a hexagonal lattice"),
+        ({"mla_focal_length": "0.5;0.6"}, "plenoptic: mla_focal_length = '0.5;0.6': it must be a number, or several"),
+        ({"mla_focal_length": -0.5}, "plenoptic: mla_focal_length = -0.5: it must be greater than 0"),
+    ],
+)
+def test_the_sensor_refuses_impossible_lattices(camera_dict, parameters, message):
+    with pytest.raises(RuntimeError) as caught:
+        mi.load_dict(camera_dict(**parameters))
+    assert message in str(caught.value)
+
+
+def test_offsets_may_be_points_and_numbers_of_the_lattice_can_be_changed(camera_dict):
+    sensor = mi.load_dict(camera_dict(mla_offset=mi.ScalarPoint3f(0.01, 0.02, 0), **HEXAGONAL))
+    assert sensor.camera.mla_offset == (0.01, 0.02)
+    parameters = mi.traverse(sensor)
+    parameters["mla_rotation"] = 12.0
+    parameters["mla_offset"] = [0.03, 0.0]
+    parameters["mla_fill"] = 0.75
+    parameters["mla_focal_length"] = [0.5, 0.55, 0.6]
+    parameters.update()
+    expected = PlenopticCamera(
+        detector_width=1.024,
+        resolution=(512, 512),
+        mla_lattice="hexagonal",
+        mla_rotation=12,
+        mla_offset=(0.03, 0),
+        mla_fill=0.75,
+        mla_focal_length=(0.5, 0.55, 0.6),
+        detector_distance=0.512,
+    )
+    assert sensor.camera == expected
+    # The same picture as of a sensor that was made so.
+    made = {k: v for k, v in expected.to_dict().items() if k.startswith("mla_")}
+    made |= {"mla_offset": "0.03, 0", "mla_focal_length": "0.5, 0.55, 0.6", "detector_distance": 0.512}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        again = mi.load_dict(camera_dict(**made))
+    one, other = (
+        np.array(
+            mi.render(
+                mi.load_dict(
+                    {"type": "scene", "integrator": {"type": "path"}, "camera": s, "sky": {"type": "constant"}}
+                ),
+                spp=4,
+            )
+        )
+        for s in (sensor, again)
+    )
+    np.testing.assert_array_equal(one, other)
+    parameters["mla_fill"] = 1.25
+    with pytest.raises(InputError, match="must be at most 1"):
+        parameters.update()
+
+
+def test_footprints_spread_by_transforms_as_bin_by_bin(monkeypatch):
+    camera = PlenopticCamera(mla_lattice="hexagonal", detector_width=0.512, resolution=(256, 256))
+    image = np.random.default_rng(0).random(camera.shape, dtype=np.float32)
+    images = []
+    for most in (0, 100):
+        monkeypatch.setattr("mitsuba_plenoptic.reconstruction._splatting._MOST_TAPS", most)
+        images.append(reconstruct(image, 225.0, camera=camera, oversample=3).image)
+    np.testing.assert_allclose(images[0], images[1], rtol=1e-5)

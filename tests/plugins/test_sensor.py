@@ -1,0 +1,302 @@
+"""The sensor plugin: radiometry, geometry, variants, parameters and gradients."""
+
+from __future__ import annotations
+
+import warnings
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
+from mitsuba_plenoptic.optics.rays import chief_detector_point
+
+VARIANTS = [
+    name
+    for name in mi.variants()
+    if name.startswith(("llvm", "cuda" if dr.has_backend(dr.JitBackend.CUDA) else "llvm"))
+]
+
+
+def white_scene(sensor, **extra):
+    return mi.load_dict(
+        {"type": "scene", "integrator": {"type": "path"}, "camera": sensor, "sky": {"type": "constant"}, **extra}
+    )
+
+
+def picture_wall(texture, distance, half_width):
+    """Radiating wall facing the camera, with a smooth texture."""
+    return {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().translate([0, 0, distance]).rotate([0, 1, 0], 180).scale(half_width),
+        "emitter": {"type": "area", "radiance": {"type": "bitmap", "data": mi.TensorXf(texture), "raw": True}},
+    }
+
+
+def smooth_texture(size=32):
+    y, x = np.mgrid[0:size, 0:size] / size
+    return (0.5 + 0.3 * np.sin(7 * x + 1) * np.cos(5 * y))[..., None].astype(np.float32)
+
+
+def pupil_of_pixels(camera):
+    """Pupil coordinates that the centre of each column (or row) of a square detector sees through its lens."""
+    p = (np.arange(camera.resolution[0]) + 0.5) * camera.pixel_size - camera.detector_width / 2
+    b, z, pitch = camera.mla_distance, camera.detector_distance, camera.mla_pitch
+    c = (np.floor(p * b / (b + z) / pitch) + 0.5) * pitch
+    return c + b * (c - p) / z, c
+
+
+@pytest.mark.parametrize("lens_model", ["ideal", "parabolic"])
+def test_a_white_scene_reads_one_inside_the_micro_images_and_zero_between(camera_dict, lens_model):
+    capture = render_capture(white_scene(camera_dict(lens_model=lens_model)), spp=16)
+    pupil, _ = pupil_of_pixels(capture.camera)
+    radius = np.hypot(pupil[:, None], pupil[None, :])
+    # A pixel sees 0.47 mm of the pupil; keep its whole square away from the edge.
+    np.testing.assert_allclose(capture.image[radius < 4.6], 1, atol=2e-3)
+    np.testing.assert_array_equal(capture.image[radius > 5.4], 0)
+
+
+def test_micro_images_stand_where_the_chief_rays_go(camera_dict):
+    # A strip at the rim of the full detector, where the shift is almost nine pixels.
+    crop = {"crop_offset_x": 3968, "crop_offset_y": 2048, "crop_width": 128, "crop_height": 64}
+    sensor = camera_dict(resolution=4096, detector_width=8.192, film=crop)
+    capture = render_capture(white_scene(sensor), spp=256)
+    camera = capture.camera
+    x = (np.arange(128) + 3968.5) * camera.pixel_size - 4.096
+    profile = capture.image.sum(axis=0)
+    centres = 4.096 - 0.064 * (np.arange(4) + 0.5)
+    for centre in chief_detector_point(centres, camera.mla_distance, camera.detector_distance):
+        near = np.abs(x - centre) < camera.micro_image_pitch / 2
+        if near.sum() >= 32:
+            found = (profile * x)[near].sum() / profile[near].sum()
+            assert abs(found - centre) < 0.1 * camera.pixel_size
+
+
+@pytest.mark.parametrize("aperture_radius", [5.0, 10.0])
+def test_mean_of_a_white_capture_is_the_closed_form(camera_dict, aperture_radius):
+    sensor = camera_dict(aperture_radius=aperture_radius)
+    image = render_capture(white_scene(sensor), spp=64).image
+    camera = PlenopticCamera(detector_width=1.024, resolution=(512, 512), aperture_radius=aperture_radius)
+    # Whole periods about the axis, so that the mean is that of an endless detector.
+    half = round(7 * camera.micro_image_pitch / camera.pixel_size)
+    assert abs(half - 7 * camera.micro_image_pitch / camera.pixel_size) < 0.1
+    middle = image[256 - half : 256 + half, 256 - half : 256 + half]
+    assert middle.mean(dtype=np.float64) == pytest.approx(camera.white_mean, rel=5e-3)
+
+
+def test_a_point_lights_the_lenses_that_its_blur_covers(camera_dict):
+    """A small source's image on the MLA is a disc of the thin lens's blur diameter about its conjugate."""
+    patch = {
+        "type": "disk",
+        "to_world": mi.ScalarTransform4f().translate([0.2, -0.15, 210]).rotate([0, 1, 0], 180).scale(0.02),
+        "emitter": {"type": "area", "radiance": 1.0},
+    }
+    scene = mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "camera": camera_dict(), "source": patch})
+    capture = render_capture(scene, spp=64)
+    camera = capture.camera
+    _, centre = pupil_of_pixels(camera)
+    lit = capture.image > 0
+    rows, columns = np.nonzero(lit)
+    weights = capture.image[lit]
+    x, y = (weights * centre[columns]).sum() / weights.sum(), (weights * centre[rows]).sum() / weights.sum()
+    # Scene +x and +y lie to the left and up, in the capture as in any picture.
+    assert x == pytest.approx(-0.2 * 120 / 210, abs=0.01)
+    assert y == pytest.approx(0.15 * 120 / 210, abs=0.01)
+    reach = np.hypot(centre[columns] - x, centre[rows] - y).max()
+    assert abs(reach - camera.blur_diameter(210) / 2) < camera.mla_pitch
+
+
+def test_a_crop_window_is_a_part_of_the_full_capture(camera_dict):
+    full = render_capture(white_scene(camera_dict(), wall=picture_wall(smooth_texture(), 250.0, 1.5)), spp=64)
+    film = {"crop_offset_x": 100, "crop_offset_y": 200, "crop_width": 96, "crop_height": 64}
+    wall = picture_wall(smooth_texture(), 250.0, 1.5)
+    crop = render_capture(white_scene(camera_dict(film=film), wall=wall), spp=64)
+    assert crop.camera.crop_offset == (100, 200)
+    assert crop.image.shape == (64, 96)
+
+    def distance(row, column):
+        return np.linalg.norm(crop.image - full.image[row : row + 64, column : column + 96])
+
+    # What is left at the right place is noise; one pixel aside is far worse.
+    assert distance(200, 100) < 0.1 * np.linalg.norm(crop.image)
+    assert distance(200, 100) < 0.3 * min(distance(201, 100), distance(200, 101))
+
+
+def test_moving_camera_and_scene_together_changes_nothing(camera_dict):
+    axis = np.array([1.0, 2.0, 3.0]) / np.sqrt(14)
+    motion = mi.ScalarTransform4f().translate([10, -20, 5]).rotate(axis, 70)
+
+    def render(transform):
+        wall = picture_wall(smooth_texture(), 250.0, 1.5)
+        wall["to_world"] = transform @ wall["to_world"]
+        sensor = camera_dict(to_world=transform)
+        scene = {"type": "scene", "integrator": {"type": "direct"}, "camera": sensor, "wall": wall}
+        return render_capture(mi.load_dict(scene), spp=16).image
+
+    np.testing.assert_allclose(render(motion), render(mi.ScalarTransform4f()), atol=5e-3)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_every_variant_gives_the_same_capture(variant, camera_dict):
+    mi.set_variant(variant)
+    film = {"pixel_format": "luminance"}
+    capture = render_capture(white_scene(camera_dict(resolution=128, detector_width=0.256, film=film)), spp=16)
+    lit = capture.image[capture.image > 0.9]
+    assert lit.size > 0.25 * capture.image.size
+    # Spectral variants draw wavelengths, which makes white a little noisy.
+    assert np.median(lit) == pytest.approx(1, abs=0.02 if "spectral" in variant else 2e-3)
+
+
+def test_an_rgb_variant_records_three_channels(camera_dict):
+    mi.set_variant("llvm_ad_rgb")
+    sensor = camera_dict(resolution=64, detector_width=0.128, film={"pixel_format": "rgb"})
+    sky = {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 0.5, 0.25]}}
+    capture = render_capture(
+        mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "camera": sensor, "sky": sky}), spp=16
+    )
+    assert capture.image.shape == (64, 64, 3)
+    np.testing.assert_allclose(capture.image.reshape(-1, 3).max(axis=0), [1, 0.5, 0.25], rtol=1e-3)
+
+
+def test_scalar_variants_are_refused_in_words(camera_dict):
+    mi.set_variant("scalar_rgb")
+    with pytest.raises(RuntimeError, match="this plugin needs an llvm_ad_"):
+        mi.load_dict(camera_dict())
+
+
+def test_scenes_of_two_variants_live_side_by_side(camera_dict):
+    first = white_scene(camera_dict(resolution=64, detector_width=0.128))
+    mi.set_variant("llvm_ad_rgb")
+    second = white_scene(camera_dict(resolution=64, detector_width=0.128, film={"pixel_format": "rgb"}))
+    assert render_capture(second, spp=4).image.shape == (64, 64, 3)
+    mi.set_variant("llvm_ad_mono")
+    assert render_capture(first, spp=4).image.shape == (64, 64)
+
+
+def test_outputs_of_dark_pixels_are_zero(camera_dict):
+    scene = white_scene(
+        camera_dict(resolution=128, detector_width=0.256, film={"pixel_format": "rgb"}),
+        wall=picture_wall(smooth_texture(), 250.0, 5.0),
+    )
+    aov = mi.load_dict({"type": "aov", "aovs": "depth:depth"})
+    depth = np.array(mi.render(scene, integrator=aov, spp=16))[..., -1]
+    pupil, _ = pupil_of_pixels(PlenopticCamera(detector_width=0.256, resolution=(128, 128)))
+    radius = np.hypot(pupil[:, None], pupil[None, :])
+    np.testing.assert_array_equal(depth[radius > 5.4], 0)
+    # Rays start on the main lens: the distance along them is a little more than the plane's.
+    assert np.all((depth[radius < 4.6] > 249.9) & (depth[radius < 4.6] < 250.5))
+
+
+def test_shutter_times_reach_the_rays(camera_dict):
+    sensor = mi.load_dict(camera_dict(shutter_open=0.25, shutter_close=0.75))
+    ray, _ = sensor.sample_ray(0.5, 0.5, [0.5, 0.5], [0.5, 0.5])
+    assert (sensor.shutter_open(), sensor.shutter_open_time()) == (0.25, 0.5)
+    assert dr.allclose(ray.time, 0.5)
+
+
+def test_differentials_are_the_rays_of_the_next_pixels(camera_dict):
+    sensor = mi.load_dict(camera_dict())
+    place, lens = mi.Point2f(0.4037, 0.7221), mi.Point2f(0.3, 0.8)
+    ray, _ = sensor.sample_ray_differential(0, 0.5, place, lens)
+    for o, d, step in ((ray.o_x, ray.d_x, [1 / 512, 0]), (ray.o_y, ray.d_y, [0, 1 / 512])):
+        neighbour, _ = sensor.sample_ray(0, 0.5, place + mi.Point2f(step), lens)
+        assert dr.allclose(o, neighbour.o, atol=2e-3)
+        assert dr.allclose(d, neighbour.d, atol=1e-5)
+
+
+def test_numbers_can_be_changed_and_are_checked(camera_dict):
+    sensor = mi.load_dict(camera_dict(focus_distance=300.0))
+    assert PlenopticCamera.from_sensor(sensor).focus_distance == pytest.approx(300, rel=1e-6)
+    parameters = mi.traverse(sensor)
+    parameters["mla_distance"] = 110.0
+    parameters["aperture_radius"] = 10.0
+    parameters.update()
+    assert sensor.camera == PlenopticCamera(
+        detector_width=1.024, resolution=(512, 512), mla_distance=110, aperture_radius=10
+    )
+    assert np.allclose(sensor.bbox().max, [10, 10, 0])
+    assert "mla_distance = 110.0" in str(sensor)
+    parameters["mla_pitch"] = -1.0
+    with pytest.raises(InputError, match="mla_pitch = -1: it must be greater than 0"):
+        parameters.update()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"focal_length": -80.0}, "plenoptic: focal_length = -80: it must be greater than 0"),
+        ({"focal_length": "eighty"}, "plenoptic: focal_length = 'eighty': it must be a number"),
+        ({"aperture_radius": True}, "plenoptic: aperture_radius = True: it must be a number"),
+        ({"mla_pitch": float("inf")}, "plenoptic: mla_pitch = inf: it must be finite"),
+        ({"focus_distance": 79.0}, "plenoptic: focus_distance = 79: it must be greater than the focal length 80"),
+        ({"focus_distance": 240.0, "mla_distance": 120.0}, "give one of the two"),
+        ({"near_clip": 1.0}, "plenoptic: near_clip = 1: this camera has no clipping planes"),
+        ({"lens_model": "thick"}, "lens_model = 'thick': it must be one of ideal, parabolic"),
+        ({"focal_lenght": 80.0}, "unreferenced property"),
+    ],
+)
+def test_bad_parameters_are_refused(camera_dict, parameters, message):
+    with pytest.raises(RuntimeError, match=message):
+        mi.load_dict(camera_dict(**parameters))
+
+
+def test_a_scaled_transform_and_light_tracing_are_refused(camera_dict):
+    with pytest.raises(RuntimeError, match="plenoptic: to_world: it must not scale"):
+        mi.load_dict(camera_dict(to_world=mi.ScalarTransform4f().scale(2)))
+    scene = white_scene(camera_dict(resolution=32), wall=picture_wall(smooth_texture(), 250.0, 1.0))
+    with pytest.raises(Exception, match="light tracing"):
+        mi.load_dict({"type": "ptracer"}).render(scene, scene.sensors()[0], spp=1)
+
+
+def test_a_smearing_filter_is_warned_of(camera_dict):
+    with pytest.warns(UserWarning, match="smears the micro-images"):
+        mi.load_dict(camera_dict(film={"rfilter": {"type": "gaussian"}}))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mi.load_dict(camera_dict())
+
+
+@pytest.mark.parametrize(
+    ("parameter", "integrator"),
+    [
+        ("focal_length", "path"),
+        ("focal_length", "direct"),
+        ("mla_distance", "path"),
+        ("mla_distance", "direct"),
+        ("mla_rotation", "path"),
+    ],
+)
+def test_gradients_agree_with_finite_differences(camera_dict, parameter, integrator):
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": integrator},
+            "camera": camera_dict(resolution=64, detector_width=0.128),
+            "wall": picture_wall(smooth_texture(128), 210.0, 1.2),
+        }
+    )
+    parameters = mi.traverse(scene)
+    key = f"camera.{parameter}"
+    start = float(parameters[key][0])
+
+    def image(value):
+        parameters[key] = value
+        parameters.update()
+        return mi.render(scene, parameters, spp=1024, seed=1)
+
+    value = mi.Float(start)
+    dr.enable_grad(value)
+    rendered = image(value)
+    dr.set_grad(value, 1)
+    gradient = np.array(dr.forward_to(rendered))[..., 0]
+    # An angle starts at 0, where the lattice is upright.
+    step = 1e-3 * start or 0.2
+    difference = (np.array(image(start + step)) - np.array(image(start - step)))[..., 0] / (2 * step)
+    if parameter != "focal_length":
+        # The pupil's moving edge has no gradient: compare where the whole pixel is inside.
+        pupil, _ = pupil_of_pixels(PlenopticCamera(detector_width=0.128, resolution=(64, 64)))
+        inside = np.hypot(pupil[:, None], pupil[None, :]) < 4.5
+        gradient, difference = gradient[inside], difference[inside]
+    assert np.linalg.norm(difference) > 0
+    assert np.linalg.norm(gradient - difference) <= 0.02 * np.linalg.norm(difference)

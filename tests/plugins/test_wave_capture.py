@@ -1,0 +1,245 @@
+"""The wave integrator: radiometry, closed forms, occlusion, repeatability, parameters."""
+
+from __future__ import annotations
+
+import math
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+from scipy.signal import fftconvolve
+
+from mitsuba_plenoptic import reconstruct, render_capture, scene_path
+from mitsuba_plenoptic.capture.incoherent import incoherent_sum
+from mitsuba_plenoptic.capture.point_spread import point_spread_function
+
+
+def disk(position, radius, **extra):
+    """Radiating disk that faces the camera."""
+    x, y, z = position
+    return {
+        "type": "disk",
+        "to_world": mi.ScalarTransform4f().translate([x, y, z]).rotate([0, 1, 0], 180).scale(radius),
+        "emitter": {"type": "area", "radiance": 1.0},
+        **extra,
+    }
+
+
+def scene_of(sensor, **objects):
+    return mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "camera": sensor, **objects})
+
+
+def relative(image, reference):
+    return np.linalg.norm(image - reference) / np.linalg.norm(reference)
+
+
+@pytest.mark.parametrize("place", [(0.3, -0.2, 210.0), (-0.1, 0.2, 240.0), (0.2, 0.4, 280.0)])
+def test_one_tiny_emitter_renders_its_point_spread(camera_dict, place):
+    # So many radiators that a source of 1 um is met a few times; only those that shine cost time.
+    scene = scene_of(camera_dict(), point=disk(place, 0.0005))
+    wave = render_capture(scene, model="wave", spp=1, radiators_per_lens=256)
+    psf = point_spread_function(wave.camera, place, wavelength=633)
+    scale = (wave.image * psf).sum() / (psf * psf).sum()
+    assert relative(wave.image, scale * psf) <= 0.005
+
+
+def test_wave_and_ray_captures_hold_the_same_energy(camera_dict):
+    # A crop at the rim, so that light of radiators beyond it counts too.
+    film = {"crop_offset_x": 352, "crop_offset_y": 160, "crop_width": 160, "crop_height": 192}
+    scene = scene_of(camera_dict(film=film), near=disk((-1.0, 0.2, 225.0), 0.5), far=disk((-0.5, -0.4, 260.0), 0.7))
+    ray = render_capture(scene, spp=256)
+    wave = render_capture(scene, model="wave", spp=1)
+    assert wave.image.sum() == pytest.approx(ray.image.sum(), rel=0.02)
+
+
+def test_a_white_scene_is_the_pupil_blurred_by_the_microlens(camera_dict):
+    """Disc of the pupil * sinc^2 of the square microlens * pixel, repeated from lens to lens."""
+    film = {"crop_offset_x": 224, "crop_offset_y": 224, "crop_width": 64, "crop_height": 64}
+    wave = render_capture(scene_of(camera_dict(film=film), wall=disk((0, 0, 240.0), 5.0)), model="wave", spp=1)
+    camera, fine = wave.camera, 9
+    step = camera.pixel_size / fine
+    x = np.arange(-230 * fine, 230 * fine + 1) * step
+    spot = np.sinc(x / camera.spot_size(633)) ** 2
+    spot /= spot.sum()
+    box = np.ones(fine) / fine
+    profile = np.convolve(spot, box, mode="same")
+    disc = (np.hypot(x[:, None], x[None, :]) <= camera.micro_image_diameter / 2).astype(float)
+    blurred = fftconvolve(fftconvolve(disc, profile[None, :], mode="same"), profile[:, None], mode="same")
+    # Pixel centres seen from the nearest micro-images' centres.
+    pixels = (np.arange(224, 288) + 0.5 - 256) * camera.pixel_size
+    expected = np.zeros((64, 64))
+    for j in range(-6, 6):
+        for i in range(-6, 6):
+            rows, columns = ((pixels - (k + 0.5) * camera.micro_image_pitch) / step + 230 * fine for k in (j, i))
+            expected += map_coordinates(blurred, np.meshgrid(rows, columns, indexing="ij"), order=1)
+    assert relative(wave.image, expected) <= 0.02
+    assert wave.image.max() == pytest.approx(0.952, abs=0.02)
+
+
+def test_a_fence_hides_what_it_hides_from_rays(camera_dict):
+    """A far letter behind a near fence whose slats hide half of the pupil from each of its points."""
+    slats = {
+        f"slat_{i}": {
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f().translate([3.0 * i + 0.75, 0, 215]).scale([0.75, 6, 1]),
+            "bsdf": {"type": "diffuse", "reflectance": 0.0},
+        }
+        for i in range(-2, 3)
+    }
+    letter = {
+        "type": "ply",
+        "filename": str(scene_path("letters").parent / "meshes" / "f.ply"),
+        "face_normals": True,
+        "to_world": mi.ScalarTransform4f().translate([0, 0, 275]).scale([0.75, 0.75, 1]),
+        "emitter": {"type": "area", "radiance": 1.0},
+    }
+    scene = scene_of(camera_dict(resolution=1024, detector_width=2.048), letter=letter, **slats)
+    distances = [275.0, 215.0]
+    by_rays = reconstruct(render_capture(scene, spp=128), distances)
+
+    def correlations(**options):
+        capture = render_capture(scene, model="wave", spp=1, radiators_per_lens=4, **options)
+        return [
+            np.corrcoef(ours.image.ravel(), theirs.image.ravel())[0, 1]
+            for ours, theirs in zip(reconstruct(capture, distances), by_rays, strict=True)
+        ]
+
+    letter_seen, fence_seen = correlations()
+    assert letter_seen >= 0.99
+    assert fence_seen >= 0.98
+    # At the letter's own distance light from all of the pupil comes together, hidden or not; the fence is gone.
+    _, fence_unseen = correlations(occlusion=False)
+    assert fence_unseen <= fence_seen - 0.02
+
+
+def test_out_of_focus_letters_are_free_of_noise(camera_dict):
+    wave = render_capture(scene_of(camera_dict(), wall=disk((0, 0, 225.0), 0.8)), model="wave", spp=1)
+    refocused = reconstruct(wave, 225.0).image
+    y, x = (np.indices(refocused.shape) + 0.5 - 8) * wave.camera.bin_size(225)
+    inside = refocused[np.hypot(x, y) < 0.8 - 2 * wave.camera.bin_size(225)]
+    assert inside.size > 20
+    assert inside.std() < 0.01 * inside.mean()
+
+
+def test_same_seed_same_bits_on_any_number_of_threads(camera_dict):
+    scene = scene_of(camera_dict(resolution=128, detector_width=0.256), near=disk((0, 0.05, 230.0), 0.1))
+    first = render_capture(scene, model="wave", spp=2, seed=7, radiators_per_lens=4, passes=2).image
+    threads = dr.thread_count()
+    for count in (1, 2):
+        dr.set_thread_count(count)
+        again = render_capture(scene, model="wave", spp=2, seed=7, radiators_per_lens=4, passes=2).image
+        np.testing.assert_array_equal(again, first)
+    dr.set_thread_count(threads)
+    other = render_capture(scene, model="wave", spp=2, seed=8, radiators_per_lens=4, passes=2).image
+    assert not np.array_equal(other, first)
+
+
+def test_the_slow_route_agrees_with_the_fast_one(camera_dict):
+    scene = scene_of(camera_dict(resolution=128, detector_width=0.256), point=disk((0, 0, 235.0), 0.03))
+    fast, slow = (
+        render_capture(scene, model="wave", spp=1, radiators_per_lens=3, method=method).image
+        for method in ("patch", "full_field")
+    )
+    assert relative(fast, slow) < 0.005
+
+
+def test_three_channels_diffract_at_their_wavelengths(camera_dict):
+    mi.set_variant("llvm_ad_rgb")
+    sensor = camera_dict(resolution=256, detector_width=0.512, film={"pixel_format": "rgb"})
+    sky = {"type": "rgb", "value": [1.0, 0.5, 0.25]}
+    place = (0.05, 0.0, 230.0)
+    scene = scene_of(sensor, point=disk(place, 0.1, emitter={"type": "area", "radiance": sky}))
+    wave = render_capture(scene, model="wave", spp=1, radiators_per_lens=4)
+    assert wave.wavelength == (611.4, 549.1, 464.3)
+    assert wave.image.shape == (256, 256, 3)
+    sums = wave.image.sum(axis=(0, 1))
+    np.testing.assert_allclose(sums / sums[0], [1, 0.5, 0.25], rtol=0.02)
+    # Blue light spreads less: its micro-images are the sharper ones.
+    peaks = wave.image.max(axis=(0, 1)) / sums
+    assert peaks[2] > peaks[0]
+
+
+def test_a_film_of_luminance_adds_the_wavelengths_up_and_names_none(camera_dict):
+    mi.set_variant("llvm_ad_rgb")
+    scene = scene_of(camera_dict(resolution=128, detector_width=0.256), point=disk((0, 0, 235.0), 0.05))
+    assert render_capture(scene, model="wave", spp=1, radiators_per_lens=2).wavelength is None
+    assert render_capture(scene, model="wave", spp=1, radiators_per_lens=2, wavelength=532.0).wavelength == 532
+
+
+def test_a_spectral_variant_takes_one_wavelength(camera_dict):
+    mi.set_variant("llvm_ad_spectral")
+    scene = scene_of(camera_dict(resolution=128, detector_width=0.256), point=disk((0, 0, 235.0), 0.05))
+    wave = render_capture(scene, model="wave", spp=1, radiators_per_lens=4, wavelength=532.0)
+    assert wave.wavelength == 532
+    ray = render_capture(scene, spp=64)
+    assert wave.image.sum() > 0 and ray.image.sum() > 0
+
+
+def test_nothing_to_see_is_a_black_capture(camera_dict):
+    behind = disk((0, 0, -50.0), 1.0)
+    with pytest.warns(UserWarning, match="no ray from the pupil meets anything that shines"):
+        assert not render_capture(scene_of(camera_dict(), behind=behind), model="wave").image.any()
+
+
+def test_models_wrap_and_unwrap_the_scenes_integrator(camera_dict):
+    sensor = camera_dict(resolution=64, detector_width=0.128)
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "plenoptic_wave", "radiators_per_lens": 2, "child": {"type": "direct"}},
+            "camera": sensor,
+            "point": disk((0, 0, 240.0), 0.05),
+        }
+    )
+    own = render_capture(scene, spp=1)
+    assert (own.model, own.wavelength, own.metadata["radiators_per_lens"]) == ("wave", 633, 2)
+    changed = render_capture(scene, spp=1, wavelength=500.0)
+    assert (changed.wavelength, changed.metadata["radiators_per_lens"]) == (500, 2)
+    assert render_capture(scene, model="ray", spp=1).metadata["integrator"] == "DirectIntegrator"
+    assert "radiators_per_lens = 2" in str(scene.integrator())
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"wavelength": -633.0}, "plenoptic_wave: wavelength = -633: it must be greater than 0"),
+        ({"wavelength": "red"}, "plenoptic_wave: wavelength = 'red'"),
+        ({"wavelength": "600, 500, 400"}, "variant llvm_ad_mono has 1 channel"),
+        ({"radiators_per_lens": 0}, "plenoptic_wave: radiators_per_lens = 0: it must be at least 1"),
+        ({"radiators_per_lens": "many"}, "radiators_per_lens = 'many': it must be a number"),
+        ({"passes": 1.5}, "passes = 1.5: it must be a whole number"),
+        ({"method": "magic"}, "method = 'magic': it must be one of patch, full_field"),
+        ({"occlusion": "no"}, "occlusion = 'no': it must be true or false"),
+        ({"accuracy": -0.01}, "accuracy = -0.01: it must be from 0"),
+        ({"child": {"type": "ptracer"}}, "it cannot tell the radiance along a ray"),
+        ({"radiators": 3}, "unreferenced property"),
+    ],
+)
+def test_bad_parameters_are_refused(parameters, message):
+    with pytest.raises(RuntimeError, match=message):
+        mi.load_dict({"type": "plenoptic_wave", **parameters})
+
+
+def test_a_smearing_filter_and_other_sensors_are_refused(camera_dict):
+    integrator = mi.load_dict({"type": "plenoptic_wave"})
+    with pytest.warns(UserWarning, match="smears"):
+        scene = scene_of(camera_dict(film={"rfilter": {"type": "gaussian"}}))
+    with pytest.raises(ValueError, match="use <rfilter"):
+        integrator.render(scene, scene.sensors()[0])
+    scene = scene_of({"type": "perspective"})
+    with pytest.raises(ValueError, match="needs a sensor of type 'plenoptic'"):
+        integrator.render(scene, scene.sensors()[0])
+
+
+def test_a_background_at_infinity_is_refused_with_the_estimate(camera_dict):
+    sky = scene_of(camera_dict(resolution=1024, detector_width=2.048), sky={"type": "constant"})
+    with pytest.raises(ValueError, match=r"GiB"):
+        render_capture(sky, model="wave", spp=1)
+
+
+def test_weights_of_nothing_give_nothing(camera_dict):
+    camera = mi.load_dict(camera_dict()).camera
+    assert not incoherent_sum(camera, np.zeros((0, 3)), np.zeros(0), wavelength=633).any()
+    assert math.isfinite(camera.white_mean)

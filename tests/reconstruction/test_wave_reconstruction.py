@@ -1,0 +1,361 @@
+"""Wave refocusing: geometry of single pixels and lenses, energy, radiance, the routes against each other, bad input."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct, write_capture
+from mitsuba_plenoptic.capture.point_spread import point_spread_function
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.io.exr import read_exr
+from mitsuba_plenoptic.reconstruction import coherent
+from mitsuba_plenoptic.reconstruction._legs import Workspace
+from mitsuba_plenoptic.reconstruction._plan import plan
+from mitsuba_plenoptic.reconstruction.coherent import lit_window, reconstruct_subsets
+from mitsuba_plenoptic.reconstruction.lens_by_lens import reconstruct_lens_by_lens
+
+# Grey or random pixels and single ones are no captures, and a guard says so.
+pytestmark = pytest.mark.filterwarnings("ignore:.*back through the main lens:mitsuba_plenoptic.PhysicsWarning")
+
+WAVELENGTH = 633.0
+SMALL = PlenopticCamera(detector_width=2.048, resolution=(1024, 1024))
+OTHER = PlenopticCamera(
+    focal_length=50,
+    aperture_radius=4,
+    mla_distance=70,
+    mla_focal_length=0.4,
+    mla_pitch=0.05,
+    detector_width=1.2,
+    resolution=(640, 560),
+)
+METHODS = [
+    {"method": "coherent"},
+    {"method": "partial", "interleave": 2},
+    {"method": "partial", "interleave": "auto"},
+]
+
+
+def pixel_coordinates(camera):
+    columns, rows = camera.resolution
+    return (
+        (np.arange(columns) + 0.5 - columns / 2) * camera.pixel_size,
+        (np.arange(rows) + 0.5 - rows / 2) * camera.pixel_size,
+    )
+
+
+def lens_of(p, camera):
+    """Index of the chief-ray lens, written out."""
+    b, z = camera.mla_distance, camera.detector_distance
+    return np.floor(p * b / (b + z) / camera.mla_pitch)
+
+
+def micro_image(camera, i, j, radius=None):
+    """White disc under lens (i, j), of the micro-image's size or smaller."""
+    px, py = pixel_coordinates(camera)
+    b, z = camera.mla_distance, camera.detector_distance
+    cx, cy = (((k + 0.5) * camera.mla_pitch) * (b + z) / b for k in (i, j))
+    radius = radius or camera.micro_image_diameter / 2
+    disc = np.hypot(px - cx, (py - cy)[:, None]) < radius
+    mine = (lens_of(px, camera) == i) & (lens_of(py, camera) == j)[:, None]
+    return (disc & mine).astype(np.float32)
+
+
+def bin_of_pixel(p, camera, distance):
+    """Bins from the centre at which the ray of a pixel through its lens's centre ends, written out."""
+    b, z = camera.mla_distance, camera.detector_distance
+    c = (lens_of(p, camera) + 0.5) * camera.mla_pitch
+    P = c + b * (c - p) / z
+    X = P + distance * ((c - p) / z - P / camera.focal_length)
+    return -X * b / distance / camera.mla_pitch
+
+
+def centroid(image):
+    rows, columns = image.shape
+    x, y = np.arange(columns) + 0.5 - columns / 2, np.arange(rows) + 0.5 - rows / 2
+    total = image.sum(dtype=np.float64)
+    return (image.sum(0, dtype=np.float64) @ x) / total, (image.sum(1, dtype=np.float64) @ y) / total
+
+
+@pytest.mark.parametrize("options", METHODS, ids=["coherent", "K2", "auto"])
+@pytest.mark.parametrize("distance", [210.0, 240.0, 280.0])
+@pytest.mark.parametrize(("column", "row"), [(512 + 16, 512 + 16), (300, 716)], ids=["axis", "off"])
+def test_a_lit_pixel_goes_where_geometry_says(options, distance, column, row):
+    image = np.zeros(SMALL.shape, np.float32)
+    image[row, column] = 1
+    found = centroid(reconstruct(image, distance, camera=SMALL, wavelength=WAVELENGTH, **options).image)
+    px, py = pixel_coordinates(SMALL)
+    expected = bin_of_pixel(px[column], SMALL, distance), bin_of_pixel(py[row], SMALL, distance)
+    # Both pixels look through the inner half of the pupil, which keeps nearly all of their diffracted light.
+    np.testing.assert_allclose(found, expected, atol=0.1)
+
+
+@pytest.mark.parametrize("options", METHODS, ids=["coherent", "K2", "auto"])
+@pytest.mark.parametrize("lens", [(0, 0), (-7, 5), (8, -9)])
+@pytest.mark.parametrize("distance", [210.0, 240.0, 280.0])
+def test_a_lit_lens_goes_where_geometry_says(options, lens, distance):
+    image = reconstruct(micro_image(SMALL, *lens), distance, camera=SMALL, wavelength=WAVELENGTH, **options).image
+    np.testing.assert_allclose(centroid(image), [k + 0.5 for k in lens], atol=0.1)
+
+
+@pytest.mark.parametrize("options", METHODS, ids=["coherent", "K2", "auto"])
+@pytest.mark.parametrize("middle", [(0, 0), (-9, 9)], ids=["axis", "off"])
+@pytest.mark.parametrize("offset", [(0, 0), (2, -2)])
+def test_a_pixel_under_every_lens_at_equal_offset_is_a_tilted_plane_wave(options, middle, offset):
+    # A lattice in phase sends light to multiples of the angle lambda / D2 only: two pixels are one, where a lens is 25
+    # of the paper's pixels wide. The pupil is wide enough to keep both sides of the diffracted light.
+    camera = PlenopticCamera(detector_width=2.56, resolution=(1000, 1000), aperture_radius=7)
+    image = np.zeros(camera.shape, np.float32)
+    columns, rows = (25 * (np.arange(m - 2, m + 3)) + 512 + o for m, o in zip(middle, offset, strict=True))
+    image[np.ix_(rows, columns)] = 1
+    px, py = pixel_coordinates(camera)
+    for distance in (210.0, 240.0, 280.0):
+        found = centroid(reconstruct(image, distance, camera=camera, wavelength=WAVELENGTH, **options).image)
+        expected = [bin_of_pixel(p, camera, distance).mean() for p in (px[columns], py[rows])]
+        np.testing.assert_allclose(found, expected, atol=0.1)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"method": "ray"}, {"method": "ray", "footprint": "point"}, *METHODS],
+    ids=lambda o: str(list(o.values())),
+)
+def test_forward_then_back_peaks_in_the_radiators_bin(options):
+    rng = np.random.default_rng(7)
+    for distance, count in ((210.0, 7), (240.0, 6), (280.0, 7)):
+        for _ in range(count):
+            i, j = rng.integers(-9, 9, 2)
+            u = np.array([i, j]) + 0.5 + rng.uniform(-0.25, 0.25, 2)
+            X, Y = -u * SMALL.bin_size(distance)
+            spread = point_spread_function(SMALL, (X, Y, distance), wavelength=WAVELENGTH)
+            image = reconstruct(spread, distance, camera=SMALL, wavelength=WAVELENGTH, **options).image
+            row, column = np.unravel_index(np.argmax(image), image.shape)
+            assert (column - 16, row - 16) == (i, j)
+
+
+@pytest.mark.parametrize("camera", [SMALL, OTHER], ids=["paper", "other"])
+@pytest.mark.parametrize("interleave", [1, 2])
+def test_what_passes_the_pupil_lands_in_the_image(camera, interleave):
+    image = np.zeros(camera.shape, np.float32)
+    middle = slice(camera.shape[0] // 2 - 100, camera.shape[0] // 2 + 100)
+    image[middle, middle] = np.random.default_rng(1).random((200, 200))
+    focus = camera.focus_distance
+    distances = [0.93 * focus, focus, 1.1 * focus]
+    lit = lit_window(image, camera)
+    grids = plan(camera, WAVELENGTH, distances, lit)
+    fields = coherent._pupil_fields(image, camera, WAVELENGTH, grids, lit, interleave, True, Workspace())
+    area = grids.main_lens.x.new_pitch * grids.main_lens.y.new_pitch / camera.pixel_size**2
+    passed = sum(float((np.abs(field) ** 2).sum(dtype=np.float64)) for field in fields) * area
+    assert 0.05 * image.sum() < passed < image.sum()
+    for total in reconstruct_subsets(image, camera, distances, WAVELENGTH, interleave=interleave):
+        assert total.sum() == pytest.approx(passed, rel=5e-3)
+
+
+@pytest.mark.parametrize("camera", [SMALL, OTHER], ids=["paper", "other"])
+def test_a_white_capture_reads_one(camera):
+    columns, rows = camera.lens_count
+    px, py = pixel_coordinates(camera)
+    b, z = camera.mla_distance, camera.detector_distance
+    dx, dy = (p - (lens_of(p, camera) + 0.5) * camera.mla_pitch * (b + z) / b for p in (px, py))
+    inside = (camera.micro_image_diameter / 2 - np.hypot(dx, dy[:, None])) / camera.pixel_size
+    white = np.clip(inside + 0.5, 0, 1)
+    distances = [0.93 * camera.focus_distance, camera.focus_distance]
+    for options in METHODS:
+        for result in reconstruct(white, distances, camera=camera, wavelength=WAVELENGTH, **options):
+            middle = result.image[rows // 3 : -(rows // 3), columns // 3 : -(columns // 3)]
+            # Sharp micro-images are not what waves record: one wave of them interferes the most.
+            assert middle.mean() == pytest.approx(1, abs=0.06 if options["method"] == "coherent" else 0.01)
+
+
+@pytest.mark.parametrize("camera", [SMALL, OTHER], ids=["paper", "other"])
+def test_single_lenses_are_full_fields_of_one_lens(camera):
+    for lens, radius in (((0, 0), None), ((-9, 7), None), ((6, -8), 0.7 * camera.micro_image_diameter / 2)):
+        image = micro_image(camera, *lens, radius)
+        distances = [0.9 * camera.focus_distance, camera.focus_distance, 1.15 * camera.focus_distance]
+        full = reconstruct_subsets(image, camera, distances, WAVELENGTH)
+        single = reconstruct_lens_by_lens(image, camera, distances, WAVELENGTH)
+        for a, b in zip(full, single, strict=True):
+            assert np.linalg.norm(a - b) <= 6e-3 * np.linalg.norm(a)
+            assert b.sum() == pytest.approx(a.sum(), rel=4e-3)
+
+
+def far_out_of_focus():
+    """Squares of lit lenses, seen through half of the pupil."""
+    image = np.zeros(SMALL.shape, np.float32)
+    for i in range(-6, 6):
+        for j in range(-6, 6):
+            if (i // 3 + j // 3) % 2 == 0:
+                image += micro_image(SMALL, i, j, 0.015)
+    return image
+
+
+def rms_distance(image, limit):
+    lit = limit > 0.2 * limit.max()
+    return math.sqrt(np.mean((image - limit)[lit] ** 2)) / limit[lit].mean()
+
+
+def test_interference_falls_with_the_period():
+    options = {"camera": SMALL, "wavelength": WAVELENGTH, "method": "partial"}
+    image = far_out_of_focus()
+    limit = reconstruct(image, 280.0, interleave="auto", **options).image
+    distances = [rms_distance(reconstruct(image, 280.0, interleave=k, **options).image, limit) for k in (1, 2, 4)]
+    assert distances == sorted(distances, reverse=True)
+    assert distances[0] > 0.03
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("distance", [210.0, 240.0, 280.0])
+def test_auto_is_the_limit_of_large_periods(distance):
+    options = {"camera": SMALL, "wavelength": WAVELENGTH, "method": "partial"}
+    image = far_out_of_focus()
+    limit = reconstruct(image, distance, interleave=14, **options).image
+    assert rms_distance(reconstruct(image, distance, interleave="auto", **options).image, limit) <= 6e-3
+
+
+def test_a_period_of_one_is_coherent():
+    image = np.random.default_rng(0).random(SMALL.shape, dtype=np.float32)
+    a = reconstruct(image, 230.0, camera=SMALL, wavelength=WAVELENGTH, method="coherent").image
+    b = reconstruct(image, 230.0, camera=SMALL, wavelength=WAVELENGTH, method="partial", interleave=1).image
+    assert np.array_equal(a, b)
+
+
+@pytest.mark.parametrize("options", METHODS, ids=["coherent", "K2", "auto"])
+def test_many_distances_share_the_way_and_change_little(options):
+    image = np.zeros(SMALL.shape, np.float32)
+    image[400:624, 400:624] = np.random.default_rng(0).random((224, 224))
+    together = reconstruct(image, [210.0, 280.0], camera=SMALL, wavelength=WAVELENGTH, **options)
+    for result in together:
+        alone = reconstruct(image, result.distance, camera=SMALL, wavelength=WAVELENGTH, **options).image
+        assert np.linalg.norm(result.image - alone) <= 5e-3 * np.linalg.norm(alone)
+
+
+def test_without_the_relay_planes_out_of_focus_stay_blurred():
+    """A point at 280 mm, back at its distance: the literal reading of the paper spreads it widely."""
+    X = -0.5 * SMALL.bin_size(280.0)
+    spread = point_spread_function(SMALL, (X, X, 280.0), wavelength=WAVELENGTH)
+    options = {"camera": SMALL, "wavelength": WAVELENGTH, "method": "partial"}
+    with_relay, without = (reconstruct(spread, 280.0, relay=relay, **options).image for relay in (True, False))
+    assert without.max() < 0.5 * with_relay.max()
+
+
+@pytest.mark.parametrize("options", [{"method": "ray"}, *METHODS], ids=["ray", "coherent", "K2", "auto"])
+def test_finer_bins_add_up_to_the_coarse_ones(options):
+    image = np.zeros(SMALL.shape, np.float32)
+    image[400:624, 400:624] = np.random.default_rng(2).random((224, 224))
+    options = {"camera": SMALL, "wavelength": WAVELENGTH, **options}
+    coarse = reconstruct(image, 255.0, **options)
+    fine = reconstruct(image, 255.0, oversample=3, **options)
+    assert fine.image.shape == (96, 96)
+    assert fine.bin_size == pytest.approx(coarse.bin_size / 3)
+    means = fine.image.reshape(32, 3, 32, 3).mean((1, 3))
+    np.testing.assert_allclose(means, coarse.image, atol=2e-3 * coarse.image.max())
+
+
+@pytest.mark.parametrize("options", METHODS, ids=["coherent", "K2", "auto"])
+def test_a_crop_lands_on_the_full_grid_of_bins(options):
+    image = np.zeros(SMALL.shape, np.float32)
+    image[301:500, 207:420] = np.random.default_rng(3).random((199, 213))
+    crop = SMALL.replace(crop_offset=(200, 290), crop_size=(240, 250))
+    whole = reconstruct(image, 220.0, camera=SMALL, wavelength=WAVELENGTH, **options).image
+    part = reconstruct(image[290:540, 200:440], 220.0, camera=crop, wavelength=WAVELENGTH, **options).image
+    np.testing.assert_allclose(part, whole, atol=1e-4 * whole.max())
+
+
+def test_a_dark_capture_is_dark():
+    for options in METHODS:
+        assert not reconstruct(np.zeros(SMALL.shape), 220.0, camera=SMALL, wavelength=500, **options).image.any()
+
+
+def test_each_channel_has_its_wavelength():
+    camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
+    image = np.random.default_rng(0).random((256, 256, 3), dtype=np.float32)
+    wavelengths = (620.0, 550.0, 460.0)
+    result = reconstruct(Capture(image, camera, wavelengths, "wave"), 250.0, method="partial")
+    assert result.options["wavelength"] == list(wavelengths)
+    for channel, wavelength in enumerate(wavelengths):
+        single = reconstruct(image[..., channel], 250.0, camera=camera, method="partial", wavelength=wavelength)
+        assert np.array_equal(result.image[..., channel], single.image)
+
+
+def test_pixels_too_coarse_for_the_wave_are_subdivided():
+    coarse = PlenopticCamera(detector_width=2.048, resolution=(256, 256))
+    image = np.zeros(coarse.shape, np.float32)
+    image[100:140, 120:160] = np.random.default_rng(0).random((40, 40))
+    fine = np.repeat(np.repeat(image, 4, 0), 4, 1)
+    # The radiance differs as the white of coarse pixels does.
+    a, b = (
+        sum(reconstruct_subsets(pixels, camera, [250.0], WAVELENGTH)) * camera.pixel_size**2
+        for pixels, camera in ((image, coarse), (fine, SMALL))
+    )
+    np.testing.assert_allclose(a, b, atol=1e-2 * b.max())
+
+
+def test_progress_ends_complete():
+    seen = []
+    image = np.ones((128, 128, 3), np.float32)
+    camera = PlenopticCamera(detector_width=0.256, resolution=(128, 128))
+    for options in METHODS:
+        seen.clear()
+        reconstruct(
+            image, [230.0, 240.0], camera=camera, wavelength=600, progress=lambda *step: seen.append(step), **options
+        )
+        assert seen[0][0] == 0
+        assert seen[-1][0] == seen[-1][1]
+        assert seen == sorted(seen)
+
+
+def test_the_command_writes_method_and_camera_into_the_header(tmp_path, capfd):
+    camera = PlenopticCamera(detector_width=0.256, resolution=(128, 128))
+    raw, out = tmp_path / "raw.exr", tmp_path / "out.exr"
+    write_capture(raw, Capture(np.ones(camera.shape), camera, 633.0, "wave"))
+    arguments = ["reconstruct", str(raw), "-o", str(out), "--distance", "230", "--method", "partial"]
+    assert main([*arguments, "--interleave", "auto", "--oversample", "2", "--no-relay"]) == 0
+    image, header = read_exr(out)
+    assert image.shape == (8, 8)
+    assert (header["method"], header["distance"]) == ("partial", 230.0)
+    assert header["options"] == {"interleave": "auto", "oversample": 2, "relay": False, "wavelength": [633.0]}
+    assert PlenopticCamera.from_dict(header["camera"]) == camera
+    assert main([*arguments, "--interleave", "9"]) == 2
+    assert "interleave = 9: it must be 'auto' or a whole number from 1 to 4" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"wavelength": None}, "wavelength = None: a wave method needs one"),
+        ({"wavelength": -5}, "wavelength = -5: it must be greater than 0"),
+        ({"wavelength": (500, 600)}, "the capture has 1 channels"),
+        ({"distance": 80}, "distance = 80: it must be greater than the focal length 80"),
+        (
+            {"interleave": 0},
+            "interleave = 0: it must be 'auto' or a whole number from 1 to 2, the lenses along an axis",
+        ),
+        ({"interleave": 3}, "interleave = 3: it must be 'auto' or a whole number from 1 to 2"),
+        ({"interleave": 1.5}, "interleave = 1.5: it must be 'auto' or a whole number"),
+        ({"interleave": "all"}, "interleave = 'all': it must be 'auto' or a whole number"),
+        ({"oversample": 0}, "oversample = 0: it must be at least 1"),
+        ({"camera": None}, "camera = None"),
+        ({"capture": np.full((64, 64), -1.0)}, "4096 of its pixels are negative"),
+        ({"capture": np.full((64, 64), np.inf)}, "4096 of its pixels are NaN or infinite"),
+    ],
+)
+def test_bad_arguments_are_refused(arguments, message):
+    camera = PlenopticCamera(detector_width=0.128, resolution=(64, 64))
+    given = {
+        "capture": np.ones((64, 64)),
+        "distance": 240.0,
+        "camera": camera,
+        "wavelength": 633.0,
+        "method": "partial",
+    }
+    given |= arguments
+    with pytest.raises(InputError, match=message):
+        reconstruct(given.pop("capture"), given.pop("distance"), **given)
+
+
+def test_work_that_needs_too_much_memory_is_refused():
+    camera = PlenopticCamera(detector_width=80, resolution=(2000, 2000))
+    with pytest.raises(InputError, match="its wave reconstruction: it would need"):
+        reconstruct(np.ones(camera.shape), 240.0, camera=camera, wavelength=633, method="coherent")

@@ -1,0 +1,245 @@
+"""Sums on a cluster of processes: the same bits as in one process, whatever happens to the workers."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, render_capture
+from mitsuba_plenoptic.capture.incoherent import estimate_cost, incoherent_sum
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.report.sweep import SweepSettings, sweep
+from mitsuba_plenoptic.runtime import cluster as distributed
+from mitsuba_plenoptic.runtime.batches import PartialSum
+from mitsuba_plenoptic.runtime.cluster import Cluster
+
+pytest.importorskip("distributed")
+
+SMALL = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
+
+# The command, with a checkpoint after every batch and batches one by one.
+COMMAND = """
+import sys
+from mitsuba_plenoptic.io import checkpoints as checkpoint
+from mitsuba_plenoptic import cli
+from mitsuba_plenoptic.runtime import cluster as distributed
+checkpoint._SECONDS, checkpoint._SHARE, distributed._GROUP_SAMPLES = 0.0, 1e9, 1
+sys.exit(cli.main(sys.argv[1:]))
+"""
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    with Cluster(workers=2) as workers:
+        yield workers
+
+
+@pytest.fixture
+def tiny_groups(monkeypatch):
+    """Give a worker one batch at a time."""
+    monkeypatch.setattr(distributed, "_GROUP_SAMPLES", 1)
+
+
+def radiators(count, seed=0):
+    rng = np.random.default_rng(seed)
+    g = rng.uniform(205, 275, count)
+    image = rng.uniform(-0.2, 0.2, (count, 2))
+    return np.column_stack([-image * g[:, None] / SMALL.mla_distance, g]), rng.uniform(0, 1, count)
+
+
+@pytest.mark.parametrize("method", ["patch", "full_field"])
+def test_two_processes_give_the_bits_of_one(cluster, tiny_groups, method):
+    positions, weights = radiators(25 if method == "patch" else 2)
+    options = {"wavelength": 633, "method": method}
+    calls = []
+    alone = incoherent_sum(SMALL, positions, weights, **options)
+    shared = incoherent_sum(
+        SMALL, positions, weights, **options, batch_map=cluster, progress=lambda *call: calls.append(call)
+    )
+    np.testing.assert_array_equal(shared, alone)
+    assert calls[-1] == (len(positions), len(positions))
+
+
+def test_a_worker_that_is_killed_costs_no_bit(cluster, tiny_groups):
+    positions, weights = radiators(60)
+    alone = incoherent_sum(SMALL, positions, weights, wavelength=633)
+    processes = set(cluster._client.run(os.getpid).values())
+    assert len(processes) == 2
+    done = []
+
+    def kill_one(state):
+        done.append(state.batches)
+        if len(done) == 3:
+            os.kill(min(processes), signal.SIGKILL)
+
+    shared = incoherent_sum(SMALL, positions, weights, wavelength=633, batch_map=cluster, keep=kill_one)
+    np.testing.assert_array_equal(shared, alone)
+    # It was in the midst of the work, not at its end, that the worker died.
+    assert len(done) > 10
+    cluster._client.wait_for_workers(2, timeout="60s")
+    assert min(processes) not in cluster._client.run(os.getpid).values()
+
+
+def test_a_sum_that_was_stopped_goes_on_elsewhere(cluster, tiny_groups):
+    positions, weights = radiators(20)
+    states = []
+    alone = incoherent_sum(
+        SMALL,
+        positions,
+        weights,
+        wavelength=633,
+        keep=lambda state: states.append(PartialSum(state.batches, state.sums.copy())),
+    )
+    shared = incoherent_sum(
+        SMALL, positions, weights, wavelength=633, batch_map=cluster, start=states[len(states) // 2]
+    )
+    np.testing.assert_array_equal(shared, alone)
+
+
+def test_a_capture_on_workers_has_the_same_bits(cluster):
+    scene = load_scene("letters", parameters={"resolution": "256", "detector_width": "0.512", "letter_scale": "0.06"})
+    options = {"model": "wave", "spp": 1, "radiators_per_lens": 3, "passes": 2}
+    alone, shared = (render_capture(scene, batch_map=batch_map, **options).image for batch_map in (None, cluster))
+    assert alone.any()
+    np.testing.assert_array_equal(shared, alone)
+
+
+def test_a_sweep_on_workers_has_the_same_bits(cluster, tmp_path):
+    pytest.importorskip("h5netcdf")
+    small = {"resolution": "128", "detector_width": "0.256", "letter_scale": "0.03"}
+    settings = SweepSettings("letters", parameters=small, model="wave", spp=1, radiators_per_lens=2)
+    grid = {"wavelength": [500, 633]}
+    alone = sweep(settings, grid, tmp_path / "alone.nc").load()
+    assert alone.capture.any()
+    assert sweep(settings, grid, tmp_path / "shared.nc", batch_map=cluster).load().equals(alone)
+
+
+def test_no_more_batches_are_under_way_than_keep_the_workers_busy(cluster, tiny_groups):
+    """Memory stays flat: batches are made as their turn comes."""
+    positions, weights = radiators(80)
+    made, behind = [], []
+    call = cluster.__call__
+
+    class Watched:
+        workers, threads = 2, 0
+
+        def __call__(self, batches):
+            def watch():
+                for batch in batches:
+                    made.append(len(pickle.dumps(batch)))
+                    yield batch
+
+            return call(watch())
+
+    incoherent_sum(
+        SMALL,
+        positions,
+        weights,
+        wavelength=633,
+        batch_map=Watched(),
+        keep=lambda state: behind.append(len(made) - state.batches),
+    )
+    assert len(made) > 15
+    assert max(behind) <= distributed._AHEAD * 2
+    assert max(made) < 2**20
+
+
+def test_the_estimate_counts_workers(cluster):
+    positions, _ = radiators(30)
+    assert cluster.workers == 2
+    assert estimate_cost(SMALL, positions, wavelength=633, batch_map=cluster).patterns == 30
+
+
+def test_a_mistake_in_a_batch_is_told_as_such(cluster, monkeypatch):
+    positions, weights = radiators(3)
+    monkeypatch.setattr(distributed, "software", lambda: {"mitsuba_plenoptic": "0123"})
+    with pytest.raises(InputError, match=r"^a worker: its mitsuba_plenoptic is \w+, here it is 0123"):
+        incoherent_sum(SMALL, positions, weights, wavelength=633, batch_map=cluster)
+
+
+def test_a_scheduler_at_an_address(cluster, tmp_path):
+    address = cluster._client.scheduler.address
+    words = ["letters", "--model", "wave", "--spp", "1", "--radiators-per-lens", "2"]
+    words += ["-D", "resolution=128", "-D", "detector_width=0.256", "-D", "letter_scale=0.03"]
+    assert main(["render", *words, "-o", str(tmp_path / "alone.exr")]) == 0
+    assert main(["render", *words, "-o", str(tmp_path / "shared.exr"), "--scheduler", address]) == 0
+    assert (tmp_path / "alone.exr").read_bytes() == (tmp_path / "shared.exr").read_bytes()
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_dies_is_told_in_one_line_and_the_checkpoint_stays(tmp_path):
+    """Scheduler and worker as other programs; the capture goes on without them."""
+    logs = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    python = [sys.executable, "-m"]
+    file = tmp_path / "scheduler.json"
+    words = ["--scheduler-file", str(file), "--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0"]
+    scheduler = subprocess.Popen([*python, "distributed.cli.dask_scheduler", *words], **logs)
+    worker = subprocess.Popen(
+        [*python, "distributed.cli.dask_worker", "--scheduler-file", str(file), "--nthreads", "2", "--no-dashboard"],
+        **logs,
+    )
+    try:
+        deadline = time.monotonic() + 60
+        while not file.exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        address = json.loads(file.read_text())["address"]
+        output = tmp_path / "raw.exr"
+        words = ["render", "letters", "--model", "wave", "--spp", "1", "--radiators-per-lens", "4", "-o", str(output)]
+        words += ["-D", "resolution=256", "-D", "detector_width=0.512", "-D", "letter_scale=0.06"]
+        run = subprocess.Popen(
+            [sys.executable, "-c", COMMAND, *words, "--scheduler", address], stderr=subprocess.PIPE, text=True
+        )
+        while not (checkpoint := tmp_path / "raw.exr.checkpoint").exists() and run.poll() is None:
+            time.sleep(0.005)
+        scheduler.kill()
+        _, errors = run.communicate(timeout=120)
+    finally:
+        for process in (scheduler, worker):
+            process.kill()
+            process.wait()
+    assert run.returncode == 2, errors
+    assert errors.splitlines()[-1].startswith(f"mitsuba-plenoptic: error: scheduler {address}: the connection was lost")
+    assert "Traceback" not in errors
+    assert checkpoint.exists() and not output.exists()
+    assert main([*words, "--resume"]) == 0
+    resumed = output.read_bytes()
+    assert main(words) == 0
+    assert output.read_bytes() == resumed
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--workers", "0"], "workers = 0: it must be at least 1"),
+        (["--workers", "2", "--scheduler", "tcp://127.0.0.1:1"], "workers, scheduler: give one of the two"),
+        (["--scheduler", "tcp://127.0.0.1:1"], "scheduler tcp://127.0.0.1:1: no workers can be had: "),
+        (["--scheduler", "here"], "scheduler here: no workers can be had: "),
+    ],
+)
+def test_mistakes(tmp_path, capfd, monkeypatch, words, message):
+    monkeypatch.setattr(distributed, "_PATIENCE", "1s")
+    output = tmp_path / "raw.exr"
+    assert main(["render", "letters", "--model", "wave", "-o", str(output), *words]) == 2
+    errors = capfd.readouterr().err
+    assert errors.startswith(f"mitsuba-plenoptic: error: {message}") and errors.count("\n") == 1, errors
+    assert not output.exists()
+
+
+def test_rays_need_no_workers(cluster):
+    scene = load_scene("letters", parameters={"resolution": "64"})
+    with pytest.raises(InputError, match="workers are of use for model 'wave' only"):
+        render_capture(scene, spp=1, batch_map=cluster)
+
+
+def test_without_dask_the_error_tells_what_to_install(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+    with pytest.raises(InputError, match=r"pip install 'mitsuba-plenoptic\[distributed\]'"), Cluster(workers=2):
+        pass

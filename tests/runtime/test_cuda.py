@@ -1,0 +1,169 @@
+"""The route through CUDA: with a stand-in for CuPy, so that every line of it runs anywhere; and on a device."""
+
+import importlib
+from pathlib import Path
+
+import device_stand_in
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import PlenopticCamera, point_spread_function, reconstruct
+from mitsuba_plenoptic.capture.incoherent import estimate_cost, incoherent_sum
+from mitsuba_plenoptic.capture.point_spread import point_fields
+from mitsuba_plenoptic.errors import InputError
+from mitsuba_plenoptic.io import checkpoints as checkpoint
+from mitsuba_plenoptic.optics.free_space import propagate
+from mitsuba_plenoptic.reconstruction.lens_by_lens import white_throughput
+from mitsuba_plenoptic.runtime import backend as _backend
+
+# The inputs are random: the field fills its window, and the captures have light beside the micro-images.
+pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")
+
+CAMERA = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
+SMALL = PlenopticCamera(detector_width=0.256, resolution=(128, 128), aperture_radius=1.5)
+SIDE = 2048
+"""Numbers that may leave the device before the end: the sums of a grid's rows, by which the physics is guarded."""
+COARSE = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
+_random = np.random.default_rng(0)
+CAPTURE = _random.random(CAMERA.shape, dtype=np.float32)
+_waves = np.zeros((60, 80), complex)  # the outer eighth of the spectrum is empty: a field that its grid resolves
+_waves[:26, :35], _waves[-25:, -34:] = _random.standard_normal((26, 35)), _random.standard_normal((25, 34))
+FIELD = np.fft.ifft2(_waves).astype(np.complex64)
+POSITIONS = np.column_stack([_random.uniform(-0.4, 0.4, (20, 2)), _random.uniform(210, 275, 20)])
+WEIGHTS = _random.random((20, 2))
+MASKS = _random.random((20, 8, 8)) > 0.3
+
+
+def fields():
+    planes = point_fields(SMALL, POSITIONS[0], wavelength=633)
+    return [planes.pupil.samples, planes.mla.samples, planes.detector.samples]
+
+
+def refocused(camera=CAMERA, **options):
+    capture = CAPTURE if camera is CAMERA else CAPTURE[::2, ::2]
+    results = reconstruct(capture, [225.0, 240.0], camera=camera, wavelength=633, **options)
+    return [result.image for result in results]
+
+
+WORKS = {
+    "step": lambda: [propagate(FIELD, 4e-3, 5.0, 633)],
+    "sum of all": lambda: [incoherent_sum(CAMERA, POSITIONS, WEIGHTS, wavelength=633, accuracy=0)],
+    "sum of patterns": lambda: [
+        incoherent_sum(CAMERA, POSITIONS, WEIGHTS, wavelength=633, accuracy=0.05, pupil_masks=MASKS)
+    ],
+    "referee": lambda: [point_spread_function(SMALL, POSITIONS[0], wavelength=633, method="full_field")],
+    "fields": fields,
+    "rays": lambda: refocused(method="ray"),
+    "coherent": lambda: refocused(method="coherent"),
+    "subdivided pixels": lambda: refocused(COARSE, method="coherent"),
+    "partially coherent": lambda: refocused(method="partial"),
+    "lens by lens": lambda: refocused(method="partial", interleave="auto"),
+}
+
+
+@pytest.fixture
+def device(monkeypatch):
+    """Have the stand-in chosen, beside Dr.Jit on LLVM, whose arrays count as lying on the device."""
+    stand_in = device_stand_in.StandIn()
+
+    def numpy(array):
+        stand_in.to_host.append((dr.width(array),))
+        return device_stand_in._dr_numpy(array)
+
+    monkeypatch.setattr(_backend, "_cuda", lambda: stand_in.backend)
+    monkeypatch.setattr(_backend, "array_module", lambda: dr.cuda)
+    monkeypatch.setattr(dr, "backend_v", lambda array: dr.JitBackend.CUDA)
+    monkeypatch.setattr(dr.ArrayBase, "numpy", numpy)
+    white_throughput.cache_clear()
+    yield stand_in
+    white_throughput.cache_clear()
+
+
+@pytest.mark.parametrize("work", WORKS.values(), ids=WORKS)
+def test_the_device_computes_the_same_and_only_what_is_finished_leaves_it(work, request):
+    expected = work()
+    device = request.getfixturevalue("device")
+    for ours, theirs in zip(work(), expected, strict=True):
+        assert type(ours) is np.ndarray and ours.dtype == theirs.dtype
+        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5 * np.abs(theirs).max())
+    finished = sum(array.size for array in expected)
+    sizes = [int(np.prod(shape)) for shape in device.to_host]
+    assert sum(size for size in sizes if size > SIDE) <= 1.5 * finished
+
+
+def test_a_field_on_the_device_stays_there(device):
+    field = device.backend.arrays.asarray(FIELD)
+    moved = propagate(field, 4e-3, 5.0, 633)
+    assert isinstance(moved, device_stand_in.DeviceArray) and not device.to_host
+    np.testing.assert_array_equal(device.backend.to_host(moved), propagate(FIELD, 4e-3, 5.0, 633))
+
+
+def test_a_sum_goes_on_from_a_checkpoint(device, tmp_path):
+    """Written from the device's memory, and taken back into it."""
+    path = tmp_path / "checkpoint"
+
+    def keep(state):
+        if state.batches == 1:
+            checkpoint._write(path, {}, checkpoint.Snapshot(0, np.zeros((1, 1, 1), np.float32), state))
+
+    options = {"wavelength": 633, "accuracy": 0}
+    whole = incoherent_sum(CAMERA, POSITIONS, WEIGHTS, keep=keep, **options)
+    start = checkpoint._read(path, {}, (1, 1, 1)).partial
+    assert start.batches == 1 and type(start.sums) is np.ndarray
+    np.testing.assert_array_equal(incoherent_sum(CAMERA, POSITIONS, WEIGHTS, start=start, **options), whole)
+
+
+def test_the_estimate_waits_for_the_device(device, monkeypatch):
+    waits = []
+    monkeypatch.setattr(_backend.Backend, "synchronize", lambda self: waits.append(self))
+    cost = estimate_cost(CAMERA, POSITIONS, wavelength=633)
+    assert cost.seconds > 0 and waits == [device.backend] * len(waits) and len(waits) >= 2
+
+
+def test_the_benchmark_of_the_device_runs(device, monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "tools")
+    gpu = importlib.import_module("benchmarks.gpu")
+    monkeypatch.setattr(gpu, "DISTANCE", 0.1)
+    expected = {128: propagate(gpu.beam(128), gpu.PITCH, gpu.DISTANCE, gpu.WAVELENGTH)}
+    rows = gpu.steps(expected, 1, copied=1000)
+    rows += gpu.letters({"resolution": "64", "detector_width": "0.128"}, 1)
+    assert len(rows) == 8 and all(row.ours > 0 for row in rows)
+    if not dr.has_backend(dr.JitBackend.CUDA):
+        (row,) = gpu.run([1024], 1)
+        assert "no CUDA device here" in row.note and gpu.COMMAND in row.note
+
+
+def test_without_cupy_waves_on_cuda_are_refused_with_the_remedy(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "cupy", None)
+    _backend._cuda.cache_clear()
+    with pytest.raises(InputError, match=r"waves on CUDA need CuPy.*pip install \"mitsuba-plenoptic\[cuda\]\""):
+        _backend._cuda()
+
+
+def test_the_stand_in_refuses_to_mix():
+    array = device_stand_in.StandIn().backend.arrays.zeros(3)
+    for mistake in (
+        lambda: np.asarray(array),
+        lambda: array + np.ones(3),
+        lambda: np.ones(3) + array,
+        lambda: array[np.arange(2)],
+        lambda: np.sqrt(array),
+        lambda: array.__setitem__(slice(None), np.ones(3)),
+    ):
+        with pytest.raises(TypeError):
+            mistake()
+
+
+needs_device = pytest.mark.skipif(not dr.has_backend(dr.JitBackend.CUDA), reason="no CUDA device")
+
+
+@needs_device
+@pytest.mark.parametrize("work", WORKS.values(), ids=WORKS)
+def test_cuda_agrees_with_the_processor(work):
+    pytest.importorskip("cupy")
+    expected = work()
+    mi.set_variant("cuda_ad_mono")
+    for ours, theirs in zip(work(), expected, strict=True):
+        assert np.linalg.norm(ours - theirs) <= 1e-4 * np.linalg.norm(theirs)

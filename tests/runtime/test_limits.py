@@ -1,0 +1,137 @@
+"""Memory: estimated before it is taken, and refused with what would fit."""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, decode, load_scene, reconstruct, render_capture
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.lightfield import FourierRefocuser, LensGrid, depth_map, focal_stack
+from mitsuba_plenoptic.runtime import limits
+from mitsuba_plenoptic.runtime.limits import GIB, largest_fitting, memory_limit, require_memory
+
+
+@pytest.fixture(autouse=True)
+def sixteen_gib(monkeypatch):
+    monkeypatch.setenv(limits.VARIABLE, "16")
+
+
+@pytest.fixture
+def camera():
+    return PlenopticCamera(resolution=(64, 64), detector_width=0.256)
+
+
+def test_the_limit_is_a_share_of_the_machine_or_what_the_variable_says(monkeypatch):
+    assert memory_limit() == 16 * GIB
+    monkeypatch.delenv(limits.VARIABLE)
+    assert GIB / 4 < memory_limit() < 2**50
+    for text in ("much", "nan", "-1", "0"):
+        monkeypatch.setenv(limits.VARIABLE, text)
+        with pytest.raises(InputError, match=limits.VARIABLE):
+            memory_limit()
+
+
+def test_a_refusal_tells_the_estimate_the_limit_and_what_would_fit():
+    with pytest.raises(
+        InputError, match=r"^work: it would need 20 GiB of memory, at most 16 GiB .*; 4 bins would fit$"
+    ):
+        require_memory(20 * GIB, "work", lambda limit: "4 bins")
+    with pytest.raises(InputError, match="work: it would need nan GiB"):
+        require_memory(float("nan"), "work")
+    require_memory(16 * GIB, "work")
+
+
+@pytest.mark.parametrize("highest", [1, 2, 7, 1000])
+def test_the_largest_that_fits(highest):
+    for limit in (0, 1, 3.9, 50, 1e9):
+        expected = max((n for n in range(1, highest + 1) if n * n <= limit), default=0)
+        assert largest_fitting(lambda n: n * n, limit, highest) == expected
+
+
+@pytest.mark.parametrize("model", ["ray", "wave"])
+def test_a_camera_of_200_gib_is_refused_in_under_two_seconds(model, tmp_path, capfd):
+    load_scene("white", parameters={"resolution": "16"})  # what loading compiles is not counted
+    start = time.perf_counter()
+    output = tmp_path / "raw.exr"
+    assert main(["render", "white", "-o", str(output), "--model", model, "-D", "resolution=51800"]) == 2
+    assert time.perf_counter() - start < 2
+    said = capfd.readouterr().err
+    assert "capture of 51800 x 51800 pixels: it would need 200 GiB of memory, at most 16 GiB are allowed" in said
+    # What it says would fit does, and not much more would.
+    fitting = int(said.partition("allowed; ")[2].split()[0])
+    assert 0.95 < 80 * fitting**2 / (16 * GIB) <= 1
+    assert said.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_said_to_fit_fits(camera, monkeypatch):
+    image = np.ones((64, 64), np.float32)
+    monkeypatch.setenv(limits.VARIABLE, "0.001")
+    with pytest.raises(InputError, match="would fit") as caught:
+        reconstruct(image, 240.0, camera=camera, oversample=500)
+    fitting = int(str(caught.value).partition("oversample = ")[2].split()[0])
+    assert reconstruct(image, 240.0, camera=camera, oversample=fitting).image.shape == (4 * fitting, 4 * fitting)
+    with pytest.raises(InputError, match="would need"):
+        reconstruct(image, 240.0, camera=camera, oversample=fitting + 1)
+
+
+def test_the_estimate_of_rays_is_that_of_what_is_allocated(camera):
+    """Bins are counted from the arrays that come out; the estimate must not be below them."""
+    image = np.ones((64, 64), np.float32)
+    reconstruct(image, 240.0, camera=camera)
+    tracemalloc.start()
+    results = reconstruct(image, [210.0, 240.0], camera=camera, oversample=64)
+    taken = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    kept = sum(result.image.nbytes for result in results)
+    assert kept <= taken
+    bins = (4 * 64) ** 2
+    assert taken < 4 * bins * 3 + 4 * (bins + 64 * 4 * 64) + 2**20
+
+
+@pytest.mark.parametrize(
+    ("work", "words"),
+    [
+        (lambda image, camera: reconstruct(image, 240.0, camera=camera, oversample=10**6), "oversample = "),
+        (
+            lambda image, camera: reconstruct(
+                image, 240.0, camera=camera.replace(detector_width=80), method="coherent", wavelength=633
+            ),
+            "wave reconstruction: it would need",
+        ),
+        (lambda image, camera: render_capture_of(radiators_per_lens=256, spp=10**5), "radiators_per_lens = "),
+        (lambda image, camera: LensGrid((1e-2, 1e-2), (0, 0), (10**6, 10**6)).centres(), "1000000 x 1000000 lenses"),
+        (lambda image, camera: decode(image, white=image, grid=LensGrid((0.5, 0.5), (0, 0), (10**5, 10**5))), "lenses"),
+        (
+            lambda image, camera: decode(image, camera=camera.replace(mla_pitch=0.25, aperture_radius=20000.0)),
+            "white image",
+        ),
+    ],
+)
+def test_every_kind_of_work_estimates_first(work, words, camera):
+    start = time.perf_counter()
+    with pytest.raises(InputError, match=words):
+        work(np.ones((64, 64), np.float32), camera)
+    assert time.perf_counter() - start < 2
+
+
+def render_capture_of(**options):
+    scene = load_scene("white", parameters={"resolution": "32", "detector_width": "0.128"})
+    return render_capture(scene, model="wave", **options)
+
+
+def test_light_fields_estimate_first(camera, monkeypatch):
+    lf = decode(np.ones((64, 64), np.float32), camera=camera)
+    monkeypatch.setenv(limits.VARIABLE, "1e-6")
+    for work in (
+        lambda: depth_map(lf),
+        lambda: focal_stack(lf, [240.0] * 10),
+        lambda: FourierRefocuser(lf, 0.1),
+        lambda: decode(np.ones((64, 64), np.float32), camera=camera),
+    ):
+        with pytest.raises(InputError, match="it would need"):
+            work()

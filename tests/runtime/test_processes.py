@@ -1,0 +1,196 @@
+"""Threads, processes, variants and imports: what may run at once, and that the same seed gives the same bits."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+import threading
+from pathlib import Path
+
+import drjit as dr
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic.runtime.fft import resting_drjit
+
+ROOT = Path(__file__).parents[2]
+
+
+def python(code, *arguments, **environment):
+    """Run code in a process of its own and give what it prints."""
+    result = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code), *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+        cwd=ROOT,
+        env=os.environ | environment,
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+# Everything that makes an image: both captures of a scene with several lamps, all reconstructions, and noise.
+IMAGES = """
+import numpy as np
+import mitsuba_plenoptic as mp
+
+def images(seed):
+    scene = mp.load_scene("still_life", parameters={"detector_width": "0.128", "resolution": "64"})
+    ray = mp.render_capture(scene, spp=5, seed=seed)
+    wave = mp.render_capture(scene, model="wave", spp=2, radiators_per_lens=1, seed=seed)
+    yield "by rays", ray.image
+    yield "by waves", wave.image
+    yield "exposed", mp.expose(ray, mp.Detector(), photons=1000, seed=seed).image
+    for method, interleave in (("ray", 1), ("coherent", 1), ("partial", 2), ("partial", "auto")):
+        result = mp.reconstruct(wave, [210, 240], method=method, interleave=interleave)
+        yield f"{method}_{interleave}", np.stack([each.image for each in result])
+"""
+
+
+def test_the_same_bits_on_any_number_of_threads_and_in_any_process(tmp_path):
+    """Only images by single lenses follow the threads of the BLAS, and only in their last bits."""
+    code = IMAGES + (
+        "\nimport sys, drjit as dr, mitsuba as mi\n"
+        "mi.set_variant('llvm_ad_mono')\n"
+        "dr.set_thread_count(int(sys.argv[2]))\n"
+        "np.savez(sys.argv[1], **dict(images(3)))\n"
+    )
+    for threads in (1, 2):
+        python(code, tmp_path / f"{threads}.npz", threads, OPENBLAS_NUM_THREADS=str(threads))
+    one, two = (np.load(tmp_path / f"{threads}.npz") for threads in (1, 2))
+    assert len(one.files) == 7
+    for name in one.files:
+        if name == "partial_auto":
+            assert np.allclose(one[name], two[name], rtol=1e-4, atol=1e-6 * one[name].max())
+        else:
+            assert np.array_equal(one[name], two[name]), name
+        assert one[name].max() > 0
+
+
+def test_two_threads_at_once():
+    """Captures and reconstructions of both, interleaved, have the bits that they have alone."""
+    code = (
+        IMAGES
+        + """
+import threading, drjit as dr, mitsuba as mi
+mi.set_variant("llvm_ad_mono")
+dr.set_thread_count(2)
+alone = [dict(images(seed)) for seed in (0, 1)]
+together = {}
+threads = [threading.Thread(target=lambda s=seed: together.update({s: dict(images(s))})) for seed in (0, 1)]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+same = all(np.array_equal(alone[s][name], together[s][name]) for s in (0, 1) for name in alone[s])
+different = not np.array_equal(alone[0]["by rays"], alone[1]["by rays"])
+print(same, different, dr.thread_count())
+"""
+    )
+    assert python(code) == "True True 2\n"
+
+
+def test_the_thread_count_is_restored_by_the_last_of_overlapping_rests():
+    before = dr.thread_count()
+    dr.set_thread_count(3)
+    try:
+        inside, leave = threading.Event(), threading.Event()
+
+        def other():
+            with resting_drjit():
+                inside.set()
+                leave.wait()
+
+        thread = threading.Thread(target=other)
+        with resting_drjit():
+            thread.start()
+            inside.wait()
+        during = dr.thread_count()
+        leave.set()
+        thread.join()
+        assert (during, dr.thread_count()) == (1, 3)
+    finally:
+        dr.set_thread_count(before)
+
+
+def test_two_variants_in_one_process():
+    """Back and forth; a scene of the other variant, and a variant that cannot work, get a sentence."""
+    code = """
+    import mitsuba_plenoptic as mp, mitsuba as mi
+    parameters = {"detector_width": "0.128", "resolution": "64"}
+    sums = []
+    for variant in ("llvm_ad_mono", "llvm_ad_rgb", "llvm_ad_mono"):
+        scene = mp.load_scene("letters", variant=variant, parameters=parameters)
+        sums.append(float(mp.render_capture(scene, spp=1).image.sum()))
+    wave = mp.render_capture(scene, model="wave", spp=1, radiators_per_lens=1)
+    print(sums[0] == sums[1] == sums[2] > 0 and wave.image.sum() > 0)
+    for variant in ("llvm_ad_rgb", "scalar_rgb"):
+        mi.set_variant(variant)
+        try:
+            mp.render_capture(scene)
+        except mp.InputError as error:
+            print(error)
+    try:
+        mp.load_scene("letters")
+    except mp.InputError as error:
+        print(str(error).partition(": ")[2])
+    """
+    rule = "it must be a mitsuba.Scene of the active variant"
+    lines = python(code).splitlines()
+    assert lines[0] == "True"
+    assert all(f"{rule} {name}," in line for line, name in zip(lines[1:3], ("llvm_ad_rgb", "scalar_rgb"), strict=True))
+    assert lines[3] == "plenoptic: variant scalar_rgb: this plugin needs an llvm_ad_* or cuda_ad_* variant"
+
+
+@pytest.mark.parametrize(
+    "prologue",
+    [
+        "import mitsuba_plenoptic, mitsuba as mi; mi.set_variant('llvm_ad_mono')",
+        "import mitsuba as mi; import mitsuba_plenoptic; mi.set_variant('llvm_ad_mono')",
+        "import mitsuba as mi; mi.set_variant('llvm_ad_mono'); import mitsuba_plenoptic",
+        "import drjit; import mitsuba as mi; mi.set_variant('llvm_ad_rgb'); import mitsuba_plenoptic;"
+        "mi.set_variant('llvm_ad_mono')",
+    ],
+)
+def test_imports_in_any_order(prologue):
+    code = f"{prologue}; print(mi.load_dict({{'type': 'plenoptic'}}).camera.crosstalk_lenses, mi.variant())"
+    assert python(code).endswith("1 llvm_ad_mono\n")
+
+
+def test_a_spawned_process_works_and_a_forked_one_says_why_it_cannot(tmp_path):
+    """Threads do not survive a fork: without the check the child waits for ever."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        textwrap.dedent("""
+        import multiprocessing, sys
+        import mitsuba_plenoptic as mp
+
+        def render(queue):
+            try:
+                parameters = {"detector_width": "0.128", "resolution": "64"}
+                queue.put(float(mp.render_capture(mp.load_scene("letters", parameters=parameters), spp=1).image.sum()))
+            except mp.InputError as error:
+                queue.put(str(error))
+
+        if __name__ == "__main__":
+            # before Dr.Jit is at work a fork does no harm
+            for way, first in (("fork", False), ("spawn", True), ("fork", True)):
+                context = multiprocessing.get_context(way)
+                queue = context.SimpleQueue()
+                if first:
+                    render(queue)
+                    print(queue.get())
+                process = context.Process(target=render, args=(queue,))
+                process.start()
+                print(queue.get())
+                process.join()
+        """)
+    )
+    result = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=120, check=True)
+    early, parent, spawned, again, forked = result.stdout.splitlines()
+    assert early == parent == spawned == again
+    assert "get_context('spawn')" in forked

@@ -1,0 +1,41 @@
+"""The parts of the study of when rays fail that have closed forms."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import PlenopticCamera
+
+
+@pytest.fixture(scope="module")
+def study():
+    path = Path(__file__).parents[2] / "tools" / "when_do_rays_fail.py"
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_spot_of_a_square_lens(study):
+    # A spot of 4 pixels to its first zero.
+    pixel = study.WAVELENGTH * 1e-6 * 8 / 4
+    camera = PlenopticCamera(detector_width=128 * pixel, resolution=(128, 128))
+    point = np.zeros((128, 128))
+    point[64, 64] = 1
+    spot = study.diffract(point, camera)
+    x = (np.arange(128) - 64) / 4
+    # Periodic in twice the detector, so the far tails differ a little.
+    assert spot == pytest.approx(np.outer(np.sinc(x) ** 2, np.sinc(x) ** 2) / 16, abs=2e-4)
+    assert spot[64, 68] == pytest.approx(0, abs=2e-4)
+
+
+def test_noise_does_not_count_as_difference(study):
+    random = np.random.default_rng(0)
+    reference = np.ones((256, 256))
+    rays = [1.1 + 0.5 * random.standard_normal(reference.shape) for _ in range(2)]
+    assert study.difference(rays, reference, 1) == pytest.approx(0.1, abs=0.02)
+    assert study.difference(rays, reference, 4) == pytest.approx(0.1, abs=0.02)
