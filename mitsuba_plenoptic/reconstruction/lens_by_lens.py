@@ -35,8 +35,8 @@ from ..optics.sampling import check_memory, fast_length, in_millimetres, pupil_t
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, unpack
 from ..runtime.indexing import split
-from ._elements import converging_phase, detector_lens, lens_phase
-from ._plan import GUARD, field_subsamples
+from .elements import converging_phase, detector_lens, lens_phase
+from .grids import GUARD, field_subsamples
 from .ray import lenses_fill_bins
 
 # Samples that are transformed together, on the processor and on a CUDA device.

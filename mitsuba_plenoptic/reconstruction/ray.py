@@ -9,8 +9,8 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..design import lens_footprint, pixel_footprint
 from ..optics import rays
-from ._binning import AxisBins, axis_bins, bin_image
-from ._splatting import splat
+from .binning import AxisBins, axis_bins, bin_image
+from .splatting import splat
 
 # Bins that get less than this share of the light that a bin gets of a white scene on average lie at the border of what
 # was recorded; they are not brightened any further, since they would show little but noise.

@@ -10,7 +10,7 @@ import scipy.signal
 
 from ..camera import PlenopticCamera
 from ..design import lens_footprint
-from ._plan import Plan, plan
+from .grids import Plan, plan
 from .coherent import lit_window, reconstruct_subsets
 from .lens_by_lens import Tile, is_aligned, reconstruct_lens_by_lens, tile_lenses, white_power, white_throughput
 from .ray import at_least, lenses_fill_bins, pixels_per_bin, white_bins
@@ -151,4 +151,4 @@ def full_field_period(
 
 def _samples(grids: Plan) -> int:
     """Count the samples that one coherent reconstruction transforms."""
-    return sum(leg.transformed for leg in (grids.detector, grids.main_lens, *grids.objects))
+    return grids.transformed

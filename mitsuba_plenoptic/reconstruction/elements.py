@@ -11,15 +11,13 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..optics import rays
-from ..optics.microlenses import lenses_at
+from ..optics.microlenses import is_separable, lenses_at
 from ..optics.sampling import in_millimetres
-from ..runtime.backend import array_module
+from ..runtime.backend import array_module, backend
 from ..runtime.fft import Field, as_field, pack
 from ..runtime.indexing import split
-
-Transmission = Callable[[np.ndarray, np.ndarray], Field]
-"""From coordinates along x, (columns,), and along y, (rows,), to a complex64 array (rows, columns)."""
-
+from .grids import AxisStep, Step
+from .steps import Rows
 
 def lens_phase(offset: np.ndarray, focal_length: float | np.ndarray, wavelength: float) -> np.ndarray:
     r"""Transmission of a thin parabolic lens, :math:`\exp(-i \pi x^2 / \lambda f)`.
@@ -65,45 +63,41 @@ def microlens_phase(m: np.ndarray, camera: PlenopticCamera, wavelength: float, a
     return phase if lattice.fill == 1 else np.where(np.abs(offset) <= lattice.aperture_width / 2, phase, 0)
 
 
-# -- along both axes of any lattice ------------------------------------------------------------------
+# -- on the rows of a field --------------------------------------------------------------------------
 
 
-class FieldThrough:
-    """Rows of a field times an element that is no product of a function of x and one of y, made when asked for.
-
-    Parameters
-    ----------
-    field : float32 or complex64 array (rows, columns)
-        The field.
-    x, y : float64 arrays
-        Coordinates of its columns and rows.
-    element : callable
-        The transmission.
-    """
-
-    def __init__(self, field: np.ndarray, x: np.ndarray, y: np.ndarray, element: Transmission) -> None:
-        self._field, self._x, self._y, self._element = field, x, y, element
-
-    def __getitem__(self, rows: slice) -> Field:
-        transmission = self._element(self._x, self._y[rows])
-        transmission *= self._field[rows]
-        return transmission
+def through_axes(field: Rows, x_factor: np.ndarray, y_factor: np.ndarray) -> Rows:
+    """Multiply a field by an element that is a function of x times one of y; rows where that is 0 are left out."""
+    arrays = backend().arrays
+    along_x, along_y = arrays.asarray(x_factor), arrays.asarray(y_factor)
+    for rows, samples in field:
+        for first, end in _runs(y_factor[rows] != 0):
+            lit = slice(rows.start + first, rows.start + end)
+            product = samples[first:end] * along_x
+            product *= along_y[lit, None]
+            yield lit, product
 
 
-def microlenses(camera: PlenopticCamera, wavelength: float) -> Transmission:
-    """Transmission of the microlenses in the MLA plane."""
+def through_microlenses(field: Rows, step: Step, camera: PlenopticCamera, wavelength: float) -> Rows:
+    """Multiply a field at the destination of a step by the transmission of the microlenses."""
+    x, y = step.x.destination, step.y.destination
+    if is_separable(camera):
+        along = (microlens_phase(m, camera, wavelength, axis) for axis, m in enumerate((x, y)))
+        return through_axes(field, *along)
+    return _through_plane(field, x, y, lambda x, y: lenses_at(camera, wavelength, x, y))
 
-    def element(x: np.ndarray, y: np.ndarray) -> Field:
-        return _evaluate(x, y, lambda x, y: lenses_at(camera, wavelength, x, y))
 
-    return element
-
-
-def converging(camera: PlenopticCamera, wavelength: float, interleave: int, subset: tuple[int, int]) -> Transmission:
-    """Phase, on the detector, of light that converges to the centres of the lenses of a subset; zero elsewhere.
+def converging(
+    amplitude: Rows, step: Step, camera: PlenopticCamera, wavelength: float, interleave: int, subset: tuple[int, int]
+) -> Rows:
+    """Let light on the detector converge to the centres of the lenses of a subset; the other lenses are dark.
 
     Parameters
     ----------
+    amplitude : rows of a float32 array
+        At the source samples of the step.
+    step : Step
+        From the detector to the MLA.
     camera : PlenopticCamera
         The camera.
     wavelength : float
@@ -113,6 +107,12 @@ def converging(camera: PlenopticCamera, wavelength: float, interleave: int, subs
     subset : (int, int)
         The subset: the remainders of both indices.
     """
+    if is_separable(camera):
+        along = (
+            _converging_axis(axis_step, camera, wavelength, axis, interleave, subset[axis])
+            for axis, axis_step in enumerate((step.x, step.y))
+        )
+        return through_axes(amplitude, *along)
     lattice, types = camera.lattice, array_module()
 
     def phase(x: Any, y: Any) -> Any:
@@ -125,11 +125,33 @@ def converging(camera: PlenopticCamera, wavelength: float, interleave: int, subs
             mine &= index - interleave * dr.floor((index + 0.5) / interleave) == remainder
         return dr.select(mine, types.Complex2f(cosine, sine), 0)
 
-    return lambda x, y: _evaluate(x, y, phase)
+    return _through_plane(amplitude, step.x.source, step.y.source, phase)
+
+
+def _converging_axis(
+    step: AxisStep, camera: PlenopticCamera, wavelength: float, axis: int, interleave: int, subset: int
+) -> np.ndarray:
+    """Phase along one axis with which light converges to the centres of its lenses; zero outside the subset."""
+    index = detector_lens(step.source, camera, axis)
+    phase = converging_phase(step.source, index, camera, wavelength, axis)
+    return np.where(np.mod(index, interleave) == subset, phase, 0)
+
+
+def _through_plane(field: Rows, x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any]) -> Rows:
+    """Multiply a field by a function of Dr.Jit's x and y, made for the rows that come."""
+    for rows, samples in field:
+        transmission = _evaluate(x, y[rows], function)
+        transmission *= samples
+        yield rows, transmission
 
 
 def _chief(p: Any, camera: PlenopticCamera) -> Any:
     return rays.chief_point(p, camera.mla_distance, camera.detector_distance)
+
+
+def _runs(lit: np.ndarray) -> list[tuple[int, int]]:
+    """First and past-the-last index of each run of what is true."""
+    return np.flatnonzero(np.diff(lit, prepend=False, append=False)).reshape(-1, 2).tolist()
 
 
 def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any]) -> Field:
