@@ -16,7 +16,6 @@ import time
 import warnings
 import zipfile
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
@@ -27,6 +26,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, require_count, require_number
 from ..runtime.backend import backend_of
 from ..runtime.batches import PartialSum
+from ..runtime.jobs import Snapshot
 from ..runtime.software import software
 from .files import atomic_output, remove_leftovers
 
@@ -50,25 +50,6 @@ _log = logging.getLogger(__name__)
 
 class _AnotherRunError(InputError):
     """A checkpoint is whole, but of another run."""
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """How far a capture has come.
-
-    Attributes
-    ----------
-    sums : int
-        Incoherent sums that are finished, of those that the capture consists of.
-    image : float32 array (rows, columns, channels)
-        The finished sums.
-    partial : PartialSum, optional
-        The one under way.
-    """
-
-    sums: int
-    image: NDArray[np.float32]
-    partial: PartialSum | None
 
 
 class Checkpoint:
@@ -185,7 +166,7 @@ def _write(path: Path, run: dict[str, Any], snapshot: Snapshot) -> None:
         "run": run,
         "sums": snapshot.sums,
         "batches": snapshot.partial.batches if snapshot.partial else 0,
-        "light": [snapshot.partial.arrived, snapshot.partial.sent] if snapshot.partial else [0.0, 0.0],
+        "arrived": snapshot.partial.arrived if snapshot.partial else 0.0,
         "shapes": {name: array.shape for name, array in arrays.items()},
     }
     with path.open("wb") as file:
@@ -218,8 +199,8 @@ def _read(path: Path, run: dict[str, Any], shape: tuple[int, ...]) -> Snapshot:
             if arrays["image"].shape != shape:
                 raise ValueError(f"image has the shape {arrays['image'].shape} instead of {shape}")
             sums, batches = (require_count(name, header[name], minimum=0) for name in ("sums", "batches"))
-            arrived, sent = (require_number("light", amount, minimum=0) for amount in header["light"])
-            partial = PartialSum(batches, arrays["partial"], arrived, sent) if "partial" in arrays else None
+            arrived = require_number("arrived", header["arrived"])
+            partial = PartialSum(batches, arrays["partial"], arrived) if "partial" in arrays else None
             return Snapshot(sums, arrays["image"], partial)
     except _AnotherRunError:
         raise

@@ -36,4 +36,16 @@ lenses do. Fields of lenses in subsets (every K-th column and row), each propaga
 added, interfere less; where the lenses of a subset are farther apart than their images are wide, not at all.
 """
 
-from .full_fields import lit_window, reconstruct_subsets
+from __future__ import annotations
+
+import numpy as np
+
+from .full_fields import reconstruct_subsets
+from .methods import Task, method
+from .waves import memory, refocus_by_waves
+
+
+@method("coherent", options=("relay",), waves=True, memory=memory)
+def refocus(task: Task, *, relay: bool) -> list[np.ndarray]:
+    """Follow the light back as one coherent wave."""
+    return refocus_by_waves(task, reconstruct_subsets, relay=relay)

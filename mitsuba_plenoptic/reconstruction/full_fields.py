@@ -13,7 +13,7 @@ from ..optics.sampling import check_memory
 from ..runtime.backend import backend
 from ..runtime.fft import Field, resting_drjit
 from .binning import axis_bins
-from .elements import converging, lens_phase, through_axes, through_microlenses
+from .elements import converging, through_lens, through_microlenses
 from .grids import AxisStep, Plan, Step, Window, object_extent, plan, require_plan_memory
 from .steps import Rows, Workspace, propagate
 
@@ -112,15 +112,11 @@ class FullFields:
         self._camera, self._wavelength, self._grids = camera, wavelength, grids
         self._interleave, self._relay = interleave, relay
         self._workspace = Workspace(grids)
-        arrays = self._workspace.libraries.arrays
         rows, columns = (
             slice(first - offset, end - offset)
             for (first, end), offset in zip(lit[::-1], camera.crop_offset[::-1], strict=True)
         )
-        amplitude = arrays.sqrt(arrays.asarray(image[rows, columns]))
-        for axis in (0, 1) if grids.subsamples > 1 else ():
-            amplitude = arrays.repeat(amplitude, grids.subsamples, axis)
-        self._amplitude = amplitude
+        self._lit = self._workspace.libraries.arrays.asarray(image[rows, columns])
 
     def at_main_lens(self, subset: tuple[int, int]) -> Field:
         """Field of a subset of lenses, by the remainders of its indices, just before the main lens.
@@ -132,17 +128,26 @@ class FullFields:
         """
         camera, wavelength, workspace = self._camera, self._wavelength, self._workspace
         to_mla, to_main_lens = self._grids.to_mla, self._grids.to_main_lens
-        rows = workspace.blocks(self._amplitude)
-        rows = converging(rows, to_mla, camera, wavelength, self._interleave, subset)
+        rows = converging(self._amplitude(), to_mla, camera, wavelength, self._interleave, subset)
         rows = propagate(rows, to_mla, camera.detector_distance, wavelength, workspace)
         if self._relay:
-            rows = through_microlenses(rows, to_mla, camera, wavelength)
+            rows = through_microlenses(rows, to_main_lens, camera, wavelength)
         rows = propagate(rows, to_main_lens, camera.mla_distance, wavelength, workspace)
         arrays, field = workspace.libraries.arrays, workspace.array("pupil", to_main_lens.shape)
         x, y = (arrays.asarray(axis.destination) ** 2 for axis in (to_main_lens.x, to_main_lens.y))
         for place, samples in rows:
             arrays.multiply(samples, x + y[place, None] <= camera.aperture_radius**2, out=field[place])
         return field
+
+    def _amplitude(self) -> Rows:
+        """Square root of the lit pixels, sample by sample."""
+        arrays, subsamples = self._workspace.libraries.arrays, self._grids.subsamples
+        together = max(1, self._workspace.block // subsamples)
+        for first in range(0, len(self._lit), together):
+            amplitude = arrays.sqrt(self._lit[first : first + together])
+            for axis in (0, 1) if subsamples > 1 else ():
+                amplitude = arrays.repeat(amplitude, subsamples, axis)
+            yield slice(first * subsamples, first * subsamples + len(amplitude)), amplitude
 
     def power(self, field: Field) -> float:
         """Power that passes the pupil, in pixel values times pixels."""
@@ -151,8 +156,7 @@ class FullFields:
     def in_bins(self, field: Field, distance: float, step: Step, oversample: int) -> np.ndarray:
         """Power in each bin of an object plane, of a field just before the main lens; (rows, columns) float32 array."""
         camera, workspace = self._camera, self._workspace
-        x, y = (lens_phase(axis.source, camera.focal_length, self._wavelength) for axis in (step.x, step.y))
-        rows = through_axes(workspace.blocks(field), x, y)
+        rows = through_lens(workspace.blocks(field), step, camera.focal_length, self._wavelength)
         rows = propagate(rows, step, distance, self._wavelength, workspace)
         in_columns, in_rows = (
             _bin_matrix(camera, distance, axis, count * oversample, oversample)

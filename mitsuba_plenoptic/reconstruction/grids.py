@@ -21,7 +21,9 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..optics import rays
-from ..optics.sampling import check_memory, fast_length, in_millimetres, mla_cosine
+from ..optics.microlenses import bend
+from ..optics.phase import in_millimetres
+from ..optics.sampling import check_memory, fast_length
 from ..runtime.limits import largest_fitting
 
 Span = tuple[int, int]
@@ -102,8 +104,8 @@ class Step:
         return self.x.new_pitch * self.y.new_pitch
 
     @property
-    def spectrum(self) -> tuple[int, int]:
-        """Columns of the spectrum of rows, and rows to hold for each of them at the source and the destination."""
+    def columns(self) -> tuple[int, int]:
+        """How many columns rows are turned into, and what they hold at most: source and destination share them."""
         return self.x.kept, max(self.y.count, self.y.wanted)
 
     @property
@@ -139,10 +141,9 @@ class Plan:
 
     @property
     def memory(self) -> float:
-        """Bytes of the arrays that are alive at once: amplitude, spectrum, and the field at the main lens."""
-        spectrum = max(math.prod(step.spectrum) for step in self.steps)
-        source, pupil = self.to_mla.x.count * self.to_mla.y.count, math.prod(self.to_main_lens.shape)
-        return 4.0 * source + 8.0 * (spectrum + pupil)
+        """Bytes of the arrays that are alive at once: the columns of a step, and the field at the main lens."""
+        columns = max(math.prod(step.columns) for step in self.steps)
+        return 8.0 * (columns + math.prod(self.to_main_lens.shape))
 
 
 def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
@@ -162,7 +163,7 @@ def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
     b, z = camera.mla_distance, camera.detector_distance
     half_field = max(camera.detector_width, camera.detector_height) / 2
     converging = half_field / b + camera.mla_pitch * (b + z) / (2 * b * z)
-    accepted = (camera.aperture_radius + half_field) / b + mla_cosine(camera)
+    accepted = (camera.aperture_radius + half_field) / b + bend(camera)
     return math.ceil(2 * camera.pixel_size * max(converging, accepted) / in_millimetres(wavelength))
 
 

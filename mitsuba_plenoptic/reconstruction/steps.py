@@ -27,6 +27,9 @@ A block holds until the next one is asked for.
 # Rows that are transformed together: in the processor's cache, or so many that a CUDA device is busy.
 _BLOCK, _CUDA_BLOCK = 64, 4096
 
+# Columns that are turned into rows together: more of them would not stay in the first cache.
+_TILE = 512
+
 # Columns a whole number of pages apart would fall on the same few lines of the cache when they are turned.
 _PAGE, _STAGGER = 512, 24
 
@@ -37,7 +40,7 @@ class Workspace:
     def __init__(self, plan: Plan) -> None:
         self.libraries = backend()
         self.block = _CUDA_BLOCK if self.libraries.is_cuda else _BLOCK
-        columns, rows = (max(sizes) for sizes in zip(*(step.spectrum for step in plan.steps), strict=True))
+        columns, rows = (max(sizes) for sizes in zip(*(step.columns for step in plan.steps), strict=True))
         self._columns = self.libraries.arrays.empty((columns, rows + -rows % _PAGE + _STAGGER), np.complex64)
         self._buffers: dict[str, Field] = {}
 
@@ -138,7 +141,9 @@ def _to_rows(columns: Field, step: Step, workspace: Workspace) -> Rows:
     for place in range(0, y.wanted, together):
         rows = slice(place, min(place + together, y.wanted))
         part = block[: rows.stop - place]
-        part[:] = columns[:, rows].T
+        for first in range(0, x.kept, _TILE):
+            tile = slice(first, min(first + _TILE, x.kept))
+            part[:, tile] = columns[tile, rows].T
         yield rows, _fft(part, inverse=True)[:, : x.wanted]
 
 

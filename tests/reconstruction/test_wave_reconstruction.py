@@ -13,8 +13,8 @@ from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.exr import read_exr
 from mitsuba_plenoptic.reconstruction import coherent
 from mitsuba_plenoptic.reconstruction._legs import Workspace
-from mitsuba_plenoptic.reconstruction._plan import plan
-from mitsuba_plenoptic.reconstruction.coherent import lit_window, reconstruct_subsets
+from mitsuba_plenoptic.reconstruction.grids import plan
+from mitsuba_plenoptic.reconstruction.full_fields import lit_window, reconstruct_subsets
 from mitsuba_plenoptic.reconstruction.lens_by_lens import reconstruct_lens_by_lens
 
 # Grey or random pixels and single ones are no captures, and a guard says so.

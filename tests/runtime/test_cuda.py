@@ -15,7 +15,7 @@ from mitsuba_plenoptic.capture.point_spread import point_fields
 from mitsuba_plenoptic.errors import InputError
 from mitsuba_plenoptic.io import checkpoints as checkpoint
 from mitsuba_plenoptic.optics.free_space import propagate
-from mitsuba_plenoptic.reconstruction.lens_by_lens import white_throughput
+from mitsuba_plenoptic.reconstruction.white import white_throughput
 from mitsuba_plenoptic.runtime import backend as _backend
 
 # The inputs are random: the field fills its window, and the captures have light beside the micro-images.
