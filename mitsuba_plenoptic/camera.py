@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .errors import InputError, require_count, require_number, require_pair, shown
-from .lattice import APERTURES, KINDS, LENS_KINDS, Lattice
+from .lattice import APERTURES, KINDS, LENS_TYPES, Lattice
 from .presets import PRESETS
 
 LENS_MODELS = ("ideal", "parabolic")
@@ -30,14 +30,8 @@ WAVELENGTHS = (1.0, 1e6)
 FULL_TURN = 360.0
 """Bound of a rotation in degrees, either way."""
 
-MOST_OVERLAP = 100_000
-"""Lenses that may light one pixel."""
-
 LEAST_FILL = 1e-3
 """Width of a microlens over its pitch, at least; that of the thinnest line would let no light through."""
-
-# First zero of the diffraction pattern of a disc, in wavelengths over its diameter: that of J1 over pi.
-AIRY_ZERO = 1.21967
 
 LATER = {"mla_lattice", "mla_rotation", "mla_offset", "mla_aperture", "mla_fill"}
 """Parameters that files written before there were other lattices do not name."""
@@ -270,16 +264,6 @@ class PlenopticCamera:
         return self.focal_length / self.aperture_diameter
 
     @property
-    def image_f_number(self) -> float:
-        """F-number of the main lens as the MLA sees it, :math:`b / D_1`."""
-        return self.mla_distance / self.aperture_diameter
-
-    @property
-    def mla_f_number(self) -> float:
-        """F-number of a microlens as the detector sees it: :math:`z` over the width of its aperture."""
-        return self.detector_distance / self.lattice.aperture_width
-
-    @property
     def focus_distance(self) -> float:
         """Distance of the object plane that is in focus on the MLA.
 
@@ -297,57 +281,6 @@ class PlenopticCamera:
     def blur_diameter(self, distance: float) -> float:
         """Diameter on the MLA of the image of a point at `distance`, by rays: :math:`D_1 |s|`."""
         return self.aperture_diameter * abs(self.defocus(distance))
-
-    # -- what the microlenses are focused on ---------------------------------------------------------
-
-    @property
-    def mla_kinds(self) -> tuple[str, ...]:
-        r"""What each kind of microlens is focused on.
-
-        - ``unfocused``: on the main lens, as good as infinitely far (Ng 2006; the "plenoptic camera 1.0"). It makes a
-          spot of at most a pixel of parallel light: :math:`D_2 |z / f_2 - 1| \le` pixel.
-        - ``keplerian``: on the main lens's image, a real one before the MLA; :math:`z > f_2`.
-        - ``galilean``: on the main lens's image, a virtual one behind the detector, where it would be without the MLA;
-          :math:`z < f_2`. These two make the "focused plenoptic camera" or "2.0" (Lumsdaine and Georgiev 2009, "The
-          focused plenoptic camera"; Perwass and Wietzke 2012, "Single lens 3D-camera with extended depth-of-field").
-        """
-        # Rounding must not take a lens out of focus.
-        limit = self.pixel_size * (1 + 1e-9)
-        spots = [self.lattice.aperture_width * (self.detector_distance / f2 - 1) for f2 in self.mla_focal_lengths]
-        return tuple("unfocused" if abs(s) <= limit else "keplerian" if s > 0 else "galilean" for s in spots)
-
-    @property
-    def kind(self) -> str:
-        """What all microlenses are focused on, as `mla_kinds` names it, or ``mixed``."""
-        kinds = set(self.mla_kinds)
-        return kinds.pop() if len(kinds) == 1 else "mixed"
-
-    @property
-    def mla_object_distances(self) -> tuple[float, ...]:
-        """Distance a before the MLA, towards the main lens, of what each kind of microlens images on the detector.
-
-        :math:`1/a + 1/z = 1/f_2`; negative for a virtual image behind the MLA, infinite for :math:`z = f_2`.
-        """
-        return tuple(conjugate_distance(f2, self.detector_distance) for f2 in self.mla_focal_lengths)
-
-    @property
-    def best_distances(self) -> tuple[float, ...]:
-        """Distance of the object plane that each kind of microlens sees sharply through the main lens.
-
-        For an unfocused one, `focus_distance`. Infinite or negative as that is where there is no such plane.
-        """
-        return tuple(
-            conjugate_distance(self.focal_length, self.mla_distance - (0 if kind == "unfocused" else a))
-            for kind, a in zip(self.mla_kinds, self.mla_object_distances, strict=True)
-        )
-
-    def virtual_depth(self, distance: float) -> float:
-        """Distance before the MLA of the main lens's image of an object, in units of z: :math:`v = a / z`.
-
-        A point is then seen by about as many microlenses along an axis, each of which shrinks the image by that factor
-        (Perwass and Wietzke 2012, section 2). Negative for an image behind the MLA.
-        """
-        return (self.mla_distance - image_distance(self.focal_length, distance)) / self.detector_distance
 
     # -- detector and lattice ------------------------------------------------------------------------
 
@@ -378,7 +311,7 @@ class PlenopticCamera:
         """Radius within which the pupil is seen by some of a pixel: half a pixel's width more than the pupil's own."""
         return self.aperture_radius + self.pupil_step / 2
 
-    def pupil_walk(self, mla_focal_length: float) -> float:
+    def pupil_shift(self, mla_focal_length: float) -> float:
         r"""How fast the place on the pupil, seen by a point of the detector, moves with that on the lens.
 
         :math:`\kappa = 1 + b/z - b/f_2`, which is 1 for :math:`z = f_2`.
@@ -457,136 +390,11 @@ class PlenopticCamera:
         """Distance of neighbouring micro-images, :math:`D_2 (b + z) / b`."""
         return self.mla_pitch * (self.mla_distance + self.detector_distance) / self.mla_distance
 
-    def crosstalk_neighbours(self, beyond: float = 0.0) -> np.ndarray:
-        """Find the lenses that can light a pixel, from the one of its chief ray, and those up to a distance beyond.
-
-        The ray from a detector point p through the point c + d of a lens meets the pupil plane in
-        :math:`(1 + b/z)(c - m) + (1 + b/z - b/f_2) d`, m the point of the chief ray, which is in its lens's cell. For
-        that to be in the pupil, c must be within :math:`(D_1/2) / (1 + b/z)` of some
-        :math:`m - d (1 + b/z - b/f_2) / (1 + b/z)`: a cell enlarged by apertures.
-
-        Returns
-        -------
-        (lenses, 2) int array
-            Steps in the lattice's indices; the first is the chief ray's own lens.
-
-        Raises
-        ------
-        InputError
-            If micro-images overlap so much that these are more than 100,000.
-        """
-        lenses, reach, smear = self._crosstalk()
-        reach += beyond
-        if not lenses <= MOST_OVERLAP:
-            raise InputError(
-                f"camera: its micro-images overlap so much that some {lenses:.3g} lenses light each pixel; at most "
-                f"{MOST_OVERLAP} are followed"
-            )
-        if self.mla_aperture == "circle":
-            return self.lattice.neighbours(reach + smear * self.lattice.aperture_reach)
-        return self.lattice.neighbours(reach, scale=1 + smear * self.mla_fill)
-
-    @property
-    def crosstalk_lenses(self) -> int:
-        """Number of lenses that can light one pixel; above 100,000 by the area that they cover."""
-        lenses = self._crosstalk()[0]
-        return len(self.crosstalk_neighbours()) if lenses <= MOST_OVERLAP else round(lenses)
-
-    def _crosstalk(self) -> tuple[float, float, float]:
-        """About how many lenses light a pixel, within which distance, and the part of their apertures that adds."""
-        b, z, lattice = self.mla_distance, self.detector_distance, self.lattice
-        reach = self.aperture_radius / (1 + b / z)
-        smear = max(abs(self.pupil_walk(f2)) for f2 in self.mla_focal_lengths) / (1 + b / z)
-        covered = math.pi * (reach + smear * lattice.aperture_reach + self.mla_pitch) ** 2
-        return covered / lattice.cell_area, reach, smear
-
-    @property
-    def white_mean(self) -> float:
-        r"""Mean of an endless capture of a scene of uniform radiance 1.
-
-        A micro-image of area :math:`(\pi/4)(D_1 z / b)^2` reads 1 whatever its lens's aperture, because a pixel is the
-        mean radiance over the aperture; there is one on each :math:`A ((b + z)/b)^2` of the detector, A the area of
-        the lattice's cell.
-        """
-        return (
-            math.pi
-            / 4
-            * self.micro_image_diameter**2
-            * self.mla_pitch**2
-            / (self.lattice.cell_area * self.micro_image_pitch**2)
-        )
-
     # -- object side ---------------------------------------------------------------------------------
 
     def bin_size(self, distance: float) -> float:
         """Width in the object plane of one bin of a reconstruction, :math:`D_2 g / b`."""
         return self.mla_pitch * distance / self.mla_distance
-
-    @property
-    def field_of_view(self) -> float:
-        """Full horizontal field of view in degrees."""
-        return math.degrees(2 * math.atan(self.detector_width / (2 * self.mla_distance)))
-
-    def field_width(self, distance: float) -> float:
-        """Width of the field in the object plane."""
-        return self.detector_width * distance / self.mla_distance
-
-    def refocus_range(self, wavelength: float | None = None) -> tuple[float, float]:
-        """Nearest and farthest distance that refocusing brings back to one sample per lens.
-
-        The blur on the MLA may then span as many lenses as directions are told apart under each (Ng 2006,
-        "Digital Light Field Photography", section 3.4). A microlens that is in focus at the distance a, not on the main
-        lens, must besides blur the main lens's image by less than its own width, which it does as far as 2a. The far
-        end may be infinite.
-        """
-        slack = self.direction_count(wavelength) * self.mla_pitch / self.aperture_diameter
-        ends = []
-        for kind, a in zip(self.mla_kinds, self.mla_object_distances, strict=True):
-            # The defocus of what has its image at 2a; of what has it at the MLA it is 0.
-            twice = -2 * a / (self.mla_distance - 2 * a)
-            ends += [-slack, slack] if kind == "unfocused" else [0.0, min(max(twice, -slack), slack)]
-        base = self.mla_distance / self.focal_length - 1
-        near, far = base + max(ends), base + min(ends)
-        return (
-            self.mla_distance / near if near > 0 else math.inf,
-            self.mla_distance / far if far > 0 else math.inf,
-        )
-
-    # -- diffraction ---------------------------------------------------------------------------------
-
-    def spot_size(self, wavelength: float) -> float:
-        r"""Half width of a microlens's focal spot, centre to first zero.
-
-        :math:`\lambda z / w` for a square aperture of width w; :math:`1.22\, \lambda z / d` for a disc of diameter d;
-        for a hexagon that of the disc of its area.
-
-        Parameters
-        ----------
-        wavelength : float
-            Wavelength in nanometres.
-        """
-        lattice = self.lattice
-        if lattice.aperture == "cell" and lattice.kind == "square":
-            width = lattice.aperture_width
-        else:
-            width = math.sqrt(4 / math.pi * lattice.lens_area) / AIRY_ZERO
-        return wavelength * 1e-6 * self.detector_distance / width
-
-    def direction_count(self, wavelength: float | None = None) -> float:
-        """Directions told apart across a micro-image: its diameter over a pixel or the spot, whichever is larger.
-
-        Without a wavelength diffraction is left out.
-        """
-        spot = 0.0 if wavelength is None else self.spot_size(wavelength)
-        return self.micro_image_diameter / max(self.pixel_size, spot)
-
-    def mla_fresnel_number(self, wavelength: float) -> float:
-        r"""Fresnel number of a microlens of width w seen from the detector, :math:`(w/2)^2 / (\lambda z)`."""
-        return (self.lattice.aperture_width / 2) ** 2 / (wavelength * 1e-6 * self.detector_distance)
-
-    def main_fresnel_number(self, wavelength: float) -> float:
-        r"""Fresnel number of the main lens seen from the MLA, :math:`(D_1/2)^2 / (\lambda b)`."""
-        return self.aperture_radius**2 / (wavelength * 1e-6 * self.mla_distance)
 
 
 def defocus_factor(distance: Any, mla_distance: Any, focal_length: Any) -> Any:
@@ -666,11 +474,11 @@ def _focal_lengths(value: Any, lattice: str) -> tuple[float, ...]:
     if not isinstance(value, (tuple, list)):
         return (_length("mla_focal_length", value),)
     lengths = tuple(_length("mla_focal_length", number) for number in value)
-    if len(lengths) not in (1, LENS_KINDS):
-        raise InputError(f"mla_focal_length = {shown(value)}: it must be one number or {LENS_KINDS}")
+    if len(lengths) not in (1, LENS_TYPES):
+        raise InputError(f"mla_focal_length = {shown(value)}: it must be one number or {LENS_TYPES}")
     if len(lengths) > 1 and lattice != "hexagonal":
         raise InputError(
-            f"mla_focal_length = {shown(value)} with mla_lattice = {lattice!r}: {LENS_KINDS} kinds of lenses need a "
+            f"mla_focal_length = {shown(value)} with mla_lattice = {lattice!r}: {LENS_TYPES} kinds of lenses need a "
             "hexagonal lattice, where no two neighbours are alike"
         )
     return lengths

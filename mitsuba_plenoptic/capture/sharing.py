@@ -97,7 +97,7 @@ def find_patterns(
     keys = [zone, size[:, None], depth[:, None], fine - lens * parts[:, None]]
     kinds = len(camera.mla_focal_lengths)
     if kinds > 1:
-        kind = camera.lattice.lens_kind(*lens.T).astype(np.int64)
+        kind = camera.lattice.lens_type(*lens.T).astype(np.int64)
         keys.append(kind[:, None])
     if masks is not None:
         packed = np.packbits(masks.reshape(len(masks), -1), axis=1)
@@ -112,7 +112,7 @@ def find_patterns(
     middle = (low + high) // 2
     if kinds > 1:
         # the nearest lens of the same kind
-        off = kind[first] - camera.lattice.lens_kind(*middle.T).astype(np.int64)
+        off = kind[first] - camera.lattice.lens_type(*middle.T).astype(np.int64)
         middle[:, 0] += (off + 1) % kinds - 1
     count = np.bincount(pattern)
     place = np.column_stack([np.bincount(pattern, part) for part in (image - lens).T]) / count[:, None] + middle

@@ -14,10 +14,11 @@ from rich.table import Table
 
 from ..camera import PlenopticCamera, require_wavelength
 from ..capture.scene import load_scene
+from ..design import design_warnings
 from ..errors import InputError, printable
 from ..io.captures import Capture
 from ..presets import PRESETS
-from ..report.design_sheet import Row, design_sheet, design_warnings
+from ..report.design_sheet import Row, design_sheet
 from ._common import Definitions, load_capture, parse_definitions
 
 

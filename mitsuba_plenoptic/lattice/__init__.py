@@ -1,5 +1,5 @@
 """Arrangements of microlenses: which lens a point belongs to, where its centre is, what its aperture lets through."""
 
-from .base import APERTURES, KINDS, LENS_KINDS, Lattice, turn
+from .base import APERTURES, KINDS, LENS_TYPES, Lattice, turn
 
-__all__ = ["APERTURES", "KINDS", "LENS_KINDS", "Lattice", "turn"]
+__all__ = ["APERTURES", "KINDS", "LENS_TYPES", "Lattice", "turn"]

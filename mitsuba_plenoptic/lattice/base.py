@@ -32,7 +32,7 @@ KINDS = ("square", "hexagonal")
 APERTURES = ("cell", "circle")
 
 # Kinds of lenses on a multi-focus array, such that no two neighbours of a hexagonal lattice are alike.
-LENS_KINDS = 3
+LENS_TYPES = 3
 
 # Distance of rows of a hexagonal lattice over its pitch.
 _ROW = math.sqrt(0.75)
@@ -135,10 +135,10 @@ class Lattice:
         return x + self.offset[0], y + self.offset[1]
 
     @staticmethod
-    def lens_kind(i: Any, j: Any) -> Any:
+    def lens_type(i: Any, j: Any) -> Any:
         """Which of three interleaved kinds a lens is, 0, 1 or 2: (i - j) mod 3; hexagonal neighbours differ."""
         difference = i - j
-        return difference - LENS_KINDS * _floor((difference + 0.5) / LENS_KINDS)
+        return difference - LENS_TYPES * _floor((difference + 0.5) / LENS_TYPES)
 
     # -- apertures -----------------------------------------------------------------------------------
 

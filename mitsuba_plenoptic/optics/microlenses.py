@@ -208,7 +208,7 @@ def lenses_at(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> Any
     i, j = lattice.cell(x, y)
     cx, cy = lattice.centre(i, j)
     dx, dy = x - cx, y - cy
-    kind = types.UInt32(lattice.lens_kind(i, j)) if len(lengths) > 1 else types.UInt32(0)
+    kind = types.UInt32(lattice.lens_type(i, j)) if len(lengths) > 1 else types.UInt32(0)
     power = dr.gather(types.Float64, types.Float64([1 / f2 for f2 in lengths]), kind)
     turns = (dx * dx + dy * dy) * power * (-0.5 / in_millimetres(wavelength))
     sine, cosine = dr.sincos(types.Float(turns - dr.round(turns)) * (2 * math.pi))

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..design import crosstalk_neighbours
 from ..errors import InputError
 from ..lattice import Lattice
 from ..optics import rays
@@ -233,7 +234,7 @@ def make_class() -> type:
                 camera.mla_aperture,
                 self.mla_fill,
             )
-            self._candidates = [mi.Float(steps) for steps in camera.crosstalk_neighbours().T]
+            self._candidates = [mi.Float(steps) for steps in crosstalk_neighbours(camera).T]
             dr.make_opaque(*self._candidates)
 
         @property
@@ -296,13 +297,13 @@ def make_class() -> type:
             dx, dy = lattice.aperture_point(within, lens_sample[1])
             f2 = self.mla_focal_length
             if dr.width(f2) > 1:
-                f2 = dr.gather(mi.Float, f2, mi.UInt32(lattice.lens_kind(i, j)))
+                f2 = dr.gather(mi.Float, f2, mi.UInt32(lattice.lens_type(i, j)))
             return (px, py, cx + dx, cy + dy, cx, cy, f2), candidate
 
         def crosstalk_missed(self) -> float:
             """Share of the light that comes through lenses just beyond those that rays try, from a sample of rays."""
             tried = set(zip(*(steps.numpy().astype(int).tolist() for steps in self._candidates), strict=True))
-            around = self.camera.crosstalk_neighbours(beyond=self.camera.mla_pitch)
+            around = crosstalk_neighbours(self.camera, beyond=self.camera.mla_pitch)
             random = mi.PCG32(size=_CROSSTALK_RAYS)
             film_sample, lens_sample = (
                 mi.Point2f(random.next_float32(), random.next_float32()) for _ in ("film", "lens")

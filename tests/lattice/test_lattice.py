@@ -89,7 +89,7 @@ def test_rotation_is_from_x_towards_y_about_the_axis_and_the_offset_comes_after(
 def test_neighbours_are_of_three_kinds():
     lattice = Lattice("hexagonal", PITCH)
     for i, j in ((0, 0), (3, -7), (-11, 4)):
-        kinds = [float(lattice.lens_kind(float(i + di), float(j + dj))) for di, dj in lattice.neighbours(0.6 * PITCH)]
+        kinds = [float(lattice.lens_type(float(i + di), float(j + dj))) for di, dj in lattice.neighbours(0.6 * PITCH)]
         assert kinds[0] == (i - j) % 3
         assert sorted(kinds[1:]) == sorted(3 * [k for k in (0, 1, 2) if k != kinds[0]])
 
