@@ -26,7 +26,7 @@ from mitsuba_plenoptic import (
     reconstruct,
     write_capture,
 )
-from mitsuba_plenoptic.camera import LONGEST, SHORTEST
+from mitsuba_plenoptic.bounds import LONGEST, SHORTEST
 from mitsuba_plenoptic.errors import printable, require_count, require_number
 from mitsuba_plenoptic.report.design_sheet import design_sheet
 

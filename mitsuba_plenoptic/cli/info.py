@@ -12,7 +12,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from ..camera import PlenopticCamera, require_wavelength
+from ..bounds import require_wavelength
+from ..camera import PlenopticCamera
 from ..capture.scene import load_scene
 from ..design import design_warnings
 from ..errors import InputError, printable

@@ -24,8 +24,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from ..camera import PlenopticCamera, conjugate_distance, image_distance, require_wavelength
+from ..bounds import require_wavelength
+from ..camera import PlenopticCamera
 from ..errors import require_number
+from ..thin_lens import conjugate_distance, image_distance
 from .micro_images import direction_count, spot_radius
 
 # -- what the microlenses are focused on -------------------------------------------------------------

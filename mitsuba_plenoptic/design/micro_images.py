@@ -12,9 +12,6 @@ from ..errors import InputError
 MOST_OVERLAP = 100_000
 """Lenses that may light one pixel."""
 
-# First zero of the diffraction pattern of a disc, in wavelengths over its diameter: that of J1 over pi.
-AIRY_ZERO = 1.21967
-
 
 def image_f_number(camera: PlenopticCamera) -> float:
     """F-number of the main lens as the MLA sees it, :math:`b / D_1`."""
@@ -32,8 +29,8 @@ def mla_f_number(camera: PlenopticCamera) -> float:
 def spot_radius(camera: PlenopticCamera, wavelength: float) -> float:
     r"""Radius of a microlens's focal spot, from its centre to the first zero.
 
-    :math:`\lambda z / w` for a square aperture of width w; :math:`1.22\, \lambda z / d` for a disc of diameter d;
-    for a hexagon that of the disc of its area.
+    :math:`\lambda z / w` for a rectangular aperture, w its narrower side; :math:`1.22\, \lambda z / d` for a disc of
+    diameter d; for a hexagon that of the disc of its area.
 
     Parameters
     ----------
@@ -42,12 +39,7 @@ def spot_radius(camera: PlenopticCamera, wavelength: float) -> float:
     wavelength : float
         Wavelength in nanometres.
     """
-    lattice = camera.lattice
-    if lattice.aperture == "cell" and lattice.kind == "square":
-        width = lattice.aperture_width
-    else:
-        width = math.sqrt(4 / math.pi * lattice.lens_area) / AIRY_ZERO
-    return wavelength * 1e-6 * camera.detector_distance / width
+    return wavelength * 1e-6 * camera.detector_distance / camera.lattice.diffraction_width
 
 
 def direction_count(camera: PlenopticCamera, wavelength: float | None = None) -> float:
@@ -79,13 +71,8 @@ def white_mean(camera: PlenopticCamera) -> float:
     mean radiance over the aperture; there is one on each :math:`A ((b + z)/b)^2` of the detector, A the area of
     the lattice's cell.
     """
-    return (
-        math.pi
-        / 4
-        * camera.micro_image_diameter**2
-        * camera.mla_pitch**2
-        / (camera.lattice.cell_area * camera.micro_image_pitch**2)
-    )
+    growth = camera.micro_image_pitch / camera.mla_pitch
+    return math.pi / 4 * camera.micro_image_diameter**2 / (camera.lattice.cell_area * growth**2)
 
 
 def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.ndarray:
@@ -113,9 +100,7 @@ def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.nda
             f"camera: its micro-images overlap so much that some {lenses:.3g} lenses light each pixel; at most "
             f"{MOST_OVERLAP} are followed"
         )
-    if camera.mla_aperture == "circle":
-        return camera.lattice.neighbours(reach + smear * camera.lattice.aperture_reach)
-    return camera.lattice.neighbours(reach, scale=1 + smear * camera.mla_fill)
+    return camera.lattice.neighbours(reach, smear)
 
 
 def crosstalk_lenses(camera: PlenopticCamera) -> int:
@@ -129,5 +114,5 @@ def _crosstalk(camera: PlenopticCamera) -> tuple[float, float, float]:
     b, z, lattice = camera.mla_distance, camera.detector_distance, camera.lattice
     reach = camera.aperture_radius / (1 + b / z)
     smear = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths) / (1 + b / z)
-    covered = math.pi * (reach + smear * lattice.aperture_reach + camera.mla_pitch) ** 2
+    covered = math.pi * (reach + smear * lattice.aperture_reach + max(camera.mla_pitches)) ** 2
     return covered / lattice.cell_area, reach, smear

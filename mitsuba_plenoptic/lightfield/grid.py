@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..camera import MOST_PIXELS, PlenopticCamera
+from ..bounds import MOST_PIXELS
+from ..camera import PlenopticCamera
 from ..errors import InputError, require_count, require_number, require_pair
 from ..optics import rays
 from ..runtime.limits import require_memory

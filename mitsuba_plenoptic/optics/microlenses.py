@@ -50,8 +50,7 @@ _PER_ORDER = 40
 
 def is_separable(camera: PlenopticCamera) -> bool:
     """Whether the transmission is a function of x times one of y."""
-    lattice = camera.lattice
-    return bool(lattice.separable) and lattice.aperture == "cell" and len(camera.mla_focal_lengths) == 1
+    return camera.lattice.separable and len(camera.mla_focal_lengths) == 1
 
 
 # -- one axis ----------------------------------------------------------------------------------------
@@ -132,8 +131,8 @@ def upright(camera: PlenopticCamera) -> PlenopticCamera:
 
 def period(camera: PlenopticCamera) -> tuple[float, float]:
     """Width and height of a rectangle, in the lattice's frame, after which its transmission repeats."""
-    width = camera.mla_pitch * len(camera.mla_focal_lengths)
-    return width, camera.lattice.row_distance * (1 if camera.mla_lattice == "square" else 2)
+    width, height = camera.lattice.period(len(camera.mla_focal_lengths))
+    return width, height
 
 
 def plane_orders(camera: PlenopticCamera, wavelength: float, cosine: float, fine: int = _FINE) -> NDArray[np.complex64]:

@@ -15,7 +15,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from ..camera import SHORTEST, PlenopticCamera, require_wavelength
+from ..bounds import SHORTEST, require_wavelength
+from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..runtime.limits import memory_limit, require_memory
 

@@ -26,7 +26,8 @@ import drjit as dr
 import numpy as np
 import scipy.signal
 
-from ..camera import MOST_PIXELS, PlenopticCamera
+from ..bounds import MOST_PIXELS
+from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import guards, rays
 from ..optics.free_space import advance
@@ -37,7 +38,6 @@ from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_dr
 from ..runtime.indexing import split
 from ._elements import converging_phase, detector_lens, lens_phase
 from ._plan import GUARD, field_subsamples
-from .ray import lenses_fill_bins
 
 # Samples that are transformed together, on the processor and on a CUDA device.
 _BATCH_SAMPLES, _CUDA_BATCH_SAMPLES = 2**20, 2**25
@@ -288,7 +288,7 @@ class Tile:
     def cell_width(self) -> float:
         """Extent of a cell of the lattice along both axes."""
         lattice = self.camera.lattice
-        return self.camera.mla_pitch if lattice.separable else 2 * float(lattice.cell_corners().max())
+        return self.camera.mla_pitch if lattice.axis_aligned else 2 * float(lattice.cell_corners().max())
 
     @property
     def lens_width(self) -> float:
@@ -632,7 +632,7 @@ Lenses = Aligned | Scattered
 
 def is_aligned(camera: PlenopticCamera) -> bool:
     """Whether there is a lens on each bin, which it fills."""
-    return lenses_fill_bins(camera) and camera.mla_offset == (0.0, 0.0)
+    return camera.lenses_are_bins
 
 
 def all_lenses(camera: PlenopticCamera, wavelength: float, tile: Tile) -> Lenses:

@@ -68,7 +68,7 @@ def pixels_per_bin(camera: PlenopticCamera, oversample: int) -> float:
 
 def lenses_fill_bins(camera: PlenopticCamera) -> bool:
     """Whether lenses and bins are arranged alike, on an upright square lattice without gaps."""
-    return bool(camera.lattice.separable and camera.lattice.lens_area == camera.lattice.cell_area)
+    return camera.lenses_like_bins
 
 
 def white_bins(camera: PlenopticCamera, distance: float, oversample: int) -> np.ndarray:

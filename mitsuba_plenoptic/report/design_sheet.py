@@ -6,8 +6,9 @@ import math
 from typing import NamedTuple
 
 from .. import design
-from ..camera import PlenopticCamera, image_distance
+from ..camera import PlenopticCamera
 from ..errors import InputError
+from ..thin_lens import image_distance
 
 
 class Row(NamedTuple):
