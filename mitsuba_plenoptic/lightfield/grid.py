@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..camera import MOST_PIXELS, PlenopticCamera
+from ..bounds import MOST_PIXELS
+from ..camera import PlenopticCamera
 from ..errors import InputError, require_count, require_number, require_pair
 from ..optics import rays
 from ..runtime.limits import require_memory
@@ -176,7 +177,7 @@ def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:
     return centres[((centres >= -margin) & (centres <= np.array(camera.crop_size) + margin)).all(1)]
 
 
-def lens_kinds(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
+def lens_types(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
     """Tell the kind of the lens of each micro-image: the index of its focal length.
 
     Parameters
@@ -195,7 +196,7 @@ def lens_kinds(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
     p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
     chief = rays.chief_point(p, camera.mla_distance, camera.detector_distance)
     i, j = camera.lattice.cell(chief[..., 0], chief[..., 1])
-    return camera.lattice.lens_kind(i, j).astype(np.int64)
+    return camera.lattice.lens_type(i, j).astype(np.int64)
 
 
 def lattice_rows(vectors: np.ndarray) -> tuple[np.ndarray, bool]:

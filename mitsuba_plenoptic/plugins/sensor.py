@@ -10,25 +10,26 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..design import crosstalk_neighbours
 from ..errors import InputError
-from ..lattice import Lattice
+from ..lattice import make_lattice
 from ..optics import rays
 from .properties import read_number, read_numbers, read_plain
 
 NAME = "plenoptic"
 
 # Positive numbers that can be changed and differentiated through `mi.traverse`, in the order of the documentation;
-# so can `mla_focal_length`, `mla_rotation` and `mla_offset`.
+# so can those of one value or several, `mla_rotation` and `mla_offset`.
 POSITIVE = (
     "focal_length",
     "aperture_radius",
     "mla_distance",
-    "mla_pitch",
     "mla_fill",
     "detector_distance",
     "detector_width",
 )
-NUMBERS = (*POSITIVE, "mla_focal_length", "mla_rotation", "mla_offset")
+SEVERAL = {"mla_focal_length": "mla_focal_lengths", "mla_pitch": "mla_pitches"}
+NUMBERS = (*POSITIVE, *SEVERAL, "mla_rotation", "mla_offset")
 WORDS = ("mla_lattice", "mla_aperture", "lens_model")
 
 _CROSSTALK_RAYS = 2**16
@@ -64,8 +65,9 @@ def make_class() -> type:
              of lenses interleaved on a hexagonal lattice, so that no two neighbours are alike. (Default: 0.512)
            - |exposed|, |differentiable|, |discontinuous|
          * - mla_pitch
-           - |float|
-           - Pitch of the microlens lattice, the distance of neighbouring centres. (Default: 0.064)
+           - |float| or |string|
+           - Pitch of the microlens lattice, the distance of neighbouring centres; or two, with a comma between them,
+             along the rows and across them, to which the lattice is stretched with its cells. (Default: 0.064)
            - |exposed|, |differentiable|, |discontinuous|
          * - mla_lattice
            - |string|
@@ -88,7 +90,8 @@ def make_class() -> type:
              the cell is opaque. (Default: ``cell``)
          * - mla_fill
            - |float|
-           - Width of a lens's aperture over the pitch, at most 1. (Default: 1)
+           - Width of a lens's aperture over the pitch, at most 1; of a round one's over the shorter pitch.
+             (Default: 1)
            - |exposed|, |differentiable|, |discontinuous|
          * - detector_distance
            - |float|
@@ -173,7 +176,7 @@ def make_class() -> type:
             given: dict[str, Any] = {
                 **{name: read_number(props, NAME, name, None) for name in (*POSITIVE, "focus_distance")},
                 **{name: read_plain(props, name, None) for name in WORDS},
-                "mla_focal_length": read_numbers(props, NAME, "mla_focal_length"),
+                **{name: read_numbers(props, NAME, name) for name in SEVERAL},
                 "mla_rotation": read_plain(props, "mla_rotation", None),
                 "mla_offset": _flat(read_numbers(props, NAME, "mla_offset")),
             }
@@ -186,11 +189,14 @@ def make_class() -> type:
                 )
             except InputError as error:
                 raise InputError(f"{NAME}: {error}") from None
+            self._given = camera
             for name in WORDS:
                 setattr(self, name, getattr(camera, name))
             for name in (*POSITIVE, "mla_rotation"):
                 setattr(self, name, mi.Float(getattr(camera, name)))
             self.mla_focal_length = mi.Float(camera.mla_focal_lengths)
+            # One number where one is enough, so that it can be set as such.
+            self.mla_pitch = mi.Float(camera.to_dict()["mla_pitch"])
             self.mla_offset = mi.Point2f(camera.mla_offset)
             self.m_needs_sample_3 = True
             self._update()
@@ -225,27 +231,31 @@ def make_class() -> type:
             dr.make_opaque(*(getattr(self, name) for name in NUMBERS))
             # An upright lattice needs no turning, unless the gradient for its angle is asked for.
             turned = camera.mla_rotation != 0 or dr.grad_enabled(self.mla_rotation)
-            self._lattice = Lattice(
+            pitches = self.mla_pitch, self.mla_pitch
+            if dr.width(self.mla_pitch) > 1:
+                pitches = dr.gather(mi.Float, self.mla_pitch, 0), dr.gather(mi.Float, self.mla_pitch, 1)
+            self._lattice = make_lattice(
                 camera.mla_lattice,
-                self.mla_pitch,
-                self.mla_rotation if turned else 0.0,
-                (self.mla_offset.x, self.mla_offset.y),
-                camera.mla_aperture,
-                self.mla_fill,
+                pitches,
+                rotation=self.mla_rotation if turned else 0.0,
+                offset=(self.mla_offset.x, self.mla_offset.y),
+                aperture=camera.mla_aperture,
+                fill=self.mla_fill,
             )
-            self._candidates = [mi.Float(steps) for steps in camera.crosstalk_neighbours().T]
+            self._candidates = [mi.Float(steps) for steps in crosstalk_neighbours(camera).T]
             dr.make_opaque(*self._candidates)
 
         @property
         def camera(self) -> PlenopticCamera:
             """The camera's present numbers."""
-            film = self.film()
-            numbers: dict[str, Any] = {name: _decimals(getattr(self, name))[0] for name in (*POSITIVE, "mla_rotation")}
+            film, given = self.film(), self._given
+            numbers: dict[str, Any] = {
+                name: _plain(getattr(self, name), getattr(given, SEVERAL.get(name, name))) for name in NUMBERS
+            }
+            numbers |= {name: numbers[name][0] for name in (*POSITIVE, "mla_rotation")}
             return PlenopticCamera(
                 **numbers,
                 **{name: getattr(self, name) for name in WORDS},
-                mla_focal_length=_decimals(self.mla_focal_length),
-                mla_offset=(_decimals(self.mla_offset.x)[0], _decimals(self.mla_offset.y)[0]),
                 resolution=tuple(film.size()),
                 crop_offset=tuple(film.crop_offset()),
                 crop_size=tuple(film.crop_size()),
@@ -296,13 +306,13 @@ def make_class() -> type:
             dx, dy = lattice.aperture_point(within, lens_sample[1])
             f2 = self.mla_focal_length
             if dr.width(f2) > 1:
-                f2 = dr.gather(mi.Float, f2, mi.UInt32(lattice.lens_kind(i, j)))
+                f2 = dr.gather(mi.Float, f2, mi.UInt32(lattice.lens_type(i, j)))
             return (px, py, cx + dx, cy + dy, cx, cy, f2), candidate
 
         def crosstalk_missed(self) -> float:
-            """Share of the light that comes through lenses just beyond those that rays try, from a sample of rays."""
+            """Estimate from a sample of rays what fraction of the light lenses beyond those that are tried let in."""
             tried = set(zip(*(steps.numpy().astype(int).tolist() for steps in self._candidates), strict=True))
-            around = self.camera.crosstalk_neighbours(beyond=self.camera.mla_pitch)
+            around = crosstalk_neighbours(self.camera, beyond=max(self.camera.mla_pitches))
             random = mi.PCG32(size=_CROSSTALK_RAYS)
             film_sample, lens_sample = (
                 mi.Point2f(random.next_float32(), random.next_float32()) for _ in ("film", "lens")
@@ -382,6 +392,9 @@ def _flat(offset: tuple[float, ...] | None) -> tuple[float, ...] | None:
     return offset
 
 
-def _decimals(values: Any) -> list[float]:
-    """Give the shortest decimal numbers of single-precision ones: 0.512, not 0.5120000243."""
-    return [float(str(np.float32(value))) for value in dr.detach(values)]
+def _plain(values: Any, given: float | tuple[float, ...]) -> list[float]:
+    """Return single-precision numbers as they were given, or else their shortest decimals: 0.512, not 0.5120000243."""
+    numbers = np.ravel(given).tolist()
+    # Points and vectors come in single precision.
+    known = {np.float32(number): number for number in numbers if float(np.float32(number)) != number}
+    return [known.get(value, float(str(value))) for value in np.ravel(dr.detach(values)).astype(np.float32)]

@@ -12,24 +12,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.lattice import Lattice
+from mitsuba_plenoptic.lattice import APERTURES, LATTICES, make_lattice
 
 PITCH = 0.064
 
+STRETCHES = pytest.mark.parametrize("aspect", [1.0, 0.9, 1.3])
+
 ANY_LATTICE = st.builds(
-    Lattice,
-    kind=st.sampled_from(["square", "hexagonal"]),
+    lambda name, pitch, aspect, **numbers: make_lattice(name, (pitch, aspect * pitch), **numbers),
+    name=st.sampled_from(list(LATTICES)),
     pitch=st.floats(0.01, 1),
+    aspect=st.sampled_from([1.0, 0.9, 1.3]),
     rotation=st.floats(-180, 180),
     offset=st.tuples(st.floats(-1, 1), st.floats(-1, 1)),
-    aperture=st.sampled_from(["cell", "circle"]),
+    aperture=st.sampled_from(list(APERTURES)),
     fill=st.floats(0.1, 1),
 )
-SHAPES = [
-    Lattice(kind, PITCH, aperture=aperture, rotation=12)
-    for kind in ("square", "hexagonal")
-    for aperture in ("cell", "circle")
-]
 
 
 @settings(max_examples=60, deadline=None)
@@ -89,7 +87,7 @@ def test_rotation_is_from_x_towards_y_about_the_axis_and_the_offset_comes_after(
 def test_neighbours_are_of_three_kinds():
     lattice = Lattice("hexagonal", PITCH)
     for i, j in ((0, 0), (3, -7), (-11, 4)):
-        kinds = [float(lattice.lens_kind(float(i + di), float(j + dj))) for di, dj in lattice.neighbours(0.6 * PITCH)]
+        kinds = [float(lattice.lens_type(float(i + di), float(j + dj))) for di, dj in lattice.neighbours(0.6 * PITCH)]
         assert kinds[0] == (i - j) % 3
         assert sorted(kinds[1:]) == sorted(3 * [k for k in (0, 1, 2) if k != kinds[0]])
 
