@@ -180,7 +180,7 @@ class Lattice(abc.ABC):
     @property
     def axis_aligned(self) -> bool:
         """Whether cells are rectangles along x and y, by plain numbers: an index along x follows from x alone."""
-        return self.rectangular and is_zero(self.rotation)
+        return self.rectangular and self.stagger == 1 and is_zero(self.rotation)
 
     @property
     def separable(self) -> bool:
