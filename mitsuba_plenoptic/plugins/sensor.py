@@ -14,6 +14,7 @@ from ..design import crosstalk_neighbours
 from ..errors import InputError
 from ..lattice import make_lattice
 from ..optics import rays
+from ..optics.main_lens import ThinLens
 from .properties import read_number, read_numbers, read_plain
 
 NAME = "plenoptic"
@@ -242,6 +243,7 @@ def make_class() -> type:
                 aperture=camera.mla_aperture,
                 fill=self.mla_fill,
             )
+            self._main_lens = ThinLens(self.focal_length, self.aperture_radius, self.mla_distance, self.lens_model)
             self._candidates = [mi.Float(steps) for steps in crosstalk_neighbours(camera).T]
             dr.make_opaque(*self._candidates)
 
@@ -261,27 +263,15 @@ def make_class() -> type:
                 crop_size=tuple(film.crop_size()),
             )
 
-        def _trace(self, px: Any, py: Any, mx: Any, my: Any, cx: Any, cy: Any, f2: Any) -> tuple[Any, Any, Any, Any]:
-            """Pupil point and slopes behind the main lens of the ray from p through m of the lens at c."""
-            b, z = self.mla_distance, self.detector_distance
-            ideal = self.lens_model == "ideal"
-            if ideal:
-                tx = rays.microlens_slope(px, mx, cx, z, f2)
-                ty = rays.microlens_slope(py, my, cy, z, f2)
+        def _trace(self, px: Any, py: Any, mx: Any, my: Any, cx: Any, cy: Any, f2: Any) -> tuple[Any, Any, Any]:
+            """Follow the ray from p through m of the lens at c: return what `MainLens.trace` does."""
+            z = self.detector_distance
+            if self.lens_model == "ideal":
+                slope = tuple(rays.microlens_slope(p, m, c, z, f2) for p, m, c in ((px, mx, cx), (py, my, cy)))
             else:
                 sx, sy = rays.slopes_to_cosines((mx - px) / z, (my - py) / z)
-                tx, ty = rays.cosines_to_slopes(sx - (mx - cx) / f2, sy - (my - cy) / f2)
-            Px, Py = rays.pupil_point(mx, tx, b), rays.pupil_point(my, ty, b)
-            if ideal:
-                return Px, Py, *(rays.main_lens_slope(t, P, self.focal_length) for t, P in ((tx, Px), (ty, Py)))
-            sx, sy = rays.slopes_to_cosines(tx, ty)
-            return (
-                Px,
-                Py,
-                *rays.cosines_to_slopes(
-                    rays.main_lens_slope(sx, Px, self.focal_length), rays.main_lens_slope(sy, Py, self.focal_length)
-                ),
-            )
+                slope = rays.cosines_to_slopes(sx - (mx - cx) / f2, sy - (my - cy) / f2)
+            return self._main_lens.trace((mx, my), slope)
 
         def _places(self, film_sample: Any, lens_sample: Any, candidates: list[Any]) -> tuple[tuple[Any, ...], Any]:
             """Detector point, point on a lens, its centre and focal length, and which of the candidates it is."""
@@ -318,8 +308,7 @@ def make_class() -> type:
                 mi.Point2f(random.next_float32(), random.next_float32()) for _ in ("film", "lens")
             )
             places, candidate = self._places(film_sample, lens_sample, [mi.Float(steps) for steps in around.T])
-            Px, Py, _, _ = self._trace(*places)
-            open_ = Px * Px + Py * Py <= self.aperture_radius * self.aperture_radius
+            _, _, open_ = self._trace(*places)
             beyond = dr.gather(mi.Bool, mi.Bool([tuple(steps) not in tried for steps in around]), candidate)
             return int(dr.count(open_ & beyond)[0]) / max(1, int(dr.count(open_)[0]))
 
@@ -328,22 +317,22 @@ def make_class() -> type:
         ) -> tuple[Any, Any]:
             pixel = self.detector_width / self.film().size()[0]
             (px, py, *lens), _ = self._places(film_sample, lens_sample, self._candidates)
-            Px, Py, tx, ty = self._trace(px, py, *lens)
-            open_ = active & (Px * Px + Py * Py <= self.aperture_radius * self.aperture_radius)
+            point, slope, open_ = self._trace(px, py, *lens)
+            open_ &= active
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
             to_world = self.world_transform()
             ray = mi.RayDifferential3f() if differential else mi.Ray3f()
-            ray.o = to_world @ mi.Point3f(Px, Py, 0)
-            ray.d = to_world @ dr.normalize(mi.Vector3f(tx, ty, 1))
+            ray.o = to_world @ mi.Point3f(*point)
+            ray.d = to_world @ dr.normalize(mi.Vector3f(*slope, 1))
             # A ray of no length meets nothing: it is cheap, and depth or normals of dark pixels stay 0.
             ray.maxt = dr.select(open_, dr.largest(mi.Float), 0)
             ray.time = time
             ray.wavelengths = wavelengths
             if differential:
                 for name, dx, dy in (("x", pixel, 0), ("y", 0, pixel)):
-                    Px, Py, tx, ty = self._trace(px + dx, py + dy, *lens)
-                    setattr(ray, f"o_{name}", to_world @ mi.Point3f(Px, Py, 0))
-                    setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(tx, ty, 1)))
+                    point, slope, _ = self._trace(px + dx, py + dy, *lens)
+                    setattr(ray, f"o_{name}", to_world @ mi.Point3f(*point))
+                    setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
                 ray.has_differentials = True
             return ray, dr.select(open_, weight * dr.width(self._candidates[0]), 0)
 
