@@ -13,7 +13,6 @@ from ..optics.phase import in_millimetres, parabola, phasor
 from ..runtime.fft import Field
 from .elements import converging_phase, detector_lens
 from .lens_tiles import Tile
-from .radiance import lenses_fill_bins
 
 # Lenses looked at together for light.
 _LIT_BATCH = 512
@@ -226,7 +225,7 @@ class ScatteredLenses(LensSet):
         )
         shift_x, shift_y = (_shift(c, axis.coordinate[:, 0], tile) for axis, c in zip((x, y), centre.T, strict=True))
         lengths = np.array(camera.mla_focal_lengths)
-        lens_type = lattice.lens_kind(i, j).astype(int) if len(lengths) > 1 else np.zeros(len(which), int)
+        lens_type = lattice.lens_type(i, j).astype(int) if len(lengths) > 1 else np.zeros(len(which), int)
         return LensBatch(
             bin=self._bin[which],
             aside=self._aside[which],
@@ -247,14 +246,9 @@ class ScatteredLenses(LensSet):
         return x, y
 
 
-def is_aligned(camera: PlenopticCamera) -> bool:
-    """Whether there is a lens on each bin, which it fills."""
-    return lenses_fill_bins(camera) and camera.mla_offset == (0.0, 0.0)
-
-
 def lens_set(tile: Tile) -> LensSet:
     """Return the lenses that any recorded pixel of a tile's camera belongs to."""
-    return AlignedLenses(tile) if is_aligned(tile.camera) else ScatteredLenses(tile)
+    return AlignedLenses(tile) if tile.camera.lenses_are_bins else ScatteredLenses(tile)
 
 
 def _shift(centre: np.ndarray, first: np.ndarray, tile: Tile) -> Field:

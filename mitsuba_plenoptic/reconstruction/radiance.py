@@ -7,16 +7,12 @@ import math
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..design import focus_type
 from .splatting import splat
 
 # Bins that get less than this fraction of the light that a bin gets of a white scene on average lie at the border of
 # what was recorded; they are not brightened any further, since they would show little but noise.
 _LEAST_WHITE = 0.25
-
-
-def lenses_fill_bins(camera: PlenopticCamera) -> bool:
-    """Whether lenses and bins are arranged alike, on an upright square lattice without gaps."""
-    return bool(camera.lattice.separable and camera.lattice.lens_area == camera.lattice.cell_area)
 
 
 def pixels_per_bin(camera: PlenopticCamera, oversample: int) -> float:
@@ -36,5 +32,5 @@ def white_bins(camera: PlenopticCamera, distance: float, oversample: int) -> np.
     The ray must pass the pupil, by half a pixel: a smooth wave goes back through the lens's centre alone.
     """
     nothing = np.zeros((*camera.shape, 1), np.float32)
-    footprint = "point" if camera.kind == "unfocused" else "lens"
+    footprint = "point" if focus_type(camera) == "unfocused" else "lens"
     return splat(nothing, camera, distance, camera.lit_radius, footprint=footprint, oversample=oversample)[1]

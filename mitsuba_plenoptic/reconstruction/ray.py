@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..design import lens_footprint, pixel_footprint
+from ..design import focus_type, lens_footprint, pixel_footprint
 from ..errors import InputError
 from ..optics import rays
 from .binning import AxisBins, axis_bins, bin_image
 from .methods import Task, method
-from .radiance import at_least, lenses_fill_bins, pixels_per_bin
+from .radiance import at_least, pixels_per_bin
 from .splatting import splat
 
 # Dr.Jit counts in 32 bits.
@@ -54,7 +54,7 @@ def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
 def _refocus(
     image: np.ndarray, camera: PlenopticCamera, distance: float, footprint: str, oversample: int
 ) -> np.ndarray:
-    if camera.kind != "unfocused" or not lenses_fill_bins(camera):
+    if focus_type(camera) != "unfocused" or not camera.lenses_like_bins:
         light, white = splat(image, camera, distance, _pupil_radius(camera), footprint=footprint, oversample=oversample)
         return (light / at_least(white, camera, oversample)[..., None]).astype(np.float32)
     x, y = (_axis(camera, distance, axis, footprint, oversample) for axis in (0, 1))
@@ -73,7 +73,7 @@ def _pupil_radius(camera: PlenopticCamera) -> float:
     would lose 3 % of the paper's light. Through the edge of a lens that is not in focus on the pupil it looks elsewhere
     than through the centre, for a focused camera by a good part of the pupil.
     """
-    view = max(abs(camera.pupil_walk(f2) - 1) for f2 in camera.mla_focal_lengths) * camera.lattice.aperture_reach
+    view = max(abs(camera.pupil_shift(f2) - 1) for f2 in camera.mla_focal_lengths) * camera.lattice.aperture_reach
     return camera.lit_radius + view
 
 

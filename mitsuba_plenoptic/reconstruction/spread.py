@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..design import lens_footprint
+from ..design import focus_type, lens_footprint
 
 
 def lens_scale(camera: PlenopticCamera, distance: float) -> float:
     """Part of a lens over which its light is spread: all for an unfocused one, none where a focused one is sharp."""
-    if camera.kind == "unfocused":
+    if focus_type(camera) == "unfocused":
         return 1.0
     return min(lens_footprint(camera, distance, f2) for f2 in camera.mla_focal_lengths)
 

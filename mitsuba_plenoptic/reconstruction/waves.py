@@ -8,7 +8,6 @@ from typing import Protocol
 import numpy as np
 
 from ..camera import PlenopticCamera
-from .lens_sets import is_aligned
 from .lens_tiles import Tile
 from .methods import Task
 from .spread import lens_scale, over_lenses
@@ -63,7 +62,7 @@ def _refocus(
     task: Task, channel: int, wavelength: float, power: Power, relay: bool, progress: Callable[[float], None]
 ) -> list[np.ndarray]:
     camera, oversample = task.camera, task.oversample
-    fine = 1 if is_aligned(camera) else Tile(camera, wavelength, 1, oversample).samples // oversample
+    fine = 1 if camera.lenses_are_bins else Tile(camera, wavelength, 1, oversample).samples // oversample
     totals = power(
         task.image[..., channel],
         camera,

@@ -7,17 +7,19 @@ import math
 
 import numpy as np
 
-from ..camera import MOST_PIXELS, PlenopticCamera
+from ..bounds import MOST_PIXELS
+from ..camera import PlenopticCamera
+from ..design import focus_type
 from ..errors import InputError
 from ..optics import rays
 from ..optics.phase import soft_edge
-from ..optics.pupil import PupilShare
+from ..optics.pupil import PupilFraction
 from ..optics.sampling import check_memory
 from ..runtime.backend import backend
 from .lens_by_lens import object_patches, on_bins, pupil_fields
-from .lens_sets import AlignedLenses, LensSet, is_aligned, lens_set
+from .lens_sets import AlignedLenses, LensSet, lens_set
 from .lens_tiles import Tile, tile_lenses
-from .radiance import at_least, lenses_fill_bins, pixels_per_bin, white_bins
+from .radiance import at_least, pixels_per_bin, white_bins
 from .spread import convolve, lens_scale, over_lenses
 
 _THROUGHPUT_LENSES = 25
@@ -50,13 +52,13 @@ def white_light(
     -------
     (rows, columns) float64 array, or float if it is the same for all bins
     """
-    unfocused = camera.kind == "unfocused"
-    if is_aligned(camera) and not unfocused:
+    unfocused = focus_type(camera) == "unfocused"
+    if camera.lenses_are_bins and not unfocused:
         return at_least(
             white_power(camera, wavelength, distance, relay=relay, oversample=oversample), camera, oversample
         )
     throughput = white_throughput(camera, wavelength, relay=relay)
-    if lenses_fill_bins(camera) and unfocused:
+    if camera.lenses_like_bins and unfocused:
         return pixels_per_bin(camera, oversample) * throughput
     # Rays go to points, where waves go to spots: the grid on which they are counted must not show.
     fine *= -(-_RAY_BINS // (oversample * fine))
@@ -76,7 +78,7 @@ def white_throughput(camera: PlenopticCamera, wavelength: float, *, relay: bool 
     InputError
         If no light comes back, for micro-images so small that they miss the centres of all pixels.
     """
-    back, sent = (_aligned_throughput if is_aligned(camera) else _mean_throughput)(camera, wavelength, relay)
+    back, sent = (_aligned_throughput if camera.lenses_are_bins else _mean_throughput)(camera, wavelength, relay)
     if not min(back, sent) > 0:
         raise InputError(
             f"aperture_radius = {camera.aperture_radius:g}: its micro-images of "
@@ -108,14 +110,14 @@ def _mean_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) ->
         # Among the lenses beside the axis there is one of every type.
         i, j = camera.lattice.cell(0.0, 0.0)
         i += step
-        lens_type = int(camera.lattice.lens_kind(i, j)) if types > 1 else 0
+        lens_type = int(camera.lattice.lens_type(i, j)) if types > 1 else 0
         to_pupil = camera.mla_distance / camera.detector_distance
         centre = [
             rays.chief_detector_point(c, camera.mla_distance, camera.detector_distance)
             for c in camera.lattice.centre(i, j)
         ]
         Px, Py = (centre[0] - px) * to_pupil, ((centre[1] - py) * to_pupil)[:, None]
-        image = PupilShare(camera, lens_type)(*np.broadcast_arrays(Px, Py))
+        image = PupilFraction(camera, lens_type)(*np.broadcast_arrays(Px, Py))
         sent += float(image[np.hypot(Px, Py) <= camera.lit_radius].sum()) * camera.pixel_size**2
         back += _power(image, lenses, (i, j), relay)
     return back, sent
@@ -137,7 +139,7 @@ def white_power(
     centre = rays.chief_detector_point(camera.mla_pitch / 2, camera.mla_distance, camera.detector_distance)
     to_pupil = camera.mla_distance / camera.detector_distance
     Px, Py = ((centre - part.pixel_coordinates(axis)) * to_pupil for axis in (0, 1))
-    image = PupilShare(camera)(Px, Py[:, None])
+    image = PupilFraction(camera)(Px, Py[:, None])
     batch = lenses.batch(np.array([lenses.find(0, 0)]))
     libraries = backend()
     fields = pupil_fields(libraries.arrays.asarray(np.sqrt(image)), tile, batch, relay=relay)
