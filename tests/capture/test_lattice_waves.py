@@ -5,10 +5,10 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 import pytest
+from mitsuba_plenoptic.capture.incoherent import estimate_cost, incoherent_sum
 from scipy.special import j1
 
 from mitsuba_plenoptic import PlenopticCamera, reconstruct, render_capture
-from mitsuba_plenoptic.capture.incoherent import estimate_cost, incoherent_sum
 from mitsuba_plenoptic.capture.pixels import turn_samples
 from mitsuba_plenoptic.capture.point_spread import point_spread_function
 from mitsuba_plenoptic.optics.microlenses import PlaneTransmission, orders, period, plane_orders

@@ -8,9 +8,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from mitsuba_plenoptic.capture.incoherent import estimate_cost, incoherent_sum
 
 from mitsuba_plenoptic import PlenopticCamera, point_spread_function, reconstruct
-from mitsuba_plenoptic.capture.incoherent import estimate_cost, incoherent_sum
 from mitsuba_plenoptic.capture.point_spread import point_fields
 from mitsuba_plenoptic.errors import InputError
 from mitsuba_plenoptic.io import checkpoints as checkpoint

@@ -20,8 +20,8 @@ import scipy.fft
 from mitsuba_plenoptic import Capture, PlenopticCamera, decode, load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.lightfield.geometry import distance_of
 from mitsuba_plenoptic.lightfield.refocus import refocus
-from mitsuba_plenoptic.reconstruction.grids import plan
 from mitsuba_plenoptic.reconstruction.full_fields import lit_window
+from mitsuba_plenoptic.reconstruction.grids import plan
 
 from .table import Row, on_cores, side_by_side
 
