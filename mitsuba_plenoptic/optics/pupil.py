@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy.signal
 
 from ..camera import PlenopticCamera
 from ..runtime.limits import require_memory
@@ -39,6 +38,9 @@ class PupilFraction:
     """
 
     def __init__(self, camera: PlenopticCamera, kind: int = 0) -> None:
+        # Its import takes long.
+        import scipy.signal
+
         smear = abs(camera.pupil_shift(camera.mla_focal_lengths[kind]))
         reach = camera.aperture_radius + smear * camera.lattice.aperture_reach + camera.pupil_step
         pixels = 2 * reach / camera.pupil_step
