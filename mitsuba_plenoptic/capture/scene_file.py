@@ -22,7 +22,7 @@ from xml.parsers import expat
 from PIL import Image
 
 from ..errors import InputError, shown
-from ..io.exr_header import DamageError, Part, check_exr
+from ..io.exr import read_parts
 from ..io.files import require_file
 from ..runtime.limits import GIB, require_memory
 
@@ -199,17 +199,13 @@ def _check_resource(scene: Path, file: Path) -> None:
             with Image.open(file) as picture:
                 _check_picture(scene, file, *picture.size)
         elif suffix == ".exr":
-
-            def allow(parts: list[Part]) -> None:
-                for part in parts:
-                    _check_picture(scene, file, part.columns, part.rows)
-
-            check_exr(file, allow)
+            for part in read_parts(file):
+                _check_picture(scene, file, part.columns, part.rows)
         elif suffix == ".ply":
             _check_ply(scene, file, status.st_size)
     except InputError:
         raise
-    except (DamageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise InputError(f"{scene}: {file} cannot be read: {error}") from None
 
 
