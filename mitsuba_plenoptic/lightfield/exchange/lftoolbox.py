@@ -27,7 +27,6 @@ from ...io.files import atomic_output, require_file
 from ...runtime.limits import require_memory
 from ..geometry import light_field, require_light_field
 from ..grid import LensGrid, bin_grid
-from .matlab5 import NUMERIC, read_variables
 
 # Bytes of a light field's number while it is read: as stored (at most 8), and twice in single precision.
 _NUMBER_BYTES = 8 + 4 + 4
@@ -40,6 +39,9 @@ _MODEL = ("HSpacing", "VSpacing", "HOffset", "VOffset", "Rot", "UMax", "VMax", "
 
 # MATLAB's version 5 files hold at most so many bytes in one variable.
 _MAX_BYTES = 2**31 - 1
+
+# MATLAB's names of the arrays that a light field may be.
+_NUMERIC = ("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
 
 _TYPES = {"uint8": np.uint8, "uint16": np.uint16, "single": np.float32}
 
@@ -155,25 +157,25 @@ def _check(shape: tuple[int, ...]) -> None:
 
 
 def _read_version_5(path: Path) -> dict[str, Any]:
-    names = ("LF", "LensletGridModel", "Camera", "MaxLum")
-    sizes: dict[str, tuple[int, ...]] = {}
-    with path.open("rb") as file:
-        for name, variable in read_variables(file):
-            if name in names:
-                if name in sizes:
-                    raise InputError(f"it has two variables {name}")
-                sizes[name] = variable.shape
-                if name == "LF":
-                    if variable.kind not in NUMERIC:
-                        raise InputError("LF is not an array of numbers")
-                    _check(variable.shape)
-                variable.require_size(8 * math.prod(variable.shape) + _SMALL if name == "LF" else _SMALL)
-    if "LF" not in sizes:
-        raise InputError("it has no variable LF")
+    variables = scipy.io.whosmat(path)
+    for name, shape, kind in variables:
+        if name == "LF":
+            if kind not in _NUMERIC:
+                raise InputError("LF is not an array of numbers")
+            _check(shape)
     # One number, one structure, or one line of text.
-    small = [name for name in names[1:] if sizes.get(name, (0, 0))[0] == 1]
-    found = scipy.io.loadmat(str(path), variable_names=["LF", *small], simplify_cells=True)
-    return {name: found[name] for name in ("LF", *small)}
+    small = [
+        name
+        for name, shape, _ in variables
+        if name in ("LensletGridModel", "Camera", "MaxLum")
+        if math.prod(shape) == 1
+    ]
+    found = scipy.io.loadmat(path, variable_names=["LF", *small], simplify_cells=True)
+    if "LF" not in found:
+        raise InputError("it has no variable LF")
+    if found["LF"].dtype.kind not in "fiu":
+        raise InputError("LF is not an array of numbers")
+    return found
 
 
 def _read_hdf5(path: Path) -> dict[str, Any]:
