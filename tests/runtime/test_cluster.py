@@ -31,7 +31,7 @@ import sys
 from mitsuba_plenoptic.io import checkpoints as checkpoint
 from mitsuba_plenoptic import cli
 from mitsuba_plenoptic.runtime import cluster as distributed
-checkpoint._SECONDS, checkpoint._SHARE, distributed._GROUP_SAMPLES = 0.0, 1e9, 1
+checkpoint.INTERVAL, checkpoint.FRACTION, distributed._GROUP_SAMPLES = 0.0, 1e9, 1
 sys.exit(cli.main(sys.argv[1:]))
 """
 
