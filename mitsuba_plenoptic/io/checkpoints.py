@@ -168,7 +168,7 @@ def digest(*arrays: NDArray[Any] | None) -> str:
 
 def _write(path: Path, run: dict[str, Any], snapshot: Snapshot) -> None:
     header: dict[str, Any] = {"format": FORMAT, "run": run, "sums": snapshot.sums}
-    arrays = {"image": snapshot.image}
+    arrays: dict[str, Any] = {"image": snapshot.image}
     if snapshot.partial:
         partial = snapshot.partial
         header |= {"batches": partial.batches, "light": [partial.arrived, partial.sent]}
