@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_number
 from ..optics.rays import conjugate_coordinate
-from .patch import Band
+from .grid import Band
 
 DEFAULT_ACCURACY = 0.01
 """Relative error, L2 over the image, that is allowed unless told."""

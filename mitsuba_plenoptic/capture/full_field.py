@@ -28,11 +28,15 @@ from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import guards
 from ..optics.free_space import advance
-from ..optics.microlenses import is_separable, plane_transmission, transmission, transmission_table
-from ..optics.sampling import check_memory, fast_length, footprint, in_millimetres, pupil_turns, scattered_cosine
+from ..optics.main_lens import main_lens
+from ..optics.microlens_orders import axis_transmission, plane_transmission
+from ..optics.microlenses import is_separable, scattering
+from ..optics.phase import in_millimetres, phasor, soft_edge
+from ..optics.sampling import check_memory, fast_length, footprint
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, fft, fft2, irfft, pack, resting_drjit, rfft
 from ..runtime.indexing import quotient
+from .pupil_weights import PupilWeights
 
 _WINDOW_MARGIN = 1.2
 """Window over what it must hold, on the way to the MLA."""
@@ -100,6 +104,7 @@ def full_field(
     position: NDArray[np.float64],
     wavelength: float,
     *,
+    pupil_weights: PupilWeights | None = None,
     microlenses: bool = True,
     refinement: float = 1.0,
     growth: float = 1.0,
@@ -114,6 +119,8 @@ def full_field(
         Scene point (X, Y, g) in the camera frame, checked.
     wavelength : float
         Wavelength in nanometres, checked.
+    pupil_weights : PupilWeights, optional
+        Relative power over the pupil, of this one point.
     microlenses : bool
         Whether the microlenses are there.
     refinement, growth : float
@@ -130,7 +137,9 @@ def full_field(
         If the grids would need too much memory.
     """
     grids = _grids(camera, position, wavelength, refinement, growth)
-    mla = _at_mla(camera, wavelength, grids, _pupil_field(camera, position, wavelength, grids))
+    pupil = _pupil_field(camera, position, wavelength, grids, pupil_weights)
+    mla = _at_mla(camera, wavelength, grids, pupil)
+    del pupil
     spectrum = _detector_spectrum(camera, wavelength, grids, mla.samples, microlenses)
     del mla
     dr.flush_malloc_cache()
@@ -164,11 +173,11 @@ def _grids(
     refinement: float,
     growth: float,
 ) -> _Grids:
-    p, lam = camera.pixel_size, in_millimetres(wavelength)
+    p, lam, radius = camera.pixel_size, in_millimetres(wavelength), main_lens(camera).pupil_radius
     image = footprint(camera, position[None])
     place, half_width = image.centre[0], image.half_width[0]
     steepest = float((np.abs(image.cosine[0]) + image.half_cosine[0]).max())
-    bent = steepest + scattered_cosine(camera) * _KEPT_ORDERS
+    bent = steepest + scattering(camera) * _KEPT_ORDERS
     per_pixel = max(1, math.ceil(p * 2 * bent * refinement / lam))
     pitch = p / per_pixel
     # The recorded window on the detector, with room for light that walks sideways between MLA and detector.
@@ -178,8 +187,8 @@ def _grids(
     pixels = [fast_length(size + 2 * margin) for size in camera.crop_size]
     start = -width / 2 + (np.array(camera.crop_offset) - margin) * p
     # The window of the way to the MLA, square and on the same grid of pixels.
-    low = np.minimum(-camera.aperture_radius, np.minimum(place - half_width, start))
-    high = np.maximum(camera.aperture_radius, np.maximum(place + half_width, start + np.array(pixels) * p))
+    low = np.minimum(-radius, np.minimum(place - half_width, start))
+    high = np.maximum(radius, np.maximum(place + half_width, start + np.array(pixels) * p))
     wide = fast_length(_WINDOW_MARGIN * growth * float((high - low).max()) / pitch + per_pixel, per_pixel)
     before = np.floor((start - (low + high - wide * pitch) / 2) / p).astype(int)
     coarse = min(wide, fast_length(wide * pitch * 2 * _PUPIL_BAND * steepest * refinement / lam))
@@ -204,7 +213,11 @@ def _grids(
 
 
 def _pupil_field(
-    camera: PlenopticCamera, position: NDArray[np.float64], wavelength: float, grids: _Grids
+    camera: PlenopticCamera,
+    position: NDArray[np.float64],
+    wavelength: float,
+    grids: _Grids,
+    weights: PupilWeights | None = None,
 ) -> SampledField:
     types = backend().types
     count = grids.wide_pupil
@@ -216,17 +229,21 @@ def _pupil_field(
     Px = types.Float64(column) * step + dr.opaque(types.Float64, grids.wide_origin[0])
     Py = types.Float64(row) * step + dr.opaque(types.Float64, grids.wide_origin[1])
     X, Y, g = (dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
-    turns, length = pupil_turns(camera, Px, Py, X, Y, g, in_millimetres(wavelength))
-    sine, cosine = dr.sincos(types.Float(turns - dr.round(turns)) * (2 * math.pi))
+    lens, pupil, point = main_lens(camera), (Px, Py), (X, Y, g)
     # The edge is softened over one sample, so that it is round; the power is that of the hard edge.
-    cover = types.Float(dr.clip((camera.aperture_radius - dr.sqrt(Px * Px + Py * Py)) / step + 0.5, 0, 1))
-    bright = types.Float(g / (length * length))
-    power = dr.sum(types.Float64(bright * bright * cover))[0] * pitch**2
+    cover = types.Float(soft_edge(lens.inside(pupil) / step))
+    bright = types.Float(lens.amplitude(pupil, point))
+    density = types.Float64(bright * bright * cover)
+    if weights is not None:
+        weight = weights.at(dr.zeros(types.UInt32, count * count), Px, Py, lens.pupil_radius)
+        density *= types.Float64(weight)
+        cover *= dr.sqrt(weight)
+    power = dr.sum(density)[0] * pitch**2
     if not 0 < power < math.inf:
         raise InputError(
             f"aperture_radius = {camera.aperture_radius:g}: no light passes it on a grid of samples {pitch:g} apart"
         )
-    field = types.Complex2f(cosine, sine) * (bright * cover / math.sqrt(power))
+    field = phasor(lens.path(pupil, point, wavelength)) * (bright * cover / math.sqrt(power))
     return SampledField(as_field(pack(field), (count, count)), grids.wide_origin, pitch)
 
 
@@ -235,7 +252,7 @@ def _at_mla(camera: PlenopticCamera, wavelength: float, grids: _Grids, pupil: Sa
     with resting_drjit():
         spectrum = fft2(pupil.samples.copy())
     guards.judge(guards.UNDERSAMPLED, guards.band_edge_share(spectrum))
-    spectrum = advance(spectrum, pupil.pitch, camera.mla_distance, wavelength)
+    spectrum = advance(spectrum, pupil.pitch, main_lens(camera).pupil_distance, wavelength)
     (left, top), (columns, rows) = grids.offset, grids.count
     arrays = backend().arrays
     samples = arrays.empty((rows, columns), np.complex64)
@@ -262,7 +279,7 @@ def _detector_spectrum(
     if microlenses:
         before = guards.power(samples)
         if is_separable(camera):
-            along_x, along_y = map(backend().arrays.asarray, _microlens_phases(camera, wavelength, grids))
+            along_x, along_y = _microlens_factors(camera, wavelength, grids)
             samples *= along_x[None, :]
             samples *= along_y[:, None]
         else:
@@ -296,13 +313,14 @@ def _interpolate(spectrum: Field, count: int, axis: int) -> Field:
     return fft(padded, axis=axis, inverse=True)
 
 
-def _microlens_phases(camera: PlenopticCamera, wavelength: float, grids: _Grids) -> tuple[NDArray[np.complex64], ...]:
-    """Transmission of the microlenses along x and along y; the whole is their product."""
-    table = transmission_table(camera, wavelength, grids.bend)
-    return tuple(
-        transmission(camera, table, start + (offset + np.arange(count)) * grids.pitch, axis)
-        for axis, (start, offset, count) in enumerate(zip(grids.wide_origin, grids.offset, grids.count, strict=True))
-    )
+def _microlens_factors(camera: PlenopticCamera, wavelength: float, grids: _Grids) -> list[Field]:
+    """Return the transmission of the microlenses along x and along y; the whole is their product."""
+    types, lenses = backend().types, axis_transmission(camera, wavelength, grids.bend)
+    factors = []
+    for axis, (start, offset, count) in enumerate(zip(grids.wide_origin, grids.offset, grids.count, strict=True)):
+        place = types.Float64(dr.arange(types.UInt32, count)) * grids.pitch + (start + offset * grids.pitch)
+        factors.append(as_field(pack(lenses.along(place, axis)), (count,)))
+    return factors
 
 
 def _apply_plane(camera: PlenopticCamera, wavelength: float, grids: _Grids, samples: Field) -> None:

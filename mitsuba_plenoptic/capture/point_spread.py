@@ -7,14 +7,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, require_wavelength
 from ..errors import InputError
 from ..optics import guards
-from ..optics.sampling import check_positions, check_wavelength
+from ..optics.sampling import check_positions
 from ..runtime.backend import one_at_a_time
+from ..runtime.batches import Threads
+from ..runtime.jobs import Job
 from . import full_field
 from .full_field import PointFields
-from .incoherent import METHODS, incoherent_sum
+from .operator import CaptureOperator
 
 
 @one_at_a_time
@@ -47,13 +49,9 @@ def point_spread_function(
     PhysicsError
         If too much of the light is lost.
     """
-    point, wavelength = _check(position), check_wavelength(wavelength)
-    if method == "patch":
-        return incoherent_sum(camera, point[None], [1.0], wavelength=wavelength, accuracy=0, threads=1)
-    if method == "full_field":
-        with guards.watch():
-            return full_field.full_field(camera, point, wavelength)
-    raise InputError(f"method = {method!r}: it must be one of {', '.join(METHODS)}")
+    operator = CaptureOperator(camera, _check(position)[None], wavelength=wavelength, method=method, accuracy=0)
+    # What interpolation leaves below zero between the samples is not light.
+    return np.maximum(operator.forward([1.0], job=Job(batch_map=Threads(1))), 0)
 
 
 @one_at_a_time
@@ -76,7 +74,7 @@ def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -
         If an argument is out of range or the work would need too much memory.
     """
     with guards.watch():
-        return full_field.point_fields(camera, _check(position), check_wavelength(wavelength))
+        return full_field.point_fields(camera, _check(position), require_wavelength(wavelength))
 
 
 def _check(position: Any) -> NDArray[np.float64]:

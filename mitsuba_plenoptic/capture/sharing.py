@@ -20,8 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..optics.main_lens import main_lens
+from ..optics.phase import in_millimetres
 from ..optics.rays import conjugate_coordinate
-from ..optics.sampling import in_millimetres
+from .pupil_weights import PupilWeights
 
 LARGEST_ZONE = 16
 """Lenses along an axis over which patterns are shared at most; a power of two."""
@@ -61,7 +63,7 @@ class Patterns:
 def find_patterns(
     camera: PlenopticCamera,
     positions: NDArray[np.float64],
-    masks: NDArray[np.bool_] | None,
+    pupil_weights: PupilWeights | None,
     wavelength: float,
     step: float,
 ) -> Patterns:
@@ -73,8 +75,8 @@ def find_patterns(
         The camera in the frame of its lattice.
     positions : float64 array (n, 3)
         Scene points in that frame.
-    masks : bool array (n, m, m), optional
-        Visible cells of the pupil; only equal ones share.
+    pupil_weights : PupilWeights, optional
+        Power over the pupil; only those of equal ones share.
     wavelength : float
         Wavelength in nanometres.
     step : float
@@ -99,9 +101,8 @@ def find_patterns(
     if kinds > 1:
         kind = camera.lattice.lens_kind(*lens.T).astype(np.int64)
         keys.append(kind[:, None])
-    if masks is not None:
-        packed = np.packbits(masks.reshape(len(masks), -1), axis=1)
-        keys.append(np.unique(packed, axis=0, return_inverse=True)[1].reshape(-1, 1))
+    if pupil_weights is not None:
+        keys.append(pupil_weights.index[:, None])
     _, first, pattern = np.unique(np.hstack(keys), axis=0, return_index=True, return_inverse=True)
     pattern = pattern.reshape(-1)
     # A pattern is computed for the mean of its radiators, in the middle lens of those that have it.
@@ -140,8 +141,9 @@ def _depth_steps(
     camera: PlenopticCamera, g: NDArray[np.float64], wavelength: float, step: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the number of each distance's step, and into how many parts a lens is cut along an axis there."""
-    a, b, lam = camera.aperture_radius, camera.mla_distance, in_millimetres(wavelength)
-    defocus = a * a / (2 * lam) * (1 / camera.focal_length - 1 / g - 1 / b)
+    lens, lam = main_lens(camera), in_millimetres(wavelength)
+    a, b = lens.pupil_radius, lens.pupil_distance
+    defocus = a * a / (2 * lam) * (lens.vergence(g) - 1 / b)
     lenses_per_wave = 4 * b * lam / (a * camera.mla_pitch)
     lenses = np.maximum(1, lenses_per_wave * np.abs(defocus))
     # even where the blur is below one lens, logarithmic beyond
@@ -158,10 +160,9 @@ def _zones(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return first lens and size of each lens's zone, of as many steps along both lattice vectors.
 
-    In it the wavefront changes little enough. From lens to lens the path from a pupil of radius a to an image at r
-    changes by some a (a^2 + 3 r^2) D2 / 2 b^3.
+    In it the wavefront changes little enough.
     """
-    a, b, pitch = camera.aperture_radius, camera.mla_distance, camera.mla_pitch
+    main, pitch = main_lens(camera), camera.mla_pitch
     size = np.ones(len(lens), np.int64)
     width = 2
     while width <= LARGEST_ZONE:
@@ -173,7 +174,7 @@ def _zones(
             ],
             axis=0,
         )
-        waves = a * (a * a + 3 * square) * pitch / (2 * b**3 * in_millimetres(wavelength))
+        waves = main.path_change(np.sqrt(square), pitch, wavelength)
         size[width * waves <= _ZONE_PER_WAVE * step] = width
         width *= 2
     return lens // size[:, None] * size[:, None], size

@@ -14,7 +14,6 @@ import os
 import time
 import warnings
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, require_count, require_number
 from ..runtime.backend import backend_of
 from ..runtime.batches import PartialSum
+from ..runtime.jobs import Snapshot
 from ..runtime.software import software
 from .files import atomic_output, remove_leftovers
 
@@ -42,25 +42,6 @@ FRACTION = 0.05
 _DIFFERENCES_SHOWN = 3
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """How far a capture has come.
-
-    Attributes
-    ----------
-    sums : int
-        Incoherent sums that are finished, of those that the capture consists of.
-    image : float32 array (rows, columns, channels)
-        The finished sums.
-    partial : PartialSum, optional
-        The one under way.
-    """
-
-    sums: int
-    image: NDArray[np.float32]
-    partial: PartialSum | None
 
 
 class Checkpoint:
@@ -171,7 +152,7 @@ def _write(path: Path, run: dict[str, Any], snapshot: Snapshot) -> None:
     arrays: dict[str, Any] = {"image": snapshot.image}
     if snapshot.partial:
         partial = snapshot.partial
-        header |= {"batches": partial.batches, "light": [partial.arrived, partial.sent]}
+        header |= {"batches": partial.batches, "arrived": partial.arrived}
         arrays["partial"] = backend_of(partial.sums).to_host(partial.sums)
     with path.open("wb") as file:
         np.savez(file, header=json.dumps(header), **arrays)
@@ -210,8 +191,8 @@ def _snapshot(archive: Mapping[str, NDArray[Any]], header: dict[str, Any], shape
     if "partial" not in archive:
         return Snapshot(sums, image, None)
     batches = require_count("batches", header["batches"], minimum=0)
-    arrived, sent = (require_number("light", amount, minimum=0) for amount in header["light"])
-    return Snapshot(sums, image, PartialSum(batches, _array(archive, "partial"), arrived, sent))
+    arrived = require_number("arrived", header["arrived"])
+    return Snapshot(sums, image, PartialSum(batches, _array(archive, "partial"), arrived))
 
 
 def _array(archive: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.float32]:

@@ -11,7 +11,6 @@ the window.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import drjit as dr
@@ -22,6 +21,7 @@ from ..runtime.backend import array_module, backend, one_at_a_time
 from ..runtime.fft import Field, array_types, as_field, as_words, fft2_packed, pack, unpack
 from ..runtime.indexing import quotient
 from . import guards
+from .phase import in_millimetres, phasor
 
 
 @one_at_a_time
@@ -175,11 +175,7 @@ def _advance(
     shift: tuple[float, float] = (0.0, 0.0),
     part: tuple[int, int] | None = None,
 ) -> Any:
-    """Multiply a packed spectrum, zero frequency first, by the transfer function of free space.
-
-    The phase is some 10^6 rad, which single precision cannot hold: it is computed in turns in double
-    precision, reduced to half a turn, and only then taken to sine and cosine in single precision.
-    """
+    """Multiply a packed spectrum, zero frequency first, by the transfer function of free space."""
     types = array_types(packed)
     rows, columns = shape
     index = dr.arange(types.UInt32, rows * columns)
@@ -189,21 +185,44 @@ def _advance(
     sx = _cosine(types, column, columns, across, wavelength)
     first, all_rows = part or (0, rows)
     sy = _cosine(types, row + dr.opaque(types.UInt32, first), all_rows, down, wavelength)
+    return pack(unpack(packed) * transfer(sx, sy, distance, wavelength, shift=shift))
+
+
+def transfer(sx: Any, sy: Any, distance: float, wavelength: float, *, shift: tuple[float, float] = (0.0, 0.0)) -> Any:
+    r"""Return the transfer function of free space, :math:`\exp(i (k_z - k) d)`, zero for evanescent waves.
+
+    Parameters
+    ----------
+    sx, sy : float64 arrays of Dr.Jit
+        Direction cosines along x and y.
+    distance : float
+        Distance to the new plane in millimetres.
+    wavelength : float
+        Wavelength in nanometres.
+    shift : (float, float)
+        How far down and across the new plane's samples lie from the old one's, in millimetres.
+
+    Returns
+    -------
+    Complex2f of Dr.Jit
+    """
+    types = array_types(sx)
+
+    def in_waves(length: float) -> Any:
+        return dr.opaque(types.Float64, length / in_millimetres(wavelength))
+
     square = sx * sx + sy * sy
-    turns = dr.opaque(types.Float64, distance / (wavelength * 1e-6)) * (dr.sqrt(dr.maximum(1 - square, 0)) - 1)
+    waves = in_waves(distance) * (dr.sqrt(dr.maximum(1 - square, 0)) - 1)
     if any(shift):
-        waves = [dr.opaque(types.Float64, length / (wavelength * 1e-6)) for length in shift]
-        turns = turns + sy * waves[0] + sx * waves[1]
-    sine, cosine = dr.sincos(types.Float(turns - dr.round(turns)) * (2 * math.pi))
-    wave = unpack(packed) * types.Complex2f(cosine, sine)
-    return pack(dr.select(square < 1, wave, 0))
+        waves = waves + sy * in_waves(shift[0]) + sx * in_waves(shift[1])
+    return dr.select(square < 1, phasor(waves), 0)
 
 
 def _cosine(types: Any, index: Any, count: int, pitch: float, wavelength: float) -> Any:
     """Direction cosine of a plane wave, by its place in a spectrum with zero frequency first."""
     place, size = types.Int32(index), dr.opaque(types.Int32, count)
     order = dr.select(2 * place < size, place, place - size)
-    return types.Float64(order) * dr.opaque(types.Float64, wavelength * 1e-6 / (count * pitch))
+    return types.Float64(order) * dr.opaque(types.Float64, in_millimetres(wavelength) / (count * pitch))
 
 
 def _check(pitch: float, distance: float, wavelength: float) -> tuple[float, float, float]:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..runtime.backend import backend_of
 from ..runtime.fft import Field, as_field
+from .phase import in_millimetres
 
 _EDGE = 1 / 8
 """Outer part of a window or a spectrum, which should be dark. A field that fills all evenly has 23 % there."""
@@ -225,7 +226,7 @@ class StepGuard:
 
     def __init__(self, field: Field, pitch: float, wavelength: float) -> None:
         self._shape = field.shape
-        self._cosine = wavelength * 1e-6 / (2 * pitch)
+        self._cosine = in_millimetres(wavelength) / (2 * pitch)
         self._step = _row_step(field)
         self._power, self._rim = self._of_field(field)
         self._band_edge = self._evanescent = 0.0

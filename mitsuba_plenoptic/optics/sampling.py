@@ -1,6 +1,6 @@
 """Where the light of a scene point goes in a camera, and how finely and widely its field must be sampled.
 
-Directions are direction cosines, as the angular spectrum has them; the lenses are thin parabolic phase elements.
+Directions are direction cosines, as the angular spectrum has them.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from ..camera import SHORTEST, PlenopticCamera, require_wavelength
+from ..camera import SHORTEST, PlenopticCamera
 from ..errors import InputError
 from ..runtime.limits import memory_limit, require_memory
+from .main_lens import main_lens
 
 MEMORY_LIMIT = 4 * 2**30
 """Bytes that one propagation may take."""
@@ -28,11 +28,7 @@ _LONGEST = 2**31
 _FARTHEST = 1e16
 """Coordinates of a scene point at most, in millimetres; beyond the longest focal length this is infinity."""
 
-_MM_PER_NM = 1e-6
 _RIM_ANGLES = 32
-
-_HARD_EDGES = 1.4
-"""Directions that are kept of light from apertures with a dark surround, over those where phases join."""
 _RIM_RADII = (0.0, 0.4, 0.7, 1.0)
 
 
@@ -71,65 +67,18 @@ def footprint(camera: PlenopticCamera, positions: NDArray[np.float64]) -> Footpr
     """
     angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
-    P = camera.aperture_radius * np.concatenate([radius * circle for radius in _RIM_RADII])
-    path = P[None] - positions[:, None, :2]
-    length = np.sqrt((path**2).sum(-1) + positions[:, None, 2] ** 2)
-    cosine = path / length[..., None] - P / camera.focal_length
+    lens = main_lens(camera)
+    P = lens.pupil_radius * np.concatenate([radius * circle for radius in _RIM_RADII])
+    point = positions[:, None, 0], positions[:, None, 1], positions[:, None, 2]
+    cosine = np.stack(lens.cosines((P[:, 0], P[:, 1]), point), -1)
     square = (cosine**2).sum(-1)
     if np.any(square >= 1):
         worst = positions[np.argmax(square.max(1))]
         raise InputError(f"position = {tuple(worst.tolist())}: its light leaves the main lens too steeply")
-    place = P + camera.mla_distance * cosine / np.sqrt(1 - square)[..., None]
+    place = P + lens.pupil_distance * cosine / np.sqrt(1 - square)[..., None]
     low, high = place.min(1), place.max(1)
     first, last = cosine.min(1), cosine.max(1)
     return Footprint((low + high) / 2, (high - low) / 2, (first + last) / 2, (last - first) / 2)
-
-
-def pupil_turns(camera: PlenopticCamera, Px: Any, Py: Any, X: Any, Y: Any, g: Any, wavelength: Any) -> tuple[Any, Any]:
-    r"""Phase behind the main lens of the light of a scene point, in turns, up to that of the axis.
-
-    .. math:: \left(|P - X| - |X| - P^2 / 2 f_1\right) / \lambda
-
-    with the difference of the two paths formed without cancellation.
-
-    Parameters
-    ----------
-    Px, Py : float64 array of Dr.Jit
-        Pupil point.
-    X, Y, g : float64 array of Dr.Jit
-        Scene point.
-    wavelength : float
-        Wavelength in millimetres.
-
-    Returns
-    -------
-    turns, length : float64 arrays of Dr.Jit
-        The phase, and the path :math:`|P - X|`.
-    """
-    square = Px * Px + Py * Py
-    axis = dr.sqrt(X * X + Y * Y + g * g)
-    length = dr.sqrt((Px - X) * (Px - X) + (Py - Y) * (Py - Y) + g * g)
-    difference = (square - 2 * (Px * X + Py * Y)) / (length + axis)
-    return (difference - square * (0.5 / camera.focal_length)) * (1 / wavelength), length
-
-
-def mla_cosine(camera: PlenopticCamera) -> float:
-    """Largest change of direction cosine by a microlens, along an axis: :math:`D_2 / 2 f_2` for an upright square."""
-    lattice = camera.lattice
-    corner = lattice.aperture == "cell" and not lattice.separable
-    half = lattice.aperture_reach if corner else lattice.aperture_width / 2
-    return float(half) / min(camera.mla_focal_lengths)
-
-
-def scattered_cosine(camera: PlenopticCamera) -> float:
-    """Change of direction cosine by a microlens beyond which little light goes: the edges of opaque gaps scatter."""
-    lattice = camera.lattice
-    return mla_cosine(camera) * (_HARD_EDGES if lattice.lens_area < lattice.cell_area else 1)
-
-
-def in_millimetres(wavelength: float) -> float:
-    """Wavelength in millimetres, from nanometres."""
-    return wavelength * _MM_PER_NM
 
 
 def fast_length(minimum: float, multiple: int = 1) -> int:
@@ -184,17 +133,6 @@ def check_positions(positions: Any) -> NDArray[np.float64]:
             f"{SHORTEST:g}"
         )
     return points
-
-
-def check_wavelength(wavelength: Any) -> float:
-    """Return a wavelength in nanometres as a float.
-
-    Raises
-    ------
-    InputError
-        If it is not a number from 1 to 1e6.
-    """
-    return require_wavelength(wavelength)
 
 
 def check_memory(bytes_needed: float, what: str, fits: Callable[[float], str | None] | None = None) -> None:

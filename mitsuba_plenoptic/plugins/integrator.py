@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import math
 import warnings
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import mitsuba as mi
@@ -14,12 +14,13 @@ import numpy as np
 
 from ..camera import PlenopticCamera, require_wavelength
 from ..capture.accuracy import DEFAULT_ACCURACY, check_accuracy
-from ..capture.incoherent import METHODS, estimate_cost, incoherent_sum
+from ..capture.operator import METHODS, CaptureOperator
 from ..capture.radiators import Radiators, find_radiators, sample_pairs
 from ..errors import InputError, shown
-from ..io.checkpoints import Checkpoint, Snapshot, digest
+from ..io.checkpoints import digest
 from ..optics import guards
-from ..runtime.batches import BatchMap
+from ..optics.spectrum import Spectrum
+from ..runtime.jobs import Job, Task
 from .properties import read_choice, read_count, read_flag, read_plain
 
 NAME = "plenoptic_wave"
@@ -125,11 +126,8 @@ def make_class() -> type:
             kind = self.child.class_name() if hasattr(self.child, "class_name") else type(self.child).__name__
             if not isinstance(self.child, mi.SamplingIntegrator) or kind in _LIGHT_TRACERS:
                 raise InputError(f"{NAME}: nested {kind}: it cannot tell the radiance along a ray; use path or direct")
-            # For long runs, set by `mitsuba_plenoptic.render_capture`: called with the radiators done and their
-            # number, computes the batches of the sums, keeps what is done.
-            self.progress: Callable[[int, int], None] | None = None
-            self.batch_map: BatchMap | None = None
-            self.checkpoint: Checkpoint | None = None
+            # Set by `render_capture` for long runs.
+            self.job = Job()
 
         def render(
             self,
@@ -150,6 +148,11 @@ def make_class() -> type:
                     f"{NAME}: the film's filter is {film.rfilter().class_name()}: pixels are integrated exactly, "
                     'use <rfilter type="box"/>'
                 )
+            if mi.is_spectral and film.base_channels_count() > 1:
+                raise InputError(
+                    f"{NAME}: variant {mi.variant()} records one wavelength, and the film has the colours of many: use "
+                    "pixel_format luminance, or an rgb variant"
+                )
             seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
             with guards.watch():
                 image = self._capture(scene, sensor, camera, seed, spp or sensor.sampler().sample_count())
@@ -162,7 +165,7 @@ def make_class() -> type:
             return film.develop() if develop else None
 
         def _capture(self, scene: Any, sensor: Any, camera: PlenopticCamera, seed: int, spp: int) -> np.ndarray:
-            """Sum all radiators of all passes: (rows, columns, 1 or 3) pixel values."""
+            """Sum all radiators of all passes: (rows, columns, 1 or 3) pixel values, none negative."""
             random = np.random.default_rng(seed)
             # The first pass is not shifted: it is the best single set.
             shifts = [np.zeros(4), *random.random((self.passes - 1, 4))]
@@ -181,8 +184,8 @@ def make_class() -> type:
                 )
                 for shift, pass_seed in zip(shifts, seeds, strict=True)
             ]
-            jobs = [(radiators, channel) for radiators in sets for channel in range(radiators.radiance.shape[1])]
-            total = sum(len(radiators.positions) for radiators, _ in jobs)
+            operators = [self._operator(camera, radiators) for radiators in sets]
+            total = sum(len(operator.points) * operator.sums for operator in operators)
             if total == 0:
                 warnings.warn(
                     f"{NAME}: no ray from the pupil meets anything that shines; a nested integrator with "
@@ -190,74 +193,46 @@ def make_class() -> type:
                     stacklevel=2,
                 )
             if self.method == "patch":
-                self._estimate(camera, sets[0], len(jobs))
-            state = self._begin(camera, sets, len(jobs))
-            done = 0
-            for number, (radiators, channel) in enumerate(jobs):
-                if number >= state.sums:
-                    state = replace(state, sums=number)
-                    state.image[..., channel] += self._sum(camera, radiators, channel, state, done, total)
-                    state = replace(state, partial=None)
-                done += len(radiators.positions)
-            return state.image
-
-        def _begin(self, camera: PlenopticCamera, sets: list[Radiators], jobs: int) -> Snapshot:
-            """Begin with nothing, or where the checkpoint stands."""
+                self._estimate(operators[0])
             shape = (*camera.shape, len(self.wavelengths))
-            if self.checkpoint:
-                arrays = [array for r in sets for array in (r.positions, r.radiance, r.share, r.masks)]
-                found = self.checkpoint.begin(
-                    shape, radiators=sum(len(r.positions) for r in sets), scene_digest=digest(*arrays)
-                )
-                if found:
-                    if found.sums >= jobs:
-                        raise InputError(
-                            f"{self.checkpoint.path}: it is damaged: {found.sums} sums are no part of {jobs}"
-                        )
-                    return found
-            return Snapshot(0, np.zeros(shape, dtype=np.float32), None)
+            image = self.job.run(self._tasks(operators, sets), shape, total, partial(_facts, sets))
+            # What interpolation leaves below zero between the samples is not light.
+            return np.maximum(image, 0, out=image)
 
-        def _estimate(self, camera: PlenopticCamera, radiators: Radiators, jobs: int) -> None:
-            """Tell what is to come, or refuse it if memory would not do."""
-            cost = estimate_cost(
+        def _operator(self, camera: PlenopticCamera, radiators: Radiators) -> CaptureOperator:
+            return CaptureOperator(
                 camera,
                 radiators.positions,
-                wavelength=self.wavelengths[0],
+                spectrum=Spectrum.lines(*self.wavelengths),
+                method=self.method,
                 accuracy=self.accuracy,
-                pupil_masks=radiators.masks,
-                batch_map=self.batch_map,
+                pupil_weights=radiators.pupil_weights,
             )
+
+        def _estimate(self, operator: CaptureOperator) -> None:
+            """Report what is to come, or refuse it if memory would not do."""
+            cost = operator.estimate(self.job.batch_map)
             _log.info(
                 "%d radiators, %d point spreads, about %.0f s and %.1f GiB",
-                cost.radiators * jobs,
-                cost.patterns * jobs,
-                cost.seconds * jobs,
+                cost.radiators * self.passes,
+                cost.patterns * self.passes,
+                cost.seconds * self.passes,
                 cost.memory / 2**30,
             )
 
-        def _sum(
-            self, camera: PlenopticCamera, radiators: Radiators, channel: int, state: Snapshot, done: int, total: int
-        ) -> np.ndarray:
-            """Sum the point spreads of one set in one channel."""
-            b, z = camera.mla_distance, camera.detector_distance
-            lattice = camera.lattice
+        def _tasks(self, operators: list[CaptureOperator], sets: list[Radiators]) -> Iterator[Task]:
+            """Yield the sums of all passes; what an operator has planned goes when its pass is done."""
+            for radiators in sets:
+                operator = operators.pop(0)
+                weights = self._scale(operator.camera) * radiators.radiance / radiators.fraction[:, None]
+                yield from operator.tasks(weights, self.job.batch_map)
+
+        def _scale(self, camera: PlenopticCamera) -> float:
+            """Return the weight of a radiator of radiance 1 that lands wholly in the sampled lenses."""
+            b, z, lattice = camera.mla_distance, camera.detector_distance, camera.lattice
             cell = lattice.cell_area / self.radiators_per_lens**2
             pupil = math.pi * camera.aperture_radius**2
-            scale = cell * pupil * z**2 / (b**2 * lattice.lens_area * camera.pixel_size**2 * self.passes)
-            progress, checkpoint = self.progress, self.checkpoint
-            return incoherent_sum(
-                camera,
-                radiators.positions,
-                scale * radiators.radiance[:, channel] / radiators.share,
-                wavelength=self.wavelengths[channel],
-                method=self.method,
-                accuracy=self.accuracy,
-                pupil_masks=radiators.masks,
-                progress=progress and (lambda some, _: progress(done + some, total)),
-                batch_map=self.batch_map,
-                start=state.partial,
-                keep=None if checkpoint is None else (lambda some: checkpoint.save(replace(state, partial=some))),
-            )
+            return float(cell * pupil * z**2 / (b**2 * lattice.lens_area * camera.pixel_size**2 * self.passes))
 
         def parameters(self) -> dict[str, Any]:
             """Its own parameters by name, as ``mi.load_dict`` takes them."""
@@ -276,6 +251,16 @@ def make_class() -> type:
             return "\n".join(["PlenopticWaveIntegrator[", *lines, f"  child = {self.child}", "]"])
 
     return PlenopticWaveIntegrator
+
+
+def _facts(sets: list[Radiators]) -> dict[str, Any]:
+    """Return by what a capture is known as the same: its radiators."""
+    arrays: list[np.ndarray | None] = []
+    for radiators in sets:
+        weights = radiators.pupil_weights
+        arrays += [radiators.positions, radiators.radiance, radiators.fraction]
+        arrays += [None, None] if weights is None else [weights.table, weights.index]
+    return {"radiators": sum(len(radiators.positions) for radiators in sets), "scene_digest": digest(*arrays)}
 
 
 def _read_wavelengths(props: Any) -> tuple[float, ...]:

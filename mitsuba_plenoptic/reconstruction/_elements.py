@@ -11,8 +11,8 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..optics import rays
-from ..optics.microlenses import lenses_at
-from ..optics.sampling import in_millimetres
+from ..optics.microlenses import transmission, transmission_along
+from ..optics.phase import in_millimetres
 from ..runtime.backend import array_module
 from ..runtime.fft import Field, as_field, pack
 from ..runtime.indexing import split
@@ -59,10 +59,7 @@ def converging_phase(
 
 def microlens_phase(m: np.ndarray, camera: PlenopticCamera, wavelength: float, axis: int) -> np.ndarray:
     """Transmission of the microlenses at coordinates of the MLA plane; complex64."""
-    lattice = camera.lattice
-    offset = m - lattice.axis_centre(lattice.axis_cell(m, axis), axis)
-    phase = lens_phase(offset, camera.mla_focal_length, wavelength)
-    return phase if lattice.fill == 1 else np.where(np.abs(offset) <= lattice.aperture_width / 2, phase, 0)
+    return transmission_along(camera, wavelength, m, axis)
 
 
 # -- along both axes of any lattice ------------------------------------------------------------------
@@ -94,7 +91,7 @@ def microlenses(camera: PlenopticCamera, wavelength: float) -> Transmission:
     """Transmission of the microlenses in the MLA plane."""
 
     def element(x: np.ndarray, y: np.ndarray) -> Field:
-        return _evaluate(x, y, lambda x, y: lenses_at(camera, wavelength, x, y))
+        return _evaluate(x, y, lambda x, y: transmission(camera, wavelength, x, y))
 
     return element
 

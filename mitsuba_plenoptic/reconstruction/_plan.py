@@ -21,7 +21,9 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..optics import rays
-from ..optics.sampling import check_memory, fast_length, in_millimetres, mla_cosine
+from ..optics.microlenses import bend
+from ..optics.phase import in_millimetres
+from ..optics.sampling import check_memory, fast_length
 from ..runtime.limits import largest_fitting
 
 GUARD = 1.05
@@ -137,7 +139,7 @@ def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
     b, z = camera.mla_distance, camera.detector_distance
     half_field = max(camera.detector_width, camera.detector_height) / 2
     converging = half_field / b + camera.mla_pitch * (b + z) / (2 * b * z)
-    accepted = (camera.aperture_radius + half_field) / b + mla_cosine(camera)
+    accepted = (camera.aperture_radius + half_field) / b + bend(camera)
     return math.ceil(2 * camera.pixel_size * max(converging, accepted) / in_millimetres(wavelength))
 
 

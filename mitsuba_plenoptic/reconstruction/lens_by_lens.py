@@ -30,8 +30,10 @@ from ..camera import MOST_PIXELS, PlenopticCamera
 from ..errors import InputError
 from ..optics import guards, rays
 from ..optics.free_space import advance
+from ..optics.main_lens import main_lens
+from ..optics.phase import in_millimetres
 from ..optics.pupil import PupilShare
-from ..optics.sampling import check_memory, fast_length, in_millimetres, pupil_turns
+from ..optics.sampling import check_memory, fast_length
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, unpack
 from ..runtime.indexing import split
@@ -747,7 +749,7 @@ def _aim(fields: Field, tile: Tile, batch: LensBatch, distance: float) -> Field:
     square = Px * Px + Py * Py
     along = square - 2 * (Px * x + Py * y)
     from_mla = along / (dr.sqrt(sideways + along) + chief) / wave
-    to_object, _ = pupil_turns(camera, Px, Py, -x * g / b, -y * g / b, g, wave)
+    to_object = main_lens(camera).path((Px, Py), (-x * g / b, -y * g / b, g), tile.wavelength)
     # The first object sample is half a patch from the centre.
     half = (tile.object_samples - 1) / 2 / tile.object_samples / tile.pupil_pitch
     turns = from_mla + to_object + (u + v) * half

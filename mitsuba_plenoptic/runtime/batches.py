@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,12 +58,12 @@ class Batch(Protocol):
     def samples(self) -> int:
         """Samples of all its fields, to which the time is about proportional."""
 
-    def prepare(self) -> Callable[[], Part]:
-        """Run what Dr.Jit does, and give the rest: a function that any thread may call."""
+    def prepare(self) -> Callable[[], Any]:
+        """Run what Dr.Jit does, and return the rest: a function that any thread may call for the batch's result."""
 
 
 class BatchMap(Protocol):
-    """Computes batches and yields their parts in the order of the batches.
+    """Computes batches and yields their results in the order of the batches.
 
     It must take the batches as it needs them and keep few parts waiting, so that memory does not grow with the sum.
     """
@@ -76,7 +76,7 @@ class BatchMap(Protocol):
     def threads(self) -> int:
         """How many of them are computed in this process."""
 
-    def __call__(self, batches: Iterable[Batch]) -> Generator[Part, None, None]:
+    def __call__(self, batches: Iterable[Batch]) -> Generator[Any, None, None]:
         """Compute the batches; closed early, it drops what is under way."""
 
 
@@ -90,14 +90,13 @@ class PartialSum:
         The batches that are in it: the first ones.
     sums : float32 array (channels, rows, columns)
         Their sum, on the backend's device.
-    arrived, sent : float
-        The samples of their parts added up, and what that would be if no light were lost.
+    arrived : float
+        All samples of their parts added up, those beyond the box of the sum too.
     """
 
     batches: int
     sums: NDArray[np.float32]
     arrived: float = 0.0
-    sent: float = 0.0
 
 
 class Threads:
@@ -112,9 +111,9 @@ class Threads:
     def __init__(self, count: int | None = None) -> None:
         self.workers = self.threads = 1 if backend().is_cuda else count or worker_count()
 
-    def __call__(self, batches: Iterable[Batch]) -> Generator[Part, None, None]:
+    def __call__(self, batches: Iterable[Batch]) -> Generator[Any, None, None]:
         """Compute the batches, a few ahead of the one that is due."""
-        pending: deque[Future[Part]] = deque()
+        pending: deque[Future[Any]] = deque()
         with resting_drjit(), ThreadPoolExecutor(self.threads) as pool:
             for batch in batches:
                 pending.append(pool.submit(batch.prepare()))
@@ -129,7 +128,7 @@ class InTurn:
 
     workers = threads = 1
 
-    def __call__(self, batches: Iterable[Batch]) -> Generator[Part, None, None]:
+    def __call__(self, batches: Iterable[Batch]) -> Generator[Any, None, None]:
         """Compute the batches."""
         for batch in batches:
             yield batch.prepare()()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import io
 import json
 import os
@@ -22,11 +23,12 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, read_capture, render_capture
-from mitsuba_plenoptic.capture.incoherent import incoherent_sum
+from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io import checkpoints as checkpoints
 from mitsuba_plenoptic.io.checkpoints import Checkpoint
 from mitsuba_plenoptic.runtime.batches import PartialSum
+from mitsuba_plenoptic.runtime.jobs import Job, Snapshot
 
 SMALL = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
 SCENE = {"resolution": "256", "detector_width": "0.512", "letter_scale": "0.06"}
@@ -97,41 +99,42 @@ def positions(count, seed=0):
     return np.column_stack([-image * g[:, None] / SMALL.mla_distance, g])
 
 
-@pytest.mark.parametrize("method", ["patch", "full_field"])
-def test_a_sum_goes_on_from_any_batch(method):
-    points = positions(30 if method == "patch" else 3)
-    weights = np.random.default_rng(1).uniform(0, 1, (len(points), 2))
+class Snapshots:
+    """Keeps every snapshot of a job, and lets it go on from one."""
+
+    def __init__(self, start=None):
+        self.start, self.kept = start, []
+
+    def begin(self, shape, **facts):
+        return self.start
+
+    def save(self, snapshot):
+        self.kept.append(copy.deepcopy(snapshot))
+
+
+@pytest.mark.parametrize(("method", "count"), [("patch", 30), ("full_field", 3)])
+def test_a_sum_goes_on_from_any_batch(method, count):
+    operator = CaptureOperator(SMALL, positions(count), wavelength=633, method=method)
+    weights = np.random.default_rng(1).uniform(0, 1, (count, 2))
     weights[1] = 0
-    states = []
-    whole = incoherent_sum(
-        SMALL,
-        points,
-        weights,
-        wavelength=633,
-        method=method,
-        keep=lambda state: states.append(PartialSum(state.batches, state.sums.copy())),
-    )
+    keeper = Snapshots()
+    whole = operator.forward(weights, job=Job(keeper=keeper))
+    states = keeper.kept
     assert len(states) >= 2
-    assert [state.batches for state in states] == list(range(1, len(states) + 1))
+    assert [state.partial.batches for state in states] == list(range(1, len(states) + 1))
     for state in (states[0], states[len(states) // 2], states[-1]):
         calls = []
-        rest = incoherent_sum(
-            SMALL,
-            points,
-            weights,
-            wavelength=633,
-            method=method,
-            start=state,
-            progress=lambda *c, calls=calls: calls.append(c),
-        )
-        np.testing.assert_array_equal(rest, whole)
-        assert calls[-1] == (len(points), len(points)) and (len(calls) == 1) == (state is states[-1])
+        job = Job(progress=lambda *call, calls=calls: calls.append(call), keeper=Snapshots(copy.deepcopy(state)))
+        np.testing.assert_array_equal(operator.forward(weights, job=job), whole)
+        assert calls[-1] == (count, count) and (len(calls) == 1) == (state is states[-1])
 
 
-def test_a_sum_refuses_the_state_of_another():
-    for state in (PartialSum(1, np.zeros((1, 3, 3), np.float32)), PartialSum(99, np.zeros((1, 256, 256), np.float32))):
-        with pytest.raises(InputError, match=r"^start: .* batches of shape"):
-            incoherent_sum(SMALL, positions(2), np.ones(2), wavelength=633, method="full_field", start=state)
+@pytest.mark.parametrize("start", [PartialSum(1, np.zeros((1, 3, 3))), PartialSum(99, np.zeros((1, 256, 256)))])
+def test_a_sum_refuses_the_state_of_another(start):
+    operator = CaptureOperator(SMALL, positions(2), wavelength=633, method="full_field")
+    keeper = Snapshots(Snapshot(0, np.zeros((256, 256, 1), np.float32), start))
+    with pytest.raises(InputError, match=r"^checkpoint: .* batches of shape"):
+        operator.forward(np.ones(2), job=Job(keeper=keeper))
 
 
 @pytest.mark.parametrize("checkpoint_count", [1, 4])

@@ -75,7 +75,7 @@ def checkpoint_case(random: np.random.Generator, folder: Path) -> Case:
 
 LIES: tuple[tuple[str, Any], ...] = (
     ("format", 99), ("format", "1"), ("sums", -1), ("sums", 10**9), ("sums", "a"), ("sums", 0.5), ("sums", None),
-    ("batches", -1), ("batches", 10**9), ("batches", []), ("batches", 0.5), ("light", []), ("light", [-1, 1]),
+    ("batches", -1), ("batches", 10**9), ("batches", []), ("batches", 0.5), ("arrived", []), ("arrived", None),
     ("run", {}), ("run", None), ("run", []), ("image", np.nan), ("image", np.inf), ("partial", np.nan),
 )  # fmt: skip
 

@@ -1,0 +1,188 @@
+"""Where the point spreads of radiators lie, and how finely and widely they are sampled.
+
+All intensities are sampled on one grid of the detector, whatever the patch: there they can be added, and they are
+integrated over the pixels once, at the end. The grid lies in the frame that is turned with the microlens lattice about
+the axis, and a whole number of its samples lies between neighbouring micro-images, so that a point spread can be moved
+from lens to lens.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..lattice import turn
+from ..optics.main_lens import main_lens
+from ..optics.microlenses import scattering, upright
+from ..optics.phase import in_millimetres
+from ..optics.sampling import check_samples, fast_length, footprint
+
+_WIDTH_PER_BLUR = 1.2
+_WIDTH_STEP = 1.06
+_RIM_ANGLES = 16
+_BLOCK = 4096
+
+
+@dataclass(frozen=True)
+class Band:
+    r"""How much of the diffracted light a patch keeps.
+
+    Attributes
+    ----------
+    cone : float
+        Directions that are kept on the detector over those of the geometric cone, pupil plus microlens.
+    margin : float
+        Width of the patch of a point in focus, in units of :math:`\lambda b / D_1`, the scale of its Airy pattern.
+    """
+
+    cone: float
+    margin: float
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The grid of the detector on which intensities are sampled, and what patches on it have in common.
+
+    Attributes
+    ----------
+    camera : PlenopticCamera
+        The camera in the frame of its lattice.
+    rotation : float
+        Degrees by which that frame is turned, counter-clockwise.
+    cosine : float
+        Half the range of direction cosines of one scene point's light at the MLA.
+    pitch : float64 array (2,)
+        Distance between samples along x and y, in millimetres.
+    origin : float64 array (2,)
+        x and y of sample (0, 0).
+    """
+
+    camera: PlenopticCamera
+    rotation: float
+    wavelength: float
+    band: Band
+    cosine: float
+    pitch: NDArray[np.float64]
+    origin: NDArray[np.float64]
+
+    @property
+    def lens_samples(self) -> NDArray[np.int64]:
+        """Samples along x and y, in columns, from one micro-image to the next along both lattice vectors, in rows."""
+        camera = self.camera
+        growth = camera.micro_image_pitch / camera.mla_pitch
+        return np.rint(np.array(camera.lattice.basis) * growth / self.pitch).astype(np.int64)
+
+    @classmethod
+    def of(
+        cls,
+        camera: PlenopticCamera,
+        wavelength: float,
+        band: Band,
+        positions: NDArray[np.float64],
+    ) -> Grid:
+        """Lay the grid of a camera for some scene points.
+
+        Its pitch holds the kept directions, and along both axes a whole number of samples lies between neighbouring
+        micro-images.
+        """
+        rotation, camera = camera.mla_rotation, upright(camera)
+        lens = main_lens(camera)
+        powers = np.abs(lens.vergence(positions[:, 2]))
+        cosine = lens.pupil_radius * float(powers.max(initial=1 / lens.pupil_distance))
+        half_band = band.cone * (cosine + scattering(camera))
+        largest = in_millimetres(wavelength) / (2 * half_band)
+        steps = np.array([camera.micro_image_pitch, camera.micro_image_pitch])
+        if camera.mla_lattice == "hexagonal":
+            # every second row is half a pitch aside
+            steps *= 0.5, camera.lattice.row_distance / camera.mla_pitch
+        check_samples(float((steps / largest).max()), "from lens to lens")
+        origin = -np.array([camera.detector_width, camera.detector_height]) / 2
+        return cls(camera, rotation, wavelength, band, cosine, steps / np.ceil(steps / largest), origin)
+
+    def to_frame(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Turn scene points of the camera frame, (n, 3), into the frame of the lattice."""
+        if self.rotation == 0:
+            return positions
+        return np.column_stack([*turn(positions[:, 0], positions[:, 1], -self.rotation), positions[:, 2]])
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Sizes and places of patches. Arrays have shape (n,) or, for x and y, (n, 2)."""
+
+    samples: NDArray[np.int64]  # across each patch, on the detector and of its spectrum
+    corner: NDArray[np.int64]  # place of each patch's first sample on the grid
+    image: NDArray[np.float64]  # centre of the geometric image on the MLA
+    first: NDArray[np.int64]  # number of the first direction from the pupil
+    last: NDArray[np.int64]  # number of the last one
+
+    def take(self, which: NDArray[Any]) -> Placement:
+        """Return some of them."""
+        return Placement(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+
+
+def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
+    """Choose size and place of the patches of some radiators.
+
+    Parameters
+    ----------
+    grid : Grid
+        The grid that they lie on.
+    positions : float64 array (n, 3)
+        Scene points in the frame of the lattice.
+
+    Returns
+    -------
+    Placement
+    """
+    # Rays are traced for some points at a time, so that memory does not grow with their number.
+    starts = range(0, max(1, len(positions)), _BLOCK)
+    parts = [_place(grid, positions[start : start + _BLOCK]) for start in starts]
+    return Placement(
+        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Placement)}
+    )
+
+
+def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
+    camera, lens, lam = grid.camera, main_lens(grid.camera), in_millimetres(grid.wavelength)
+    image = footprint(camera, positions)
+    a, b = lens.pupil_radius, lens.pupil_distance
+    # Between MLA and detector the light moves sideways: the patch lies half-way.
+    aside = camera.detector_distance * image.centre / b
+    airy = lam * b / (2 * a)
+    blur = 2 * image.half_width.max(1)
+    spread = grid.band.margin * airy
+    width = np.maximum(_WIDTH_PER_BLUR * blur + spread / 3, spread) + np.abs(aside).max(1)
+    check_samples(
+        float(((np.abs(image.centre) + width[:, None]) / grid.pitch).max(initial=0)),
+        "from the axis",
+    )
+    samples = _ladder(width / grid.pitch.min())
+    corner = np.rint((image.centre + aside / 2 - grid.origin) / grid.pitch).astype(np.int64)
+    step = lam / (samples[:, None] * grid.pitch)
+    angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
+    rim = a * np.stack([np.cos(angle), np.sin(angle)], -1)
+    towards = image.centre[:, None] - rim
+    cosine = towards / np.sqrt((towards**2).sum(-1) + b * b)[..., None]
+    return Placement(
+        samples=samples,
+        corner=corner - samples[:, None] // 2,
+        image=image.centre,
+        first=np.floor(cosine.min(1) / step).astype(np.int64) - 1,
+        last=np.ceil(cosine.max(1) / step).astype(np.int64) + 1,
+    )
+
+
+def _ladder(minimum: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Round sample counts up to one of few that the FFT does quickly, so that radiators share them."""
+    counts = [fast_length(16)]
+    while counts[-1] < minimum.max(initial=0):
+        length = fast_length(math.ceil(counts[-1] * _WIDTH_STEP))
+        # rows a multiple of 2 KiB apart fall into the same few lines of the processor's cache
+        counts.append(length if length % 256 else fast_length(length + 1))
+    return np.array(counts)[np.searchsorted(counts, minimum)]

@@ -1,0 +1,284 @@
+"""The wave camera as a linear operator: from weights of incoherent radiators to the detector's image, and back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera, require_wavelength
+from ..errors import InputError, shown
+from ..optics import guards
+from ..optics.sampling import check_positions
+from ..optics.spectrum import Spectrum
+from ..runtime.backend import one_at_a_time
+from ..runtime.batches import BatchMap
+from ..runtime.jobs import Job, LongSum, Task
+from .accuracy import DEFAULT_ACCURACY, check_accuracy
+from .full_field_plan import FullFieldPlan
+from .patch_plan import Cost, PatchPlan
+from .pupil_weights import PupilWeights
+
+
+class Plan(Protocol):
+    """The operator at one wavelength, planned for its points."""
+
+    def sum(self, weights: NDArray[np.float64]) -> LongSum:
+        """Return the sum of the point spreads with these weights, (n, channels), yet to be computed."""
+
+    def gather(self, image: NDArray[np.float32], batch_map: BatchMap) -> NDArray[np.float64]:
+        """Return for every point the image, (rows, columns, channels), weighted by its point spread."""
+
+    def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
+        """Return the bytes that a sum takes, or refuse them."""
+
+    def cost(self, batch_map: BatchMap) -> Cost:
+        """Estimate what a sum takes."""
+
+
+PLANS: dict[str, type] = {"patch": PatchPlan, "full_field": FullFieldPlan}
+"""Ways to compute point spreads, by name."""
+
+METHODS = tuple(PLANS)
+
+
+class CaptureOperator:
+    r"""The image that a camera's detector records of incoherent point sources: linear in their weights.
+
+    .. math:: I = A w, \qquad I_p = \sum_r w_r \, \mathrm{psf}_r(p)
+
+    where psf is the fraction of the power through the visible pupil that lands in the pixel p. Everything that does not
+    depend on the weights is planned when it is first needed, and kept.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera; its recorded window may be a crop.
+    points : array (n, 3)
+        Scene points (X, Y, g) in the camera frame, in millimetres.
+    wavelength : float, optional
+        Wavelength in nanometres, the same for all channels of the weights; or give `spectrum`.
+    spectrum : Spectrum, optional
+        Wavelengths, and the channels that record them. Weights and point spreads then have a value for each wavelength.
+    method : {"patch", "full_field"}
+        Way to compute point spreads: on the part of the array that each lights, or without shortcuts.
+    accuracy : float
+        Of method "patch": relative error (L2, over the image) that is allowed for speed, below 1. Radiators of nearly
+        the same wavefront at neighbouring lenses then share a point spread. 0: every radiator has its own, and the most
+        of the diffracted light is kept.
+    pupil_weights : array (n, m, m), optional
+        For each point its relative power over the square around the pupil, cut into m x m cells: rows along y, columns
+        along x of the camera frame; booleans for what is visible. What passes is normalised anew, so that each point
+        spread still sums to its weight.
+
+    Raises
+    ------
+    InputError
+        If an input has a wrong shape or value.
+    """
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        points: Any,
+        *,
+        wavelength: float | None = None,
+        spectrum: Spectrum | None = None,
+        method: str = "patch",
+        accuracy: float = DEFAULT_ACCURACY,
+        pupil_weights: Any = None,
+    ) -> None:
+        if (wavelength is None) == (spectrum is None):
+            raise InputError("wavelength, spectrum: give one of the two")
+        self.camera, self.points = camera, check_positions(points)
+        self._wavelength = None if wavelength is None else require_wavelength(wavelength)
+        self._spectrum = spectrum
+        if not isinstance(method, str) or method not in PLANS:
+            raise InputError(f"method = {shown(method)}: it must be one of {', '.join(METHODS)}")
+        self._method, self._accuracy = method, check_accuracy(accuracy)
+        self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
+        self._plans: dict[float, Plan] = {}
+
+    @one_at_a_time
+    def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[np.float32]:
+        """Add the point spreads of all points, each with a weight.
+
+        The bits of the result depend neither on the number of threads or workers nor on whether the sum was continued.
+
+        Parameters
+        ----------
+        weights : array (n,) or (n, channels)
+            Factors on the point spreads, of any sign. With a spectrum of several wavelengths one column for each of
+            them, or one for all.
+        job : Job, optional
+            Who computes, who is told of the progress, where the work is kept. Default: threads of this process.
+
+        Returns
+        -------
+        float32 array (rows, columns) or (rows, columns, channels)
+            Integrals over the recorded pixels.
+
+        Raises
+        ------
+        InputError
+            If the weights have a wrong shape or value, or the work would need too much memory.
+        PhysicsError
+            If too much of the light is lost (see `optics.guards`).
+        """
+        factors = self._check(weights)
+        _, matrix = self._mixing(factors.shape[1])
+        job = job or Job()
+        with guards.watch():
+            shape, items = (*self.camera.shape, len(matrix)), self.sums * len(self.points)
+            image = job.run(self.tasks(factors, job.batch_map), shape, items)
+        return image[..., 0] if np.ndim(weights) == 1 and len(matrix) == 1 else image
+
+    @one_at_a_time
+    def adjoint(self, image: Any, *, job: Job | None = None) -> NDArray[np.float64]:
+        """Apply the transpose of `forward`: weigh an image by the point spread of every point.
+
+        Parameters
+        ----------
+        image : array (rows, columns) or (rows, columns, channels)
+            Of the recorded pixels.
+        job : Job, optional
+            Who computes.
+
+        Returns
+        -------
+        float64 array (n,) or (n, channels)
+            With a spectrum of several wavelengths one column for each of them.
+
+        Raises
+        ------
+        InputError
+            If the image has another shape or is not finite, or the work would need too much memory.
+        """
+        pixels = np.asarray(image, np.float32)
+        rows, columns = self.camera.shape
+        if pixels.ndim not in (2, 3) or pixels.shape[:2] != (rows, columns) or not np.isfinite(pixels).all():
+            raise InputError(
+                f"image of shape {pixels.shape}: it must be finite and have {rows} rows, {columns} columns"
+            )
+        channels = pixels.reshape(rows, columns, -1)
+        wavelengths, matrix = self._mixing(channels.shape[2])
+        if channels.shape[2] != len(matrix):
+            raise InputError(f"image of shape {pixels.shape}: the spectrum has {len(matrix)} channels")
+        channels = channels @ matrix
+        batch_map = (job or Job()).batch_map
+        result = np.zeros((len(self.points), len(wavelengths)))
+        with guards.watch():
+            for wavelength, some in _groups(wavelengths):
+                result[:, some] = self._planned(wavelength, batch_map, len(some)).gather(channels[..., some], batch_map)
+        return result[:, 0] if pixels.ndim == 2 and len(wavelengths) == 1 else result
+
+    def estimate(self, batch_map: BatchMap | None = None) -> Cost:
+        """Estimate what `forward` takes, by doing a little of it at the first wavelength.
+
+        Raises
+        ------
+        InputError
+            If the work would need too much memory.
+        PhysicsError
+            If too much of the light would be lost.
+        """
+        wavelength = self._mixing(1)[0][0]
+        cost = self._plan(wavelength).cost(batch_map or Job().batch_map)
+        return replace(
+            cost,
+            radiators=cost.radiators * self.sums,
+            patterns=cost.patterns * self.sums,
+            seconds=cost.seconds * self.sums,
+        )
+
+    def as_linear_operator(self) -> Any:
+        """Return the operator of one channel for SciPy's solvers, between flat arrays.
+
+        Returns
+        -------
+        scipy.sparse.linalg.LinearOperator
+            Of shape (pixels, n), in single precision.
+
+        Raises
+        ------
+        InputError
+            If there is more than one wavelength or channel.
+        """
+        from scipy.sparse.linalg import LinearOperator
+
+        if self._spectrum is not None and (len(self._spectrum.wavelengths), self._spectrum.channels) != (1, 1):
+            raise InputError(
+                f"spectrum of {len(self._spectrum.wavelengths)} wavelengths and {self._spectrum.channels} channels: a "
+                "linear operator between flat arrays has one of each"
+            )
+        return LinearOperator(
+            (math.prod(self.camera.shape), len(self.points)),
+            matvec=lambda weights: self.forward(np.ravel(weights)).ravel(),
+            rmatvec=lambda pixels: self.adjoint(np.reshape(pixels, self.camera.shape)),
+            dtype=np.float32,
+        )
+
+    @property
+    def sums(self) -> int:
+        """Sums of point spreads that make an image: one for each distinct wavelength."""
+        return 1 if self._spectrum is None else len(set(self._spectrum.wavelengths))
+
+    def tasks(self, weights: NDArray[np.float64], batch_map: BatchMap) -> Iterator[Task]:
+        """Yield the sum at each distinct wavelength, for weights (n, channels or wavelengths)."""
+        wavelengths, matrix = self._mixing(weights.shape[1])
+        for wavelength, some in _groups(wavelengths):
+
+            def plan(wavelength: float = wavelength, some: list[int] = some) -> LongSum:
+                return self._planned(wavelength, batch_map, len(some)).sum(weights[:, some])
+
+            def combine(sums: NDArray[np.float32], part: NDArray[np.float32] = matrix[:, some]) -> NDArray[np.float32]:
+                return np.asarray(sums @ part.T)
+
+            yield Task(len(self.points), plan, combine)
+
+    def _plan(self, wavelength: float) -> Plan:
+        """Return the plan of a wavelength, made when it is first asked for."""
+        if wavelength not in self._plans:
+            make = PLANS[self._method]
+            self._plans[wavelength] = make(self.camera, self.points, self._pupil_weights, wavelength, self._accuracy)
+        return self._plans[wavelength]
+
+    def _planned(self, wavelength: float, batch_map: BatchMap, channels: int) -> Plan:
+        """Return the plan of a wavelength, or refuse what it takes."""
+        plan = self._plan(wavelength)
+        plan.check_memory(batch_map, channels)
+        return plan
+
+    def _mixing(self, columns: int) -> tuple[tuple[float, ...], NDArray[np.float32]]:
+        """Return the wavelength of each column of the weights, and the matrix (channels, columns) to the image's."""
+        if self._spectrum is None:
+            return (cast(float, self._wavelength),) * columns, np.eye(columns, dtype=np.float32)
+        return self._spectrum.wavelengths, self._spectrum.matrix()
+
+    def _check(self, weights: Any) -> NDArray[np.float64]:
+        """Return weights as (n, channels)."""
+        count = len(self.points)
+        try:
+            factors = np.asarray(weights, np.float64)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError(f"weights: they must be numbers, ({count},) or ({count}, channels)") from None
+        if factors.ndim not in (1, 2) or len(factors) != count or (factors.ndim == 2 and factors.shape[1] == 0):
+            raise InputError(f"weights of shape {factors.shape}: it must be ({count},) or ({count}, channels)")
+        if not np.isfinite(factors).all():
+            raise InputError("weights: they must be finite")
+        wavelengths = 1 if self._spectrum is None else len(self._spectrum.wavelengths)
+        if factors.ndim == 1:
+            return np.repeat(factors[:, None], wavelengths, axis=1)
+        if self._spectrum is not None and factors.shape[1] != wavelengths:
+            raise InputError(f"weights of shape {factors.shape}: the spectrum has {wavelengths} wavelengths")
+        return factors
+
+
+def _groups(wavelengths: tuple[float, ...]) -> Iterator[tuple[float, list[int]]]:
+    """Yield each distinct wavelength and the columns that have it: they share their point spreads."""
+    for wavelength in dict.fromkeys(wavelengths):
+        yield wavelength, [column for column, other in enumerate(wavelengths) if other == wavelength]

@@ -1,0 +1,291 @@
+"""Which point spreads are computed for some radiators, together with which, and where each of their copies goes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import InputError
+from ..optics import guards
+from ..optics.microlenses import is_separable
+from ..optics.sampling import check_memory
+from ..runtime.backend import backend
+from ..runtime.batches import BatchMap, PartialSum
+from ..runtime.fft import resting_drjit
+from .accuracy import band_for, wavefront_step
+from .grid import Grid, place
+from .patch_batches import Fields, Gather, Scatter
+from .pupil_weights import PupilWeights
+from .recorder import Recorder
+from .sharing import LARGEST_ZONE, find_patterns
+from .tile import Copies, tile_extent
+
+_CHUNK = 64
+"""Point spreads that are prepared together and added into one tile."""
+
+_PATCH_LIMIT = 2**26
+"""Bytes of one radiator's field above which many are refused: blurred over thousands of pixels, they take days."""
+
+_CHUNK_BYTES = 2**26
+_TRIAL = 4
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a capture takes.
+
+    Attributes
+    ----------
+    radiators : int
+        Radiators whose light reaches the recorded window.
+    patterns : int
+        Point spreads that are computed for them.
+    seconds : float
+        Time, from that of a few of them on this machine now.
+    memory : float
+        Bytes at most.
+    """
+
+    radiators: int
+    patterns: int
+    seconds: float
+    memory: float
+
+
+class PatchPlan:
+    """Radiators gathered into patterns, and patterns into chunks of one patch size and neighbourhood.
+
+    A pattern is a point spread that several radiators share; each has it at a place of its own, as a copy. Each chunk
+    is a batch: it is added into a tile of its own, in the order of its patterns.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    points : float64 array (n, 3)
+        Radiators in the camera frame.
+    pupil_weights : PupilWeights, optional
+        Their power over the pupil.
+    wavelength : float
+        Wavelength in nanometres.
+    accuracy : float
+        Allowed relative error.
+    """
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        points: NDArray[np.float64],
+        pupil_weights: PupilWeights | None,
+        wavelength: float,
+        accuracy: float,
+    ) -> None:
+        self._camera, self._pupil_weights, self._count = camera, pupil_weights, len(points)
+        self._grid = Grid.of(camera, wavelength, band_for(accuracy, len(points)), points)
+        step = wavefront_step(accuracy, camera, points)
+        patterns = find_patterns(self._grid.camera, self._grid.to_frame(points), pupil_weights, wavelength, step)
+        placement = place(self._grid, patterns.positions)
+        shifts = patterns.shift @ self._grid.lens_samples
+        low = placement.corner[patterns.pattern] + shifts
+        high = low + placement.samples[patterns.pattern, None]
+        self._recorder = Recorder(camera, self._grid, low, high)
+        box = self._recorder.box
+        start, size = np.array([box.left, box.top]), np.array([box.columns, box.rows])
+        # The radiators that are seen, pattern by pattern.
+        order = np.flatnonzero(((high > start) & (low < start + size)).all(1))
+        self._order = order = order[np.argsort(patterns.pattern[order], kind="stable")]
+        self._shifts = shifts[order]
+        kept, self._first = np.unique(patterns.pattern[order], return_index=True)
+        self._last = np.append(self._first[1:], len(order))
+        self._positions, self._placement = patterns.positions[kept], placement.take(kept)
+        self._chunks = self._sort(patterns.zone[kept])
+
+    def _sort(self, zone: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+        """Cut the patterns into chunks."""
+        samples, corner = self._placement.samples, self._placement.corner
+        if not len(samples):
+            return []
+        area = np.maximum(1, samples // 3)
+        alone = self._last - self._first == 1
+        keys = (
+            np.where(alone, corner[:, 0] // area, zone[:, 0]),
+            np.where(alone, corner[:, 1] // area, zone[:, 1]),
+            samples,
+            alone,
+        )
+        order = np.lexsort(keys)
+        changes = np.any([np.diff(key[order]) != 0 for key in keys], axis=0)
+        chunks = []
+        for group in np.split(order, np.flatnonzero(changes) + 1):
+            first = group[0]
+            across = (self._placement.last[first] - self._placement.first[first]).max() + 2
+            if not is_separable(self._grid.camera):
+                across = 1.5 * samples[first]  # on the MLA, of which the microlenses take an array
+            size = int(min(_CHUNK, max(1, _CHUNK_BYTES // (8 * across**2))))
+            chunks += [group[start : start + size] for start in range(0, len(group), size)]
+        return chunks
+
+    # -- forward ---------------------------------------------------------------------------------------
+
+    def sum(self, weights: NDArray[np.float64]) -> PatchSum:
+        """Return the sum of the point spreads with these weights, (n, channels), yet to be computed."""
+        return PatchSum(self, weights)
+
+    def scatter(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> Scatter:
+        """Describe a chunk: its fields are scaled by their largest weights, and the weights relative to these.
+
+        Patterns without weight are left out.
+        """
+        kept, amplitudes, copies = [], [], []
+        for pattern in chunk:
+            members = slice(self._first[pattern], self._last[pattern])
+            shifts, copy = np.unique(self._shifts[members], axis=0, return_inverse=True)
+            factors = np.zeros((len(shifts), weights.shape[1]))
+            np.add.at(factors, copy.reshape(-1), weights[self._order[members]])
+            largest = float(np.abs(factors).max())
+            if largest > 0:
+                kept.append(pattern)
+                amplitudes.append(largest**0.5)
+                copies.append(Copies(shifts, (factors / largest).astype(np.float32)))
+        which = np.array(kept, np.int64)
+        return Scatter(self._fields(which), np.array(amplitudes), copies)
+
+    def _fields(self, which: NDArray[np.int64]) -> Fields:
+        """Describe the fields of some patterns."""
+        weights = self._pupil_weights and self._pupil_weights.take(self._order[self._first[which]])
+        return Fields(self._grid, self._placement.take(which), self._positions[which], weights)
+
+    def lit_chunks(self, weights: NDArray[np.float64]) -> tuple[list[NDArray[np.int64]], NDArray[np.int64]]:
+        """Return the chunks that have any weight, and how many radiators each of them stands for."""
+        if not self._chunks:
+            return [], np.zeros(0, np.int64)
+        lit = np.add.reduceat(weights[self._order].any(1), self._first) > 0
+        members = self._last - self._first
+        chunks = [chunk for chunk in self._chunks if lit[chunk].any()]
+        return chunks, np.array([members[chunk].sum() for chunk in chunks], np.int64)
+
+    def sent(self, chunks: list[NDArray[np.int64]], weights: NDArray[np.float64]) -> float:
+        """Return the sum of all samples if all the power through the pupil were on the patches.
+
+        0 where it is not known: how much falls on what is opaque between the lenses, or what is left of weights that
+        cancel each other.
+        """
+        lattice = self._camera.lattice
+        if not chunks or lattice.lens_area < lattice.cell_area or weights.min() < 0:
+            return 0.0
+        power = weights[self._order].sum(1)
+        if self._pupil_weights is not None:
+            power = power * self._pupil_weights.lit()[self._order]
+        per_pattern = np.add.reduceat(power, self._first)
+        return float(per_pattern[np.concatenate(chunks)].sum()) / self._grid.pitch.prod()
+
+    # -- adjoint ---------------------------------------------------------------------------------------
+
+    def gather(self, image: NDArray[np.float32], batch_map: BatchMap) -> NDArray[np.float64]:
+        """Return for every radiator the image, (rows, columns, channels), weighted by its point spread.
+
+        Returns
+        -------
+        float64 array (n, channels)
+        """
+        samples = self._recorder.spread(image)
+        result = np.zeros((self._count, image.shape[2]))
+        copies = [
+            [np.unique(self._shifts[self._first[p] : self._last[p]], axis=0, return_inverse=True) for p in chunk]
+            for chunk in self._chunks
+        ]
+        batches = (
+            self._gather(chunk, [shifts for shifts, _ in some], samples)
+            for chunk, some in zip(self._chunks, copies, strict=True)
+        )
+        for chunk, some, products in zip(self._chunks, copies, batch_map(batches), strict=True):
+            for pattern, (_, copy), product in zip(chunk, some, products, strict=True):
+                result[self._order[self._first[pattern] : self._last[pattern]]] = product[copy.reshape(-1)]
+        return result
+
+    def _gather(self, chunk: NDArray[np.int64], shifts: list[NDArray[np.int64]], samples: Any) -> Gather:
+        """Describe a chunk, with the samples of its tile; what lies beyond the recorded ones is zero."""
+        fields = self._fields(chunk)
+        placement = fields.placement
+        copies = [Copies(shift, np.ones((len(shift), 1), np.float32)) for shift in shifts]
+        box = self._recorder.box
+        corner, size = tile_extent(placement.corner, int(placement.samples[0]), copies)
+        tile = np.zeros((len(samples), int(size[1]), int(size[0])), np.float32)
+        place = corner - np.array([box.left, box.top])
+        low, high = np.maximum(place, 0), np.minimum(place + size, [box.columns, box.rows])
+        if (low < high).all():
+            inner = (slice(low[1] - place[1], high[1] - place[1]), slice(low[0] - place[0], high[0] - place[0]))
+            tile[:, inner[0], inner[1]] = backend().to_host(samples[:, low[1] : high[1], low[0] : high[0]])
+        return Gather(fields, copies, tile)
+
+    # -- cost ------------------------------------------------------------------------------------------
+
+    def memory(self, batch_map: BatchMap, channels: int = 1) -> float:
+        """Return the bytes that a sum takes in this process."""
+        samples = float(self._placement.samples.max(initial=0))
+        tile = 4 * channels * (samples * 4 / 3 + LARGEST_ZONE * float(self._grid.lens_samples.max())) ** 2
+        fields = (batch_map.threads + 1) * (10 * samples**2 + 2 * _CHUNK_BYTES)
+        return channels * self._recorder.memory + (batch_map.workers + 1) * tile + fields
+
+    def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
+        """Return the bytes that a sum takes, or refuse them."""
+        memory = self.memory(batch_map, channels)
+        largest, patterns = int(self._placement.samples.max(initial=0)), len(self._positions)
+        what = f"{self._count} radiators by patches of {largest} x {largest} samples"
+        check_memory(memory, what)
+        each = 8.0 * largest**2
+        if patterns > _CHUNK and each > _PATCH_LIMIT:
+            raise InputError(
+                f"{what}: {patterns} patches, the largest of {each / 2**30:.2f} GiB, {memory / 2**30:.1f} GiB at a "
+                f"time; for more than {_CHUNK} patches each may take {_PATCH_LIMIT / 2**30:.2f} GiB"
+            )
+        return memory
+
+    def cost(self, batch_map: BatchMap) -> Cost:
+        """Estimate what a sum takes from a few patterns of each patch size."""
+        memory = self.check_memory(batch_map)
+        samples = self._placement.samples
+        ones = np.ones((self._count, 1))
+        seconds = arrived = sent = 0.0
+        for size in np.unique(samples):
+            of_size = [chunk for chunk in self._chunks if samples[chunk[0]] == size]
+            some = of_size[len(of_size) // 2][:_TRIAL]
+            with resting_drjit():
+                self.scatter(some[:1], ones).prepare()()  # compiles the kernels
+                backend().synchronize()
+                start = time.perf_counter()
+                part = self.scatter(some, ones).prepare()()
+                backend().synchronize()
+                taken = time.perf_counter() - start
+            arrived += float(part.sums.sum(dtype=np.float64))
+            sent += self.sent([some], ones)
+            seconds += taken / len(some) * sum(len(chunk) for chunk in of_size) / batch_map.workers
+        guards.require(guards.PATCH, 1 - arrived / sent if sent else 0.0)
+        return Cost(len(self._order), len(samples), seconds, memory)
+
+
+class PatchSum:
+    """A sum of point spreads, batch by batch; what it must offer is said in `runtime.jobs.LongSum`."""
+
+    def __init__(self, plan: PatchPlan, weights: NDArray[np.float64]) -> None:
+        self._plan, self._weights = plan, weights
+        self._chunks, self.items = plan.lit_chunks(weights)
+        self.arrays: Any = backend().arrays
+        self.box, self.channels = plan._recorder.box, weights.shape[1]
+
+    def batches(self, first: int) -> Iterator[Scatter]:
+        """Yield the batches from one on, in their order."""
+        return (self._plan.scatter(chunk, self._weights) for chunk in self._chunks[first:])
+
+    def image(self, total: PartialSum) -> NDArray[np.float32]:
+        """Judge how much of the light has arrived, and integrate the sum over the recorded pixels."""
+        sent = self._plan.sent(self._chunks, self._weights)
+        if sent:
+            guards.judge(guards.PATCH, 1 - total.arrived / sent)
+        return self._plan._recorder.record(total.sums)

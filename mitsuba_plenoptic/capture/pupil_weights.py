@@ -1,0 +1,103 @@
+"""How strongly the light of each radiator fills the pupil: what it is hidden from, and where it shines more or less."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+
+
+@dataclass(frozen=True)
+class PupilWeights:
+    """Relative power over the pupil, for many radiators of which most have the same.
+
+    The pupil's bounding square is cut into m x m cells, rows along y and columns along x of the camera frame.
+
+    Attributes
+    ----------
+    table : float32 array (k, m, m)
+        Distinct weights, not negative.
+    index : int64 array (n,)
+        Which of them each radiator has.
+    """
+
+    table: NDArray[np.float32]
+    index: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, weights: Any, count: int) -> PupilWeights | None:
+        """Gather the weights of some radiators.
+
+        Parameters
+        ----------
+        weights : array (n, m, m), PupilWeights or None
+            Relative power, or booleans for what is visible; None if it is the same over all of the pupil.
+        count : int
+            The radiators.
+
+        Raises
+        ------
+        InputError
+            If the array has another shape, or a weight is negative or not finite.
+        """
+        if weights is None:
+            return None
+        if isinstance(weights, PupilWeights):
+            shape: tuple[int, ...] = (len(weights.index), *weights.table.shape[1:])
+        else:
+            shape = np.shape(weights)
+        if len(shape) != 3 or shape != (count, shape[1], shape[1]) or shape[1] == 0:
+            raise InputError(f"pupil_weights of shape {shape}: it must be ({count}, m, m)")
+        if isinstance(weights, PupilWeights):
+            return weights
+        values = np.asarray(weights)
+        if values.dtype.kind not in "biuf" or not np.isfinite(values).all() or (values < 0).any():
+            raise InputError("pupil_weights: they must be finite and not negative")
+        if values.dtype == np.bool_:
+            return cls.from_bits(np.packbits(values.reshape(count, -1), axis=1), shape[1])
+        table, index = np.unique(values.astype(np.float32).reshape(count, -1), axis=0, return_inverse=True)
+        return cls(table.reshape(-1, *shape[1:]), index.reshape(-1))
+
+    @classmethod
+    def from_bits(cls, bits: NDArray[np.uint8], cells: int) -> PupilWeights:
+        """Gather masks of cells x cells booleans, each packed into a row of bits."""
+        rows, index = np.unique(bits, axis=0, return_inverse=True)
+        table = np.unpackbits(rows, axis=1, count=cells * cells).astype(np.float32)
+        return cls(table.reshape(-1, cells, cells), index.reshape(-1))
+
+    def take(self, which: NDArray[Any] | slice) -> PupilWeights:
+        """Return those of some radiators."""
+        kept, index = np.unique(self.index[which], return_inverse=True)
+        return PupilWeights(self.table[kept], index.reshape(-1))
+
+    def lit(self) -> NDArray[np.bool_]:
+        """Whether any light of each radiator passes."""
+        return (self.table > 0).any(axis=(1, 2))[self.index]
+
+    def at(self, radiator: Any, Px: Any, Py: Any, radius: Any) -> Any:
+        """Return the weights at points of the pupil.
+
+        Parameters
+        ----------
+        radiator : UInt32 array of Dr.Jit
+            Number of the radiator.
+        Px, Py : float64 arrays of Dr.Jit
+            Points of the pupil in the camera frame.
+        radius : float
+            Half the width of the square.
+
+        Returns
+        -------
+        Float array of Dr.Jit
+        """
+        UInt32 = type(radiator)
+        cells = self.table.shape[1]
+        column, row = (UInt32(dr.clip((P + radius) * (cells / (2 * radius)), 0, cells - 1)) for P in (Px, Py))
+        Float = dr.float32_array_t(UInt32)
+        which = dr.gather(UInt32, UInt32(self.index.astype(np.uint32)), radiator)
+        return dr.gather(Float, Float(self.table.reshape(-1)), (which * cells + row) * cells + column)

@@ -1,0 +1,167 @@
+"""From the samples of an intensity on the detector's grid to the recorded pixels, and the adjoint."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..lattice import turn
+from ..runtime.backend import backend
+from ..runtime.batches import Box
+from .grid import Grid
+from .pixels import PixelIntegrals
+from .turned_samples import TurnedSamples
+
+_EDGE = 8
+"""Samples around a window that its pixels' integrals feel."""
+
+
+class Recorder:
+    """The recorded pixels that some patches reach, and the samples that these pixels feel.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera, whose recorded window may be a crop.
+    grid : Grid
+        The grid of the samples.
+    low, high : int64 arrays (n, 2)
+        First sample of each patch along x and y, and the one after its last.
+
+    Attributes
+    ----------
+    box : Box
+        The samples.
+    """
+
+    def __init__(self, camera: PlenopticCamera, grid: Grid, low: NDArray[np.int64], high: NDArray[np.int64]) -> None:
+        self._camera, self._grid = camera, grid
+        pitch, p = grid.pitch, camera.pixel_size
+        start = np.array(camera.crop_offset)
+        stop = start + np.array(camera.crop_size)
+        if len(low):
+            reached = self._turned(low.min(0) * pitch, high.max(0) * pitch, grid.rotation)
+            start = np.clip(np.floor(reached[0] / p).astype(np.int64) - _EDGE, start, stop)
+            stop = np.clip(np.ceil(reached[1] / p).astype(np.int64) + _EDGE, start, stop)
+        felt = self._turned(start * p, stop * p, -grid.rotation)
+        first = np.floor(felt[0] / pitch).astype(np.int64) - _EDGE
+        last = np.ceil(felt[1] / pitch).astype(np.int64) + _EDGE
+        self._pixels, self.box = Box.between(start, stop), Box.between(first, last)
+
+    def _turned(
+        self, low: NDArray[np.float64], high: NDArray[np.float64], degrees: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Bound a rectangle, given from the detector's corner, after a turn about the axis."""
+        if degrees == 0:
+            return low, high
+        x, y = (np.array([low[axis], low[axis], high[axis], high[axis]]) + self._grid.origin[axis] for axis in (0, 1))
+        corners = np.stack(turn(x, y[[0, 2, 0, 2]], degrees), -1) - self._grid.origin
+        return corners.min(0), corners.max(0)
+
+    @property
+    def memory(self) -> float:
+        """Bytes that a channel takes while it is recorded."""
+        image = 4.0 * (self.box.rows * self.box.columns + 2 * math.prod(self._camera.shape))
+        return image + (12.0 * self.box.rows * self.box.columns if self._grid.rotation != 0 else 0)
+
+    def record(self, sums: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Integrate samples over the pixels.
+
+        Parameters
+        ----------
+        sums : float32 array (channels, rows, columns)
+            Intensity per square millimetre on the samples of `box`.
+
+        Returns
+        -------
+        float32 array (rows, columns, channels)
+            Of all recorded pixels.
+        """
+        image = np.zeros((*self._camera.shape, len(sums)), np.float32)
+        target = image[self._window]
+        for channel, samples in enumerate(sums):
+            upright = samples if self._upright is None else self._upright.forward(samples)
+            target[..., channel] = backend().to_host(self._integrals.forward(upright))
+        return image
+
+    def spread(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Apply the adjoint of `record`.
+
+        Parameters
+        ----------
+        image : float32 array (rows, columns, channels)
+            Of all recorded pixels.
+
+        Returns
+        -------
+        float32 array (channels, rows, columns)
+            On the samples of `box`.
+        """
+        arrays = backend().arrays
+        channels = []
+        for channel in np.moveaxis(image[self._window], -1, 0):
+            samples = self._integrals.adjoint(arrays.asarray(np.ascontiguousarray(channel, np.float32)))
+            channels.append(samples if self._upright is None else self._upright.adjoint(samples))
+        return arrays.stack(channels)
+
+    @property
+    def _window(self) -> tuple[slice, slice]:
+        """Where the pixels lie in the image."""
+        left, top = (self._pixels.left, self._pixels.top)
+        left, top = left - self._camera.crop_offset[0], top - self._camera.crop_offset[1]
+        return slice(top, top + self._pixels.rows), slice(left, left + self._pixels.columns)
+
+    @property
+    def _edge(self) -> tuple[float, float]:
+        """X and y of the first pixel's corner, from the detector's."""
+        p = self._camera.pixel_size
+        return self._pixels.left * p, self._pixels.top * p
+
+    @property
+    def _origin(self) -> tuple[float, float]:
+        """X and y of the first sample, in the frame of the lattice, from the detector's corner."""
+        return self.box.left * float(self._grid.pitch[0]), self.box.top * float(self._grid.pitch[1])
+
+    @cached_property
+    def _integrals(self) -> PixelIntegrals:
+        x, y = self._grid.pitch.tolist()
+        pitch, origin, samples = (x, y), self._origin, (self.box.rows, self.box.columns)
+        if self._grid.rotation != 0:
+            step = min(pitch)
+            pitch, origin, samples = (step, step), self._upright_origin, self._upright_shape
+        shape = self._pixels.rows, self._pixels.columns
+        return PixelIntegrals(samples, pitch, origin, self._camera.pixel_size, self._edge, shape)
+
+    @cached_property
+    def _upright(self) -> TurnedSamples | None:
+        """From the lattice's frame to samples in the camera's; None if the two are one."""
+        grid = self._grid
+        if grid.rotation == 0:
+            return None
+        x, y = grid.pitch.tolist()
+        # The turn is about the axis.
+        corner = grid.origin.tolist()
+        return TurnedSamples(
+            (self.box.rows, self.box.columns),
+            (x, y),
+            (self._origin[0] + corner[0], self._origin[1] + corner[1]),
+            grid.rotation,
+            min(x, y),
+            (self._upright_origin[0] + corner[0], self._upright_origin[1] + corner[1]),
+            self._upright_shape,
+        )
+
+    @property
+    def _upright_shape(self) -> tuple[int, int]:
+        p, step = self._camera.pixel_size, float(self._grid.pitch.min())
+        rows, columns = (math.ceil(count * p / step) + 2 * _EDGE for count in (self._pixels.rows, self._pixels.columns))
+        return rows, columns
+
+    @property
+    def _upright_origin(self) -> tuple[float, float]:
+        step = float(self._grid.pitch.min())
+        return self._edge[0] - _EDGE * step, self._edge[1] - _EDGE * step

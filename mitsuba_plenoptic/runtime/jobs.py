@@ -1,0 +1,161 @@
+"""Long sums: who computes their batches, who is told of the progress, and where what is done is kept."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .batches import Batch, BatchMap, Box, PartialSum, Threads, add
+
+Progress = Callable[[int, int], None]
+"""Called with the items done and their number."""
+
+
+class LongSum(Protocol):
+    """A sum of many items on a box of some grid, gathered into batches."""
+
+    arrays: Any  # NumPy, or CuPy for parts that lie on a CUDA device
+    box: Box
+    channels: int
+    items: NDArray[np.int64]  # of each batch
+
+    def batches(self, first: int) -> Iterator[Batch]:
+        """Yield the batches from one on, in their order."""
+
+    def image(self, total: PartialSum) -> NDArray[np.float32]:
+        """Turn the finished sum into (rows, columns, channels) of pixels."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One of several sums that make an image.
+
+    Attributes
+    ----------
+    items : int
+        Its items, those too that are in no batch.
+    plan : callable
+        Plans the sum, once it is its turn.
+    combine : callable
+        Turns its image into what is added to that of all: (rows, columns, channels).
+    """
+
+    items: int
+    plan: Callable[[], LongSum]
+    combine: Callable[[NDArray[np.float32]], NDArray[np.float32]]
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Several sums under way.
+
+    Attributes
+    ----------
+    sums : int
+        Sums that are complete.
+    image : float32 array (rows, columns, channels)
+        Their images, added up.
+    partial : PartialSum, optional
+        The next one, as far as it has come.
+    """
+
+    sums: int
+    image: NDArray[np.float32]
+    partial: PartialSum | None = None
+
+
+class Keeper(Protocol):
+    """Keeps what is done of a job, so that it can go on after a crash: see `io.checkpoints.Checkpoint`."""
+
+    def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:
+        """Return what is kept of the job with these facts, None if nothing is; refuse another job's."""
+
+    def save(self, snapshot: Snapshot) -> None:
+        """Keep a snapshot, if it is time to."""
+
+
+@dataclass
+class Job:
+    """How a long computation is carried out.
+
+    Attributes
+    ----------
+    progress : callable, optional
+        Called with the items done and their number.
+    batch_map : BatchMap, optional
+        Computes the batches. Default: threads of this process.
+    keeper : Keeper, optional
+        Keeps what is done.
+    """
+
+    progress: Progress | None = None
+    batch_map: BatchMap = field(default_factory=lambda: Threads())
+    keeper: Keeper | None = None
+
+    def run(
+        self, tasks: Iterable[Task], shape: tuple[int, int, int], items: int, facts: Callable[[], dict[str, Any]] = dict
+    ) -> NDArray[np.float32]:
+        """Compute sums one after another, and add their images.
+
+        The bits of the result depend neither on who computes the batches nor on whether the job was continued.
+
+        Parameters
+        ----------
+        tasks : iterable of Task
+            The sums.
+        shape : (int, int, int)
+            Rows, columns and channels of the image.
+        items : int
+            Items of all sums.
+        facts : callable
+            Returns what the job is computed from, in plain JSON values, by which a kept one is known as the same.
+
+        Returns
+        -------
+        float32 array (rows, columns, channels)
+        """
+        state = Snapshot(0, np.zeros(shape, np.float32))
+        if self.keeper:
+            state = self.keeper.begin(shape, **facts()) or state
+        done = number = 0
+        for number, task in enumerate(tasks, 1):
+            if number > state.sums:
+                image = task.combine(self._sum(task, state, done, items))
+                state = Snapshot(number, np.add(state.image, image, out=state.image))
+            done += task.items
+        if state.sums > number:
+            raise InputError(f"checkpoint: it is damaged: {state.sums} sums are no part of {number}")
+        return state.image
+
+    def _sum(self, task: Task, state: Snapshot, before: int, items: int) -> NDArray[np.float32]:
+        """Compute one sum, from where it stands."""
+        work = task.plan()
+        shape = (work.channels, work.box.rows, work.box.columns)
+        start = state.partial or PartialSum(0, work.arrays.zeros(shape, np.float32))
+        if start.sums.shape != shape or not 0 <= start.batches <= len(work.items):
+            raise InputError(
+                f"checkpoint: {start.batches} batches of shape {start.sums.shape}: this sum has {len(work.items)} of "
+                f"shape {shape}"
+            )
+        done = before + task.items - int(work.items[start.batches :].sum())
+        self._report(done, items)
+        total = replace(start, sums=work.arrays.asarray(start.sums))
+        with contextlib.closing(self.batch_map(work.batches(start.batches))) as parts:
+            for index, part in enumerate(parts, start.batches):
+                add(part, work.box, total.sums)
+                total = PartialSum(index + 1, total.sums, total.arrived + float(part.sums.sum(dtype=np.float64)))
+                if self.keeper:
+                    self.keeper.save(replace(state, partial=total))
+                done += int(work.items[index])
+                self._report(done, items)
+        return work.image(total)
+
+    def _report(self, done: int, items: int) -> None:
+        if self.progress:
+            self.progress(done, items)
