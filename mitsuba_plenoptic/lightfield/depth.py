@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import scipy.ndimage
+import scipy
 import xarray as xr
 
 from ..errors import InputError, require_count, require_number

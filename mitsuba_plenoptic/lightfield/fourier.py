@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy.fft
+import scipy
 import xarray as xr
 
 from ..errors import InputError, require_number
