@@ -25,7 +25,7 @@ from ...camera import PlenopticCamera
 from ...errors import InputError, require_number
 from ...io.files import atomic_output, require_file
 from ...runtime.limits import require_memory
-from ..geometry import light_field, require_light_field
+from ..geometry import grid_of, light_field, require_light_field
 from ..grid import LensGrid, bin_grid
 
 # Bytes of a light field's number while it is read: as stored (at most 8), and twice in single precision.
@@ -83,10 +83,10 @@ def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uin
     if kind.kind == "u":
         stored = np.round(np.clip(stored, 0, 1) * (2 ** (8 * kind.itemsize) - 1))
     variables: dict[str, Any] = {"LF": stored.astype(kind), "MaxLum": peak}
-    if lf.attrs.get("grid") is not None:
-        variables["LensletGridModel"] = _to_model(LensGrid(**lf.attrs["grid"]))
-    if lf.attrs.get("camera") is not None:
-        variables["Camera"] = json.dumps(lf.attrs["camera"])
+    if (grid := grid_of(lf)) is not None:
+        variables["LensletGridModel"] = _to_model(grid)
+    if "camera" in lf.attrs:
+        variables["Camera"] = lf.attrs["camera"]
     variables["GeneratedByInfo"] = {"mfilename": "mitsuba_plenoptic"}
     with atomic_output(path) as temporary, temporary.open("wb") as file:
         scipy.io.savemat(file, variables, do_compression=True)
