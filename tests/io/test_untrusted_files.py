@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import os
 import shutil
 import struct
@@ -280,6 +281,20 @@ class TestScenes:
         (tmp_path / "bomb.png").write_bytes(data + struct.pack(">I", zlib.crc32(b"IHDR" + head)))
         with pytest.raises(InputError, match=r"bomb\.png"):
             load_scene(scene(tmp_path, '<texture type="bitmap"><string name="filename" value="bomb.png"/></texture>'))
+
+    @pytest.mark.parametrize(
+        ("left", "columns", "words"),
+        [(0, 8, None), (7, 8, None), (-1, 8, "its data window begins at"), (0, 2**20, "it would need")],
+    )
+    def test_windows_of_exr_pictures(self, tmp_path, monkeypatch, left, columns, words):
+        window = np.array([left, 0], np.int32), np.array([left + columns - 1, 3], np.int32)
+        header = {"dataWindow": window, "displayWindow": window, "compression": OpenEXR.PXR24_COMPRESSION}
+        OpenEXR.File(header, {"Y": np.ones((4, columns), np.float32)}).write(str(tmp_path / "x.exr"))
+        texture = '<texture name="reflectance" type="bitmap"><string name="filename" value="x.exr"/></texture>'
+        path = scene(tmp_path, f'<bsdf type="diffuse">{texture}</bsdf>')
+        monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", "0.05")
+        with pytest.raises(InputError, match=words) if words else contextlib.nullcontext():
+            load_scene(path)
 
     @pytest.mark.parametrize("encoding", ["utf-16", "utf-32", "latin-1"])
     def test_one_encoding_so_that_all_parsers_read_the_same(self, tmp_path, encoding):
