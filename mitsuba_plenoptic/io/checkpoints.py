@@ -45,7 +45,7 @@ _log = logging.getLogger(__name__)
 
 
 class Checkpoint:
-    """A file that a capture writes its state into now and then, and goes on from.
+    """A file into which a capture writes its state now and then, and from which it can go on.
 
     A context in which the capture is rendered and written: left without an exception, the file is removed.
 
@@ -85,7 +85,7 @@ class Checkpoint:
             self.path.unlink(missing_ok=True)
 
     def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:
-        """Say what the run is, and get how far an earlier process has come with it.
+        """Say what the run is, and return how far an earlier process has come with it.
 
         Parameters
         ----------
@@ -176,7 +176,7 @@ def _read(path: Path, run: dict[str, Any], shape: tuple[int, ...]) -> Snapshot:
             if not differences:
                 return _snapshot(archive, header, shape)
     except Exception as error:
-        # ZIP, JSON and NumPy tell of damage by many exception types; all mean the same to the user.
+        # ZIP, JSON and NumPy report damage by many types of exception; all mean the same to the user.
         raise InputError(f"{path}: it is not a checkpoint of this version, or is damaged: {error}") from None
     shown = "; ".join(differences[:_DIFFERENCES_SHOWN])
     more = len(differences) - _DIFFERENCES_SHOWN
@@ -205,7 +205,7 @@ def _array(archive: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.float32
 
 
 def _differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
-    """Name what differs between the run of a checkpoint and this one."""
+    """Return what differs between the run of a checkpoint and this one."""
     found, wanted = dict(_flat(there)), dict(_flat(here))
     return [
         f"{name} = {found.get(name, 'nothing')} there, {wanted.get(name, 'nothing')} here"

@@ -22,7 +22,7 @@ import scipy.io
 import xarray as xr
 
 from ...camera import PlenopticCamera
-from ...errors import InputError, require_number
+from ...errors import InputError, require_choice, require_number
 from ...io.files import atomic_output, require_file
 from ...runtime.limits import require_memory
 from ..geometry import grid_of, light_field, require_light_field
@@ -67,8 +67,7 @@ def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uin
         If the precision is unknown, the light field too large for the format, or the file cannot be written.
     """
     lf = require_light_field(lf)
-    if precision not in _TYPES:
-        raise InputError(f"precision = {precision!r}: it must be one of {', '.join(_TYPES)}")
+    require_choice("precision", precision, _TYPES)
     values = np.asarray(lf.values)
     if values.ndim == 4:
         values = values[..., None]
@@ -104,7 +103,7 @@ def read_lftoolbox(path: str | Path) -> xr.DataArray:
     -------
     xarray.DataArray
         Integers are scaled to 0 to 1 and by ``MaxLum``. Without weights in the file, views that are black throughout
-        have none. The coordinates are physical if the file tells the camera.
+        have none. The coordinates are physical if the file holds the camera.
 
     Raises
     ------
@@ -209,7 +208,7 @@ def _read_model(h5py: Any, group: Any) -> dict[str, Any]:
 
 
 def _dataset(h5py: Any, group: Any, name: str) -> Any:
-    """Give an array of numbers that lies in this very file, or None if there is none of the name.
+    """Return the array of numbers of a name that lies in this very file, or None if there is none.
 
     HDF5 can link to other files, keep data in other files and assemble them from other files; of a light field from a
     stranger that would read files of the user's.
