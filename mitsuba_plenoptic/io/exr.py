@@ -87,20 +87,7 @@ def write_exr(
     InputError
         If the file cannot be written.
     """
-    rows, columns = image.shape[:2]
-    width, height = full_size or (columns, rows)
-    header = {
-        "compression": OpenEXR.ZIP_COMPRESSION,
-        "type": OpenEXR.scanlineimage,
-        "dataWindow": _window(offset[0], offset[1], columns, rows),
-        "displayWindow": _window(0, 0, width, height),
-        ATTRIBUTE: json.dumps(attributes, sort_keys=True),
-    }
-    try:
-        with atomic_output(path) as temporary:
-            OpenEXR.File(header, _channels(image)).write(str(temporary))
-    except (RuntimeError, OSError) as error:
-        raise InputError(f"{path}: it cannot be written: {error}") from None
+    _write(path, {"": image}, attributes, offset, full_size or image.shape[1::-1])
 
 
 def write_exr_parts(path: str | Path, parts: Mapping[str, np.ndarray], attributes: dict[str, Any]) -> None:
@@ -120,18 +107,29 @@ def write_exr_parts(path: str | Path, parts: Mapping[str, np.ndarray], attribute
     InputError
         If the file cannot be written.
     """
-    text = json.dumps(attributes, sort_keys=True)
-    written = []
-    for index, (name, image) in enumerate(parts.items()):
+    # All parts of a file must share one display window.
+    columns, rows = (max(image.shape[axis] for image in parts.values()) for axis in (1, 0))
+    _write(path, parts, attributes, (0, 0), (columns, rows))
+
+
+def _write(
+    path: str | Path,
+    parts: Mapping[str, np.ndarray],
+    attributes: dict[str, Any],
+    offset: tuple[int, int],
+    full_size: tuple[int, ...],
+) -> None:
+    written: list[OpenEXR.Part] = []
+    for name, image in parts.items():
         rows, columns = image.shape[:2]
         header = {
             "compression": OpenEXR.ZIP_COMPRESSION,
             "type": OpenEXR.scanlineimage,
-            "dataWindow": _window(0, 0, columns, rows),
-            # All parts of a file must share one display window.
-            "displayWindow": _window(0, 0, *_largest(parts)),
-            **({ATTRIBUTE: text} if index == 0 else {}),
+            "dataWindow": _window(*offset, columns, rows),
+            "displayWindow": _window(0, 0, *full_size),
         }
+        if not written:
+            header[ATTRIBUTE] = json.dumps(attributes, sort_keys=True)
         written.append(OpenEXR.Part(header, _channels(image), name))
     try:
         with atomic_output(path) as temporary:
@@ -140,8 +138,8 @@ def write_exr_parts(path: str | Path, parts: Mapping[str, np.ndarray], attribute
         raise InputError(f"{path}: it cannot be written: {error}") from None
 
 
-def _largest(parts: Mapping[str, np.ndarray]) -> tuple[int, int]:
-    return max(image.shape[1] for image in parts.values()), max(image.shape[0] for image in parts.values())
+def _window(x: int, y: int, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.array([x, y], dtype=np.int32), np.array([x + columns - 1, y + rows - 1], dtype=np.int32)
 
 
 def _channels(image: np.ndarray) -> dict[str, np.ndarray]:
@@ -240,7 +238,3 @@ def _quiet() -> Iterator[None]:
         finally:
             os.dup2(kept, 2)
             os.close(kept)
-
-
-def _window(x: int, y: int, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
-    return np.array([x, y], dtype=np.int32), np.array([x + columns - 1, y + rows - 1], dtype=np.int32)
