@@ -22,8 +22,7 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-import scipy.fft
-import scipy.special
+import scipy
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy.signal
+import scipy
 
 from ..camera import PlenopticCamera
 from ..runtime.limits import require_memory

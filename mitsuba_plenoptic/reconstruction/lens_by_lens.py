@@ -24,7 +24,7 @@ from functools import cached_property
 
 import drjit as dr
 import numpy as np
-import scipy.signal
+import scipy
 
 from ..bounds import MOST_PIXELS
 from ..camera import PlenopticCamera

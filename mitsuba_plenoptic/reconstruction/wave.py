@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import scipy.signal
+import scipy
 
 from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint

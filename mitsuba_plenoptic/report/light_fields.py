@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -128,4 +129,5 @@ def _tiled(images: list[np.ndarray]) -> np.ndarray:
 def _coordinates(data: xr.DataArray | xr.Dataset) -> dict[str, Any]:
     """Give the coordinates and attributes as plain values."""
     coordinates = {str(name): values.values.tolist() for name, values in data.coords.items() if name != "weight"}
-    return {"coordinates": coordinates, **{str(name): value for name, value in data.attrs.items()}}
+    records = {name: json.loads(data.attrs[name]) for name in ("camera", "grid") if name in data.attrs}
+    return {"coordinates": coordinates, **data.attrs, **records}

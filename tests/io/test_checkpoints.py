@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import copy
+import io
 import json
 import os
+import pickle
 import random
 import resource
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 import zipfile
 from pathlib import Path
@@ -19,11 +23,12 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, read_capture, render_capture
-from mitsuba_plenoptic.capture.incoherent import incoherent_sum
+from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io import checkpoints as checkpoints
 from mitsuba_plenoptic.io.checkpoints import Checkpoint
 from mitsuba_plenoptic.runtime.batches import PartialSum
+from mitsuba_plenoptic.runtime.jobs import Job, Snapshot
 
 SMALL = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
 SCENE = {"resolution": "256", "detector_width": "0.512", "letter_scale": "0.06"}
@@ -34,7 +39,7 @@ WAVE += [word for name, value in SCENE.items() for word in ("-D", f"{name}={valu
 COMMAND = """
 import sys
 from mitsuba_plenoptic.io import checkpoints as checkpoint
-checkpoint._SECONDS, checkpoint._SHARE = 0.0, 1e9
+checkpoint.INTERVAL, checkpoint.FRACTION = 0.0, 1e9
 from mitsuba_plenoptic.cli import main
 sys.exit(main(sys.argv[1:]))
 """
@@ -44,11 +49,20 @@ class StoppedError(Exception):
     """Stands in for whatever ends a run."""
 
 
+class Trap:
+    """Leaves a mark where it is unpickled."""
+
+    path = Path(tempfile.gettempdir()) / f"unpickled-{os.getpid()}"
+
+    def __reduce__(self):
+        return Path.touch, (self.path,)
+
+
 @pytest.fixture
 def often(monkeypatch):
     """Write a checkpoint after every batch."""
-    monkeypatch.setattr(checkpoints, "_SECONDS", 0.0)
-    monkeypatch.setattr(checkpoints, "_SHARE", 1e9)
+    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
+    monkeypatch.setattr(checkpoints, "FRACTION", 1e9)
 
 
 @pytest.fixture(scope="module")
@@ -85,41 +99,42 @@ def positions(count, seed=0):
     return np.column_stack([-image * g[:, None] / SMALL.mla_distance, g])
 
 
-@pytest.mark.parametrize("method", ["patch", "full_field"])
-def test_a_sum_goes_on_from_any_batch(method):
-    points = positions(30 if method == "patch" else 3)
-    weights = np.random.default_rng(1).uniform(0, 1, (len(points), 2))
+class Snapshots:
+    """Keeps every snapshot of a job, and lets it go on from one."""
+
+    def __init__(self, start=None):
+        self.start, self.kept = start, []
+
+    def begin(self, shape, **facts):
+        return self.start
+
+    def save(self, snapshot):
+        self.kept.append(copy.deepcopy(snapshot))
+
+
+@pytest.mark.parametrize(("method", "count"), [("patch", 30), ("full_field", 3)])
+def test_a_sum_goes_on_from_any_batch(method, count):
+    operator = CaptureOperator(SMALL, positions(count), wavelength=633, method=method)
+    weights = np.random.default_rng(1).uniform(0, 1, (count, 2))
     weights[1] = 0
-    states = []
-    whole = incoherent_sum(
-        SMALL,
-        points,
-        weights,
-        wavelength=633,
-        method=method,
-        keep=lambda state: states.append(PartialSum(state.batches, state.sums.copy())),
-    )
+    keeper = Snapshots()
+    whole = operator.forward(weights, job=Job(keeper=keeper))
+    states = keeper.kept
     assert len(states) >= 2
-    assert [state.batches for state in states] == list(range(1, len(states) + 1))
+    assert [state.partial.batches for state in states] == list(range(1, len(states) + 1))
     for state in (states[0], states[len(states) // 2], states[-1]):
         calls = []
-        rest = incoherent_sum(
-            SMALL,
-            points,
-            weights,
-            wavelength=633,
-            method=method,
-            start=state,
-            progress=lambda *c, calls=calls: calls.append(c),
-        )
-        np.testing.assert_array_equal(rest, whole)
-        assert calls[-1] == (len(points), len(points)) and (len(calls) == 1) == (state is states[-1])
+        job = Job(progress=lambda *call, calls=calls: calls.append(call), keeper=Snapshots(copy.deepcopy(state)))
+        np.testing.assert_array_equal(operator.forward(weights, job=job), whole)
+        assert calls[-1] == (count, count) and (len(calls) == 1) == (state is states[-1])
 
 
-def test_a_sum_refuses_the_state_of_another():
-    for state in (PartialSum(1, np.zeros((1, 3, 3), np.float32)), PartialSum(99, np.zeros((1, 256, 256), np.float32))):
-        with pytest.raises(InputError, match=r"^start: .* batches of shape"):
-            incoherent_sum(SMALL, positions(2), np.ones(2), wavelength=633, method="full_field", start=state)
+@pytest.mark.parametrize("start", [PartialSum(1, np.zeros((1, 3, 3))), PartialSum(99, np.zeros((1, 256, 256)))])
+def test_a_sum_refuses_the_state_of_another(start):
+    operator = CaptureOperator(SMALL, positions(2), wavelength=633, method="full_field")
+    keeper = Snapshots(Snapshot(0, np.zeros((256, 256, 1), np.float32), start))
+    with pytest.raises(InputError, match=r"^checkpoint: .* batches of shape"):
+        operator.forward(np.ones(2), job=Job(keeper=keeper))
 
 
 @pytest.mark.parametrize("checkpoint_count", [1, 4])
@@ -185,7 +200,7 @@ def stopped(tmp_path_factory):
     mi.set_variant("llvm_ad_mono")
     path = tmp_path_factory.mktemp("stopped") / "raw.checkpoint"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(checkpoints, "_SECONDS", 0.0)
+        patch.setattr(checkpoints, "INTERVAL", 0.0)
         write = checkpoints._write
 
         def write_once(*state):
@@ -193,7 +208,7 @@ def stopped(tmp_path_factory):
                 raise StoppedError
             write(*state)
 
-        patch.setattr(checkpoints, "_SHARE", 1e9)
+        patch.setattr(checkpoints, "FRACTION", 1e9)
         patch.setattr(checkpoints, "_write", write_once)
         with pytest.raises(StoppedError), Checkpoint(path) as checkpoint:
             scene = load_scene("letters", parameters=SCENE)
@@ -224,77 +239,79 @@ def test_another_run_is_refused_with_the_difference(tmp_path, stopped, parameter
     assert path.read_bytes() == stopped
 
 
-def rewrite(path, change):
-    """Change the header of a checkpoint."""
-    with zipfile.ZipFile(path) as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
-    header = json.loads(members["header.json"])
-    change(header, members)
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("header.json", json.dumps(header))
-        for name, content in members.items():
-            if name != "header.json":
-                archive.writestr(name, content)
+def rewritten(content, change):
+    """Return a checkpoint with a changed header or array."""
+    with np.load(io.BytesIO(content)) as archive:
+        arrays = dict(archive)
+    header = json.loads(str(arrays.pop("header")))
+    change(header, arrays)
+    buffer = io.BytesIO()
+    np.savez(buffer, header=json.dumps(header), **arrays)
+    return buffer.getvalue()
 
 
-def put(*names, value):
-    def change(header, _):
-        for name in names[:-1]:
-            header = header[name]
-        header[names[-1]] = value
+def version_0_1(content):
+    """Return an archive as version 0.1 wrote it."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("header.json", json.dumps({"kind": "checkpoint", "format": 1, "run": {}, "sums": 0}))
+        archive.writestr("image", bytes(16))
+    return buffer.getvalue()
 
-    return change
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda header, _: header.update(format=3), "another run: format = 3 there, 2 here"),
+        (
+            lambda header, _: header["run"]["software"].update(mitsuba_plenoptic="0123"),
+            "software.mitsuba_plenoptic = 0123 there",
+        ),
+        (lambda header, _: header.update(batches=10**6), "1000000 batches"),
+        (lambda header, _: header.update(sums=-1), "is damaged: sums = -1"),
+        (lambda _, arrays: arrays.update(image=np.zeros((1, 4, 1), np.float32)), "shape (1, 4, 1) instead of (256, 25"),
+        (lambda _, arrays: arrays.update(partial=np.zeros((1, 4, 4), np.float32)), "batches of shape"),
+        (lambda _, arrays: arrays.update(partial=np.zeros((1, 4, 4))), "partial is of type float64"),
+        (lambda _, arrays: arrays["partial"].fill(np.nan), "partial holds numbers that are not finite"),
+        (lambda _, arrays: arrays.pop("image"), "is damaged"),
+        (lambda _, arrays: arrays.update(image=np.array([Trap()], dtype=object)), "is damaged: Object arrays"),
+    ],
+)
+def test_what_a_checkpoint_says_is_checked(tmp_path, stopped, damage, words):
+    assert words in complaint(tmp_path, rewritten(stopped, damage))
+    assert not Trap.path.exists()
 
 
-def test_another_version_or_a_damaged_file_is_refused(tmp_path, stopped):
-    path = tmp_path / "raw.checkpoint"
-    path.write_bytes(stopped)
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda content: content[: len(content) // 2], "is not a checkpoint of this version, or is damaged"),
+        (lambda content: content[:999] + bytes([content[999] ^ 1]) + content[1000:], "Bad CRC-32"),
+        (lambda content: pickle.dumps(Trap()), "is not a checkpoint of this version"),
+        (lambda content: b"", "is not a checkpoint of this version"),
+        (version_0_1, "is not a checkpoint of this version"),
+    ],
+)
+def test_other_files_are_refused(tmp_path, stopped, damage, words):
+    assert words in complaint(tmp_path, damage(stopped))
+    assert not Trap.path.exists()
+
+
+def complaint(folder, content):
+    """Return the one line about a checkpoint that cannot be resumed, and is left as it is."""
+    path = folder / "raw.checkpoint"
+    path.write_bytes(content)
     scene = load_scene("letters", parameters=SCENE)
-
-    def complaint():
-        with pytest.raises(InputError) as caught, Checkpoint(path, "resume") as checkpoint:
-            render_capture(scene, model="wave", spp=1, radiators_per_lens=4, checkpoint=checkpoint)
-        path.write_bytes(stopped)
-        return str(caught.value)
-
-    rewrite(path, put("format", value=2))
-    assert "format = 2 there, 1 here" in complaint()
-    rewrite(path, put("run", "software", "mitsuba_plenoptic", value="0123"))
-    assert "software.mitsuba_plenoptic = 0123 there" in complaint()
-    rewrite(path, put("shapes", "partial", value=[1, 2**20, 2**20]))
-    assert "is damaged: partial of shape" in complaint()
-    rewrite(path, put("shapes", "partial", value=[1, -4, -4]))
-    assert "is damaged: partial has the shape" in complaint()
-    rewrite(path, lambda header, members: (header["shapes"].update(image=[1, 4, 1]), members.update(image=bytes(16))))
-    assert "image has the shape (1, 4, 1) instead of (256, 256, 1)" in complaint()
-    rewrite(path, put("batches", value=10**6))
-    assert "1000000 batches" in complaint()
-    rewrite(path, lambda header, members: members.pop("image"))
-    assert "is damaged" in complaint()
-    path.write_bytes(stopped[: len(stopped) // 2])
-    assert "it is not a checkpoint, or is damaged" in complaint()
-    flipped = bytearray(stopped)
-    flipped[len(stopped) // 2] ^= 1
-    path.write_bytes(flipped)
-    assert "Bad CRC-32" in complaint()
-
-
-def test_nothing_in_a_checkpoint_is_unpickled(tmp_path, stopped):
-    """The arrays are plain numbers: a pickle in their place is read as such, or refused by its size."""
-    path, trap = tmp_path / "raw.checkpoint", tmp_path / "trap"
-    path.write_bytes(stopped)
-    pickle = b"cpathlib\nPath.touch\n(cpathlib\nPath\n(V%s\ntRtR." % str(trap).encode()
-    rewrite(path, lambda header, members: members.update(image=pickle))
-    scene = load_scene("letters", parameters=SCENE)
-    with pytest.raises(InputError, match="is damaged: image of shape"), Checkpoint(path, "resume") as checkpoint:
+    with pytest.raises(InputError) as caught, Checkpoint(path, "resume") as checkpoint:
         render_capture(scene, model="wave", spp=1, radiators_per_lens=4, checkpoint=checkpoint)
-    assert not trap.exists()
+    assert path.read_bytes() == content
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
 
 
 def test_a_stage_replaces_the_checkpoint_of_another_run_unless_told(tmp_path, stopped, clean, caplog):
     path = tmp_path / "raw.checkpoint"
-    path.write_bytes(stopped)
-    rewrite(path, put("run", "seed", value=5))
+    path.write_bytes(rewritten(stopped, lambda header, _: header["run"].update(seed=5)))
     caplog.set_level("INFO", "mitsuba_plenoptic")
     with Checkpoint(path, "resume_if_same") as checkpoint:
         scene = load_scene("letters", parameters=SCENE)
@@ -304,7 +321,7 @@ def test_a_stage_replaces_the_checkpoint_of_another_run_unless_told(tmp_path, st
     assert not path.exists()
 
 
-def test_checkpoints_take_a_small_share_of_the_time(tmp_path, monkeypatch):
+def test_checkpoints_take_a_small_fraction_of_the_time(tmp_path, monkeypatch):
     clock, written = [0.0], []
     monkeypatch.setattr(checkpoints.time, "monotonic", lambda: clock[0])
 

@@ -196,8 +196,8 @@ def test_a_wave_capture_that_was_stopped_goes_on_in_its_midst(tmp_path, monkeypa
 
     small = {"resolution": "256", "detector_width": "0.512", "letter_scale": "0.06"}
     settings = dataclasses.replace(SETTINGS, parameters=small, radiators_per_lens=3, spp=1)
-    monkeypatch.setattr(checkpoints, "_SECONDS", 0.0)
-    monkeypatch.setattr(checkpoints, "_SHARE", 1e9)
+    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
+    monkeypatch.setattr(checkpoints, "FRACTION", 1e9)
     monkeypatch.setattr(experiments, "pinhole_image", stop)
     write, progress = checkpoints._write, []
 

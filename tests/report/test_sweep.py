@@ -80,8 +80,8 @@ def test_finished_points_are_kept_and_a_grown_grid_computes_what_is_missing(tmp_
 
 def test_a_sweep_that_was_stopped_goes_on_in_the_midst_of_a_capture(tmp_path, computed, monkeypatch):
     stages, finished = computed
-    monkeypatch.setattr(checkpoints, "_SECONDS", 0.0)
-    monkeypatch.setattr(checkpoints, "_SHARE", 1e9)
+    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
+    monkeypatch.setattr(checkpoints, "FRACTION", 1e9)
     grid = {"wavelength": [500, 633]}
     with sweep(WAVES, grid, tmp_path / "clean.nc") as data:
         clean = data.capture.values
