@@ -27,7 +27,8 @@ from mitsuba_plenoptic import (
 )
 from mitsuba_plenoptic.camera import LONGEST, SHORTEST
 from mitsuba_plenoptic.errors import printable, require_count, require_number
-from mitsuba_plenoptic.report.design_sheet import design_sheet, design_warnings
+from mitsuba_plenoptic.report.design_sheet import design_sheet
+from mitsuba_plenoptic.report.design_warnings import design_warnings
 
 TOOLS = Path(__file__).parents[1] / "tools"
 LENGTHS = (

@@ -31,8 +31,9 @@ from mitsuba_plenoptic.design import (
 )
 from mitsuba_plenoptic.lightfield import white_image
 from mitsuba_plenoptic.presets import PRESETS
-from mitsuba_plenoptic.report.design_sheet import design_sheet, design_warnings
-from mitsuba_plenoptic.report.referee import agreement, thin_lens_image
+from mitsuba_plenoptic.report.design_sheet import design_sheet
+from mitsuba_plenoptic.report.design_warnings import design_warnings
+from mitsuba_plenoptic.report.reference import agreement, thin_lens_image
 
 # The paper's camera, whose lenses see the main lens's image 3 z before them, or behind them.
 KEPLERIAN = {

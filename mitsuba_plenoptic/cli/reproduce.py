@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ._common import ResumeOnly
-from ._stages import stage_lines
+from .options import OutputFolder, ResumeOnly
+from .terminal import stage_lines
 
 
 def reproduce(
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder to write into; made if it is not there.")
-    ],
+    output: OutputFolder,
     preset: Annotated[
         str,
         typer.Option(

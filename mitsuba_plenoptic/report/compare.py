@@ -7,10 +7,11 @@ from typing import Any
 
 from ..errors import InputError
 from .experiment import Settings, open_store, run_experiment
-from .figures import brightest_zoom, figure_captures, figure_grid, figure_interference
-from .html import Page, write_page
-from .measure import interference_notes, likeness_notes, measure
-from .stages import Finished, Notify, software, told_seconds, write_json
+from .figures import draw_comparison
+from .framing import brightest_zoom
+from .measurements import measure
+from .page import Report, write_report
+from .stage_store import Finished, Notify
 
 
 def compare(
@@ -33,7 +34,7 @@ def compare(
     output : Path
         Folder to write into; what is in it already and valid is kept.
     notify, finished : callable, optional
-        Told of the progress and of the end of each stage; see `stages`.
+        Told of the progress and of the end of each stage; see `stage_store`.
     resume : bool
         Whether to refuse the checkpoint of another capture in the folder, instead of replacing it.
 
@@ -53,43 +54,23 @@ def compare(
     experiment = run_experiment(settings, store)
     numbers = measure(experiment)
     zooms = [brightest_zoom(experiment)]
-    plates = {
-        "captures.png": "Micro-images by rays and by waves, and their difference.",
-        "methods.png": "All methods beside the thin lens.",
-        "interference.png": "What interference between lenses adds to the image.",
-    }
-    figure_captures(output / "captures.png", experiment, zooms)
-    figure_grid(output / "methods.png", experiment, likeness_notes(numbers))
-    figure_interference(output / "interference.png", experiment, interference_notes(numbers))
-    results = {
-        "settings": settings.to_dict(),
-        "camera": experiment.camera.to_dict(),
-        "software": software(),
-        **numbers,
-        "stage_seconds": store.seconds,
-    }
-    write_json(output / "results.json", results)
     columns, rows = experiment.camera.bin_count
     name = Path(settings.scene).stem.replace("_", " ")
-    write_page(
-        output / "report.html",
-        Page(
-            title=f"Rays and waves: {name}",
-            lead=f"Recorded through {columns} x {rows} microlenses, once by rays and once by waves at "
-            f"{settings.wavelength:g} nm, and refocused from one capture.",
-            experiment=experiment,
-            numbers=numbers,
-            zooms=zooms,
-            plates=[(output / file, caption) for file, caption in plates.items()],
-            command=_command(settings, output),
-            seconds=told_seconds(store.seconds),
-        ),
+    report = Report(
+        title=f"Rays and waves: {name}",
+        lead=f"Recorded through {columns} x {rows} microlenses, once by rays and once by waves at "
+        f"{settings.wavelength:g} nm, and refocused from one capture.",
+        experiment=experiment,
+        numbers=numbers,
+        zooms=zooms,
+        plates=draw_comparison(output, experiment, numbers, zooms),
+        command=_command(settings),
     )
-    return results
+    return write_report(output, report)
 
 
-def _command(settings: Settings, output: Path) -> str:
-    words = ["mitsuba-plenoptic compare", settings.scene, f"-o {output.name}"]
+def _command(settings: Settings) -> str:
+    words = ["mitsuba-plenoptic compare", settings.scene]
     words += [f"--distance {distance:g}" for distance in settings.distances]
     words += [f"-D {name}={value}" for name, value in settings.parameters.items()]
     words += [

@@ -7,7 +7,8 @@ import math
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.report.design_sheet import design_sheet, design_warnings
+from mitsuba_plenoptic.report.design_sheet import design_sheet
+from mitsuba_plenoptic.report.design_warnings import design_warnings
 
 
 def values(camera, wavelength=None):

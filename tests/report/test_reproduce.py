@@ -17,10 +17,10 @@ from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report import reproduce as reproductions
 from mitsuba_plenoptic.report.compare import compare
 from mitsuba_plenoptic.report.experiment import Settings, run_experiment
-from mitsuba_plenoptic.report.one_core import seconds_on_one_core
-from mitsuba_plenoptic.report.referee import pinhole_image, thin_lens_image
+from mitsuba_plenoptic.report.reference import pinhole_image, thin_lens_image
 from mitsuba_plenoptic.report.reproduce import reproduce
-from mitsuba_plenoptic.report.stages import StageStore, scene_fingerprint
+from mitsuba_plenoptic.report.stage_store import StageStore, scene_fingerprint
+from mitsuba_plenoptic.report.timing import seconds_on_one_core
 
 TINY = {"resolution": "512", "detector_width": "1.024", "letter_scale": "0.125"}
 SETTINGS = Settings("letters", (210.0, 240.0, 280.0), slider=(225.0,), parameters=TINY, spp=4, paths=1, truth_spp=64)

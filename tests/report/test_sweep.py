@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from mitsuba_plenoptic import InputError, load_scene, reconstruct, render_capture
+from mitsuba_plenoptic import InputError, load_scene, reconstruct, render_capture, scene_path
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io import checkpoints as checkpoints
 from mitsuba_plenoptic.report import sweep as sweeps
@@ -116,7 +116,7 @@ def test_a_sweep_that_was_stopped_goes_on_in_the_midst_of_a_capture(tmp_path, co
 
 def test_colours_have_channels(tmp_path):
     scene = tmp_path / "scene.xml"
-    source = sweeps.scene_path("letters")
+    source = scene_path("letters")
     scene.write_text(source.read_text().replace('"luminance"', '"rgb"').replace("meshes/", f"{source.parent}/meshes/"))
     settings = SweepSettings(str(scene), parameters=TINY, spp=1, variant="llvm_ad_rgb")
     with sweep(settings, {"distance": [240, 280]}, tmp_path / "out.nc") as data:
@@ -140,14 +140,14 @@ def test_the_command_takes_yaml_and_words(tmp_path, capsys):
 def test_the_dataset_does_not_grow_in_memory(tmp_path, monkeypatch):
     """Only one point's images are held at a time."""
     held = []
-    put = sweeps._Layout.put
+    put = sweeps.Layout.put
 
     def watched(layout, index, capture, images):
         held.append(weakref.ref(capture))
         put(layout, index, capture, images)
         assert sum(reference() is not None for reference in held) <= 2
 
-    monkeypatch.setattr(sweeps._Layout, "put", watched)
+    monkeypatch.setattr(sweeps.Layout, "put", watched)
     sweep(RAYS, {"aperture_radius": [2, 3, 4, 5]}, tmp_path / "out.nc").close()
     assert len(held) == 4
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.camera import LONGEST, SHORTEST
-from mitsuba_plenoptic.report.design_sheet import design_sheet, design_warnings
+from mitsuba_plenoptic.report.design_sheet import design_sheet
+from mitsuba_plenoptic.report.design_warnings import design_warnings
 
 from .cases import Case
 from .values import NOT_FINITE, NOT_NUMBERS, NOT_POSITIVE, NOT_WHOLE, TOO_LARGE, TOO_SMALL, pick

@@ -1,24 +1,34 @@
-"""How long computations in stages tell of themselves."""
+"""What commands show on the terminal while they compute; all of it on standard error."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from ..report.stages import Finished, Notify
+from ..report.stage_store import Finished, Notify
+
+
+@contextlib.contextmanager
+def progress_bar(label: str) -> Iterator[Callable[[int, int], None]]:
+    """Show a bar, if standard error is a terminal; yields a callable(done, total)."""
+    console = Console(stderr=True)
+    columns = (TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(label, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 @contextlib.contextmanager
 def stage_lines() -> Iterator[tuple[Notify, Finished]]:
-    """Print a line for each stage that is done, and on a terminal a bar for the one under way; on standard error.
+    """Print a line for each stage that is done, and on a terminal show a bar for the one under way.
 
     Yields
     ------
     notify, finished : callable
-        As `mitsuba_plenoptic.report.stages` takes them.
+        As `mitsuba_plenoptic.report.stage_store` takes them.
     """
     console = Console(stderr=True, highlight=False)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())

@@ -65,7 +65,7 @@ class StageStore:
         self._known = _read_json(self._log)
 
     def capture(self, name: str, inputs: Any, make: Callable[[Progress, Checkpoint], Capture]) -> tuple[Capture, str]:
-        """Give a stage that is a capture, and its key; while it is under way it has a checkpoint."""
+        """Return a stage that is a capture, and its key; while it is under way it has a checkpoint."""
 
         def write(path: Path, value: Capture, key: str) -> None:
             stamped = {**value.metadata, "key": key}
@@ -81,7 +81,7 @@ class StageStore:
     def image(
         self, name: str, inputs: Any, make: Callable[[Progress], tuple[np.ndarray, dict[str, Any]]]
     ) -> tuple[np.ndarray, str]:
-        """Give a stage that is an image with facts about it for the file's header, and its key."""
+        """Return a stage that is an image, and its key; the facts about it go into the file's header."""
 
         def write(path: Path, value: tuple[np.ndarray, dict[str, Any]], key: str) -> None:
             write_exr(path, value[0], {**value[1], "key": key})
@@ -94,7 +94,7 @@ class StageStore:
         return np.asarray(image, dtype=np.float32), key
 
     def facts(self, name: str, inputs: Any, make: Callable[[Progress], dict[str, Any]]) -> dict[str, Any]:
-        """Give a stage that is a dictionary of plain JSON values."""
+        """Return a stage that is a dictionary of plain JSON values."""
 
         def write(path: Path, value: dict[str, Any], key: str) -> None:
             write_json(path, {"key": key, "value": value})
@@ -145,13 +145,13 @@ def scene_fingerprint(path: Path, parameters: Mapping[str, str]) -> str:
 
 @cache
 def software() -> dict[str, str]:
-    """Tell the versions that stages depend on, our own by the source text."""
-    referee = hashlib.sha256(Path(__file__).with_name("referee.py").read_bytes())
-    return {**versions(), "referee": referee.hexdigest()[:16]}
+    """Return the versions that stages depend on, our own by the source text."""
+    reference = hashlib.sha256(Path(__file__).with_name("reference.py").read_bytes())
+    return {**versions(), "reference": reference.hexdigest()[:16]}
 
 
 def told_seconds(seconds: dict[str, float]) -> str:
-    """Tell how long the longest parts took."""
+    """Say how long the stages took together, and the longest one."""
     total = sum(seconds.values())
     longest = max(seconds, key=lambda name: seconds[name])
     return f"{total:.0f} s, of which {seconds[longest]:.0f} s for {longest.replace('_', ' ')}"
