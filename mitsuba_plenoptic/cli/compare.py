@@ -56,8 +56,8 @@ def compare(
         paths=spp,
         variant=variant,
     )
-    with stage_lines() as (notify, finished):
-        results = compute(settings, output, notify=notify, finished=finished, resume=resume)
+    with stage_lines(resume) as stages:
+        results = compute(settings, output, stages=stages)
     found = results["captures"]
     typer.echo(f"Rays against waves: {found['psnr']:.1f} dB, SSIM {found['ssim']:.3f}, energy {found['energy']:.3f}")
     typer.echo(f"{output / 'report.html'}: open it in a browser")

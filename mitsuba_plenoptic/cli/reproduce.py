@@ -37,8 +37,8 @@ def reproduce(
     # Figures need libraries that take a second to load, which other commands need not wait for.
     from ..report.reproduce import reproduce as compute
 
-    with stage_lines() as (notify, finished):
-        results = compute(output, preset=preset, notify=notify, finished=finished, resume=resume)
+    with stage_lines(resume) as stages:
+        results = compute(output, preset=preset, stages=stages)
     for claim in results["claims"]:
         typer.echo(f"{claim['verdict']:<10} {claim['statement']}")
     typer.echo(f"{output / 'report.html'}: open it in a browser")

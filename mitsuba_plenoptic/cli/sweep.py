@@ -84,9 +84,7 @@ def sweep(
         method=method,
         variant=variant or DEFAULT_VARIANT,
     )
-    with batches_on(workers, scheduler) as batch_map, stage_lines() as (notify, finished):
-        dataset = compute(
-            settings, wanted, output, batch_map=batch_map, notify=notify, finished=finished, resume=resume
-        )
+    with batches_on(workers, scheduler) as batch_map, stage_lines(resume) as stages:
+        dataset = compute(settings, wanted, output, batch_map=batch_map, stages=stages)
     axes = " x ".join(f"{len(values)} {name}" for name, values in wanted.items())
     typer.echo(f"{output}: {', '.join(str(name) for name in dataset.data_vars)} over {axes}")

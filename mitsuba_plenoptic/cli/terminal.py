@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from ..report.stage_store import Finished, Notify
+from ..report.stage_store import StageOptions
 
 
 @contextlib.contextmanager
@@ -22,14 +22,8 @@ def progress_bar(label: str) -> Iterator[Callable[[int, int], None]]:
 
 
 @contextlib.contextmanager
-def stage_lines() -> Iterator[tuple[Notify, Finished]]:
-    """Print a line for each stage that is done, and on a terminal show a bar for the one under way.
-
-    Yields
-    ------
-    notify, finished : callable
-        As `mitsuba_plenoptic.report.stage_store` takes them.
-    """
+def stage_lines(resume: bool) -> Iterator[StageOptions]:
+    """Print a line for each stage that is done, and on a terminal show a bar for the one under way."""
     console = Console(stderr=True, highlight=False)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
@@ -45,7 +39,7 @@ def stage_lines() -> Iterator[tuple[Notify, Finished]]:
                 bar.remove_task(tasks.pop(name))
             console.print(f"{_words(name):<28} {'kept' if was_there else f'{seconds:.1f} s'}")
 
-        yield notify, finished
+        yield StageOptions(notify, finished, resume)
 
 
 def _words(name: str) -> str:

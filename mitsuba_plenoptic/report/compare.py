@@ -11,16 +11,14 @@ from .figures import draw_comparison
 from .framing import brightest_zoom
 from .measurements import measure
 from .page import Report, write_report
-from .stage_store import Finished, Notify
+from .stage_store import StageOptions
 
 
 def compare(
     settings: Settings,
     output: Path,
     *,
-    notify: Notify | None = None,
-    finished: Finished | None = None,
-    resume: bool = False,
+    stages: StageOptions | None = None,
 ) -> dict[str, Any]:
     """Capture a scene by rays and by waves, refocus it in every way, and report how they differ.
 
@@ -33,10 +31,8 @@ def compare(
         Scene, distances and sampling.
     output : Path
         Folder to write into; what is in it already and valid is kept.
-    notify, finished : callable, optional
-        Told of the progress and of the end of each stage; see `stage_store`.
-    resume : bool
-        Whether to refuse the checkpoint of another capture in the folder, instead of replacing it.
+    stages : StageOptions, optional
+        What is told of the stages, and what becomes of checkpoints.
 
     Returns
     -------
@@ -50,7 +46,7 @@ def compare(
     """
     if not settings.distances:
         raise InputError("distance: give at least one to refocus to")
-    store = open_store(output, notify, finished, resume=resume)
+    store = open_store(output, stages)
     experiment = run_experiment(settings, store)
     numbers = measure(experiment)
     zooms = [brightest_zoom(experiment)]

@@ -18,7 +18,7 @@ from ..io.captures import Capture
 from ..reconstruction import Reconstruction, reconstruct
 from ..runtime.variant import DEFAULT_VARIANT, set_variant
 from .reference import pinhole_image, thin_lens_image
-from .stage_store import Finished, Notify, Progress, StageStore, scene_fingerprint
+from .stage_store import Progress, StageOptions, StageStore, scene_fingerprint
 
 OBJECT_COLUMNS = 1024
 
@@ -222,7 +222,7 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     )
 
 
-def open_store(output: Path, notify: Notify | None, finished: Finished | None, *, resume: bool = False) -> StageStore:
+def open_store(output: Path, stages: StageOptions | None) -> StageStore:
     """Check, before the work, that the output folder can be made; it is made with the first stage.
 
     Raises
@@ -233,7 +233,7 @@ def open_store(output: Path, notify: Notify | None, finished: Finished | None, *
     there = next(path for path in (output, *output.absolute().parents) if path.exists())
     if not there.is_dir() or not os.access(there, os.W_OK):
         raise InputError(f"{output}: the folder cannot be made: {there} is not a folder that can be written to")
-    return StageStore(output / "data", notify, finished, resume=resume)
+    return StageStore(output / "data", stages)
 
 
 def _refocus(store: StageStore, capture: Capture, key: str, method: Method, distance: float) -> np.ndarray:

@@ -13,7 +13,7 @@ from .figures import draw_comparison, figure_2, figure_4
 from .framing import letter_zooms
 from .measurements import measure
 from .page import Report, write_report
-from .stage_store import Finished, Notify
+from .stage_store import StageOptions
 from .timing import seconds_on_one_core
 
 _LETTERS = {"eight": "the 8 (210 mm)", "f": "the F (240 mm)", "hash": "the # (280 mm)"}
@@ -51,9 +51,7 @@ def reproduce(
     output: Path,
     *,
     preset: str = "quick",
-    notify: Notify | None = None,
-    finished: Finished | None = None,
-    resume: bool = False,
+    stages: StageOptions | None = None,
 ) -> dict[str, Any]:
     """Make the paper's figures 2 and 4, its timing comparison and its conclusions, with a report.
 
@@ -63,10 +61,8 @@ def reproduce(
         Folder to write into; what is in it already and valid is kept.
     preset : {"quick", "paper"}
         A smaller detector and smaller letters, or the paper's.
-    notify, finished : callable, optional
-        Told of the progress and of the end of each stage; see `stage_store`.
-    resume : bool
-        Whether to refuse the checkpoint of another capture in the folder, instead of replacing it.
+    stages : StageOptions, optional
+        What is told of the stages, and what becomes of checkpoints.
 
     Returns
     -------
@@ -81,7 +77,7 @@ def reproduce(
     if preset not in PRESETS:
         raise InputError(f"preset = {preset!r}: it must be one of {', '.join(PRESETS)}")
     settings = PRESETS[preset]
-    store = open_store(output, notify, finished, resume=resume)
+    store = open_store(output, stages)
     experiment = run_experiment(settings, store)
     numbers = measure(experiment)
     last = settings.distances[-1]

@@ -12,7 +12,7 @@ from ...errors import InputError
 from ...io.files import atomic_output, remove_leftovers, require_writable
 from ...runtime.batches import BatchMap
 from ...runtime.variant import set_variant
-from ..stage_store import Finished, Notify, StageStore
+from ..stage_store import StageOptions, StageStore
 from .dataset import Layout, Sink
 from .grid import Grid, check_grid, merge_grids, parse_grid, read_grid
 from .points import Points, SweepSettings
@@ -26,9 +26,7 @@ def sweep(
     output: Path,
     *,
     batch_map: BatchMap | None = None,
-    notify: Notify | None = None,
-    finished: Finished | None = None,
-    resume: bool = False,
+    stages: StageOptions | None = None,
 ) -> xr.Dataset:
     """Render, and reconstruct where distances are given, every point of a grid.
 
@@ -47,10 +45,8 @@ def sweep(
         NetCDF-4 file to write, which ends in ``.nc``.
     batch_map : callable, optional
         By waves: computes the sums, for example `Cluster`.
-    notify, finished : callable, optional
-        Told of the progress and of the end of each stage; see `stage_store`.
-    resume : bool
-        Whether to refuse the checkpoint of another capture in the folder, instead of replacing it.
+    stages : StageOptions, optional
+        What is told of the stages, and what becomes of checkpoints.
 
     Returns
     -------
@@ -74,7 +70,8 @@ def sweep(
         raise InputError(f"{output}: a dataset is written as NetCDF-4; give a name that ends in .nc")
     grid = check_grid(grid)
     set_variant(settings.variant)
-    points = Points(settings, grid, StageStore(output.with_suffix(".points"), notify, finished, resume=resume))
+    store = StageStore(output.with_suffix(".points"), stages)
+    points = Points(settings, grid, store)
     points.check()
     remove_leftovers(output)
     with atomic_output(output) as temporary, Sink(temporary, "w+") as sink:
@@ -84,7 +81,6 @@ def sweep(
                     layout = Layout(file, settings, grid, capture)
                 layout.put(np.unravel_index(index, layout.shape), capture, images)
                 sink.check(output)
-                if notify:
-                    notify("points", index + 1, math.prod(layout.shape))
+                store.notify("points", index + 1, math.prod(layout.shape))
         sink.check(output)
     return xr.open_dataset(output, engine="h5netcdf")
