@@ -92,14 +92,7 @@ def render(
         start = time.perf_counter()
         with progress_bar("Rendering") as progress:
             capture = render_capture(
-                loaded,
-                model=model,
-                spp=spp,
-                seed=seed,
-                progress=progress,
-                checkpoint=kept,
-                batch_map=batch_map,
-                **wave,
+                loaded, model=model, spp=spp, seed=seed, progress=progress, checkpoint=kept, batch_map=batch_map, **wave
             )
         seconds = time.perf_counter() - start
         write_capture(output, capture)

@@ -14,12 +14,7 @@ from .page import Report, write_report
 from .stage_store import StageOptions
 
 
-def compare(
-    settings: Settings,
-    output: Path,
-    *,
-    stages: StageOptions | None = None,
-) -> dict[str, Any]:
+def compare(settings: Settings, output: Path, *, stages: StageOptions | None = None) -> dict[str, Any]:
     """Capture a scene by rays and by waves, refocus it in every way, and report how they differ.
 
     The ray capture has parabolic lenses, whose aberrations are those of the wave capture's thin phases, so that
@@ -32,7 +27,7 @@ def compare(
     output : Path
         Folder to write into; what is in it already and valid is kept.
     stages : StageOptions, optional
-        What is told of the stages, and what becomes of checkpoints.
+        How progress is reported, and what becomes of checkpoints.
 
     Returns
     -------

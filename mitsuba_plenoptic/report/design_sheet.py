@@ -20,6 +20,10 @@ class Row(NamedTuple):
     note: str
 
 
+# A row without its group.
+_Line = tuple[str, str, str, str]
+
+
 def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> list[Row]:
     """List a camera's parameters and derived quantities.
 
@@ -30,32 +34,35 @@ def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> li
     wavelength : float, optional
         Wavelength in nanometres; without it what follows from diffraction is left out.
     """
-    rows = [*_main_lens(camera), *_microlenses(camera), *_detector(camera), *_micro_images(camera)]
-    rows += _resolution(camera, wavelength)
-    rows += _refocusing(camera, wavelength)
+    groups = {
+        "Main lens": _main_lens(camera),
+        "Microlenses": _microlenses(camera),
+        "Detector": _detector(camera),
+        "Micro-images": _micro_images(camera),
+        "Resolution": _resolution(camera, wavelength),
+        "Refocusing": _refocusing(camera, wavelength),
+    }
     if wavelength is not None:
-        rows += _diffraction(camera, wavelength)
-    return rows
+        groups[f"Diffraction at {wavelength:g} nm"] = _diffraction(camera, wavelength)
+    return [Row(group, *line) for group, lines in groups.items() for line in lines]
 
 
-def _main_lens(camera: PlenopticCamera) -> list[Row]:
-    group = "Main lens"
+def _main_lens(camera: PlenopticCamera) -> list[_Line]:
     rows = [
-        Row(group, "focal length", four_digits(camera.focal_length), "mm", ""),
-        Row(group, "diameter", four_digits(camera.aperture_diameter), "mm", f"f/{camera.f_number:.3g}"),
-        Row(group, "distance to microlenses", four_digits(camera.mla_distance), "mm", ""),
-        Row(group, "focused distance", *_distance(camera.focus_distance), "on the microlenses"),
-        Row(group, "field of view", f"{camera.field_of_view:.3g}", "deg", "horizontal, full angle"),
+        ("focal length", four_digits(camera.focal_length), "mm", ""),
+        ("diameter", four_digits(camera.aperture_diameter), "mm", f"f/{camera.f_number:.3g}"),
+        ("distance to microlenses", four_digits(camera.mla_distance), "mm", ""),
+        ("focused distance", *_distance(camera.focus_distance), "on the microlenses"),
+        ("field of view", f"{camera.field_of_view:.3g}", "deg", "horizontal, full angle"),
     ]
     if 0 < camera.focus_distance < math.inf:
         width = camera.field_width(camera.focus_distance)
-        rows.append(Row(group, "field width", four_digits(width), "mm", "in the focused plane"))
-    rows.append(Row(group, "lens model", camera.lens_model, "", ""))
+        rows.append(("field width", four_digits(width), "mm", "in the focused plane"))
+    rows.append(("lens model", camera.lens_model, "", ""))
     return rows
 
 
-def _microlenses(camera: PlenopticCamera) -> list[Row]:
-    group = "Microlenses"
+def _microlenses(camera: PlenopticCamera) -> list[_Line]:
     main, micro = camera.image_f_number, camera.mla_f_number
     # Neighbouring micro-images touch where the two match, up to the factor (b + z)/b of their pitch.
     if math.isclose(micro, main, rel_tol=0.05):
@@ -74,61 +81,58 @@ def _microlenses(camera: PlenopticCamera) -> list[Row]:
     area = camera.lattice.lens_area / camera.lattice.cell_area
     shape = "round" if camera.mla_aperture == "circle" else camera.mla_lattice
     return [
-        Row(group, "focal length", ", ".join(map(four_digits, camera.mla_focal_lengths)), "mm", ""),
-        Row(group, "pitch", four_digits(camera.mla_pitch), "mm", ", ".join(lattice)),
-        Row(group, "lens width", four_digits(camera.lattice.aperture_width), "mm", f"{shape}, {area:.0%} of the area"),
-        Row(group, "lenses", f"{columns} x {rows}", "", bins),
-        Row(group, "distance to detector", four_digits(camera.detector_distance), "mm", ""),
-        Row(group, "f-number z/width", f"{micro:.3g}", "", ""),
-        Row(group, "main lens's b/D1", f"{main:.3g}", "", match),
+        ("focal length", ", ".join(map(four_digits, camera.mla_focal_lengths)), "mm", ""),
+        ("pitch", four_digits(camera.mla_pitch), "mm", ", ".join(lattice)),
+        ("lens width", four_digits(camera.lattice.aperture_width), "mm", f"{shape}, {area:.0%} of the area"),
+        ("lenses", f"{columns} x {rows}", "", bins),
+        ("distance to detector", four_digits(camera.detector_distance), "mm", ""),
+        ("f-number z/width", f"{micro:.3g}", "", ""),
+        ("main lens's b/D1", f"{main:.3g}", "", match),
     ]
 
 
-def _detector(camera: PlenopticCamera) -> list[Row]:
-    group = "Detector"
+def _detector(camera: PlenopticCamera) -> list[_Line]:
     columns, rows = camera.resolution
     size = f"{four_digits(camera.detector_width)} x {four_digits(camera.detector_height)}"
     sheet = [
-        Row(group, "size", size, "mm", ""),
-        Row(group, "pixels", f"{columns} x {rows}", "", ""),
-        Row(group, "pixel size", four_digits(1e3 * camera.pixel_size), "um", ""),
-        Row(group, "pixels per lens", four_digits(camera.pixels_per_lens), "", "across its pitch"),
+        ("size", size, "mm", ""),
+        ("pixels", f"{columns} x {rows}", "", ""),
+        ("pixel size", four_digits(1e3 * camera.pixel_size), "um", ""),
+        ("pixels per lens", four_digits(camera.pixels_per_lens), "", "across its pitch"),
     ]
     if camera.is_cropped:
         window, offset = camera.crop_size, camera.crop_offset
         note = f"from column {offset[0]}, row {offset[1]}"
-        sheet.append(Row(group, "recorded pixels", f"{window[0]} x {window[1]}", "", note))
+        sheet.append(("recorded pixels", f"{window[0]} x {window[1]}", "", note))
     return sheet
 
 
-def _micro_images(camera: PlenopticCamera) -> list[Row]:
-    group = "Micro-images"
+def _micro_images(camera: PlenopticCamera) -> list[_Line]:
     pixel = camera.pixel_size
     diameter, pitch = camera.micro_image_diameter, camera.micro_image_pitch
     return [
-        Row(group, "diameter", four_digits(diameter / pixel), "pixels", f"{four_digits(1e3 * diameter)} um, D1 z/b"),
-        Row(group, "pitch", four_digits(pitch / pixel), "pixels", f"{four_digits(1e3 * pitch)} um, D2 (b + z)/b"),
-        Row(group, "diameter over pitch", f"{diameter / pitch:.3g}", "", ""),
-        Row(group, "mean of a white capture", f"{camera.white_mean:.3g}", "", "per unit radiance"),
+        ("diameter", four_digits(diameter / pixel), "pixels", f"{four_digits(1e3 * diameter)} um, D1 z/b"),
+        ("pitch", four_digits(pitch / pixel), "pixels", f"{four_digits(1e3 * pitch)} um, D2 (b + z)/b"),
+        ("diameter over pitch", f"{diameter / pitch:.3g}", "", ""),
+        ("mean of a white capture", f"{camera.white_mean:.3g}", "", "per unit radiance"),
     ]
 
 
-def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[Row]:
-    group = "Resolution"
+def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]:
     names = {"keplerian": "focused, Keplerian", "galilean": "focused, Galilean"}
     kinds = [names.get(kind, kind) for kind in dict.fromkeys(camera.mla_kinds)]
-    rows = [Row(group, "kind of camera", "; ".join(kinds), "", _seen(camera))]
+    rows = [("kind of camera", "; ".join(kinds), "", _seen(camera))]
     lenses = zip(camera.mla_focal_lengths, camera.best_distances, depth_ranges(camera, wavelength), strict=True)
     for f2, best, limits in lenses:
         which = f"f2 = {four_digits(f2)} mm" if len(camera.mla_focal_lengths) > 1 else ""
-        rows.append(Row(group, "sharpest distance", *_distance(best), which))
+        rows.append(("sharpest distance", *_distance(best), which))
         if _is_imaged(camera, best):
-            rows += _effective(group, camera, best, wavelength)
+            rows += _effective(camera, best, wavelength)
         note = "refocused" if camera.kind == "unfocused" else "blur below a pixel or the spot, no gaps"
-        rows.append(Row(group, "depth range", *_range(limits), note))
+        rows.append(("depth range", *_range(limits), note))
     if len(camera.mla_focal_lengths) > 1:
         together = [_range(limits)[0] for limits in _union(depth_ranges(camera, wavelength))]
-        rows.append(Row(group, "depth range, together", ", ".join(together) or "none", "mm" if together else "", ""))
+        rows.append(("depth range, together", ", ".join(together) or "none", "mm" if together else "", ""))
     return rows
 
 
@@ -149,20 +153,13 @@ def _is_imaged(camera: PlenopticCamera, distance: float) -> bool:
     return math.isfinite(distance)
 
 
-def _effective(group: str, camera: PlenopticCamera, distance: float, wavelength: float | None) -> list[Row]:
+def _effective(camera: PlenopticCamera, distance: float, wavelength: float | None) -> list[_Line]:
     """Resolution at one distance."""
     finest = effective_resolution(camera, distance, wavelength)
     rows = [
-        Row(group, "effective resolution", f"{finest.columns:.0f} x {finest.rows:.0f}", "", "details across and down"),
-        Row(
-            group,
-            "finest detail",
-            four_digits(finest.line_width),
-            "mm",
-            f"{finest.ratio:.3g} per pixel of the detector",
-        ),
-        Row(
-            group,
+        ("effective resolution", f"{finest.columns:.0f} x {finest.rows:.0f}", "", "details across and down"),
+        ("finest detail", four_digits(finest.line_width), "mm", f"{finest.ratio:.3g} per pixel of the detector"),
+        (
             "samples per lens",
             f"{finest.samples_per_lens:.3g}",
             "",
@@ -172,64 +169,38 @@ def _effective(group: str, camera: PlenopticCamera, distance: float, wavelength:
     if camera.kind != "unfocused":
         across = f"{lenses_across(camera, distance):.3g}"
         rows += [
-            Row(group, "virtual depth", f"{camera.virtual_depth(distance):.3g}", "", "image to MLA over z"),
-            Row(group, "lenses that see a point", across, "", "along an axis"),
+            ("virtual depth", f"{camera.virtual_depth(distance):.3g}", "", "image to MLA over z"),
+            ("lenses that see a point", across, "", "along an axis"),
         ]
     return rows
 
 
-def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> list[Row]:
-    group = "Refocusing"
+def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]:
     near, far = camera.refocus_range(wavelength)
     limit = "in a micro-image, by its pixels" if wavelength is None else "in a micro-image, with diffraction"
     rows = [
-        Row(group, "directions told apart", f"{camera.direction_count(wavelength):.3g}", "", limit),
-        Row(group, "nearest distance", *_distance(near), "with one sample per lens"),
-        Row(group, "farthest distance", *_distance(far), ""),
+        ("directions told apart", f"{camera.direction_count(wavelength):.3g}", "", limit),
+        ("nearest distance", *_distance(near), "with one sample per lens"),
+        ("farthest distance", *_distance(far), ""),
     ]
     for distance in dict.fromkeys((near, *camera.best_distances, far)):
         if camera.focal_length < distance < math.inf:
             at = f"at {four_digits(distance)} mm"
             rows += [
-                Row(group, "bin size", four_digits(camera.bin_size(distance)), "mm", at),
-                Row(
-                    group,
-                    "blur diameter",
-                    four_digits(camera.blur_diameter(distance)),
-                    "mm",
-                    f"{at}, on the MLA",
-                ),
+                ("bin size", four_digits(camera.bin_size(distance)), "mm", at),
+                ("blur diameter", four_digits(camera.blur_diameter(distance)), "mm", f"{at}, on the MLA"),
             ]
     return rows
 
 
-def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[Row]:
-    group = f"Diffraction at {wavelength:g} nm"
+def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[_Line]:
     spot = camera.spot_size(wavelength)
     pixels = f"{four_digits(spot / camera.pixel_size)} pixels, centre to first zero"
     return [
-        Row(group, "spot of a microlens", four_digits(1e3 * spot), "um", pixels),
-        Row(
-            group,
-            "directions by the spot",
-            four_digits(camera.micro_image_diameter / spot),
-            "",
-            "across a micro-image",
-        ),
-        Row(
-            group,
-            "Fresnel number, microlens",
-            f"{camera.mla_fresnel_number(wavelength):.3g}",
-            "",
-            "from the detector",
-        ),
-        Row(
-            group,
-            "Fresnel number, main lens",
-            f"{camera.main_fresnel_number(wavelength):.3g}",
-            "",
-            "from the MLA",
-        ),
+        ("spot of a microlens", four_digits(1e3 * spot), "um", pixels),
+        ("directions by the spot", four_digits(camera.micro_image_diameter / spot), "", "across a micro-image"),
+        ("Fresnel number, microlens", f"{camera.mla_fresnel_number(wavelength):.3g}", "", "from the detector"),
+        ("Fresnel number, main lens", f"{camera.main_fresnel_number(wavelength):.3g}", "", "from the MLA"),
     ]
 
 

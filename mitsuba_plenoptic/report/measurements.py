@@ -31,10 +31,7 @@ def measure(experiment: Experiment) -> dict[str, Any]:
     """
     ray, wave = experiment.ray.image, experiment.wave.image
     return {
-        "captures": {
-            **image_metrics(ray, wave).to_dict(),
-            "relative_error": round(relative_error(ray, wave), 5),
-        },
+        "captures": {**image_metrics(ray, wave).to_dict(), "relative_error": round(relative_error(ray, wave), 5)},
         "reconstructions": _reconstructions(experiment),
         "interference": _interference(experiment),
         "edges": _edges(experiment),

@@ -47,12 +47,7 @@ PRESETS = {
 }
 
 
-def reproduce(
-    output: Path,
-    *,
-    preset: str = "quick",
-    stages: StageOptions | None = None,
-) -> dict[str, Any]:
+def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | None = None) -> dict[str, Any]:
     """Make the paper's figures 2 and 4, its timing comparison and its conclusions, with a report.
 
     Parameters
@@ -62,7 +57,7 @@ def reproduce(
     preset : {"quick", "paper"}
         A smaller detector and smaller letters, or the paper's.
     stages : StageOptions, optional
-        What is told of the stages, and what becomes of checkpoints.
+        How progress is reported, and what becomes of checkpoints.
 
     Returns
     -------

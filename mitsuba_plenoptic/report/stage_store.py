@@ -36,7 +36,7 @@ def _ignore(*_: Any) -> None:
 
 @dataclass(frozen=True)
 class StageOptions:
-    """What is told of stages, and what becomes of checkpoints.
+    """How the progress of stages is reported, and what becomes of checkpoints.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class StageStore:
     folder : path
         Where the files lie; it is made with the first stage.
     options : StageOptions, optional
-        What is told of the stages. Default: nothing.
+        How progress is reported. Default: not at all.
     """
 
     def __init__(self, folder: Path, options: StageOptions | None = None) -> None:
@@ -155,7 +155,7 @@ def software() -> dict[str, str]:
     return {**versions(), "reference": reference.hexdigest()[:16]}
 
 
-def told_seconds(seconds: dict[str, float]) -> str:
+def time_summary(seconds: dict[str, float]) -> str:
     """Say how long the stages took together, and the longest one."""
     total = sum(seconds.values())
     longest = max(seconds, key=lambda name: seconds[name])

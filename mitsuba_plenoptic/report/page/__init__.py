@@ -17,7 +17,7 @@ from ..design_sheet import design_sheet
 from ..design_warnings import design_warnings
 from ..experiment import TITLES, Experiment
 from ..framing import Zoom
-from ..stage_store import software, told_seconds, write_json
+from ..stage_store import software, time_summary, write_json
 from .pictures import captures, geometry, plate, reconstructions, report_window, shown_distances
 
 _EXPLANATIONS = {
@@ -30,7 +30,7 @@ _EXPLANATIONS = {
 
 @dataclass(frozen=True)
 class Report:
-    """What the report tells.
+    """What a report shows.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ def _facts(experiment: Experiment) -> list[tuple[str, str]]:
             (f"Version of {name}", str(version))
             for name, version in sorted(experiment.wave.metadata.get("software", {}).items())
         ),
-        ("Time", told_seconds(experiment.seconds)),
+        ("Time", time_summary(experiment.seconds)),
     ]
 
 

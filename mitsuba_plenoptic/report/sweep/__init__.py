@@ -46,7 +46,7 @@ def sweep(
     batch_map : callable, optional
         By waves: computes the sums, for example `Cluster`.
     stages : StageOptions, optional
-        What is told of the stages, and what becomes of checkpoints.
+        How progress is reported, and what becomes of checkpoints.
 
     Returns
     -------
