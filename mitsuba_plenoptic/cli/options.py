@@ -16,7 +16,7 @@ def output_option(metavar: str, text: str) -> Any:
 
 
 def number(text: str, default: str | None = None, *, unit: str = "N") -> Any:
-    """Return an option that takes a number; `default` says what holds where None does not tell."""
+    """Return an option that takes a number; `default` is what the help shows for a default of None."""
     return typer.Option(metavar=unit, show_default=default or True, help=text)
 
 
