@@ -24,7 +24,7 @@ from mitsuba_plenoptic.cli import app
 from mitsuba_plenoptic.lightfield import white_image
 from mitsuba_plenoptic.presets import PRESETS
 from mitsuba_plenoptic.report.design_sheet import design_sheet
-from mitsuba_plenoptic.report.referee import agreement, thin_lens_image
+from mitsuba_plenoptic.report.reference import agreement, thin_lens_image
 from mitsuba_plenoptic.thin_lens import image_distance
 
 # The paper's camera, whose lenses see the main lens's image 3 z before them, or behind them.

@@ -13,7 +13,7 @@ import pytest
 from mitsuba_plenoptic import InputError, PlenopticCamera, design, load_scene, read_capture, reconstruct, render_capture
 from mitsuba_plenoptic.io.captures import Capture, write_capture
 from mitsuba_plenoptic.lightfield import white_image
-from mitsuba_plenoptic.report.referee import agreement, best_shift, thin_lens_image
+from mitsuba_plenoptic.report.reference import agreement, best_shift, thin_lens_image
 
 ROOT3 = math.sqrt(3)
 HEXAGONAL = {"mla_lattice": "hexagonal"}
