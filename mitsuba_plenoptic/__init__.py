@@ -26,6 +26,7 @@ from .runtime import llvm
 # Dr.Jit takes its LLVM from the environment when it is first imported, which all of the following do.
 llvm.choose()
 
+from . import design as design
 from . import plugins as plugins
 from .camera import PlenopticCamera
 from .capture.point_spread import point_spread_function

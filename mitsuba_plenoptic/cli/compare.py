@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ..camera import require_wavelength
+from ..bounds import require_wavelength
 from ..capture.render import MOST_SAMPLES
 from ..errors import require_count, require_number
 from ..plugins.integrator import MOST_RADIATORS

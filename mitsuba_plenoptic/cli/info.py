@@ -12,12 +12,14 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from ..camera import PlenopticCamera, require_wavelength
+from ..bounds import require_wavelength
+from ..camera import PlenopticCamera
 from ..capture.scene import load_scene
+from ..design import design_warnings
 from ..errors import InputError, printable
 from ..io.captures import Capture
 from ..presets import PRESETS
-from ..report.design_sheet import Row, design_sheet, design_warnings
+from ..report.design_sheet import Row, design_sheet
 from ._common import Definitions, load_capture, parse_definitions
 
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..camera import PlenopticCamera, require_wavelength
+from ..bounds import require_wavelength
+from ..camera import PlenopticCamera
 from ..errors import InputError, require_choice, shown
 from .exr import read_exr, write_exr
 

@@ -23,10 +23,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from ..camera import PlenopticCamera, image_distance
+from ..camera import PlenopticCamera
 from ..errors import InputError, require_number, shown
 from ..io.captures import require_pixels
 from ..optics import rays
+from ..thin_lens import image_distance
 from .grid import LensGrid
 
 DIMS = ("v", "u", "t", "s")

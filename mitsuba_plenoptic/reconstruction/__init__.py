@@ -7,12 +7,14 @@ from typing import Any, overload
 
 import numpy as np
 
-from ..camera import PlenopticCamera, image_distance, require_wavelength
+from ..bounds import require_wavelength
+from ..camera import PlenopticCamera
 from ..errors import InputError, require_count, require_number, shown
 from ..io.captures import Capture, as_array
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
 from ..runtime.limits import largest_fitting, require_memory
+from ..thin_lens import image_distance
 from .ray import reconstruct_ray
 from .result import Reconstruction, write_reconstruction
 from .wave import reconstruct_wave

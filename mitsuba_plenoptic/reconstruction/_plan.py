@@ -253,10 +253,10 @@ def _axis_plan(
 def _cells(camera: PlenopticCamera, ends: np.ndarray, axis: int) -> tuple[float, float]:
     """Extent of the cells that hold what lies between two coordinates of the MLA plane."""
     lattice = camera.lattice
-    if lattice.separable:
+    if lattice.axis_aligned:
         low, high = lattice.axis_cell(ends, axis) * camera.mla_pitch + np.array([0, camera.mla_pitch])
         return float(low + lattice.offset[axis]), float(high + lattice.offset[axis])
-    reach = math.hypot(*lattice.cell_corners()[0])
+    reach = lattice.cell_reach
     # A point is no farther than that from its centre, nor the cell's edge from the centre.
     return float(ends[0] - 2 * reach), float(ends[1] + 2 * reach)
 

@@ -18,7 +18,7 @@ import scipy.fft
 from ..camera import PlenopticCamera
 from ..design import lens_footprint, pixel_footprint
 from ..optics import rays
-from ..optics.pupil import PupilShare
+from ..optics.pupil import PupilFraction
 from ..runtime.limits import require_memory
 
 # Samples of the fine grid across a lens pitch; at least so many across a bin.
@@ -180,7 +180,7 @@ def _landing(
         What each pixel reads of a white scene.
     """
     lattice, columns = camera.lattice, camera.crop_size[0]
-    shares = [PupilShare(camera, kind) for kind in range(len(camera.mla_focal_lengths))]
+    shares = [PupilFraction(camera, kind) for kind in range(len(camera.mla_focal_lengths))]
     # All along the ray is linear in the pixel and the lens's centre.
     of_pixel = np.array(rays.follow_back(1.0, 0.0, 0.0, distance, camera))
     of_lens = np.array(rays.follow_back(0.0, 1.0, 1.0, distance, camera))
@@ -203,7 +203,7 @@ def _landing(
         )
         column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
         sample = np.floor((y - row) * fine).astype(np.int64) * fine + np.floor((x - column) * fine).astype(np.int64)
-        kind = lattice.lens_kind(i, j).astype(np.int8) if len(shares) > 1 else np.zeros(lit.size, dtype=np.int8)
+        kind = lattice.lens_type(i, j).astype(np.int8) if len(shares) > 1 else np.zeros(lit.size, dtype=np.int8)
         white = np.empty(lit.size, dtype=np.float32)
         for number, share in enumerate(shares):
             mine = kind == number

@@ -26,20 +26,20 @@ import drjit as dr
 import numpy as np
 import scipy
 
-from ..camera import MOST_PIXELS, PlenopticCamera
+from ..bounds import MOST_PIXELS
+from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import guards, rays
 from ..optics.free_space import advance
 from ..optics.main_lens import main_lens
 from ..optics.phase import in_millimetres
-from ..optics.pupil import PupilShare
+from ..optics.pupil import PupilFraction
 from ..optics.sampling import check_memory, fast_length
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, unpack
 from ..runtime.indexing import split
 from ._elements import converging_phase, detector_lens, lens_phase
 from ._plan import GUARD, field_subsamples
-from .ray import lenses_fill_bins
 
 # Samples that are transformed together, on the processor and on a CUDA device.
 _BATCH_SAMPLES, _CUDA_BATCH_SAMPLES = 2**20, 2**25
@@ -165,14 +165,14 @@ def _mean_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) ->
         # Among the lenses beside the axis there is one of every kind.
         i, j = camera.lattice.cell(0.0, 0.0)
         i += kind
-        kind = int(camera.lattice.lens_kind(i, j)) if len(camera.mla_focal_lengths) > 1 else 0
+        kind = int(camera.lattice.lens_type(i, j)) if len(camera.mla_focal_lengths) > 1 else 0
         to_pupil = camera.mla_distance / camera.detector_distance
         centre = [
             rays.chief_detector_point(c, camera.mla_distance, camera.detector_distance)
             for c in camera.lattice.centre(i, j)
         ]
         Px, Py = (centre[0] - px) * to_pupil, ((centre[1] - py) * to_pupil)[:, None]
-        image = PupilShare(camera, kind)(*np.broadcast_arrays(Px, Py))
+        image = PupilFraction(camera, kind)(*np.broadcast_arrays(Px, Py))
         sent += float(image[np.hypot(Px, Py) <= camera.lit_radius].sum())
         back += _power(image, lenses, np.array([lenses.find(i, j)]), relay=relay)
     return back / (sent * camera.pixel_size**2)
@@ -211,7 +211,7 @@ def white_power(
     centre = rays.chief_detector_point(camera.mla_pitch / 2, camera.mla_distance, camera.detector_distance)
     to_pupil = camera.mla_distance / camera.detector_distance
     Px, Py = ((centre - part.pixel_coordinates(axis)) * to_pupil for axis in (0, 1))
-    image = PupilShare(camera)(Px, Py[:, None])
+    image = PupilFraction(camera)(Px, Py[:, None])
     batch = lenses.batch(np.array([lenses.find(0, 0)]))
     libraries = backend()
     amplitude = libraries.arrays.asarray(np.sqrt(image))
@@ -290,7 +290,7 @@ class Tile:
     def cell_width(self) -> float:
         """Extent of a cell of the lattice along both axes."""
         lattice = self.camera.lattice
-        return self.camera.mla_pitch if lattice.separable else 2 * float(lattice.cell_corners().max())
+        return self.camera.mla_pitch if lattice.axis_aligned else 2 * float(lattice.cell_corners().max())
 
     @property
     def lens_width(self) -> float:
@@ -591,7 +591,7 @@ class Scattered:
             for p, c in zip((px, py), centre.T, strict=True)
         ]
         lengths = np.array(camera.mla_focal_lengths)
-        kind = camera.lattice.lens_kind(i, j).astype(int) if len(lengths) > 1 else np.zeros(len(which), int)
+        kind = camera.lattice.lens_type(i, j).astype(int) if len(lengths) > 1 else np.zeros(len(which), int)
         shift = [_shift(c, p[:, 0], tile) for p, c in zip((px, py), centre.T, strict=True)]
         return LensBatch(
             bin=self._bin[which],
@@ -634,7 +634,7 @@ Lenses = Aligned | Scattered
 
 def is_aligned(camera: PlenopticCamera) -> bool:
     """Whether there is a lens on each bin, which it fills."""
-    return lenses_fill_bins(camera) and camera.mla_offset == (0.0, 0.0)
+    return camera.lenses_are_bins
 
 
 def all_lenses(camera: PlenopticCamera, wavelength: float, tile: Tile) -> Lenses:

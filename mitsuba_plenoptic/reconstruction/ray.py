@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..design import lens_footprint, pixel_footprint
+from ..design import focus_type, lens_footprint, pixel_footprint
 from ..optics import rays
 from ._binning import AxisBins, axis_bins, bin_image
 from ._splatting import splat
@@ -53,7 +53,7 @@ def reconstruct_ray(
         Radiance: bins are divided by the number of pixels in a micro-image,
         :math:`(\pi/4) (D_1 z / b)^2` over the pixel's area.
     """
-    if camera.kind != "unfocused" or not lenses_fill_bins(camera):
+    if focus_type(camera) != "unfocused" or not lenses_fill_bins(camera):
         light, white = splat(image, camera, distance, _pupil_radius(camera), footprint=footprint, oversample=oversample)
         return (light / at_least(white, camera, oversample)[..., None]).astype(np.float32)
     x, y = (_axis(camera, distance, axis, footprint, oversample) for axis in (0, 1))
@@ -68,7 +68,7 @@ def pixels_per_bin(camera: PlenopticCamera, oversample: int) -> float:
 
 def lenses_fill_bins(camera: PlenopticCamera) -> bool:
     """Whether lenses and bins are arranged alike, on an upright square lattice without gaps."""
-    return bool(camera.lattice.separable and camera.lattice.lens_area == camera.lattice.cell_area)
+    return camera.lenses_like_bins
 
 
 def white_bins(camera: PlenopticCamera, distance: float, oversample: int) -> np.ndarray:
@@ -77,7 +77,7 @@ def white_bins(camera: PlenopticCamera, distance: float, oversample: int) -> np.
     The ray must pass the pupil, by half a pixel: a smooth wave goes back through the lens's centre alone.
     """
     nothing = np.zeros((*camera.shape, 1), np.float32)
-    footprint = "point" if camera.kind == "unfocused" else "lens"
+    footprint = "point" if focus_type(camera) == "unfocused" else "lens"
     return splat(nothing, camera, distance, camera.lit_radius, footprint=footprint, oversample=oversample)[1]
 
 
@@ -93,7 +93,7 @@ def _pupil_radius(camera: PlenopticCamera) -> float:
     would lose 3 % of the paper's light. Through the edge of a lens that is not in focus on the pupil it looks elsewhere
     than through the centre, for a focused camera by a good part of the pupil.
     """
-    view = max(abs(camera.pupil_walk(f2) - 1) for f2 in camera.mla_focal_lengths) * camera.lattice.aperture_reach
+    view = max(abs(camera.pupil_shift(f2) - 1) for f2 in camera.mla_focal_lengths) * camera.lattice.aperture_reach
     return camera.lit_radius + view
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from ..camera import PlenopticCamera
-from ..design import lens_footprint
+from ..design import focus_type, lens_footprint
 from ._plan import Plan, plan
 from .coherent import lit_window, reconstruct_subsets
 from .lens_by_lens import Tile, is_aligned, reconstruct_lens_by_lens, tile_lenses, white_power, white_throughput
@@ -93,7 +93,7 @@ def _white(
     camera: PlenopticCamera, wavelength: float, distance: float, oversample: int, fine: int, relay: bool
 ) -> np.ndarray | float:
     """Power that comes to each bin from a white scene, in pixel values times pixels."""
-    unfocused = camera.kind == "unfocused"
+    unfocused = focus_type(camera) == "unfocused"
     if is_aligned(camera) and not unfocused:
         power = white_power(camera, wavelength, distance, relay=relay, oversample=oversample)
         return at_least(power, camera, oversample)
@@ -109,7 +109,7 @@ def _white(
 
 def _lens_scale(camera: PlenopticCamera, distance: float) -> float:
     """Part of a lens over which its light is spread: all for an unfocused one, none where a focused one is sharp."""
-    if camera.kind == "unfocused":
+    if focus_type(camera) == "unfocused":
         return 1.0
     return min(lens_footprint(camera, distance, f2) for f2 in camera.mla_focal_lengths)
 

@@ -1,13 +1,14 @@
-"""What follows from a camera's parameters, as a sheet to read, and what is poor about the design."""
+"""What follows from a camera's parameters, as a sheet to read."""
 
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
 
-from ..camera import PlenopticCamera, image_distance
-from ..design import depth_ranges, effective_resolution, lenses_across, suitable_oversample
+from .. import design
+from ..camera import PlenopticCamera
 from ..errors import InputError
+from ..thin_lens import image_distance
 
 
 class Row(NamedTuple):
@@ -38,77 +39,6 @@ def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> li
     return rows
 
 
-def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
-    """Say in one sentence each what is poor about a design.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float, optional
-        Wavelength in nanometres; without it diffraction is not judged.
-    """
-    found = []
-    diameter, pitch = camera.micro_image_diameter, camera.micro_image_pitch
-    # The stop for which the micro-images just touch.
-    touching = camera.aperture_diameter * pitch / diameter
-    if diameter > pitch:
-        found.append(
-            f"micro-images overlap: their diameter of {_text(diameter)} mm exceeds their pitch of "
-            f"{_text(pitch)} mm; stop the main lens down to a diameter of {_text(touching)} mm"
-        )
-    elif diameter < 0.5 * pitch:
-        found.append(
-            f"pixels are wasted: micro-images fill {diameter / pitch:.0%} of their pitch; open the main "
-            f"lens to a diameter of {_text(touching)} mm, or shorten mla_focal_length"
-        )
-    elif camera.kind != "unfocused" and camera.crosstalk_lenses > 1:
-        found.append(
-            "micro-images overlap at their rims, which a lens that is in focus on the object blurs: light of "
-            "neighbouring lenses mixes there; stop the main lens down, or narrow the lenses (mla_fill)"
-        )
-    image = max(camera.mla_distance - _focus_on_image(camera, lens) for lens in range(len(camera.mla_kinds)))
-    if image < camera.focal_length:
-        found.append(
-            f"no object plane is in focus: the microlenses see a plane {_text(image)} mm behind the main lens, "
-            f"within its focal length of {_text(camera.focal_length)} mm; lengthen mla_distance"
-        )
-    found += _coverage_warnings(camera)
-    directions = camera.direction_count(wavelength)
-    if directions < 2:
-        found.append(f"no refocusing: across its diameter a micro-image tells only {directions:.2g} directions apart")
-    if wavelength is not None:
-        spot = camera.spot_size(wavelength)
-        if camera.pixel_size > 0.5 * spot:
-            pixel = _text(1e3 * camera.pixel_size)
-            found.append(
-                f"the detector undersamples the diffraction spot: a pixel of {pixel} um exceeds half"
-                f" the spot's half width of {_text(1e3 * spot)} um"
-            )
-        fresnel = camera.mla_fresnel_number(wavelength)
-        if fresnel < 1:
-            found.append(f"the microlenses hardly focus: their Fresnel number is {fresnel:.2g}")
-    return found
-
-
-def _focus_on_image(camera: PlenopticCamera, lens: int) -> float:
-    """Distance before the MLA of what a kind of lens is to see: 0 if unfocused, as the MLA itself is in focus then."""
-    return 0.0 if camera.mla_kinds[lens] == "unfocused" else camera.mla_object_distances[lens]
-
-
-def _coverage_warnings(camera: PlenopticCamera) -> list[str]:
-    """Tell where the lenses of a focused camera leave gaps between their pictures."""
-    if camera.kind == "unfocused":
-        return []
-    cones = {g: lenses_across(camera, g) for g in camera.best_distances if camera.focal_length < g < math.inf}
-    return [
-        f"gaps at {_text(distance)} mm, where the microlenses are sharpest: the light of a point spans only "
-        f"{across:.2g} of them; open the main lens, or move the detector so that they see farther"
-        for distance, across in cones.items()
-        if across < 1
-    ]
-
-
 def _main_lens(camera: PlenopticCamera) -> list[Row]:
     group = "Main lens"
     rows = [
@@ -116,10 +46,10 @@ def _main_lens(camera: PlenopticCamera) -> list[Row]:
         Row(group, "diameter", _text(camera.aperture_diameter), "mm", f"f/{camera.f_number:.3g}"),
         Row(group, "distance to microlenses", _text(camera.mla_distance), "mm", ""),
         Row(group, "focused distance", *_distance(camera.focus_distance), "on the microlenses"),
-        Row(group, "field of view", f"{camera.field_of_view:.3g}", "deg", "horizontal, full angle"),
+        Row(group, "field of view", f"{design.field_of_view(camera):.3g}", "deg", "horizontal, full angle"),
     ]
     if 0 < camera.focus_distance < math.inf:
-        width = camera.field_width(camera.focus_distance)
+        width = design.field_width(camera, camera.focus_distance)
         rows.append(Row(group, "field width", _text(width), "mm", "in the focused plane"))
     rows.append(Row(group, "lens model", camera.lens_model, "", ""))
     return rows
@@ -127,7 +57,7 @@ def _main_lens(camera: PlenopticCamera) -> list[Row]:
 
 def _microlenses(camera: PlenopticCamera) -> list[Row]:
     group = "Microlenses"
-    main, micro = camera.image_f_number, camera.mla_f_number
+    main, micro = design.image_f_number(camera), design.mla_f_number(camera)
     # Neighbouring micro-images touch where the two match, up to the factor (b + z)/b of their pitch.
     if math.isclose(micro, main, rel_tol=0.05):
         match = "matches: micro-images touch"
@@ -180,34 +110,36 @@ def _micro_images(camera: PlenopticCamera) -> list[Row]:
         Row(group, "diameter", _text(diameter / pixel), "pixels", f"{_text(1e3 * diameter)} um, D1 z/b"),
         Row(group, "pitch", _text(pitch / pixel), "pixels", f"{_text(1e3 * pitch)} um, D2 (b + z)/b"),
         Row(group, "diameter over pitch", f"{diameter / pitch:.3g}", "", ""),
-        Row(group, "mean of a white capture", f"{camera.white_mean:.3g}", "", "per unit radiance"),
+        Row(group, "mean of a white capture", f"{design.white_mean(camera):.3g}", "", "per unit radiance"),
     ]
 
 
 def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[Row]:
     group = "Resolution"
     names = {"keplerian": "focused, Keplerian", "galilean": "focused, Galilean"}
-    kinds = [names.get(kind, kind) for kind in dict.fromkeys(camera.mla_kinds)]
+    kinds = [names.get(kind, kind) for kind in dict.fromkeys(design.focus_types(camera))]
     rows = [Row(group, "kind of camera", "; ".join(kinds), "", _seen(camera))]
-    lenses = zip(camera.mla_focal_lengths, camera.best_distances, depth_ranges(camera, wavelength), strict=True)
+    lenses = zip(
+        camera.mla_focal_lengths, design.best_distances(camera), design.depth_ranges(camera, wavelength), strict=True
+    )
     for f2, best, limits in lenses:
         which = f"f2 = {_text(f2)} mm" if len(camera.mla_focal_lengths) > 1 else ""
         rows.append(Row(group, "sharpest distance", *_distance(best), which))
         if _is_imaged(camera, best):
             rows += _effective(group, camera, best, wavelength)
-        note = "refocused" if camera.kind == "unfocused" else "blur below a pixel or the spot, no gaps"
+        note = "refocused" if design.focus_type(camera) == "unfocused" else "blur below a pixel or the spot, no gaps"
         rows.append(Row(group, "depth range", *_range(limits), note))
     if len(camera.mla_focal_lengths) > 1:
-        together = [_range(limits)[0] for limits in _union(depth_ranges(camera, wavelength))]
+        together = [_range(limits)[0] for limits in _union(design.depth_ranges(camera, wavelength))]
         rows.append(Row(group, "depth range, together", ", ".join(together) or "none", "mm" if together else "", ""))
     return rows
 
 
 def _seen(camera: PlenopticCamera) -> str:
     """Say what the microlenses see."""
-    if camera.kind == "unfocused":
+    if design.focus_type(camera) == "unfocused":
         return "the microlenses see the main lens"
-    where = [f"{_text(abs(a))} mm {'before' if a > 0 else 'behind'} them" for a in camera.mla_object_distances]
+    where = [f"{_text(abs(a))} mm {'before' if a > 0 else 'behind'} them" for a in design.mla_object_distances(camera)]
     return f"the microlenses see an image {', '.join(where)}"
 
 
@@ -222,7 +154,7 @@ def _is_imaged(camera: PlenopticCamera, distance: float) -> bool:
 
 def _effective(group: str, camera: PlenopticCamera, distance: float, wavelength: float | None) -> list[Row]:
     """Resolution at one distance."""
-    finest = effective_resolution(camera, distance, wavelength)
+    finest = design.effective_resolution(camera, distance, wavelength)
     rows = [
         Row(group, "effective resolution", f"{finest.columns:.0f} x {finest.rows:.0f}", "", "details across and down"),
         Row(group, "finest detail", _text(finest.line_width), "mm", f"{finest.ratio:.3g} per pixel of the detector"),
@@ -231,13 +163,13 @@ def _effective(group: str, camera: PlenopticCamera, distance: float, wavelength:
             "samples per lens",
             f"{finest.samples_per_lens:.3g}",
             "",
-            f"along an axis; suits oversample = {suitable_oversample(camera, distance, wavelength)}",
+            f"along an axis; suits oversample = {design.suitable_oversample(camera, distance, wavelength)}",
         ),
     ]
-    if camera.kind != "unfocused":
-        across = f"{lenses_across(camera, distance):.3g}"
+    if design.focus_type(camera) != "unfocused":
+        across = f"{design.lenses_across(camera, distance):.3g}"
         rows += [
-            Row(group, "virtual depth", f"{camera.virtual_depth(distance):.3g}", "", "image to MLA over z"),
+            Row(group, "virtual depth", f"{design.virtual_depth(camera, distance):.3g}", "", "image to MLA over z"),
             Row(group, "lenses that see a point", across, "", "along an axis"),
         ]
     return rows
@@ -245,14 +177,14 @@ def _effective(group: str, camera: PlenopticCamera, distance: float, wavelength:
 
 def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> list[Row]:
     group = "Refocusing"
-    near, far = camera.refocus_range(wavelength)
+    near, far = design.refocus_range(camera, wavelength)
     limit = "in a micro-image, by its pixels" if wavelength is None else "in a micro-image, with diffraction"
     rows = [
-        Row(group, "directions told apart", f"{camera.direction_count(wavelength):.3g}", "", limit),
+        Row(group, "directions told apart", f"{design.direction_count(camera, wavelength):.3g}", "", limit),
         Row(group, "nearest distance", *_distance(near), "with one sample per lens"),
         Row(group, "farthest distance", *_distance(far), ""),
     ]
-    for distance in dict.fromkeys((near, *camera.best_distances, far)):
+    for distance in dict.fromkeys((near, *design.best_distances(camera), far)):
         if camera.focal_length < distance < math.inf:
             at = f"at {_text(distance)} mm"
             rows += [
@@ -270,7 +202,7 @@ def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> list[Row]:
 
 def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[Row]:
     group = f"Diffraction at {wavelength:g} nm"
-    spot = camera.spot_size(wavelength)
+    spot = design.spot_radius(camera, wavelength)
     pixels = f"{_text(spot / camera.pixel_size)} pixels, centre to first zero"
     return [
         Row(group, "spot of a microlens", _text(1e3 * spot), "um", pixels),
@@ -284,14 +216,14 @@ def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[Row]:
         Row(
             group,
             "Fresnel number, microlens",
-            f"{camera.mla_fresnel_number(wavelength):.3g}",
+            f"{design.mla_fresnel_number(camera, wavelength):.3g}",
             "",
             "from the detector",
         ),
         Row(
             group,
             "Fresnel number, main lens",
-            f"{camera.main_fresnel_number(wavelength):.3g}",
+            f"{design.main_fresnel_number(camera, wavelength):.3g}",
             "",
             "from the MLA",
         ),

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 
+from .. import design
 from ..camera import PlenopticCamera
 from ..io.files import atomic_output
 from .experiment import METHODS, TITLES, Experiment
@@ -117,7 +118,7 @@ def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> 
     axes = figure.axes(edge, 0.5, half, half * window.aspect)
     seen = window.of(experiment.pinhole)
     _show(axes, seen, "Object, seen from the centre of the main lens")
-    in_view = (window.right - window.left) * camera.field_width(camera.focus_distance)
+    in_view = (window.right - window.left) * design.field_width(camera, camera.focus_distance)
     _scale_bar(axes, 2.0, in_view, f"2 mm at {camera.focus_distance:g} mm")
     for name in letters:
         low, high = experiment.boxes[name]

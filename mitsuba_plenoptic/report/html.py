@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from .. import design
 from ..io.files import atomic_output
 from .claims import Claim
-from .design_sheet import design_sheet, design_warnings
+from .design_sheet import design_sheet
 from .experiment import SLIDER_METHODS, TITLES, Experiment
 from .figures import Window, Zoom, common_peak, lit_window
 from .images import to_bytes
@@ -124,7 +125,7 @@ def _captures(page: Page) -> str:
         for i, zoom in enumerate(page.zooms)
     )
     likeness = page.numbers["captures"]
-    spot = experiment.camera.spot_size(experiment.settings.wavelength) / experiment.camera.pixel_size
+    spot = design.spot_radius(experiment.camera, experiment.settings.wavelength) / experiment.camera.pixel_size
     return f"""
 <p>Every disc is the aperture of the main lens as one microlens images it. Rays give it sharp edges, waves blur it by
 diffraction at the microlens: {spot:.2g} pixels from the middle of a spot to its first zero. The two captures differ
@@ -297,7 +298,7 @@ def _camera(page: Page) -> str:
         )
         tables.append(f"<table><caption>{_text(group)}</caption><tbody>{lines}</tbody></table>")
     warnings = "".join(
-        f'<p class="warning">{_text(_capital(text))}.</p>' for text in design_warnings(camera, wavelength)
+        f'<p class="warning">{_text(_capital(text))}.</p>' for text in design.design_warnings(camera, wavelength)
     )
     return f'{warnings}<div class="sheet">{"".join(tables)}</div>'
 

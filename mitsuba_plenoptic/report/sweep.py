@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from ..camera import PlenopticCamera, image_distance
+from ..camera import PlenopticCamera
 from ..capture.render import render_capture
 from ..capture.scene import load_scene, scene_path
 from ..errors import InputError, require_number
@@ -25,6 +25,7 @@ from ..io.files import atomic_output, remove_leftovers, require_file, require_wr
 from ..reconstruction import METHODS, reconstruct
 from ..runtime.batches import BatchMap
 from ..runtime.variant import DEFAULT_VARIANT, set_variant
+from ..thin_lens import image_distance
 from .stages import Finished, Notify, Progress, StageStore, scene_fingerprint, software
 
 # Names of the grid that are not parameters of the scene.

@@ -13,6 +13,7 @@ from mitsuba_plenoptic import (
     PhysicsError,
     PhysicsWarning,
     PlenopticCamera,
+    design,
     load_scene,
     point_spread_function,
     read_capture,
@@ -143,7 +144,7 @@ class TestReconstruction:
                 interleave=interleave,
             )
         assert len(caught) == 1
-        beside = 1 - self.CAMERA.white_mean
+        beside = 1 - design.white_mean(self.CAMERA)
         assert result.guards["outside_pupil"] == pytest.approx(beside, abs=0.05)
 
     def test_light_that_leaves_the_object_window(self, monkeypatch):

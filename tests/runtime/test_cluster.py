@@ -12,9 +12,9 @@ import time
 
 import numpy as np
 import pytest
+from mitsuba_plenoptic.capture.incoherent import estimate_cost, incoherent_sum
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, render_capture
-from mitsuba_plenoptic.capture.incoherent import estimate_cost, incoherent_sum
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.report.sweep import SweepSettings, sweep
 from mitsuba_plenoptic.runtime import cluster as distributed

@@ -13,26 +13,19 @@ from typer.testing import CliRunner
 from mitsuba_plenoptic import (
     InputError,
     PlenopticCamera,
+    design,
     load_scene,
     point_spread_function,
     reconstruct,
     render_capture,
     scene_path,
 )
-from mitsuba_plenoptic.camera import image_distance
 from mitsuba_plenoptic.cli import app
-from mitsuba_plenoptic.design import (
-    depth_ranges,
-    effective_resolution,
-    lens_footprint,
-    lenses_across,
-    pixel_footprint,
-    suitable_oversample,
-)
 from mitsuba_plenoptic.lightfield import white_image
 from mitsuba_plenoptic.presets import PRESETS
-from mitsuba_plenoptic.report.design_sheet import design_sheet, design_warnings
+from mitsuba_plenoptic.report.design_sheet import design_sheet
 from mitsuba_plenoptic.report.referee import agreement, thin_lens_image
+from mitsuba_plenoptic.thin_lens import image_distance
 
 # The paper's camera, whose lenses see the main lens's image 3 z before them, or behind them.
 KEPLERIAN = {
@@ -56,34 +49,34 @@ SMALL = {"detector_width": 1.024, "resolution": (512, 512)}
 
 
 @pytest.mark.parametrize(
-    ("z", "kind"),
+    ("z", "focus"),
     # The spot of parallel light is a pixel wide, 2 um, for z 0.016 mm from the focus.
     [(0.512, "unfocused"), (0.5279, "unfocused"), (0.5281, "keplerian"), (0.4961, "unfocused"), (0.4959, "galilean")],
 )
-def test_the_kind_follows_from_the_spot_of_parallel_light(z, kind):
-    assert PlenopticCamera(detector_distance=z).kind == kind
+def test_the_focus_type_follows_from_the_spot_of_parallel_light(z, focus):
+    assert design.focus_type(PlenopticCamera(detector_distance=z)) == focus
 
 
 def test_numbers_of_the_focused_cameras():
     kepler, galileo = PlenopticCamera(**KEPLERIAN), PlenopticCamera(**GALILEAN)
-    assert (kepler.kind, galileo.kind) == ("keplerian", "galilean")
-    assert kepler.mla_object_distances == pytest.approx((1.536,))
-    assert galileo.mla_object_distances == pytest.approx((-1.536,))
-    assert kepler.best_distances == pytest.approx((240,))
-    assert galileo.best_distances == pytest.approx((240,))
-    assert kepler.virtual_depth(240) == pytest.approx(3)
-    assert galileo.virtual_depth(240) == pytest.approx(-3)
+    assert (design.focus_type(kepler), design.focus_type(galileo)) == ("keplerian", "galilean")
+    assert design.mla_object_distances(kepler) == pytest.approx((1.536,))
+    assert design.mla_object_distances(galileo) == pytest.approx((-1.536,))
+    assert design.best_distances(kepler) == pytest.approx((240,))
+    assert design.best_distances(galileo) == pytest.approx((240,))
+    assert design.virtual_depth(kepler, 240) == pytest.approx(3)
+    assert design.virtual_depth(galileo, 240) == pytest.approx(-3)
     assert kepler.focus_distance == pytest.approx(234.083, abs=1e-3)
-    assert PlenopticCamera().best_distances == pytest.approx((240,))
-    assert PlenopticCamera().mla_object_distances == (math.inf,)
+    assert design.best_distances(PlenopticCamera()) == pytest.approx((240,))
+    assert design.mla_object_distances(PlenopticCamera()) == (math.inf,)
 
 
 def test_a_multi_focus_camera_may_be_of_several_kinds():
     camera = PlenopticCamera(mla_lattice="hexagonal", mla_focal_length=(0.512, 0.4, 0.7), detector_distance=0.512)
-    assert camera.mla_kinds == ("unfocused", "keplerian", "galilean")
-    assert camera.kind == "mixed"
-    assert camera.best_distances[0] == pytest.approx(240)
-    assert all(len(limits) == 2 for limits in depth_ranges(camera))
+    assert design.focus_types(camera) == ("unfocused", "keplerian", "galilean")
+    assert design.focus_type(camera) == "mixed"
+    assert design.best_distances(camera)[0] == pytest.approx(240)
+    assert all(len(limits) == 2 for limits in design.depth_ranges(camera))
 
 
 @FOCUSED
@@ -104,7 +97,7 @@ def test_rays_of_a_pixel_meet_in_the_best_plane_and_nowhere_else(camera_dict, nu
 
     np.testing.assert_allclose(spread(240.0), 0, atol=1e-3)
     for distance in (236.0, 245.0):
-        expected = lens_footprint(camera, distance, camera.mla_focal_length) * camera.bin_size(distance)
+        expected = design.lens_footprint(camera, distance, camera.mla_focal_length) * camera.bin_size(distance)
         np.testing.assert_allclose(spread(distance), expected, rtol=0.01)
 
 
@@ -117,31 +110,31 @@ def test_a_pixel_is_enlarged_by_the_virtual_depth(camera_dict, numbers):
     ray, _ = sensor.sample_ray(0, 0.5, place, mi.Point2f(0.5))
     step = abs(np.diff(np.array(ray(240.0 / ray.d.z))[0])[0])
     assert step == pytest.approx(3 * 0.002 * 240 / 120, rel=1e-3)
-    assert step == pytest.approx(pixel_footprint(camera, 240) * 240 / camera.mla_distance, rel=1e-3)
+    assert step == pytest.approx(design.pixel_footprint(camera, 240) * 240 / camera.mla_distance, rel=1e-3)
 
 
 # -- resolution and depth of field ------------------------------------------------------------------
 
 
 def test_an_unfocused_camera_gives_one_sample_per_lens():
-    found = effective_resolution(PlenopticCamera(), 240)
+    found = design.effective_resolution(PlenopticCamera(), 240)
     assert found.samples_per_lens == pytest.approx(1)
     assert (found.columns, found.rows) == pytest.approx((128, 128))
     assert found.line_width == pytest.approx(0.128)
-    assert suitable_oversample(PlenopticCamera(), 240) == 1
+    assert design.suitable_oversample(PlenopticCamera(), 240) == 1
 
 
 @FOCUSED
 def test_a_focused_camera_gives_the_detectors_resolution_over_the_virtual_depth(numbers):
     camera = PlenopticCamera(**numbers)
-    found = effective_resolution(camera, 240)
+    found = design.effective_resolution(camera, 240)
     # Perwass and Wietzke; the image is not as wide as the MLA by its distance from there.
     assert found.ratio == pytest.approx(1 / 3 * 120 / camera.mla_distance)
     assert found.columns == pytest.approx(4096 * found.ratio)
     assert found.line_width == pytest.approx(2 * 3 * 0.002)
-    assert suitable_oversample(camera, 240) == 10
+    assert design.suitable_oversample(camera, 240) == 10
     # 633 nm make a spot of 5.06 um, more than a pixel.
-    assert effective_resolution(camera, 240, 633).ratio == pytest.approx(found.ratio * 2 / 5.064)
+    assert design.effective_resolution(camera, 240, 633).ratio == pytest.approx(found.ratio * 2 / 5.064)
 
 
 @pytest.mark.parametrize(
@@ -154,53 +147,53 @@ def test_a_focused_camera_gives_the_detectors_resolution_over_the_virtual_depth(
 )
 def test_bad_arguments_are_refused(distance, wavelength, message):
     with pytest.raises(InputError, match=message):
-        effective_resolution(PlenopticCamera(), distance, wavelength)
+        design.effective_resolution(PlenopticCamera(), distance, wavelength)
 
 
 @FOCUSED
 def test_at_the_ends_of_the_depth_range_a_point_is_a_pixel_wide(numbers):
     camera = PlenopticCamera(**numbers)
-    ((near, far),) = depth_ranges(camera)
+    ((near, far),) = design.depth_ranges(camera)
     assert near < 240 < far
     for distance in (near, far):
         a = camera.mla_distance - image_distance(camera.focal_length, distance)
         behind = 1 / (1 / camera.mla_focal_length - 1 / a)  # where the microlens images the point
         assert camera.mla_pitch * abs(1 - camera.detector_distance / behind) == pytest.approx(camera.pixel_size)
     # With diffraction less is asked for.
-    ((nearer, farther),) = depth_ranges(camera, 633)
+    ((nearer, farther),) = design.depth_ranges(camera, 633)
     assert nearer < near < far < farther
 
 
 @FOCUSED
 def test_the_depth_range_ends_where_a_point_is_seen_once(numbers):
     camera = PlenopticCamera(**numbers)
-    assert lenses_across(camera, 240) == pytest.approx(1.96)
-    (wide,), (narrow,) = (depth_ranges(c) for c in (camera, camera.replace(aperture_radius=2.4)))
+    assert design.lenses_across(camera, 240) == pytest.approx(1.96)
+    (wide,), (narrow,) = (design.depth_ranges(c) for c in (camera, camera.replace(aperture_radius=2.4)))
     # Nearer to the MLA the main lens's image of a point spreads over fewer lenses: at its far end, or its near one.
-    side = 0 if camera.kind == "keplerian" else 1
+    side = 0 if design.focus_type(camera) == "keplerian" else 1
     assert narrow[1 - side] == wide[1 - side]
     assert narrow[side] != wide[side]
-    assert lenses_across(camera.replace(aperture_radius=2.4), narrow[side]) == pytest.approx(1)
-    assert depth_ranges(camera.replace(aperture_radius=1.0)) == [None]
+    assert design.lenses_across(camera.replace(aperture_radius=2.4), narrow[side]) == pytest.approx(1)
+    assert design.depth_ranges(camera.replace(aperture_radius=1.0)) == [None]
 
 
 @FOCUSED
 def test_the_refocusable_range_ends_at_one_sample_per_lens(numbers):
     camera = PlenopticCamera(**numbers)
-    near, far = camera.refocus_range()
+    near, far = design.refocus_range(camera)
     assert near < 240 < far
     for distance in np.linspace(near, far, 9)[1:-1]:
-        assert effective_resolution(camera, distance).samples_per_lens > 1
+        assert design.effective_resolution(camera, distance).samples_per_lens > 1
     for distance in (near, far):
-        assert effective_resolution(camera, distance).samples_per_lens == pytest.approx(1, rel=0.03)
-    assert PlenopticCamera().refocus_range() == pytest.approx((188.521, 330.154), abs=1e-3)
+        assert design.effective_resolution(camera, distance).samples_per_lens == pytest.approx(1, rel=0.03)
+    assert design.refocus_range(PlenopticCamera()) == pytest.approx((188.521, 330.154), abs=1e-3)
 
 
 def test_focused_at_infinity_there_is_a_far_end_at_infinity():
     # Keplerian: the image of what is far lies in the focal plane, 1.536 mm before the MLA.
     camera = PlenopticCamera(**KEPLERIAN | {"mla_distance": 81.536})
-    assert camera.best_distances == (pytest.approx(math.inf),) or camera.best_distances[0] > 1e12
-    ((near, far),) = depth_ranges(camera)
+    assert design.best_distances(camera) == (pytest.approx(math.inf),) or design.best_distances(camera)[0] > 1e12
+    ((near, far),) = design.depth_ranges(camera)
     assert far == math.inf
     assert near > 10_000
 
@@ -346,15 +339,15 @@ def test_a_white_scene_comes_back_by_waves_to_one(numbers, interleave):
 def test_presets():
     assert PlenopticCamera.preset("paper") == PlenopticCamera()
     lytro, raytrix = PlenopticCamera.preset("lytro"), PlenopticCamera.preset("raytrix")
-    assert lytro.kind == "unfocused"
+    assert design.focus_type(lytro) == "unfocused"
     assert lytro.f_number == pytest.approx(1.92)
     assert lytro.pixels_per_lens == pytest.approx(10)
     assert lytro.focus_distance == pytest.approx(230, abs=0.1)
-    assert raytrix.kind == "galilean"
+    assert design.focus_type(raytrix) == "galilean"
     assert raytrix.f_number == pytest.approx(4, abs=1e-3)
     assert raytrix.pixel_size == pytest.approx(0.0055)
     # The three focal lengths make one depth range.
-    ranges = sorted(depth_ranges(raytrix))
+    ranges = sorted(design.depth_ranges(raytrix))
     assert all(first[1] > second[0] for first, second in itertools.pairwise(ranges))
     with pytest.raises(InputError, match=r"preset = 'nikon': it must be one of paper, lytro, raytrix"):
         PlenopticCamera.preset("nikon")
@@ -375,7 +368,7 @@ def test_scenes_have_the_presets_cameras(name):
 def test_scenes_of_focused_cameras(name, numbers):
     camera = PlenopticCamera.from_sensor(load_scene(name).sensors()[0])
     assert camera == PlenopticCamera(**numbers)
-    assert camera.crosstalk_lenses == 1
+    assert design.crosstalk_lenses(camera) == 1
 
 
 @pytest.mark.parametrize("name", ["keplerian", "galilean", "lytro", "raytrix"])
@@ -419,16 +412,15 @@ def test_the_design_sheet_tells_kind_resolution_and_depth_range():
     ],
 )
 def test_warnings(numbers, words):
-    assert any(words in warning for warning in design_warnings(PlenopticCamera(**numbers)))
+    assert any(words in warning for warning in design.design_warnings(PlenopticCamera(**numbers)))
 
 
 def test_no_warnings_where_all_is_well():
-    assert design_warnings(PlenopticCamera(**KEPLERIAN)) == []
-    assert design_warnings(PlenopticCamera(**GALILEAN)) == []
+    assert design.design_warnings(PlenopticCamera(**KEPLERIAN)) == []
+    assert design.design_warnings(PlenopticCamera(**GALILEAN)) == []
     # The MLA stands within the focal length, as it must to see what is far.
-    assert not any(
-        "no object plane" in text for text in design_warnings(PlenopticCamera(**GALILEAN | {"mla_distance": 79.0}))
-    )
+    far = PlenopticCamera(**GALILEAN | {"mla_distance": 79.0})
+    assert not any("no object plane" in text for text in design.design_warnings(far))
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -24,8 +24,77 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from .camera import PlenopticCamera, conjugate_distance, image_distance, require_wavelength
-from .errors import require_number
+from ..bounds import require_wavelength
+from ..camera import PlenopticCamera
+from ..errors import require_number
+from ..thin_lens import conjugate_distance, image_distance
+from .micro_images import direction_count, spot_radius
+
+# -- what the microlenses are focused on -------------------------------------------------------------
+
+
+def focus_types(camera: PlenopticCamera) -> tuple[str, ...]:
+    r"""Return what each type of microlens is focused on.
+
+    - ``unfocused``: on the main lens, as good as infinitely far (Ng 2006; the "plenoptic camera 1.0"). It makes a
+      spot of at most a pixel of parallel light: :math:`D_2 |z / f_2 - 1| \le` pixel.
+    - ``keplerian``: on the main lens's image, a real one before the MLA; :math:`z > f_2`.
+    - ``galilean``: on the main lens's image, a virtual one behind the detector, where it would be without the MLA;
+      :math:`z < f_2`. These two make the "focused plenoptic camera" or "2.0" (Lumsdaine and Georgiev 2009, "The
+      focused plenoptic camera"; Perwass and Wietzke 2012, "Single lens 3D-camera with extended depth-of-field").
+    """
+    # Rounding must not take a lens out of focus.
+    limit = camera.pixel_size * (1 + 1e-9)
+    spots = [camera.lattice.aperture_width * (camera.detector_distance / f2 - 1) for f2 in camera.mla_focal_lengths]
+    return tuple("unfocused" if abs(s) <= limit else "keplerian" if s > 0 else "galilean" for s in spots)
+
+
+def focus_type(camera: PlenopticCamera) -> str:
+    """Return what all microlenses are focused on, as `focus_types` names it, or ``mixed``."""
+    types = set(focus_types(camera))
+    return types.pop() if len(types) == 1 else "mixed"
+
+
+def mla_object_distances(camera: PlenopticCamera) -> tuple[float, ...]:
+    """Distance a before the MLA, towards the main lens, of what each type of microlens images on the detector.
+
+    :math:`1/a + 1/z = 1/f_2`; negative for a virtual image behind the MLA, infinite for :math:`z = f_2`.
+    """
+    return tuple(conjugate_distance(f2, camera.detector_distance) for f2 in camera.mla_focal_lengths)
+
+
+def best_distances(camera: PlenopticCamera) -> tuple[float, ...]:
+    """Distance of the object plane that each type of microlens sees sharply through the main lens.
+
+    For an unfocused one, `PlenopticCamera.focus_distance`. Where there is no such plane it is
+    infinite or negative.
+    """
+    return tuple(
+        conjugate_distance(camera.focal_length, camera.mla_distance - (0 if focus == "unfocused" else a))
+        for focus, a in zip(focus_types(camera), mla_object_distances(camera), strict=True)
+    )
+
+
+def virtual_depth(camera: PlenopticCamera, distance: float) -> float:
+    """Distance before the MLA of the main lens's image of an object, in units of z: :math:`v = a / z`.
+
+    A point is then seen by about as many microlenses along an axis, each of which shrinks the image by that factor
+    (Perwass and Wietzke 2012, section 2). Negative for an image behind the MLA.
+    """
+    return (camera.mla_distance - image_distance(camera.focal_length, distance)) / camera.detector_distance
+
+
+# -- how finely they see it --------------------------------------------------------------------------
+
+
+def field_of_view(camera: PlenopticCamera) -> float:
+    """Full horizontal field of view in degrees."""
+    return math.degrees(2 * math.atan(camera.detector_width / (2 * camera.mla_distance)))
+
+
+def field_width(camera: PlenopticCamera, distance: float) -> float:
+    """Width of the field in the object plane."""
+    return camera.detector_width * distance / camera.mla_distance
 
 
 @dataclass(frozen=True)
@@ -56,7 +125,7 @@ def lens_footprint(camera: PlenopticCamera, distance: float, mla_focal_length: f
 
     Projected onto the MLA through the main lens's centre; see the head of this module.
     """
-    return abs(1 - camera.defocus(distance) * camera.pupil_walk(mla_focal_length))
+    return abs(1 - camera.defocus(distance) * camera.pupil_shift(mla_focal_length))
 
 
 def pixel_footprint(camera: PlenopticCamera, distance: float) -> float:
@@ -109,10 +178,35 @@ def effective_resolution(
     )
 
 
-def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> list[tuple[float, float] | None]:
-    r"""Nearest and farthest distance at which each kind of microlens is sharp.
+# -- at which distances ------------------------------------------------------------------------------
 
-    For an unfocused kind that is `PlenopticCamera.refocus_range`. For another, its blur on the detector,
+
+def refocus_range(camera: PlenopticCamera, wavelength: float | None = None) -> tuple[float, float]:
+    """Nearest and farthest distance that refocusing brings back to one sample per lens.
+
+    The blur on the MLA may then span as many lenses as directions are told apart under each (Ng 2006,
+    "Digital Light Field Photography", section 3.4). A microlens that is in focus at the distance a, not on the main
+    lens, must besides blur the main lens's image by less than its own width, which it does as far as 2a. The far
+    end may be infinite.
+    """
+    slack = direction_count(camera, wavelength) * camera.mla_pitch / camera.aperture_diameter
+    ends = []
+    for focus, a in zip(focus_types(camera), mla_object_distances(camera), strict=True):
+        # The defocus of what has its image at 2a; of what has it at the MLA it is 0.
+        twice = -2 * a / (camera.mla_distance - 2 * a)
+        ends += [-slack, slack] if focus == "unfocused" else [0.0, min(max(twice, -slack), slack)]
+    base = camera.mla_distance / camera.focal_length - 1
+    near, far = base + max(ends), base + min(ends)
+    return (
+        camera.mla_distance / near if near > 0 else math.inf,
+        camera.mla_distance / far if far > 0 else math.inf,
+    )
+
+
+def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> list[tuple[float, float] | None]:
+    r"""Nearest and farthest distance at which each type of microlens is sharp.
+
+    For an unfocused type that is `refocus_range`. For another, its blur on the detector,
     :math:`w |1/v - 1/v_0|`, is at most a pixel, or the spot of diffraction if that is wider, and every point is seen by
     two lenses at least (`lenses_across` of 1).
 
@@ -132,9 +226,9 @@ def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> li
     z = camera.detector_distance
     slack = _finest(camera, wavelength) / camera.lattice.aperture_width / z
     found: list[tuple[float, float] | None] = []
-    for kind, a in zip(camera.mla_kinds, camera.mla_object_distances, strict=True):
-        if kind == "unfocused":
-            found.append(camera.refocus_range(wavelength))
+    for focus, a in zip(focus_types(camera), mla_object_distances(camera), strict=True):
+        if focus == "unfocused":
+            found.append(refocus_range(camera, wavelength))
             continue
         side = math.copysign(1, a)
         # Distances of the image from the MLA, on the side where the microlens is in focus.
@@ -157,7 +251,7 @@ def suitable_oversample(camera: PlenopticCamera, distance: float, wavelength: fl
 
 def _finest(camera: PlenopticCamera, wavelength: float | None) -> float:
     """Finest detail on the detector: a pixel, or the spot of diffraction if that is wider."""
-    return max(camera.pixel_size, 0.0 if wavelength is None else camera.spot_size(require_wavelength(wavelength)))
+    return max(camera.pixel_size, 0.0 if wavelength is None else spot_radius(camera, require_wavelength(wavelength)))
 
 
 def _covering(camera: PlenopticCamera, side: float) -> float:
