@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import io
 import json
@@ -58,38 +57,50 @@ class Trap:
         return Path.touch, (self.path,)
 
 
-@pytest.fixture
-def often(monkeypatch):
-    """Write a checkpoint after every batch."""
-    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
-    monkeypatch.setattr(checkpoints, "FRACTION", 1e9)
+def render(checkpoint=None, parameters=None, **options):
+    """Render the capture by waves, or one a little different from it."""
+    scene = load_scene("letters", parameters=SCENE | (parameters or {}))
+    return render_capture(
+        scene, checkpoint=checkpoint, **{"model": "wave", "spp": 1, "radiators_per_lens": 4} | options
+    )
+
+
+def stop_before(path, unwanted, **options):
+    """Render with a checkpoint after every batch, until one would follow that is not wanted.
+
+    `unwanted` is given the number of finished sums in each checkpoint that was written.
+    """
+    write, sums = checkpoints._write, []
+
+    def counted(temporary, run, snapshot):
+        if unwanted(sums):
+            raise StoppedError
+        write(temporary, run, snapshot)
+        sums.append(snapshot.sums)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(checkpoints, "INTERVAL", 0.0)
+        patch.setattr(checkpoints, "FRACTION", 1e9)
+        patch.setattr(checkpoints, "_write", counted)
+        with pytest.raises(StoppedError), Checkpoint(path) as checkpoint:
+            render(checkpoint, **options)
+    return sums
 
 
 @pytest.fixture(scope="module")
 def clean():
     """Render the capture that no run is allowed to differ from."""
     mi.set_variant("llvm_ad_mono")
-    return render_capture(load_scene("letters", parameters=SCENE), model="wave", spp=1, radiators_per_lens=4).image
+    return render().image
 
 
-@pytest.fixture
-def stop_after(monkeypatch, often):
-    """Make runs end after some checkpoints."""
-
-    def stop(count):
-        write = checkpoints._write
-        written = []
-
-        def counted(path, run, snapshot):
-            if len(written) == count:
-                raise StoppedError
-            write(path, run, snapshot)
-            written.append(path)
-
-        monkeypatch.setattr(checkpoints, "_write", counted)
-        return lambda: monkeypatch.setattr(checkpoints, "_write", write)
-
-    return stop
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory):
+    """Stop a capture and return its checkpoint's content."""
+    mi.set_variant("llvm_ad_mono")
+    path = tmp_path_factory.mktemp("stopped") / "raw.checkpoint"
+    stop_before(path, lambda sums: len(sums) == 1)
+    return path.read_bytes()
 
 
 def positions(count, seed=0):
@@ -137,83 +148,27 @@ def test_a_sum_refuses_the_state_of_another(start):
         operator.forward(np.ones(2), job=Job(keeper=keeper))
 
 
-@pytest.mark.parametrize("checkpoint_count", [1, 4])
-def test_a_capture_goes_on_where_it_was_stopped(tmp_path, clean, stop_after, checkpoint_count):
-    go_on = stop_after(checkpoint_count)
-    scene, path = load_scene("letters", parameters=SCENE), tmp_path / "raw.exr.checkpoint"
-
-    def render(existing):
-        with Checkpoint(path, existing) as checkpoint:
-            calls = []
-            capture = render_capture(
-                scene,
-                model="wave",
-                spp=1,
-                radiators_per_lens=4,
-                checkpoint=checkpoint,
-                progress=lambda *call: calls.append(call),
-            )
-            return capture.image, calls[0][0]
-
-    with pytest.raises(StoppedError):
-        render("refuse")
-    assert path.exists()
-    go_on()
+@pytest.mark.parametrize("count", [1, 4])
+def test_a_capture_goes_on_where_it_was_stopped(tmp_path, clean, count):
+    path, calls = tmp_path / "raw.exr.checkpoint", []
+    stop_before(path, lambda sums: len(sums) == count)
     with pytest.raises(InputError, match=r"raw.exr.checkpoint: the checkpoint of a run that was stopped"):
-        render("refuse")
-    image, done = render("resume")
-    assert done > 0
+        Checkpoint(path).__enter__()
+    with Checkpoint(path, "resume") as checkpoint:
+        image = render(checkpoint, progress=lambda *call: calls.append(call)).image
+    assert calls[0][0] > 0
     np.testing.assert_array_equal(image, clean)
     assert not path.exists()
 
 
-def test_finished_sums_are_remembered(tmp_path, stop_after):
+def test_finished_sums_are_remembered(tmp_path):
     """Stopped in the third of three sums, one a pass."""
-    scene = load_scene("letters", parameters=SCENE)
-    options = {"model": "wave", "spp": 1, "radiators_per_lens": 2, "passes": 3, "seed": 3}
-    whole = render_capture(scene, **options).image
-    sums = []
-    go_on = stop_after(10**6)
-    write = checkpoints._write
-
-    def until_the_last(path, run, snapshot):
-        write(path, run, snapshot)
-        sums.append(snapshot.sums)
-        # The second checkpoint of the last sum never takes the place of the first.
-        if sums.count(2) == 2:
-            raise StoppedError
-
-    checkpoints._write = until_the_last
-    path = tmp_path / "checkpoint"
-    with pytest.raises(StoppedError), Checkpoint(path) as checkpoint:
-        render_capture(scene, checkpoint=checkpoint, **options)
-    go_on()
+    path, options = tmp_path / "checkpoint", {"radiators_per_lens": 2, "passes": 3, "seed": 3}
+    sums = stop_before(path, lambda sums: 2 in sums, **options)
     assert sums[0] == 0 and 1 in sums
     with Checkpoint(path, "resume") as checkpoint:
-        resumed = render_capture(scene, checkpoint=checkpoint, **options).image
-    np.testing.assert_array_equal(resumed, whole)
-
-
-@pytest.fixture(scope="module")
-def stopped(tmp_path_factory):
-    """Stop a capture and return its checkpoint's content."""
-    mi.set_variant("llvm_ad_mono")
-    path = tmp_path_factory.mktemp("stopped") / "raw.checkpoint"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(checkpoints, "INTERVAL", 0.0)
-        write = checkpoints._write
-
-        def write_once(*state):
-            if path.exists():
-                raise StoppedError
-            write(*state)
-
-        patch.setattr(checkpoints, "FRACTION", 1e9)
-        patch.setattr(checkpoints, "_write", write_once)
-        with pytest.raises(StoppedError), Checkpoint(path) as checkpoint:
-            scene = load_scene("letters", parameters=SCENE)
-            render_capture(scene, model="wave", spp=1, radiators_per_lens=4, checkpoint=checkpoint)
-    return path.read_bytes()
+        resumed = render(checkpoint, **options).image
+    np.testing.assert_array_equal(resumed, render(**options).image)
 
 
 @pytest.mark.parametrize(
@@ -227,16 +182,9 @@ def stopped(tmp_path_factory):
     ],
 )
 def test_another_run_is_refused_with_the_difference(tmp_path, stopped, parameters, options, difference):
-    path = tmp_path / "raw.checkpoint"
-    path.write_bytes(stopped)
-    scene = load_scene("letters", parameters=SCENE | parameters)
-    options = {"model": "wave", "spp": 1, "radiators_per_lens": 4} | options
-    with pytest.raises(InputError) as caught, Checkpoint(path, "resume") as checkpoint:
-        render_capture(scene, checkpoint=checkpoint, **options)
-    assert str(caught.value).startswith(f"{path}: the checkpoint of another run: ")
-    assert difference in str(caught.value)
-    assert "\n" not in str(caught.value)
-    assert path.read_bytes() == stopped
+    said = complaint(tmp_path, stopped, parameters=parameters, **options)
+    assert said.startswith(f"{tmp_path / 'raw.checkpoint'}: the checkpoint of another run: ")
+    assert difference in said
 
 
 def rewritten(content, change):
@@ -297,13 +245,12 @@ def test_other_files_are_refused(tmp_path, stopped, damage, words):
     assert not Trap.path.exists()
 
 
-def complaint(folder, content):
+def complaint(folder, content, **options):
     """Return the one line about a checkpoint that cannot be resumed, and is left as it is."""
     path = folder / "raw.checkpoint"
     path.write_bytes(content)
-    scene = load_scene("letters", parameters=SCENE)
     with pytest.raises(InputError) as caught, Checkpoint(path, "resume") as checkpoint:
-        render_capture(scene, model="wave", spp=1, radiators_per_lens=4, checkpoint=checkpoint)
+        render(checkpoint, **options)
     assert path.read_bytes() == content
     assert "\n" not in str(caught.value)
     return str(caught.value)
@@ -314,8 +261,7 @@ def test_a_stage_replaces_the_checkpoint_of_another_run_unless_told(tmp_path, st
     path.write_bytes(rewritten(stopped, lambda header, _: header["run"].update(seed=5)))
     caplog.set_level("INFO", "mitsuba_plenoptic")
     with Checkpoint(path, "resume_if_same") as checkpoint:
-        scene = load_scene("letters", parameters=SCENE)
-        image = render_capture(scene, model="wave", spp=1, radiators_per_lens=4, checkpoint=checkpoint).image
+        image = render(checkpoint).image
     np.testing.assert_array_equal(image, clean)
     assert "seed = 5 there, 0 here; beginning anew" in caplog.text
     assert not path.exists()
@@ -351,11 +297,6 @@ def test_a_ray_capture_leaves_a_checkpoint_alone(tmp_path, capfd):
     assert kept.read_bytes() == b"days of work"
 
 
-def names(folder):
-    """Everything in a folder, hidden or not."""
-    return sorted(path.name for path in folder.iterdir())
-
-
 # -- real processes --------------------------------------------------------------------------------------
 
 
@@ -382,32 +323,25 @@ def start(*words, limit=None, **options):
     )
 
 
-def kill_at_random(words, output, rng, kills, latest=None):
-    """Kill runs at random moments after their first checkpoint, resume each, and let the last one end."""
-    path = Path(f"{output}.checkpoint")
-    resumed = 0
-    for _ in range(kills):
-        process = start(*words, "-o", output, "--resume")
-        before = path.stat().st_mtime_ns if path.exists() else None
-        while process.poll() is None and (path.stat().st_mtime_ns if path.exists() else None) == before:
-            time.sleep(0.01)
-        time.sleep(rng.uniform(0, 0.3))
-        process.kill()
-        _, errors = process.communicate()
-        resumed += "going on from there" in errors
-    process = start(*words, "-o", output, "--resume")
-    _, errors = process.communicate(timeout=300)
-    assert process.returncode == 0, errors
-    assert list(output.parent.glob(f".{output.name}.*")) == []
-    return resumed + ("going on from there" in errors)
-
-
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
 def test_killed_captures_end_with_the_bits_of_the_clean_one(tmp_path, clean):
-    output = tmp_path / "raw.exr"
-    assert kill_at_random(WAVE, output, random.Random(1), kills=2) >= 1
+    """Killed twice, at random moments after a checkpoint; `tools/kill_and_resume.py` does it twenty times."""
+    output, random_moments = tmp_path / "raw.exr", random.Random(1)
+    path, told = Path(f"{output}.checkpoint"), []
+    for _ in range(2):
+        before = path.stat().st_mtime_ns if path.exists() else None
+        process = start(*WAVE, "-o", output, "--resume")
+        while process.poll() is None and (path.stat().st_mtime_ns if path.exists() else None) == before:
+            time.sleep(0.01)
+        time.sleep(random_moments.uniform(0, 0.3))
+        process.kill()
+        told.append(process.communicate()[1])
+    process = start(*WAVE, "-o", output, "--resume")
+    told.append(process.communicate(timeout=300)[1])
+    assert process.returncode == 0, told
+    assert "going on from there" in "".join(told)
     np.testing.assert_array_equal(read_capture(output).image, clean)
-    assert names(tmp_path) == ["raw.exr"]
+    assert [item.name for item in tmp_path.iterdir()] == ["raw.exr"]
 
 
 def test_a_limit_of_file_sizes_costs_the_checkpoint_and_then_the_capture_but_nothing_older(tmp_path, clean):
@@ -422,63 +356,4 @@ def test_a_limit_of_file_sizes_costs_the_checkpoint_and_then_the_capture_but_not
     assert "warning" in lines[0] and "raw.exr.checkpoint: no checkpoint can be written: File too large" in lines[0]
     assert "error: " in lines[1] and "raw.exr: it cannot be written" in lines[1]
     assert output.read_bytes() == b"yesterday's"
-    assert names(tmp_path) == ["raw.exr"]
-
-
-@pytest.fixture
-def tiny_disk(tmp_path):
-    """Mount a disk of 4 MiB, where that is allowed."""
-    if not sys.platform.startswith("linux") or os.geteuid() != 0:
-        pytest.skip("only root on Linux can mount a small disk")
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", folder], capture_output=True, text=True)
-    if mounted.returncode:
-        pytest.skip(f"mounting is not allowed: {mounted.stderr.strip()}")
-    yield folder
-    subprocess.run(["umount", folder], check=True)
-
-
-def test_a_full_disk_keeps_what_was_there_and_the_capture_ends_when_there_is_room(tiny_disk, clean):
-    output, filler = tiny_disk / "raw.exr", tiny_disk / "filler"
-    output.write_bytes(b"yesterday's")
-    process = start(*WAVE, "-o", output)
-    path = Path(f"{output}.checkpoint")
-    # Now, between two checkpoints, the disk fills up.
-    while True:
-        assert process.poll() is None
-        process.send_signal(signal.SIGSTOP)
-        time.sleep(0.01)
-        if path.exists() and not list(tiny_disk.glob(f".{path.name}.*")):
-            break
-        process.send_signal(signal.SIGCONT)
-        time.sleep(0.01)
-    with contextlib.suppress(OSError), filler.open("wb", buffering=0) as file:
-        while file.write(b"x" * 4096):
-            pass
-    process.send_signal(signal.SIGCONT)
-    _, errors = process.communicate(timeout=300)
-    assert process.returncode == 2, errors
-    assert "raw.exr.checkpoint: no checkpoint can be written: No space left on device" in errors
-    assert errors.splitlines()[-1].startswith("mitsuba-plenoptic: error: ")
-    assert "raw.exr: it cannot be written" in errors.splitlines()[-1]
-    assert "Traceback" not in errors
-    assert output.read_bytes() == b"yesterday's"
-    assert path.exists()
-    filler.unlink()
-    process = start(*WAVE, "-o", output, "--resume")
-    _, errors = process.communicate(timeout=300)
-    assert process.returncode == 0, errors
-    assert "going on from there" in errors
-    np.testing.assert_array_equal(read_capture(output).image, clean)
-    assert names(tiny_disk) == ["raw.exr"]
-
-
-@pytest.mark.slow
-def test_twenty_kills(tmp_path, clean):
-    output = tmp_path / "raw.exr"
-    rng = random.Random(7)
-    for _ in range(20):
-        kill_at_random(WAVE, output, rng, kills=1)
-        np.testing.assert_array_equal(read_capture(output).image, clean)
-        output.unlink()
+    assert [item.name for item in tmp_path.iterdir()] == ["raw.exr"]
