@@ -1,13 +1,13 @@
 r"""How finely and how widely the fields of a back-propagation are sampled: plain numbers, one axis at a time.
 
-Every leg of the way goes through the angular spectrum, and its window is periodic. The rules:
+Every propagation step goes by the angular spectrum, and its window is periodic. The rules:
 
 - *Pitch*: a grid of pitch d holds direction cosines up to :math:`\lambda / 2d`. Light between a point of one plane
   and a point of the next has the direction that the two points give, and nothing else is needed.
 - *Window*: light leaves a grid in all directions that the grid holds. The window is wide enough that what wraps
   round falls outside the part of the next plane that is used.
 
-A leg pads its source with zeros to the window, and cuts the spectrum to the directions that the next plane needs:
+A step pads its source with zeros to the window, and cuts the spectrum to the directions that the next plane needs:
 this resamples the field exactly.
 """
 
@@ -26,6 +26,10 @@ from ..optics.phase import in_millimetres
 from ..optics.sampling import check_memory, fast_length
 from ..runtime.limits import largest_fitting
 
+Span = tuple[int, int]
+Window = tuple[Span, Span]
+"""First and past-the-last pixel of the full detector, in x and in y."""
+
 GUARD = 1.05
 """Directions held over those that geometry needs, for the light that edges diffract."""
 
@@ -34,8 +38,8 @@ OBJECT_MARGIN = 6.0
 
 
 @dataclass(frozen=True)
-class AxisLeg:
-    """One axis of one leg of the way, from samples in one plane to samples in the next.
+class AxisStep:
+    """One axis of one propagation step, from samples in one plane to samples in the next.
 
     Attributes
     ----------
@@ -83,11 +87,11 @@ class AxisLeg:
 
 
 @dataclass(frozen=True)
-class Leg:
-    """Both axes of one leg."""
+class Step:
+    """Both axes of one propagation step."""
 
-    x: AxisLeg
-    y: AxisLeg
+    x: AxisStep
+    y: AxisStep
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -95,31 +99,51 @@ class Leg:
         return self.y.wanted, self.x.wanted
 
     @property
-    def transformed(self) -> int:
-        """Samples that its Fourier transforms go through."""
-        x, y = self.x, self.y
-        return y.count * x.padded + x.kept * (y.padded + y.kept) + y.wanted * x.kept
+    def sample_area(self) -> float:
+        """Area of a destination sample in square millimetres."""
+        return self.x.new_pitch * self.y.new_pitch
 
     @property
-    def memory(self) -> float:
-        """Bytes of the arrays that are alive at once."""
+    def columns(self) -> tuple[int, int]:
+        """How many columns rows are turned into, and what they hold at most: source and destination share them."""
+        return self.x.kept, max(self.y.count, self.y.wanted)
+
+    @property
+    def transforms(self) -> tuple[tuple[int, int, bool], ...]:
+        """Fourier transforms of the step, in order: how many, of how many samples, and whether inverse."""
         x, y = self.x, self.y
-        return 8.0 * (y.count * (x.count + x.kept) + 3 * y.kept * x.kept + y.wanted * x.wanted)
+        return (
+            (y.count, x.padded, False),
+            (x.kept, y.padded, False),
+            (x.kept, y.kept, True),
+            (y.wanted, x.kept, True),
+        )
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The three legs: detector to MLA, MLA to main lens, and main lens to each object plane."""
+    """Field samples across a pixel, and the steps from detector to MLA, to the main lens, and to each object plane."""
 
     subsamples: int
-    detector: Leg
-    main_lens: Leg
-    objects: tuple[Leg, ...]
+    to_mla: Step
+    to_main_lens: Step
+    to_objects: tuple[Step, ...]
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """All of them."""
+        return self.to_mla, self.to_main_lens, *self.to_objects
+
+    @property
+    def transformed(self) -> int:
+        """Samples that the Fourier transforms of all steps go through."""
+        return sum(count * length for step in self.steps for count, length, _ in step.transforms)
 
     @property
     def memory(self) -> float:
-        """Bytes of the leg that takes most."""
-        return max(leg.memory for leg in (self.detector, self.main_lens, *self.objects))
+        """Bytes of the arrays that are alive at once: the columns of a step, and the field at the main lens."""
+        columns = max(math.prod(step.columns) for step in self.steps)
+        return 8.0 * (columns + math.prod(self.to_main_lens.shape))
 
 
 def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
@@ -143,12 +167,7 @@ def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
     return math.ceil(2 * camera.pixel_size * max(converging, accepted) / in_millimetres(wavelength))
 
 
-def plan(
-    camera: PlenopticCamera,
-    wavelength: float,
-    distances: Sequence[float],
-    lit: tuple[tuple[int, int], tuple[int, int]],
-) -> Plan:
+def plan(camera: PlenopticCamera, wavelength: float, distances: Sequence[float], lit: Window) -> Plan:
     """Choose the grids for one capture and some object distances.
 
     Parameters
@@ -161,48 +180,44 @@ def plan(
         Object distances.
     lit : ((int, int), (int, int))
         First and past-the-last pixel of the full detector that may be lit, in x and in y.
+    """
+    subsamples = field_subsamples(camera, wavelength)
+    axes = [_axis_steps(camera, wavelength, distances, axis, lit[axis], subsamples) for axis in (0, 1)]
+    (x1, x2, xs), (y1, y2, ys) = axes
+    return Plan(subsamples, Step(x1, y1), Step(x2, y2), tuple(Step(x, y) for x, y in zip(xs, ys, strict=True)))
+
+
+def require_plan_memory(
+    made: Plan, camera: PlenopticCamera, wavelength: float, distances: Sequence[float], lit: Window
+) -> None:
+    """Refuse a plan that needs more than 4 GiB, and say how many lit pixels would fit.
 
     Raises
     ------
     InputError
-        If the work would need more than 4 GiB.
+        If it does.
     """
-    made = _legs(camera, wavelength, distances, lit)
 
     def fitting(limit: float) -> str | None:
         def memory(count: int) -> float:
-            middles = [(first + end) // 2 for first, end in lit]
-            first = [max(middle - count // 2, 0) for middle in middles]
-            part = tuple((start, start + count) for start in first)
-            return _legs(camera, wavelength, distances, (part[0], part[1])).memory
+            first = [max((low + high) // 2 - count // 2, 0) for low, high in lit]
+            x, y = ((start, start + count) for start in first)
+            return plan(camera, wavelength, distances, (x, y)).memory
 
         count = largest_fitting(memory, limit, min(end - first for first, end in lit))
         return f"a window of {count} x {count} lit pixels" if count else None
 
     check_memory(made.memory, f"camera with {made.subsamples} field samples a pixel; its wave reconstruction", fitting)
-    return made
 
 
-def _legs(
-    camera: PlenopticCamera,
-    wavelength: float,
-    distances: Sequence[float],
-    lit: tuple[tuple[int, int], tuple[int, int]],
-) -> Plan:
-    subsamples = field_subsamples(camera, wavelength)
-    axes = [_axis_plan(camera, wavelength, distances, axis, lit[axis], subsamples) for axis in (0, 1)]
-    (x1, x2, xs), (y1, y2, ys) = axes
-    return Plan(subsamples, Leg(x1, y1), Leg(x2, y2), tuple(Leg(x, y) for x, y in zip(xs, ys, strict=True)))
-
-
-def _axis_plan(
+def _axis_steps(
     camera: PlenopticCamera,
     wavelength: float,
     distances: Sequence[float],
     axis: int,
-    lit: tuple[int, int],
+    lit: Span,
     subsamples: int,
-) -> tuple[AxisLeg, AxisLeg, list[AxisLeg]]:
+) -> tuple[AxisStep, AxisStep, list[AxisStep]]:
     b, z, radius = camera.mla_distance, camera.detector_distance, camera.aperture_radius
     wave = in_millimetres(wavelength)
 
@@ -217,7 +232,7 @@ def _axis_plan(
     start = (low + high) / 2 - (wanted - 1) / 2 * pitch
     # Few pixels may belong to wide cells.
     padded = fast_length(max(count + 2 * spread, wanted))
-    detector = AxisLeg(first, pitch, count, padded, padded, float(start), wanted)
+    detector = AxisStep(first, pitch, count, padded, padded, float(start), wanted)
 
     # MLA to main lens.
     half_mla = max(abs(low), abs(high))
@@ -225,7 +240,7 @@ def _axis_plan(
     slopes = [(radius + half_mla) / b]
     slopes += [(radius + max(map(abs, light))) / g for g, (light, _) in zip(distances, ends, strict=True)]
     steepest = GUARD * max(slopes)
-    main_lens = _leg(
+    main_lens = _fast_step(
         detector.start,
         pitch,
         wanted,
@@ -238,7 +253,7 @@ def _axis_plan(
     objects = []
     for slope, (light, kept) in zip(slopes[1:], ends, strict=True):
         objects.append(
-            _leg(
+            _fast_step(
                 main_lens.start,
                 main_lens.new_pitch,
                 main_lens.wanted,
@@ -262,7 +277,7 @@ def _cells(camera: PlenopticCamera, ends: np.ndarray, axis: int) -> tuple[float,
 
 
 def object_extent(
-    camera: PlenopticCamera, distance: float, axis: int, detector: AxisLeg
+    camera: PlenopticCamera, distance: float, axis: int, detector: AxisStep
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Where the light of the lit lenses arrives in an object plane, and the part of it that lies on bins."""
     bin_size = camera.bin_size(distance)
@@ -275,7 +290,7 @@ def object_extent(
     return light, (max(light[0], -half_field), min(light[1], half_field))
 
 
-def _leg(
+def _fast_step(
     first: float,
     pitch: float,
     count: int,
@@ -283,11 +298,11 @@ def _leg(
     window: float,
     new_pitch: float,
     destination: tuple[float, float],
-) -> AxisLeg:
+) -> AxisStep:
     """Round a window and a pitch to lengths that are transformed fast."""
     padded = fast_length(max(window / pitch, count))
     kept = min(fast_length(padded * pitch / new_pitch), padded)
     new_pitch = padded * pitch / kept
     wanted = min(math.ceil((destination[1] - destination[0]) / new_pitch) + 1, kept)
     start = (destination[0] + destination[1]) / 2 - (wanted - 1) / 2 * new_pitch
-    return AxisLeg(float(first), pitch, count, padded, kept, start, wanted)
+    return AxisStep(float(first), pitch, count, padded, kept, start, wanted)
