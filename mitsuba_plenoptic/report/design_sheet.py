@@ -76,7 +76,7 @@ def _microlenses(camera: PlenopticCamera) -> list[Row]:
     shape = "round" if camera.mla_aperture == "circle" else camera.mla_lattice
     return [
         Row(group, "focal length", ", ".join(map(_text, camera.mla_focal_lengths)), "mm", ""),
-        Row(group, "pitch", _text(camera.mla_pitch), "mm", ", ".join(lattice)),
+        Row(group, "pitch", " x ".join(map(_text, dict.fromkeys(camera.mla_pitches))), "mm", ", ".join(lattice)),
         Row(group, "lens width", _text(camera.lattice.aperture_width), "mm", f"{shape}, {area:.0%} of the area"),
         Row(group, "lenses", f"{columns} x {rows}", "", bins),
         Row(group, "distance to detector", _text(camera.detector_distance), "mm", ""),

