@@ -41,6 +41,12 @@ LATTICES = {
         "mla_focal_length": "0.49, 0.512, 0.535",
         "detector_distance": "0.512",
     },
+    "rectangular, pitches of 0.064 and 0.06": {"mla_pitch": "0.064, 0.06"},
+    "hexagonal, stretched to pitches of 0.064 and 0.06, turned by 0.3 degrees": {
+        "mla_lattice": "hexagonal",
+        "mla_pitch": "0.064, 0.06",
+        "mla_rotation": "0.3",
+    },
 }
 DISTANCES = (210.0, 240.0, 280.0)
 

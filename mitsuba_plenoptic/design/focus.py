@@ -137,10 +137,11 @@ def pixel_footprint(camera: PlenopticCamera, distance: float) -> float:
 
 
 def lenses_across(camera: PlenopticCamera, distance: float) -> float:
-    """Lens pitches across the cone of light of a point where it meets the MLA, :math:`D_1 |s| / D_2`, the greater if two.
+    """Lens pitches across the cone of light of a point where it meets the MLA, :math:`D_1 |s| / D_2`.
 
-    From 1 on every point is seen by at least two lenses, in part; from 2 on by two lenses' centres, which for
-    micro-images that touch is Perwass and Wietzke's virtual depth of 2 (2012, section 2.2, total covering).
+    Of two pitches the greater counts. From 1 on every point is seen by at least two lenses, in part; from 2 on by two
+    lenses' centres, which for micro-images that touch is Perwass and Wietzke's virtual depth of 2 (2012, section 2.2,
+    total covering).
     """
     return camera.blur_diameter(distance) / max(camera.mla_pitches)
 
