@@ -149,7 +149,7 @@ def lenses_across(camera: PlenopticCamera, distance: float) -> float:
 def effective_resolution(
     camera: PlenopticCamera, distance: float, wavelength: float | None = None
 ) -> EffectiveResolution:
-    """Tell the finest detail at an object distance.
+    """Return the finest detail that is told apart at an object distance.
 
     Parameters
     ----------

@@ -67,7 +67,7 @@ def _focus_on_image(camera: PlenopticCamera, lens: int) -> float:
 
 
 def _coverage_warnings(camera: PlenopticCamera) -> list[str]:
-    """Tell where the lenses of a focused camera leave gaps between their pictures."""
+    """Say where the lenses of a focused camera leave gaps between their pictures."""
     if focus_type(camera) == "unfocused":
         return []
     cones = {g: lenses_across(camera, g) for g in best_distances(camera) if camera.focal_length < g < math.inf}

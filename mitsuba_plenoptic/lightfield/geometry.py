@@ -47,7 +47,7 @@ def light_field(
     values : (v, u, t, s[, 3]) float32 array
         Radiance; 0 where `weight` is 0.
     weight : (v, u, t, s) float32 array
-        Share of the sample that sees through the pupil, 0 to 1.
+        Fraction of the sample that sees through the pupil, 0 to 1.
     camera : PlenopticCamera, optional
         The camera, for physical coordinates.
     bins : LensGrid, optional
@@ -116,7 +116,7 @@ def _object_coordinate(c: np.ndarray, camera: PlenopticCamera, axis: str) -> tup
 
 
 def camera_of(lf: xr.DataArray) -> PlenopticCamera:
-    """Give the camera of a light field.
+    """Return the camera of a light field.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def require_light_field(lf: Any) -> xr.DataArray:
 
 
 def view_steps(lf: xr.DataArray, axis: str) -> np.ndarray:
-    """Give the place of each view along ``u`` or ``v`` in views from the pupil's centre, rising with the index."""
+    """Return the place of each view along ``u`` or ``v`` in views from the pupil's centre, rising with the index."""
     coordinate = np.asarray(lf[axis].values, dtype=np.float64)
     return -coordinate / camera_of(lf).pupil_step if lf.attrs.get("camera") else coordinate
 

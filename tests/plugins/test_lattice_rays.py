@@ -154,7 +154,7 @@ def test_opaque_gaps_swallow_what_is_focused_on_them(camera_dict):
     assert brightness(0.032, 0.5) / brightness(0.032, 1.0) == pytest.approx(4, rel=0.1)
 
 
-def test_three_kinds_of_lenses_have_three_sizes_of_white_spots_and_no_neighbours_alike(camera_dict):
+def test_three_types_of_lenses_have_three_sizes_of_white_spots_and_no_neighbours_alike(camera_dict):
     sensor = camera_dict(aperture_radius=1.5, **{**MULTI_FOCUS, "mla_focal_length": "0.47, 0.512, 0.6"})
     capture = white_capture(sensor, spp=256)
     camera = capture.camera
@@ -172,13 +172,13 @@ def test_three_kinds_of_lenses_have_three_sizes_of_white_spots_and_no_neighbours
     smear = [1 + 120 / 0.512 - 120 / f for f in camera.mla_focal_lengths]
     expected = [(1.5**2 / 4 + 5 / 72 * (s * 0.064) ** 2) / pixel**2 + 1 / 12 for s in smear]
     assert min(expected) == expected[1]
-    kind = np.abs(spread[:, None] - expected).argmin(1)
-    np.testing.assert_allclose(spread, np.array(expected)[kind], rtol=0.03)
-    assert np.bincount(kind).min() > 0.3 * len(kind)
+    lens_type = np.abs(spread[:, None] - expected).argmin(1)
+    np.testing.assert_allclose(spread, np.array(expected)[lens_type], rtol=0.03)
+    assert np.bincount(lens_type).min() > 0.3 * len(lens_type)
     apart = np.hypot(*(centres[:, None] - centres).transpose(2, 0, 1))
     neighbours = (apart > 1) & (apart < 1.1 * camera.micro_image_pitch / camera.pixel_size)
     assert neighbours.sum(1).max() == 6
-    assert not (neighbours & (kind[:, None] == kind)).any()
+    assert not (neighbours & (lens_type[:, None] == lens_type)).any()
 
 
 @pytest.mark.parametrize(

@@ -284,7 +284,7 @@ def test_gradients_agree_with_finite_differences(camera_dict, parameter, integra
     )
     parameters = mi.traverse(scene)
     key = f"camera.{parameter}"
-    kind, start = type(parameters[key]), np.array(parameters[key], dtype=np.float64).ravel()
+    Number, start = type(parameters[key]), np.array(parameters[key], dtype=np.float64).ravel()
 
     def image(value):
         parameters[key] = value
@@ -292,14 +292,14 @@ def test_gradients_agree_with_finite_differences(camera_dict, parameter, integra
         return mi.render(scene, parameters, spp=1024, seed=1)
 
     change = np.eye(start.size)[-1]
-    value = kind(start)
+    value = Number(start)
     dr.enable_grad(value)
     rendered = image(value)
-    dr.set_grad(value, kind(change))
+    dr.set_grad(value, Number(change))
     gradient = np.array(dr.forward_to(rendered))[..., 0]
     # An angle starts at 0, where the lattice is upright.
     step = {"mla_rotation": 0.2, "mla_offset": 1e-4}.get(parameter, 1e-3 * start[-1])
-    higher, lower = (np.array(image(kind(start + sign * step * change))) for sign in (1, -1))
+    higher, lower = (np.array(image(Number(start + sign * step * change))) for sign in (1, -1))
     difference = (higher - lower)[..., 0] / (2 * step)
     if parameter != "focal_length":
         # The pupil's moving edge has no gradient: compare where the whole pixel is inside.
