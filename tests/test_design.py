@@ -280,8 +280,8 @@ def test_patch_is_the_full_field(numbers):
     camera = PlenopticCamera(**numbers, detector_width=0.512, resolution=(256, 256))
     place = (0.05, -0.08, 238.5)
     patch = point_spread_function(camera, place, wavelength=633)
-    referee = point_spread_function(camera, place, wavelength=633, method="full_field")
-    assert np.linalg.norm(patch - referee) <= 0.005 * np.linalg.norm(referee)
+    reference = point_spread_function(camera, place, wavelength=633, method="full_field")
+    assert np.linalg.norm(patch - reference) <= 0.005 * np.linalg.norm(reference)
 
 
 @FOCUSED

@@ -83,7 +83,7 @@ def _microlenses(camera: PlenopticCamera) -> list[_Line]:
     shape = "round" if camera.mla_aperture == "circle" else camera.mla_lattice
     return [
         ("focal length", ", ".join(map(four_digits, camera.mla_focal_lengths)), "mm", ""),
-        ("pitch", four_digits(camera.mla_pitch), "mm", ", ".join(lattice)),
+        ("pitch", " x ".join(map(four_digits, dict.fromkeys(camera.mla_pitches))), "mm", ", ".join(lattice)),
         ("lens width", four_digits(camera.lattice.aperture_width), "mm", f"{shape}, {area:.0%} of the area"),
         ("lenses", f"{columns} x {rows}", "", bins),
         ("distance to detector", four_digits(camera.detector_distance), "mm", ""),
