@@ -92,7 +92,7 @@ def _with_rows(text: str, parameters: dict[str, str]) -> dict[str, str]:
 
 
 def _find(scene: str | Path) -> Path:
-    """Tell the file of a scene, which a file's name or a built-in name means."""
+    """Return the file of a scene, which a file's name or a built-in name means."""
     text = str(scene)
     if re.fullmatch(r"[\w-]{1,64}", text) and not Path(text).exists():
         return scene_path(text)

@@ -78,10 +78,10 @@ class Checkpoint:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         # A run that never began has no claim to a file that is there.
-        if kind is None and self._due < math.inf:
+        if error_type is None and self._due < math.inf:
             self.path.unlink(missing_ok=True)
 
     def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:

@@ -242,5 +242,5 @@ def plane_transmission(camera: PlenopticCamera, wavelength: float, cosine: float
 
 
 @functools.lru_cache(maxsize=8)
-def _kept(kind: Any, types: Any, camera: PlenopticCamera, wavelength: float, cosine: float) -> Any:
-    return kind(camera, wavelength, cosine)
+def _kept(transmission_type: Any, types: Any, camera: PlenopticCamera, wavelength: float, cosine: float) -> Any:
+    return transmission_type(camera, wavelength, cosine)

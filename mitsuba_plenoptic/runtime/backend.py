@@ -75,7 +75,7 @@ def one_at_a_time(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
 @dataclass(frozen=True)
 class Backend:
-    """The libraries of one kind of processor.
+    """The libraries of one type of processor.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class Backend:
     is_cuda: bool
 
     def from_drjit(self, array: Any) -> Any:
-        """Give the memory of a flat Dr.Jit array as an array of `arrays`, computed or about to be."""
+        """Return the memory of a flat Dr.Jit array as an array of `arrays`, computed or about to be."""
         return self.arrays.from_dlpack(array) if self.is_cuda else array.numpy()
 
     def to_host(self, array: Any) -> NDArray[Any]:
@@ -113,7 +113,7 @@ class Backend:
 
 
 def backend() -> Backend:
-    """Give the libraries for the active variant: CUDA's for a CUDA variant, the processor's elsewhere.
+    """Return the libraries for the active variant: CUDA's for a CUDA variant, the processor's elsewhere.
 
     Raises
     ------
@@ -125,7 +125,7 @@ def backend() -> Backend:
 
 
 def backend_of(array: Any) -> Backend:
-    """Give the libraries for an array of Dr.Jit, NumPy or CuPy, by where it lies."""
+    """Return the libraries for an array of Dr.Jit, NumPy or CuPy, by where it lies."""
     if dr.is_array_v(array):
         return _cuda() if dr.backend_v(array) == dr.JitBackend.CUDA else _processor()
     return _processor() if isinstance(array, np.ndarray) else _cuda()
