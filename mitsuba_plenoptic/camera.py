@@ -146,7 +146,7 @@ class PlenopticCamera:
         put("mla_distance", require_length("mla_distance", 120.0 if mla_distance is None else mla_distance))
         put("mla_lattice", require_choice("mla_lattice", mla_lattice, LATTICES))
         types = LATTICES[self.mla_lattice].lens_types
-        several = ", ".join(name for name, kind in LATTICES.items() if kind.lens_types > 1)
+        several = ", ".join(name for name, each in LATTICES.items() if each.lens_types > 1)
         rule = f"one number or {types}" if types > 1 else f"one number; several need mla_lattice = {several}"
         put("mla_focal_lengths", require_lengths("mla_focal_length", mla_focal_length, {1, types}, rule))
         pitches = require_lengths("mla_pitch", mla_pitch, {1, 2}, "one number, or two, along the rows and across them")
@@ -204,8 +204,8 @@ class PlenopticCamera:
         """
         camera = getattr(sensor, "camera", None)
         if not isinstance(camera, cls):
-            kind = getattr(sensor, "class_name", lambda: type(sensor).__name__)()
-            raise InputError(f"sensor of type {kind}: a plenoptic camera needs a sensor of type 'plenoptic'")
+            found = getattr(sensor, "class_name", lambda: type(sensor).__name__)()
+            raise InputError(f"sensor of type {found}: a plenoptic camera needs a sensor of type 'plenoptic'")
         return camera
 
     @classmethod

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 
+import mitsuba as mi
 import numpy as np
 import pytest
 
@@ -49,11 +50,52 @@ def test_refocus_range_is_where_the_blur_spans_as_many_lenses_as_there_are_direc
         assert lenses == pytest.approx(design.direction_count(camera, 633))
 
 
-def test_a_camera_survives_json():
-    camera = PlenopticCamera(crop_offset=(3, 4), crop_size=(100, 50), lens_model="parabolic")
+CAMERAS = {
+    "default": {},
+    "cropped": {"crop_offset": (3, 4), "crop_size": (100, 50), "lens_model": "parabolic"},
+    "not in single precision": {"focus_distance": 300.3, "mla_offset": (1 / 7, -2 / 3), "mla_rotation": 1 / 3},
+    "two pitches": {"mla_pitch": (0.064, 0.06), "mla_fill": 0.9, "mla_aperture": "circle"},
+    "three types": {"mla_lattice": "hexagonal", "mla_focal_length": (0.5, 0.6, 0.7), "resolution": (300, 200)},
+    "three types alike": {"mla_lattice": "hexagonal", "mla_focal_length": (0.5, 0.5, 0.5), "mla_pitch": (0.06, 0.07)},
+}
+
+
+@pytest.mark.parametrize("numbers", CAMERAS.values(), ids=CAMERAS)
+def test_a_camera_survives_its_other_forms(numbers):
+    camera = PlenopticCamera(**numbers)
     assert PlenopticCamera.from_dict(json.loads(json.dumps(camera.to_dict()))) == camera
+    assert PlenopticCamera.from_json(camera.to_json()) == camera
     assert eval(repr(camera)) == camera
-    assert camera.shape == (50, 100)
+    sensor = mi.load_dict(camera.to_sensor(mi.ScalarTransform4f().translate([1, 2, 3])))
+    assert PlenopticCamera.from_sensor(sensor) == camera
+    assert tuple(sensor.film().crop_size()) == camera.shape[::-1]
+    assert sensor.film().rfilter().is_box_filter()
+    np.testing.assert_array_equal(np.ravel(sensor.world_transform().translation()), [1, 2, 3])
+
+
+def test_json_may_leave_parameters_out():
+    assert PlenopticCamera.from_json('{"focus_distance": 300, "mla_pitch": [0.064, 0.06]}') == PlenopticCamera(
+        focus_distance=300, mla_pitch=(0.064, 0.06)
+    )
+    for text, message in (
+        ("", "it must be a JSON object"),
+        ("[" * 100_000, "it must be a JSON object"),
+        ("[1]", "it must be camera parameters by name"),
+        ('{"zoom": 2}', "zoom: it is not a camera parameter"),
+        ('{"mla_pitch": NaN}', "mla_pitch = nan: it must be finite"),
+    ):
+        with pytest.raises(InputError, match=message):
+            PlenopticCamera.from_json(text)
+
+
+def test_one_pitch_is_two_that_are_equal():
+    camera = PlenopticCamera(mla_pitch=(0.06, 0.06))
+    assert camera == PlenopticCamera(mla_pitch=[0.06]) == PlenopticCamera(mla_pitch=0.06)
+    assert camera.to_dict()["mla_pitch"] == 0.06
+    stretched = PlenopticCamera(mla_pitch=(0.064, 0.06))
+    assert (stretched.mla_pitch, stretched.bin_count, stretched.lens_count) == (0.064, (128, 128), (128, 137))
+    assert stretched.pixels_per_lens == pytest.approx(30)
+    assert design.micro_image_distance(stretched) == pytest.approx(0.06 * 120.512 / 120)
 
 
 @pytest.mark.parametrize(

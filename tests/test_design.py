@@ -24,7 +24,7 @@ from mitsuba_plenoptic.cli import app
 from mitsuba_plenoptic.lightfield import white_image
 from mitsuba_plenoptic.presets import PRESETS
 from mitsuba_plenoptic.report.design_sheet import design_sheet
-from mitsuba_plenoptic.report.referee import agreement, thin_lens_image
+from mitsuba_plenoptic.report.reference import agreement, thin_lens_image
 from mitsuba_plenoptic.thin_lens import image_distance
 
 # The paper's camera, whose lenses see the main lens's image 3 z before them, or behind them.
@@ -280,8 +280,8 @@ def test_patch_is_the_full_field(numbers):
     camera = PlenopticCamera(**numbers, detector_width=0.512, resolution=(256, 256))
     place = (0.05, -0.08, 238.5)
     patch = point_spread_function(camera, place, wavelength=633)
-    referee = point_spread_function(camera, place, wavelength=633, method="full_field")
-    assert np.linalg.norm(patch - referee) <= 0.005 * np.linalg.norm(referee)
+    reference = point_spread_function(camera, place, wavelength=633, method="full_field")
+    assert np.linalg.norm(patch - reference) <= 0.005 * np.linalg.norm(reference)
 
 
 @FOCUSED

@@ -19,12 +19,12 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from _referee import agreement, thin_lens_image
 from scipy.ndimage import map_coordinates
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.design import effective_resolution, suitable_oversample
 from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.report.reference import agreement, thin_lens_image
 from mitsuba_plenoptic.report.slanted_edge import square_sharpness
 
 DISTANCE = 240.0
@@ -45,7 +45,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--output", type=Path, default=Path("out/focused_accuracy"))
     parser.add_argument("--spp", type=int, default=64, help="samples per detector pixel")
-    parser.add_argument("--referee-spp", type=int, default=1024, help="samples per pixel of the thin lens")
+    parser.add_argument("--reference-spp", type=int, default=1024, help="samples per pixel of the thin lens")
     parser.add_argument("--wave", action="store_true", help="captures by waves, too")
     arguments = parser.parse_args()
     arguments.output.mkdir(parents=True, exist_ok=True)
@@ -61,7 +61,7 @@ def main() -> None:
         for subject, scene, taken in (("letters", letters, None), ("chart", chart, capture)):
             taken = taken or render_capture(scene, spp=arguments.spp)
             for oversample in sorted({1, finest}):
-                reference = thin_lens_image(scene, camera, DISTANCE, arguments.referee_spp // oversample, oversample)
+                reference = thin_lens_image(scene, camera, DISTANCE, arguments.reference_spp // oversample, oversample)
                 image = reconstruct(taken, DISTANCE, oversample=oversample).image.astype(np.float64)
                 scale, ((psnr, correlation),) = agreement([image], [reference])
                 against.append(

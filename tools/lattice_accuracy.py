@@ -14,13 +14,13 @@ from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
-from _referee import agreement, thin_lens_image
 from scipy.spatial import cKDTree
 
 from mitsuba_plenoptic import Capture, design, load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.lightfield import estimate_lens_grid
 from mitsuba_plenoptic.lightfield.grid import micro_image_centres
 from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.report.reference import agreement, thin_lens_image
 
 LATTICES = {
     "square": {},
@@ -41,6 +41,12 @@ LATTICES = {
         "mla_focal_length": "0.49, 0.512, 0.535",
         "detector_distance": "0.512",
     },
+    "rectangular, pitches of 0.064 and 0.06": {"mla_pitch": "0.064, 0.06"},
+    "hexagonal, stretched to pitches of 0.064 and 0.06, turned by 0.3 degrees": {
+        "mla_lattice": "hexagonal",
+        "mla_pitch": "0.064, 0.06",
+        "mla_rotation": "0.3",
+    },
 }
 DISTANCES = (210.0, 240.0, 280.0)
 
@@ -53,7 +59,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--output", type=Path, default=Path("out/lattice_accuracy"))
     parser.add_argument("--spp", type=int, default=64, help="samples per detector pixel")
-    parser.add_argument("--referee-spp", type=int, default=1024, help="samples per pixel of the thin lens")
+    parser.add_argument("--reference-spp", type=int, default=1024, help="samples per pixel of the thin lens")
     arguments = parser.parse_args()
     arguments.output.mkdir(parents=True, exist_ok=True)
     mi.set_variant("llvm_ad_mono")
@@ -75,7 +81,9 @@ def main() -> None:
 
         scene = load_scene("letters", parameters=parameters)
         capture = render_capture(scene, spp=arguments.spp)
-        references = references or [thin_lens_image(scene, capture.camera, g, arguments.referee_spp) for g in DISTANCES]
+        references = references or [
+            thin_lens_image(scene, capture.camera, g, arguments.reference_spp) for g in DISTANCES
+        ]
         images = [result.image.astype(np.float64) for result in reconstruct(capture, DISTANCES)]
         _, scores = agreement(images, references)
 

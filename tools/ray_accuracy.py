@@ -14,10 +14,10 @@ from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
-from _referee import agreement, best_shift, thin_lens_image
 
 from mitsuba_plenoptic import load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.report.reference import agreement, best_shift, thin_lens_image
 
 SCENES = {"letters": (210.0, 240.0, 280.0), "still_life": (215.0, 240.0, 280.0)}
 
@@ -27,7 +27,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--output", type=Path, default=Path("out/ray_accuracy"))
     parser.add_argument("--spp", type=int, default=64, help="samples per detector pixel")
-    parser.add_argument("--referee-spp", type=int, default=4096, help="samples per pixel of the thin lens")
+    parser.add_argument("--reference-spp", type=int, default=4096, help="samples per pixel of the thin lens")
     arguments = parser.parse_args()
     arguments.output.mkdir(parents=True, exist_ok=True)
     mi.set_variant("llvm_ad_mono")
@@ -36,7 +36,7 @@ def main() -> None:
     for name, distances in SCENES.items():
         scene = load_scene(name)
         capture = render_capture(scene, spp=arguments.spp)
-        references = [thin_lens_image(scene, capture.camera, g, arguments.referee_spp) for g in distances]
+        references = [thin_lens_image(scene, capture.camera, g, arguments.reference_spp) for g in distances]
         for footprint in ("point", "lens"):
             images = [r.image.astype(np.float64) for r in reconstruct(capture, distances, footprint=footprint)]
             scale, scores = agreement(images, references)

@@ -1,4 +1,4 @@
-r"""The field of one scene point through the whole camera, without shortcuts: the referee of the other routes.
+r"""The field of one scene point through the whole camera, without shortcuts: the reference of the other routes.
 
 Behind the main lens, at the pupil point P, a point source at X has the field
 
@@ -32,6 +32,7 @@ from ..optics.main_lens import main_lens
 from ..optics.microlens_orders import axis_transmission, plane_transmission
 from ..optics.microlenses import is_separable, scattering
 from ..optics.phase import in_millimetres, phasor, soft_edge
+from ..optics.power import band_edge_fraction, fraction, power, rim
 from ..optics.sampling import check_memory, fast_length, footprint
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, fft, fft2, irfft, pack, resting_drjit, rfft
@@ -180,7 +181,7 @@ def _grids(
     bent = steepest + scattering(camera) * _KEPT_ORDERS
     per_pixel = max(1, math.ceil(p * 2 * bent * refinement / lam))
     pitch = p / per_pixel
-    # The recorded window on the detector, with room for light that walks sideways between MLA and detector.
+    # The recorded window on the detector, with room for light that moves sideways between MLA and detector.
     reach = growth * camera.detector_distance * bent / math.sqrt(max(1e-3, 1 - bent**2))
     margin = math.ceil(reach / p)
     width = np.array([camera.detector_width, camera.detector_height])
@@ -251,7 +252,7 @@ def _at_mla(camera: PlenopticCamera, wavelength: float, grids: _Grids, pupil: Sa
     """Propagate to the MLA, onto the finer grid there, and keep the detector's window."""
     with resting_drjit():
         spectrum = fft2(pupil.samples.copy())
-    guards.judge(guards.UNDERSAMPLED, guards.band_edge_share(spectrum))
+    guards.judge(guards.UNDERSAMPLED, band_edge_fraction(spectrum))
     spectrum = advance(spectrum, pupil.pitch, main_lens(camera).pupil_distance, wavelength)
     (left, top), (columns, rows) = grids.offset, grids.count
     arrays = backend().arrays
@@ -259,15 +260,15 @@ def _at_mla(camera: PlenopticCamera, wavelength: float, grids: _Grids, pupil: Sa
     with resting_drjit():
         # axis by axis, so that rows and columns outside the spectrum and the window are never transformed
         partial = arrays.empty((rows, spectrum.shape[1]), np.complex64)
-        rim, in_rim = guards.rim(grids.wide_mla), 0.0
+        width, in_rim = rim(grids.wide_mla), 0.0
         for block in _blocks(spectrum.shape[1]):
             tall = _interpolate(spectrum[:, block], grids.wide_mla, axis=0)
             partial[:, block] = tall[top : top + rows]
-            in_rim += guards.power(tall[:rim]) + guards.power(tall[-rim:])
+            in_rim += power(tall[:width]) + power(tall[-width:])
         for block in _blocks(rows):
             wide = _interpolate(partial[block], grids.wide_mla, axis=1)
             samples[block] = wide[:, left : left + columns]
-    guards.judge_window(guards.share(in_rim, guards.power(spectrum) * grids.wide_mla / spectrum.shape[0] ** 2))
+    guards.judge_window(fraction(in_rim, power(spectrum) * grids.wide_mla / spectrum.shape[0] ** 2))
     origin = (grids.wide_origin[0] + left * grids.pitch, grids.wide_origin[1] + top * grids.pitch)
     return SampledField(samples, origin, grids.pitch)
 
@@ -277,7 +278,7 @@ def _detector_spectrum(
 ) -> Field:
     """Spectrum on the detector of the field that reaches the MLA, whose memory is used."""
     if microlenses:
-        before = guards.power(samples)
+        before = power(samples)
         if is_separable(camera):
             along_x, along_y = _microlens_factors(camera, wavelength, grids)
             samples *= along_x[None, :]
@@ -286,7 +287,7 @@ def _detector_spectrum(
             _apply_plane(camera, wavelength, grids, samples)
         # What lies between the lenses stops light rightly.
         if before and camera.lattice.lens_area == camera.lattice.cell_area:
-            guards.judge(guards.MICROLENS, 1 - guards.power(samples) / before)
+            guards.judge(guards.MICROLENS, 1 - power(samples) / before)
     with resting_drjit():
         spectrum = fft2(samples)
     return advance(spectrum, grids.pitch, camera.detector_distance, wavelength)

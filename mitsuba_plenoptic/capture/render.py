@@ -74,7 +74,7 @@ def render_capture(
         If the scene is not of the active variant, has no plenoptic sensor or no integrator, a parameter is out of
         range, the capture would take more memory than is allowed, or a pixel comes out as NaN or infinity.
     PhysicsError
-        If too much of the light is lost; the shares that the guards found are in the metadata under ``guards``.
+        If too much of the light is lost; the fractions that the guards found are in the metadata under ``guards``.
     """
     if not isinstance(scene, mi.Scene):
         raise InputError(
@@ -95,7 +95,7 @@ def render_capture(
     wavelengths = getattr(integrator, "wavelengths", None)
     _require_film_memory(camera, spp)
     metadata = _provenance(scene, integrator, seed=seed, spp=spp)
-    with guards.watch() as shares:
+    with guards.watch() as fractions:
         if wavelengths is None:
             if batch_map:
                 raise InputError("batch_map: workers are of use for model 'wave' only")
@@ -106,7 +106,7 @@ def render_capture(
                 checkpoint.run = {**metadata, "camera": camera.to_dict()}
             integrator.job = Job(progress, batch_map or Threads(), checkpoint)
             image = np.array(integrator.render(scene, sensor, seed=seed, spp=spp))
-    metadata["guards"] = shares
+    metadata["guards"] = fractions
     if image.shape[2] == 1:
         image = image[..., 0]
     elif image.shape[2] != 3:
@@ -123,7 +123,7 @@ def render_capture(
 
 
 def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
-    """Give the scene's integrator, wrapped into a wave integrator or taken out of one."""
+    """Return the scene's integrator, wrapped into a wave integrator or taken out of one."""
     integrator = scene.integrator()
     if integrator is None:
         raise InputError("scene: it has no integrator; add one, for example of type 'path'")

@@ -97,10 +97,10 @@ def find_patterns(
     lens = fine // parts[:, None]
     zone, size = _zones(camera, lens, wavelength, step)
     keys = [zone, size[:, None], depth[:, None], fine - lens * parts[:, None]]
-    kinds = len(camera.mla_focal_lengths)
-    if kinds > 1:
-        kind = camera.lattice.lens_type(*lens.T).astype(np.int64)
-        keys.append(kind[:, None])
+    types = len(camera.mla_focal_lengths)
+    if types > 1:
+        lens_type = camera.lattice.lens_type(*lens.T).astype(np.int64)
+        keys.append(lens_type[:, None])
     if pupil_weights is not None:
         keys.append(pupil_weights.index[:, None])
     _, first, pattern = np.unique(np.hstack(keys), axis=0, return_index=True, return_inverse=True)
@@ -111,10 +111,10 @@ def find_patterns(
     np.minimum.at(low, pattern, lens)
     np.maximum.at(high, pattern, lens)
     middle = (low + high) // 2
-    if kinds > 1:
-        # the nearest lens of the same kind
-        off = kind[first] - camera.lattice.lens_type(*middle.T).astype(np.int64)
-        middle[:, 0] += (off + 1) % kinds - 1
+    if types > 1:
+        # the nearest lens of the same lens_type
+        off = lens_type[first] - camera.lattice.lens_type(*middle.T).astype(np.int64)
+        middle[:, 0] += (off + 1) % types - 1
     count = np.bincount(pattern)
     place = np.column_stack([np.bincount(pattern, part) for part in (image - lens).T]) / count[:, None] + middle
     distance = count / np.bincount(pattern, 1 / g)

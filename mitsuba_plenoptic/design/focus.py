@@ -139,16 +139,17 @@ def pixel_footprint(camera: PlenopticCamera, distance: float) -> float:
 def lenses_across(camera: PlenopticCamera, distance: float) -> float:
     """Lens pitches across the cone of light of a point where it meets the MLA, :math:`D_1 |s| / D_2`.
 
-    From 1 on every point is seen by at least two lenses, in part; from 2 on by two lenses' centres, which for
-    micro-images that touch is Perwass and Wietzke's virtual depth of 2 (2012, section 2.2, total covering).
+    Of two pitches the greater counts. From 1 on every point is seen by at least two lenses, in part; from 2 on by two
+    lenses' centres, which for micro-images that touch is Perwass and Wietzke's virtual depth of 2 (2012, section 2.2,
+    total covering).
     """
-    return camera.blur_diameter(distance) / camera.mla_pitch
+    return camera.blur_diameter(distance) / max(camera.mla_pitches)
 
 
 def effective_resolution(
     camera: PlenopticCamera, distance: float, wavelength: float | None = None
 ) -> EffectiveResolution:
-    """Tell the finest detail at an object distance.
+    """Return the finest detail that is told apart at an object distance.
 
     Parameters
     ----------
@@ -257,5 +258,5 @@ def _finest(camera: PlenopticCamera, wavelength: float | None) -> float:
 def _covering(camera: PlenopticCamera, side: float) -> float:
     """Distance of an image from the MLA from which on the cone of a point is a lens pitch wide."""
     # With |s| = D2 / D1 and s = -a / (b - a).
-    defocus = camera.mla_pitch / camera.aperture_diameter
+    defocus = max(camera.mla_pitches) / camera.aperture_diameter
     return camera.mla_distance * defocus / (1 + side * defocus)

@@ -23,6 +23,11 @@ def mla_f_number(camera: PlenopticCamera) -> float:
     return camera.detector_distance / camera.lattice.aperture_width
 
 
+def micro_image_distance(camera: PlenopticCamera) -> float:
+    """Distance of the closest micro-images: those of a diameter below it do not touch."""
+    return camera.lattice.nearest_distance * camera.micro_image_pitch / camera.mla_pitch
+
+
 # -- diffraction -------------------------------------------------------------------------------------
 
 

@@ -6,7 +6,7 @@ import math
 
 from ..camera import PlenopticCamera
 from .focus import best_distances, focus_type, focus_types, lenses_across, mla_object_distances
-from .micro_images import crosstalk_lenses, direction_count, mla_fresnel_number, spot_radius
+from .micro_images import crosstalk_lenses, direction_count, micro_image_distance, mla_fresnel_number, spot_radius
 
 
 def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
@@ -20,7 +20,7 @@ def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) ->
         Wavelength in nanometres; without it diffraction is not judged.
     """
     found = []
-    diameter, pitch = camera.micro_image_diameter, camera.micro_image_pitch
+    diameter, pitch = camera.micro_image_diameter, micro_image_distance(camera)
     # The stop for which the micro-images just touch.
     touching = camera.aperture_diameter * pitch / diameter
     if diameter > pitch:
@@ -67,7 +67,7 @@ def _focus_on_image(camera: PlenopticCamera, lens: int) -> float:
 
 
 def _coverage_warnings(camera: PlenopticCamera) -> list[str]:
-    """Tell where the lenses of a focused camera leave gaps between their pictures."""
+    """Say where the lenses of a focused camera leave gaps between their pictures."""
     if focus_type(camera) == "unfocused":
         return []
     cones = {g: lenses_across(camera, g) for g in best_distances(camera) if camera.focal_length < g < math.inf}

@@ -1,6 +1,6 @@
 """Arrangements of microlenses: which lens a point belongs to, where its centre is, what its aperture lets through.
 
-`base` says what a lattice is; each kind has a file of its own, which registers it under the name that the camera's
+`base` says what a lattice is; each lattice has a file of its own, which registers it under the name that the camera's
 ``mla_lattice`` takes; `apertures` holds the shapes of the lenses. To add a lattice, write its file and import it here.
 """
 

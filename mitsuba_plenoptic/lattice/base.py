@@ -328,10 +328,10 @@ LATTICES: dict[str, type[Lattice]] = {}
 """Lattices by name, as they were registered."""
 
 
-def register(kind: type[Lattice]) -> type[Lattice]:
+def register(cls: type[Lattice]) -> type[Lattice]:
     """Register a lattice under its name; a decorator of its class."""
-    LATTICES[kind.name] = kind
-    return kind
+    LATTICES[cls.name] = cls
+    return cls
 
 
 def regular_corners(sides: int) -> tuple[tuple[float, float], ...]:

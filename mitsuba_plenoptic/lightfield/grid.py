@@ -108,7 +108,7 @@ def _count(value: Any) -> int:
 
 
 def bin_grid(camera: PlenopticCamera) -> LensGrid:
-    """Give the centres on the detector of the bins that a light field of this camera has: square and upright.
+    """Return the centres on the detector of the bins that a light field of this camera has: square and upright.
 
     The bins are those of a reconstruction, `PlenopticCamera.bin_count`; where the camera records a crop window,
     those whose micro-image is centred in it. On an upright square lattice with a corner on the axis they are the
@@ -135,7 +135,7 @@ def bin_grid(camera: PlenopticCamera) -> LensGrid:
 
 
 def lens_grid(camera: PlenopticCamera) -> LensGrid:
-    """Give the micro-image centres of a camera's lenses on its recorded image.
+    """Return the micro-image centres of a camera's lenses on its recorded image.
 
     They are chief-ray images of the lens centres: at c (b + z) / b on the detector, not at c. Of a lattice in another
     position than the default they are all lenses whose micro-image is centred in the image, in whole rows and
@@ -158,7 +158,7 @@ def lens_grid(camera: PlenopticCamera) -> LensGrid:
 
 
 def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:
-    """Give the centres of all micro-images on a camera's recorded image, and up to `margin` pixels beyond.
+    """Return the centres of all micro-images on a camera's recorded image, and up to `margin` pixels beyond.
 
     Returns
     -------
@@ -178,7 +178,7 @@ def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:
 
 
 def lens_types(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
-    """Tell the kind of the lens of each micro-image: the index of its focal length.
+    """Return the type of the lens of each micro-image: the index of its focal length.
 
     Parameters
     ----------

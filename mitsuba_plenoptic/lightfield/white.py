@@ -1,4 +1,4 @@
-"""The white image of a camera, computed: each pixel's share of the open pupil."""
+"""The white image of a camera, computed: the fraction of what each pixel sees that the pupil leaves open."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     InputError
         If micro-images are so wide or so much out of focus that it would take an hour, or too much memory.
     """
-    kinds = [PupilFraction(camera, kind) for kind in range(len(camera.mla_focal_lengths))]
-    half = math.ceil(max(share.reach for share in kinds) / camera.pupil_step)
+    fractions = [PupilFraction(camera, lens_type) for lens_type in range(len(camera.mla_focal_lengths))]
+    half = math.ceil(max(fraction.reach for fraction in fractions) / camera.pupil_step)
     rows, columns = camera.shape
     require_memory(
         4.0 * (rows + 2 * half) * (columns + 2 * half) + 100.0 * _BLOCK * (2 * half + 1) ** 2,
@@ -65,16 +65,16 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
         base = np.floor(row).astype(np.int64)
         # Pupil coordinates that each pixel sees through its lens's centre, but for their sign.
         x, y = ((base[:, axis, None] + window + 0.5 - row[:, axis, None]) * camera.pupil_step for axis in (0, 1))
-        share = np.zeros((len(base), window.size, window.size), dtype=np.float32)
-        kind = lens_types(camera, row)
-        for number, pupil in enumerate(kinds):
-            share[kind == number] = pupil(x[kind == number, None, :], y[kind == number, :, None])
+        fraction = np.zeros((len(base), window.size, window.size), dtype=np.float32)
+        lens_type = lens_types(camera, row)
+        for number, pupil in enumerate(fractions):
+            fraction[lens_type == number] = pupil(x[lens_type == number, None, :], y[lens_type == number, :, None])
         down = base[:, 1, None, None] + window[:, None] + half
         across = base[:, 0, None, None] + window + half
         keep = (down >= 0) & (down < image.shape[0]) & (across >= 0) & (across < image.shape[1])
-        keep &= share > 0
+        keep &= fraction > 0
         place = (down * image.shape[1] + across)[keep]
         first = place.min(initial=image.size)
-        added = np.bincount(place - first, weights=share[keep])
+        added = np.bincount(place - first, weights=fraction[keep])
         image.reshape(-1)[first : first + added.size] += added
     return image[half : half + rows, half : half + columns]

@@ -20,8 +20,8 @@ from ..errors import InputError, require_number
 from ..runtime.backend import array_module, backend, one_at_a_time
 from ..runtime.fft import Field, array_types, as_field, as_words, fft2_packed, pack, unpack
 from ..runtime.indexing import quotient
-from . import guards
 from .phase import in_millimetres, phasor
+from .step_guard import StepGuard
 
 
 @one_at_a_time
@@ -63,7 +63,7 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
     if samples.ndim != 2 or samples.size == 0:
         raise InputError(f"field of shape {samples.shape}: it must have rows and columns")
     pitch, distance, wavelength = _check(pitch, distance, wavelength)
-    shape, guard = samples.shape, guards.StepGuard(samples, pitch, wavelength)
+    shape, guard = samples.shape, StepGuard(samples, pitch, wavelength)
     packed = fft2_packed(libraries.types.UInt64(as_words(samples)), shape)
     guard.see_spectrum(packed)
     packed = _advance(packed, shape, pitch, distance, wavelength)

@@ -22,8 +22,7 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-import scipy.fft
-import scipy.special
+import scipy
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
@@ -243,5 +242,5 @@ def plane_transmission(camera: PlenopticCamera, wavelength: float, cosine: float
 
 
 @functools.lru_cache(maxsize=8)
-def _kept(kind: Any, types: Any, camera: PlenopticCamera, wavelength: float, cosine: float) -> Any:
-    return kind(camera, wavelength, cosine)
+def _kept(transmission_type: Any, types: Any, camera: PlenopticCamera, wavelength: float, cosine: float) -> Any:
+    return transmission_type(camera, wavelength, cosine)

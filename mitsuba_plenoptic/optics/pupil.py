@@ -1,10 +1,11 @@
-"""How much of what a pixel sees of the pupil plane is open: the white level of every pixel."""
+"""How much of what a pixel sees of the pupil plane is open: the value of every pixel of a white image."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+import scipy
 
 from ..camera import PlenopticCamera
 from ..runtime.limits import require_memory
@@ -18,30 +19,27 @@ _POINTS = 8
 
 
 class PupilFraction:
-    r"""Share of the light that a pixel would get from an endless pupil that comes through the pupil there is.
+    r"""Fraction of the light from an endless pupil that a pixel gets through the pupil there is.
 
     Seen through a point m of its lens, a pixel covers a square of the pupil plane of side :math:`\Delta p\, b/z`; its
-    place moves with m by :math:`1 + b/z - b/f_2` times as much. The share is that of the pupil's disc in the square,
-    averaged over the lens's aperture: what the pixel reads of a scene of uniform radiance 1.
+    place moves with m by :math:`1 + b/z - b/f_2` times as much. The fraction of the square that
+    the pupil's disc covers is averaged over the lens's aperture: what the pixel reads of a scene of uniform radiance 1.
 
     Parameters
     ----------
     camera : PlenopticCamera
         The camera.
-    kind : int
-        Which of its kinds of lenses, if there are several.
+    lens_type : int
+        Which of its types of lenses, if there are several.
 
     Attributes
     ----------
     reach : float
-        Beyond this distance from the pupil's centre along x or y the share is 0.
+        Beyond this distance from the pupil's centre along x or y the fraction is 0.
     """
 
-    def __init__(self, camera: PlenopticCamera, kind: int = 0) -> None:
-        # Its import takes long.
-        import scipy.signal
-
-        smear = abs(camera.pupil_shift(camera.mla_focal_lengths[kind]))
+    def __init__(self, camera: PlenopticCamera, lens_type: int = 0) -> None:
+        smear = abs(camera.pupil_shift(camera.mla_focal_lengths[lens_type]))
         reach = camera.aperture_radius + smear * camera.lattice.aperture_reach + camera.pupil_step
         pixels = 2 * reach / camera.pupil_step
         samples = max(1, min(_SAMPLES, int(_WIDEST / pixels)))
@@ -55,14 +53,14 @@ class PupilFraction:
         half = math.ceil(camera.aperture_radius / self._step + samples) + blur.shape[0] // 2
         place = np.arange(-half, half + 1) / samples
         disc = _square_in_disc(place, place[:, None], camera.aperture_radius / camera.pupil_step)
-        share = scipy.signal.fftconvolve(disc, blur, mode="same")
+        fraction = scipy.signal.fftconvolve(disc, blur, mode="same")
         # The rounding of the transform is not light.
-        self._table = np.where(share > 1e-6, share, 0).clip(max=1).astype(np.float32)
+        self._table = np.where(fraction > 1e-6, fraction, 0).clip(max=1).astype(np.float32)
         self._half = half
         self.reach = half * self._step
 
     def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Give the share of pixels whose centre, seen through their lens's centre, is at (x, y) of the pupil plane.
+        """Return the fraction for pixels that see the place (x, y) of the pupil plane through their lens's centre.
 
         Parameters
         ----------
@@ -84,13 +82,13 @@ class PupilFraction:
 
 
 def _square_in_disc(x: np.ndarray, y: np.ndarray, radius: float) -> np.ndarray:
-    """Share of a unit square centred at (x, y) that lies within a disc of this radius about the origin."""
+    """Return the fraction of a unit square about (x, y) that lies within a disc of this radius about the origin."""
     x, y = np.broadcast_arrays(x, y)
     distance = np.hypot(x, y)
-    share = (distance < radius).astype(np.float64)
+    fraction = (distance < radius).astype(np.float64)
     edge = np.abs(distance - radius) < math.sqrt(0.5)
     offsets = (np.arange(_POINTS) + 0.5) / _POINTS - 0.5
     chord = np.sqrt(np.maximum(0, radius**2 - (x[edge][:, None] + offsets) ** 2))
     low, high = y[edge][:, None] - 0.5, y[edge][:, None] + 0.5
-    share[edge] = np.maximum(0, np.minimum(high, chord) - np.maximum(low, -chord)).mean(1)
-    return share
+    fraction[edge] = np.maximum(0, np.minimum(high, chord) - np.maximum(low, -chord)).mean(1)
+    return fraction

@@ -64,7 +64,7 @@ def make_class() -> type:
          * - method
            - |string|
            - ``patch``: each radiator's field on the part of the microlens array that it lights. ``full_field``:
-             on all of it, the slow referee. (Default: ``patch``)
+             on all of it, the slow reference. (Default: ``patch``)
          * - occlusion
            - |bool|
            - Whether objects before a radiator hide a part of the pupil from it. (Default: true)
@@ -86,12 +86,13 @@ def make_class() -> type:
         .. math:: L \frac{A_c A_{pupil} z^2}{b^2 A_{lens} A_{pixel} f} \, psf
 
         where :math:`psf` is the fraction of the power through the visible pupil that lands in the pixel and
-        :math:`f` the share of the visible pupil whose rays land in the sampled part of the array. The pixel's
+        :math:`f` the fraction of the visible pupil whose rays land in the sampled part of the array. The pixel's
         unit is that of the sensor by rays: a scene of radiance 1 reads 1 inside wide micro-images.
 
         Scalar waves and thin elements: no polarisation, and both lenses are thin parabolic phases, whose geometric
         twin is the sensor's ``lens_model="parabolic"``. Objects before a radiator hide parts of the pupil but do
-        not diffract. A mirror image or a refracted one radiates from the mirror or the glass.
+        not diffract. A mirror image or a refracted one radiates from the mirror or the glass. Polarized variants
+        compute as if unpolarized.
 
         The same seed gives the same bits, on any number of threads.
 

@@ -62,7 +62,7 @@ def make_class() -> type:
              (larger than ``focal_length``). It is turned into ``mla_distance`` when the scene is loaded.
          * - mla_focal_length
            - |float| or |string|
-           - Focal length of a microlens; or three, with commas between them, for a multi-focus array: three kinds
+           - Focal length of a microlens; or three, with commas between them, for a multi-focus array: three types
              of lenses interleaved on a hexagonal lattice, so that no two neighbours are alike. (Default: 0.512)
            - |exposed|, |differentiable|, |discontinuous|
          * - mla_pitch

@@ -9,6 +9,7 @@ import scipy.sparse
 
 from ..camera import PlenopticCamera
 from ..optics import guards, rays
+from ..optics.power import fraction, power
 from ..optics.sampling import check_memory
 from ..runtime.backend import backend
 from ..runtime.fft import Field, resting_drjit
@@ -55,7 +56,7 @@ def reconstruct_subsets(
             # where the detector's edge cuts the light there is no telling
             axes = ((0, grids.to_mla.x), (1, grids.to_mla.y))
             if all(light == kept for light, kept in (object_extent(camera, distance, *axis) for axis in axes)):
-                guards.judge(guards.OBJECT, 1 - guards.share(float(total.sum()), passed))
+                guards.judge(guards.OBJECT, 1 - fraction(float(total.sum()), passed))
     return [libraries.to_host(total) for total in totals]
 
 
@@ -145,7 +146,7 @@ class FullFields:
 
     def power(self, field: Field) -> float:
         """Power that passes the pupil, in pixel values times pixels."""
-        return guards.power(field) * self._grids.to_main_lens.sample_area / self._camera.pixel_size**2
+        return power(field) * self._grids.to_main_lens.sample_area / self._camera.pixel_size**2
 
     def in_bins(self, field: Field, distance: float, step: Step, oversample: int) -> np.ndarray:
         """Power in each bin of an object plane, of a field just before the main lens; (rows, columns) float32 array."""

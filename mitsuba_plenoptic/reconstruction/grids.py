@@ -162,7 +162,7 @@ def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
     """
     b, z = camera.mla_distance, camera.detector_distance
     half_field = max(camera.detector_width, camera.detector_height) / 2
-    converging = half_field / b + camera.mla_pitch * (b + z) / (2 * b * z)
+    converging = half_field / b + max(camera.mla_pitches) * (b + z) / (2 * b * z)
     accepted = (camera.aperture_radius + half_field) / b + bend(camera)
     return math.ceil(2 * camera.pixel_size * max(converging, accepted) / in_millimetres(wavelength))
 
@@ -269,7 +269,8 @@ def _cells(camera: PlenopticCamera, ends: np.ndarray, axis: int) -> tuple[float,
     """Extent of the cells that hold what lies between two coordinates of the MLA plane."""
     lattice = camera.lattice
     if lattice.axis_aligned:
-        low, high = lattice.axis_cell(ends, axis) * camera.mla_pitch + np.array([0, camera.mla_pitch])
+        pitch = camera.mla_pitches[axis]
+        low, high = lattice.axis_cell(ends, axis) * pitch + np.array([0, pitch])
         return float(low + lattice.offset[axis]), float(high + lattice.offset[axis])
     reach = lattice.cell_reach
     # A point is no farther than that from its centre, nor the cell's edge from the centre.

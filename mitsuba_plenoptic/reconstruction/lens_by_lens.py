@@ -25,6 +25,7 @@ from ..camera import PlenopticCamera
 from ..optics import guards
 from ..optics.main_lens import main_lens
 from ..optics.phase import in_millimetres, parabola, phasor, soft_edge
+from ..optics.power import fraction
 from ..optics.sampling import check_memory
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, unpack
@@ -71,7 +72,7 @@ def reconstruct_lens_by_lens(
     if len(lit):
         guards.judge(guards.PUPIL, 1 - float(totals[0].sum()) / float(image.sum(dtype=np.float64)))
     for total, rim in zip(totals, in_rim, strict=True):
-        guards.judge(guards.OBJECT, guards.share(rim, float(total.sum())))
+        guards.judge(guards.OBJECT, fraction(rim, float(total.sum())))
     return [on_bins(total, lenses) for total in totals]
 
 

@@ -65,7 +65,7 @@ class Tile:
     def cell_width(self) -> float:
         """Extent of a cell of the lattice along both axes."""
         lattice = self.camera.lattice
-        return self.camera.mla_pitch if lattice.axis_aligned else 2 * float(lattice.cell_corners().max())
+        return max(self.camera.mla_pitches) if lattice.axis_aligned else 2 * float(lattice.cell_corners().max())
 
     @property
     def lens_width(self) -> float:

@@ -55,7 +55,7 @@ def full_field_period(
     lit = lit_window(image, camera)
     if lit is None:
         return 1
-    blur = max(camera.blur_diameter(g) for g in distances) / camera.mla_pitch
+    blur = max(camera.blur_diameter(g) for g in distances) / min(camera.mla_pitches)
     period = math.ceil(blur - 1e-6) + _APART
     fields = period**2 * plan(camera, wavelength, distances, lit).transformed
     tile = Tile(camera, wavelength, tile_lenses(camera, distances), 1)

@@ -21,6 +21,10 @@ class Row(NamedTuple):
     note: str
 
 
+# A row without its group.
+_Line = tuple[str, str, str, str]
+
+
 def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> list[Row]:
     """List a camera's parameters and derived quantities.
 
@@ -31,32 +35,35 @@ def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> li
     wavelength : float, optional
         Wavelength in nanometres; without it what follows from diffraction is left out.
     """
-    rows = [*_main_lens(camera), *_microlenses(camera), *_detector(camera), *_micro_images(camera)]
-    rows += _resolution(camera, wavelength)
-    rows += _refocusing(camera, wavelength)
+    groups = {
+        "Main lens": _main_lens(camera),
+        "Microlenses": _microlenses(camera),
+        "Detector": _detector(camera),
+        "Micro-images": _micro_images(camera),
+        "Resolution": _resolution(camera, wavelength),
+        "Refocusing": _refocusing(camera, wavelength),
+    }
     if wavelength is not None:
-        rows += _diffraction(camera, wavelength)
-    return rows
+        groups[f"Diffraction at {wavelength:g} nm"] = _diffraction(camera, wavelength)
+    return [Row(group, *line) for group, lines in groups.items() for line in lines]
 
 
-def _main_lens(camera: PlenopticCamera) -> list[Row]:
-    group = "Main lens"
+def _main_lens(camera: PlenopticCamera) -> list[_Line]:
     rows = [
-        Row(group, "focal length", _text(camera.focal_length), "mm", ""),
-        Row(group, "diameter", _text(camera.aperture_diameter), "mm", f"f/{camera.f_number:.3g}"),
-        Row(group, "distance to microlenses", _text(camera.mla_distance), "mm", ""),
-        Row(group, "focused distance", *_distance(camera.focus_distance), "on the microlenses"),
-        Row(group, "field of view", f"{design.field_of_view(camera):.3g}", "deg", "horizontal, full angle"),
+        ("focal length", four_digits(camera.focal_length), "mm", ""),
+        ("diameter", four_digits(camera.aperture_diameter), "mm", f"f/{camera.f_number:.3g}"),
+        ("distance to microlenses", four_digits(camera.mla_distance), "mm", ""),
+        ("focused distance", *_distance(camera.focus_distance), "on the microlenses"),
+        ("field of view", f"{design.field_of_view(camera):.3g}", "deg", "horizontal, full angle"),
     ]
     if 0 < camera.focus_distance < math.inf:
         width = design.field_width(camera, camera.focus_distance)
-        rows.append(Row(group, "field width", _text(width), "mm", "in the focused plane"))
-    rows.append(Row(group, "lens model", camera.lens_model, "", ""))
+        rows.append(("field width", four_digits(width), "mm", "in the focused plane"))
+    rows.append(("lens model", camera.lens_model, "", ""))
     return rows
 
 
-def _microlenses(camera: PlenopticCamera) -> list[Row]:
-    group = "Microlenses"
+def _microlenses(camera: PlenopticCamera) -> list[_Line]:
     main, micro = design.image_f_number(camera), design.mla_f_number(camera)
     # Neighbouring micro-images touch where the two match, up to the factor (b + z)/b of their pitch.
     if math.isclose(micro, main, rel_tol=0.05):
@@ -69,69 +76,65 @@ def _microlenses(camera: PlenopticCamera) -> list[Row]:
         bins = f"in rows; a reconstruction has {camera.bin_count[0]} x {camera.bin_count[1]} bins"
     lattice = [f"{camera.mla_lattice} lattice"]
     if camera.mla_rotation:
-        lattice.append(f"turned by {_text(camera.mla_rotation)} deg")
+        lattice.append(f"turned by {four_digits(camera.mla_rotation)} deg")
     if camera.mla_offset != (0, 0):
-        lattice.append(f"moved by ({', '.join(map(_text, camera.mla_offset))}) mm")
+        lattice.append(f"moved by ({', '.join(map(four_digits, camera.mla_offset))}) mm")
     area = camera.lattice.lens_area / camera.lattice.cell_area
     shape = "round" if camera.mla_aperture == "circle" else camera.mla_lattice
     return [
-        Row(group, "focal length", ", ".join(map(_text, camera.mla_focal_lengths)), "mm", ""),
-        Row(group, "pitch", _text(camera.mla_pitch), "mm", ", ".join(lattice)),
-        Row(group, "lens width", _text(camera.lattice.aperture_width), "mm", f"{shape}, {area:.0%} of the area"),
-        Row(group, "lenses", f"{columns} x {rows}", "", bins),
-        Row(group, "distance to detector", _text(camera.detector_distance), "mm", ""),
-        Row(group, "f-number z/width", f"{micro:.3g}", "", ""),
-        Row(group, "main lens's b/D1", f"{main:.3g}", "", match),
+        ("focal length", ", ".join(map(four_digits, camera.mla_focal_lengths)), "mm", ""),
+        ("pitch", " x ".join(map(four_digits, dict.fromkeys(camera.mla_pitches))), "mm", ", ".join(lattice)),
+        ("lens width", four_digits(camera.lattice.aperture_width), "mm", f"{shape}, {area:.0%} of the area"),
+        ("lenses", f"{columns} x {rows}", "", bins),
+        ("distance to detector", four_digits(camera.detector_distance), "mm", ""),
+        ("f-number z/width", f"{micro:.3g}", "", ""),
+        ("main lens's b/D1", f"{main:.3g}", "", match),
     ]
 
 
-def _detector(camera: PlenopticCamera) -> list[Row]:
-    group = "Detector"
+def _detector(camera: PlenopticCamera) -> list[_Line]:
     columns, rows = camera.resolution
-    size = f"{_text(camera.detector_width)} x {_text(camera.detector_height)}"
+    size = f"{four_digits(camera.detector_width)} x {four_digits(camera.detector_height)}"
     sheet = [
-        Row(group, "size", size, "mm", ""),
-        Row(group, "pixels", f"{columns} x {rows}", "", ""),
-        Row(group, "pixel size", _text(1e3 * camera.pixel_size), "um", ""),
-        Row(group, "pixels per lens", _text(camera.pixels_per_lens), "", "across its pitch"),
+        ("size", size, "mm", ""),
+        ("pixels", f"{columns} x {rows}", "", ""),
+        ("pixel size", four_digits(1e3 * camera.pixel_size), "um", ""),
+        ("pixels per lens", four_digits(camera.pixels_per_lens), "", "across its pitch"),
     ]
     if camera.is_cropped:
         window, offset = camera.crop_size, camera.crop_offset
         note = f"from column {offset[0]}, row {offset[1]}"
-        sheet.append(Row(group, "recorded pixels", f"{window[0]} x {window[1]}", "", note))
+        sheet.append(("recorded pixels", f"{window[0]} x {window[1]}", "", note))
     return sheet
 
 
-def _micro_images(camera: PlenopticCamera) -> list[Row]:
-    group = "Micro-images"
+def _micro_images(camera: PlenopticCamera) -> list[_Line]:
     pixel = camera.pixel_size
     diameter, pitch = camera.micro_image_diameter, camera.micro_image_pitch
     return [
-        Row(group, "diameter", _text(diameter / pixel), "pixels", f"{_text(1e3 * diameter)} um, D1 z/b"),
-        Row(group, "pitch", _text(pitch / pixel), "pixels", f"{_text(1e3 * pitch)} um, D2 (b + z)/b"),
-        Row(group, "diameter over pitch", f"{diameter / pitch:.3g}", "", ""),
-        Row(group, "mean of a white capture", f"{design.white_mean(camera):.3g}", "", "per unit radiance"),
+        ("diameter", four_digits(diameter / pixel), "pixels", f"{four_digits(1e3 * diameter)} um, D1 z/b"),
+        ("pitch", four_digits(pitch / pixel), "pixels", f"{four_digits(1e3 * pitch)} um, D2 (b + z)/b"),
+        ("diameter over pitch", f"{diameter / pitch:.3g}", "", ""),
+        ("mean of a white capture", f"{design.white_mean(camera):.3g}", "", "per unit radiance"),
     ]
 
 
-def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[Row]:
-    group = "Resolution"
+def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]:
     names = {"keplerian": "focused, Keplerian", "galilean": "focused, Galilean"}
     kinds = [names.get(kind, kind) for kind in dict.fromkeys(design.focus_types(camera))]
-    rows = [Row(group, "kind of camera", "; ".join(kinds), "", _seen(camera))]
-    lenses = zip(
-        camera.mla_focal_lengths, design.best_distances(camera), design.depth_ranges(camera, wavelength), strict=True
-    )
+    rows = [("kind of camera", "; ".join(kinds), "", _seen(camera))]
+    limits_of_all = design.depth_ranges(camera, wavelength)
+    lenses = zip(camera.mla_focal_lengths, design.best_distances(camera), limits_of_all, strict=True)
     for f2, best, limits in lenses:
-        which = f"f2 = {_text(f2)} mm" if len(camera.mla_focal_lengths) > 1 else ""
-        rows.append(Row(group, "sharpest distance", *_distance(best), which))
+        which = f"f2 = {four_digits(f2)} mm" if len(camera.mla_focal_lengths) > 1 else ""
+        rows.append(("sharpest distance", *_distance(best), which))
         if _is_imaged(camera, best):
-            rows += _effective(group, camera, best, wavelength)
+            rows += _effective(camera, best, wavelength)
         note = "refocused" if design.focus_type(camera) == "unfocused" else "blur below a pixel or the spot, no gaps"
-        rows.append(Row(group, "depth range", *_range(limits), note))
+        rows.append(("depth range", *_range(limits), note))
     if len(camera.mla_focal_lengths) > 1:
-        together = [_range(limits)[0] for limits in _union(design.depth_ranges(camera, wavelength))]
-        rows.append(Row(group, "depth range, together", ", ".join(together) or "none", "mm" if together else "", ""))
+        together = [_range(limits)[0] for limits in _union(limits_of_all)]
+        rows.append(("depth range, together", ", ".join(together) or "none", "mm" if together else "", ""))
     return rows
 
 
@@ -139,7 +142,8 @@ def _seen(camera: PlenopticCamera) -> str:
     """Say what the microlenses see."""
     if design.focus_type(camera) == "unfocused":
         return "the microlenses see the main lens"
-    where = [f"{_text(abs(a))} mm {'before' if a > 0 else 'behind'} them" for a in design.mla_object_distances(camera)]
+    distances = design.mla_object_distances(camera)
+    where = [f"{four_digits(abs(a))} mm {'before' if a > 0 else 'behind'} them" for a in distances]
     return f"the microlenses see an image {', '.join(where)}"
 
 
@@ -152,14 +156,13 @@ def _is_imaged(camera: PlenopticCamera, distance: float) -> bool:
     return math.isfinite(distance)
 
 
-def _effective(group: str, camera: PlenopticCamera, distance: float, wavelength: float | None) -> list[Row]:
+def _effective(camera: PlenopticCamera, distance: float, wavelength: float | None) -> list[_Line]:
     """Resolution at one distance."""
     finest = design.effective_resolution(camera, distance, wavelength)
     rows = [
-        Row(group, "effective resolution", f"{finest.columns:.0f} x {finest.rows:.0f}", "", "details across and down"),
-        Row(group, "finest detail", _text(finest.line_width), "mm", f"{finest.ratio:.3g} per pixel of the detector"),
-        Row(
-            group,
+        ("effective resolution", f"{finest.columns:.0f} x {finest.rows:.0f}", "", "details across and down"),
+        ("finest detail", four_digits(finest.line_width), "mm", f"{finest.ratio:.3g} per pixel of the detector"),
+        (
             "samples per lens",
             f"{finest.samples_per_lens:.3g}",
             "",
@@ -169,64 +172,38 @@ def _effective(group: str, camera: PlenopticCamera, distance: float, wavelength:
     if design.focus_type(camera) != "unfocused":
         across = f"{design.lenses_across(camera, distance):.3g}"
         rows += [
-            Row(group, "virtual depth", f"{design.virtual_depth(camera, distance):.3g}", "", "image to MLA over z"),
-            Row(group, "lenses that see a point", across, "", "along an axis"),
+            ("virtual depth", f"{design.virtual_depth(camera, distance):.3g}", "", "image to MLA over z"),
+            ("lenses that see a point", across, "", "along an axis"),
         ]
     return rows
 
 
-def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> list[Row]:
-    group = "Refocusing"
+def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]:
     near, far = design.refocus_range(camera, wavelength)
     limit = "in a micro-image, by its pixels" if wavelength is None else "in a micro-image, with diffraction"
     rows = [
-        Row(group, "directions told apart", f"{design.direction_count(camera, wavelength):.3g}", "", limit),
-        Row(group, "nearest distance", *_distance(near), "with one sample per lens"),
-        Row(group, "farthest distance", *_distance(far), ""),
+        ("directions told apart", f"{design.direction_count(camera, wavelength):.3g}", "", limit),
+        ("nearest distance", *_distance(near), "with one sample per lens"),
+        ("farthest distance", *_distance(far), ""),
     ]
     for distance in dict.fromkeys((near, *design.best_distances(camera), far)):
         if camera.focal_length < distance < math.inf:
-            at = f"at {_text(distance)} mm"
+            at = f"at {four_digits(distance)} mm"
             rows += [
-                Row(group, "bin size", _text(camera.bin_size(distance)), "mm", at),
-                Row(
-                    group,
-                    "blur diameter",
-                    _text(camera.blur_diameter(distance)),
-                    "mm",
-                    f"{at}, on the MLA",
-                ),
+                ("bin size", four_digits(camera.bin_size(distance)), "mm", at),
+                ("blur diameter", four_digits(camera.blur_diameter(distance)), "mm", f"{at}, on the MLA"),
             ]
     return rows
 
 
-def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[Row]:
-    group = f"Diffraction at {wavelength:g} nm"
+def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[_Line]:
     spot = design.spot_radius(camera, wavelength)
-    pixels = f"{_text(spot / camera.pixel_size)} pixels, centre to first zero"
+    pixels = f"{four_digits(spot / camera.pixel_size)} pixels, centre to first zero"
     return [
-        Row(group, "spot of a microlens", _text(1e3 * spot), "um", pixels),
-        Row(
-            group,
-            "directions by the spot",
-            _text(camera.micro_image_diameter / spot),
-            "",
-            "across a micro-image",
-        ),
-        Row(
-            group,
-            "Fresnel number, microlens",
-            f"{design.mla_fresnel_number(camera, wavelength):.3g}",
-            "",
-            "from the detector",
-        ),
-        Row(
-            group,
-            "Fresnel number, main lens",
-            f"{design.main_fresnel_number(camera, wavelength):.3g}",
-            "",
-            "from the MLA",
-        ),
+        ("spot of a microlens", four_digits(1e3 * spot), "um", pixels),
+        ("directions by the spot", four_digits(camera.micro_image_diameter / spot), "", "across a micro-image"),
+        ("Fresnel number, microlens", f"{design.mla_fresnel_number(camera, wavelength):.3g}", "", "from the detector"),
+        ("Fresnel number, main lens", f"{design.main_fresnel_number(camera, wavelength):.3g}", "", "from the MLA"),
     ]
 
 
@@ -234,7 +211,7 @@ def _distance(value: float) -> tuple[str, str]:
     """Write a distance and its unit, where there may be no such plane or it may be at infinity."""
     if value < 0:
         return "none", ""
-    return ("infinity", "") if math.isinf(value) else (_text(value), "mm")
+    return ("infinity", "") if math.isinf(value) else (four_digits(value), "mm")
 
 
 def _range(limits: tuple[float, float] | None) -> tuple[str, str]:
@@ -255,6 +232,6 @@ def _union(ranges: list[tuple[float, float] | None]) -> list[tuple[float, float]
     return joined
 
 
-def _text(value: float) -> str:
+def four_digits(value: float) -> str:
     """Four digits, without an exponent for the sizes that cameras have."""
     return f"{value:.4g}"

@@ -19,8 +19,7 @@ from typing import Any, ParamSpec, TypeVar
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import scipy.fft
-import scipy.sparse
+import scipy
 from numpy.typing import NDArray
 
 from ..errors import InputError
@@ -76,7 +75,7 @@ def one_at_a_time(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
 @dataclass(frozen=True)
 class Backend:
-    """The libraries of one kind of processor.
+    """The libraries of one type of processor.
 
     Attributes
     ----------
@@ -99,7 +98,7 @@ class Backend:
     is_cuda: bool
 
     def from_drjit(self, array: Any) -> Any:
-        """Give the memory of a flat Dr.Jit array as an array of `arrays`, computed or about to be."""
+        """Return the memory of a flat Dr.Jit array as an array of `arrays`, computed or about to be."""
         return self.arrays.from_dlpack(array) if self.is_cuda else array.numpy()
 
     def to_host(self, array: Any) -> NDArray[Any]:
@@ -114,7 +113,7 @@ class Backend:
 
 
 def backend() -> Backend:
-    """Give the libraries for the active variant: CUDA's for a CUDA variant, the processor's elsewhere.
+    """Return the libraries for the active variant: CUDA's for a CUDA variant, the processor's elsewhere.
 
     Raises
     ------
@@ -126,7 +125,7 @@ def backend() -> Backend:
 
 
 def backend_of(array: Any) -> Backend:
-    """Give the libraries for an array of Dr.Jit, NumPy or CuPy, by where it lies."""
+    """Return the libraries for an array of Dr.Jit, NumPy or CuPy, by where it lies."""
     if dr.is_array_v(array):
         return _cuda() if dr.backend_v(array) == dr.JitBackend.CUDA else _processor()
     return _processor() if isinstance(array, np.ndarray) else _cuda()

@@ -1,7 +1,7 @@
 """Incoherent sums on the worker processes of a Dask cluster: on this machine, or on others.
 
 Only arrays travel: the radiators of a batch and the camera to a worker, the sum of their point spreads back. Which
-worker does what has no influence on the bits; but processors of different kinds may round differently.
+worker does what has no influence on the bits; but different processors may round differently.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class Cluster:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._open.close()
 

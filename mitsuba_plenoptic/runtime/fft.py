@@ -140,11 +140,11 @@ def fft2_packed(packed: Any, shape: tuple[int, ...], *, inverse: bool = False) -
     -------
     UInt64 array of the same type
     """
-    kind = type(packed)
+    words = type(packed)
     field = as_field(packed, shape)
     with resting_drjit():
         field = fft2(field, inverse=inverse)
-    return kind(as_words(field))
+    return words(as_words(field))
 
 
 def pack(field: Any) -> Any:
@@ -162,13 +162,13 @@ def unpack(packed: Any) -> Any:
 
 
 def as_field(packed: Any, shape: tuple[int, ...]) -> Field:
-    """Give the memory of a flat Dr.Jit array of 64-bit words as a field, of which everything is computed."""
+    """Return the memory of a flat Dr.Jit array of 64-bit words as a field, of which everything is computed."""
     dr.eval(packed)
     return backend_of(packed).from_drjit(packed).view(np.complex64).reshape(shape)
 
 
 def as_words(field: Field) -> NDArray[np.uint64]:
-    """Give the memory of a contiguous field as 64-bit words, from which a Dr.Jit array can be made without a copy."""
+    """Return the memory of a contiguous field as 64-bit words, from which a Dr.Jit array can be made without a copy."""
     return field.reshape(-1).view(np.uint64)
 
 

@@ -18,6 +18,8 @@ LATTICES = {
     "hexagonal, upright": {"mla_lattice": "hexagonal", "mla_rotation": 90.0, "mla_aperture": "circle"},
     "turned": {"mla_rotation": 17.0, "mla_offset": (0.021, -0.008)},
     "moved": {"mla_offset": (0.021, -0.008)},
+    "rectangular": {"mla_pitch": (0.064, 0.058)},
+    "hexagonal, stretched": {"mla_lattice": "hexagonal", "mla_pitch": (0.058, 0.064), "mla_rotation": 7.0},
 }
 
 
@@ -73,27 +75,29 @@ def test_white_is_one_in_every_view_on_square_bins(camera):
     np.testing.assert_allclose(weight[half, half], 1, atol=1e-3)
 
 
-@pytest.mark.parametrize("name", ["hexagonal", "turned"])
+@pytest.mark.parametrize("name", ["hexagonal", "turned", "rectangular", "hexagonal, stretched"])
 def test_views_show_the_scene_from_their_place_on_the_pupil(name):
     lattice = {key: ", ".join(map(str, np.ravel(value))) for key, value in LATTICES[name].items()}
     small = {"detector_width": "2.048", "resolution": "1024", "letter_scale": "0.25"}
     scene = load_scene("letters", parameters={**small, **lattice})
     capture = render_capture(scene, spp=64)
     lf = decode(capture)
-    assert (lf.sizes["t"], lf.sizes["s"]) == (32, 32)
+    assert (lf.sizes["s"], lf.sizes["t"]) == capture.camera.bin_count
+
+    width = lf.sizes["s"] * capture.camera.mla_pitch
 
     def seen_from(x, y):
         sensor = {
             "type": "perspective",
-            "fov": math.degrees(2 * math.atan(2.048 / 240)),
+            "fov": math.degrees(2 * math.atan(width / 240)),
             # The film's middle stays where the plane in focus meets the axis.
-            "principal_point_offset_x": x * 120 / 240 / 2.048,
-            "principal_point_offset_y": y * 120 / 240 / 2.048,
+            "principal_point_offset_x": x * 120 / 240 / width,
+            "principal_point_offset_y": y * 120 / 240 / width,
             "to_world": mi.ScalarTransform4f().translate([x, y, 0]),
             "film": {
                 "type": "hdrfilm",
-                "width": 32,
-                "height": 32,
+                "width": lf.sizes["s"],
+                "height": lf.sizes["t"],
                 "rfilter": {"type": "box"},
                 "pixel_format": "luminance",
                 "component_format": "float32",

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, design, render_capture
+from mitsuba_plenoptic.lightfield import white_image
 from mitsuba_plenoptic.optics.rays import chief_detector_point
 
 VARIANTS = [
@@ -258,45 +259,52 @@ def test_a_smearing_filter_is_warned_of(camera_dict):
 
 
 @pytest.mark.parametrize(
-    ("parameter", "integrator"),
+    ("parameter", "integrator", "numbers"),
     [
-        ("focal_length", "path"),
-        ("focal_length", "direct"),
-        ("mla_distance", "path"),
-        ("mla_distance", "direct"),
-        ("mla_rotation", "path"),
+        ("focal_length", "path", {}),
+        ("focal_length", "direct", {}),
+        ("mla_distance", "path", {}),
+        ("mla_distance", "direct", {}),
+        ("mla_rotation", "path", {}),
+        ("mla_pitch", "path", {}),
+        # Of several numbers the last.
+        ("mla_pitch", "path", {"mla_pitch": "0.064, 0.06", "mla_aperture": "circle"}),
+        ("mla_pitch", "path", {"mla_pitch": "0.064, 0.06", "mla_lattice": "hexagonal"}),
+        ("mla_offset", "path", {"mla_lattice": "hexagonal"}),
     ],
 )
-def test_gradients_agree_with_finite_differences(camera_dict, parameter, integrator):
+def test_gradients_agree_with_finite_differences(camera_dict, parameter, integrator, numbers):
     scene = mi.load_dict(
         {
             "type": "scene",
             "integrator": {"type": integrator},
-            "camera": camera_dict(resolution=64, detector_width=0.128),
+            "camera": camera_dict(resolution=64, detector_width=0.128, **numbers),
             "wall": picture_wall(smooth_texture(128), 210.0, 1.2),
         }
     )
     parameters = mi.traverse(scene)
     key = f"camera.{parameter}"
-    start = float(parameters[key][0])
+    Number, start = type(parameters[key]), np.array(parameters[key], dtype=np.float64).ravel()
 
     def image(value):
         parameters[key] = value
         parameters.update()
         return mi.render(scene, parameters, spp=1024, seed=1)
 
-    value = mi.Float(start)
+    change = np.eye(start.size)[-1]
+    value = Number(start)
     dr.enable_grad(value)
     rendered = image(value)
-    dr.set_grad(value, 1)
+    dr.set_grad(value, Number(change))
     gradient = np.array(dr.forward_to(rendered))[..., 0]
     # An angle starts at 0, where the lattice is upright.
-    step = 1e-3 * start or 0.2
-    difference = (np.array(image(start + step)) - np.array(image(start - step)))[..., 0] / (2 * step)
+    step = {"mla_rotation": 0.2, "mla_offset": 1e-4}.get(parameter, 1e-3 * start[-1])
+    higher, lower = (np.array(image(Number(start + sign * step * change))) for sign in (1, -1))
+    difference = (higher - lower)[..., 0] / (2 * step)
     if parameter != "focal_length":
         # The pupil's moving edge has no gradient: compare where the whole pixel is inside.
-        pupil, _ = pupil_of_pixels(PlenopticCamera(detector_width=0.128, resolution=(64, 64)))
-        inside = np.hypot(pupil[:, None], pupil[None, :]) < 4.5
+        camera = PlenopticCamera.from_sensor(scene.sensors()[0])
+        inside = white_image(camera.replace(aperture_radius=4.75)) > 0.999
         gradient, difference = gradient[inside], difference[inside]
     assert np.linalg.norm(difference) > 0
     assert np.linalg.norm(gradient - difference) <= 0.02 * np.linalg.norm(difference)

@@ -8,11 +8,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from mitsuba_plenoptic.capture.incoherent import incoherent_sum
 from scipy.ndimage import map_coordinates
 from scipy.signal import fftconvolve
 
 from mitsuba_plenoptic import design, reconstruct, render_capture, scene_path
-from mitsuba_plenoptic.capture.incoherent import incoherent_sum
 from mitsuba_plenoptic.capture.point_spread import point_spread_function
 
 

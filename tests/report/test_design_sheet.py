@@ -7,6 +7,7 @@ import math
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera, design
+from mitsuba_plenoptic.design import design_warnings
 from mitsuba_plenoptic.report.design_sheet import design_sheet
 
 
@@ -32,8 +33,8 @@ def test_the_papers_camera():
 
 
 def test_the_papers_camera_is_no_poor_design():
-    assert design.design_warnings(PlenopticCamera()) == []
-    assert design.design_warnings(PlenopticCamera(), 633) == []
+    assert design_warnings(PlenopticCamera()) == []
+    assert design_warnings(PlenopticCamera(), 633) == []
 
 
 def test_without_a_wavelength_nothing_is_said_of_diffraction():
@@ -66,11 +67,11 @@ def test_crop_is_told():
     ],
 )
 def test_warnings(parameters, wavelength, words):
-    assert any(words in warning for warning in design.design_warnings(PlenopticCamera(**parameters), wavelength))
+    assert any(words in warning for warning in design_warnings(PlenopticCamera(**parameters), wavelength))
 
 
 def test_remedy_for_overlap_makes_micro_images_touch():
-    (warning,) = design.design_warnings(PlenopticCamera(aperture_radius=10))
+    (warning,) = design_warnings(PlenopticCamera(aperture_radius=10))
     diameter = float(warning.split("a diameter of ")[1].split(" mm")[0])
     camera = PlenopticCamera(aperture_radius=diameter / 2)
     assert camera.micro_image_diameter == pytest.approx(camera.micro_image_pitch, rel=1e-3)

@@ -8,6 +8,7 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
+from mitsuba_plenoptic.capture.incoherent import incoherent_sum
 
 from mitsuba_plenoptic import (
     Capture,
@@ -21,7 +22,6 @@ from mitsuba_plenoptic import (
     reconstruct,
     render_capture,
 )
-from mitsuba_plenoptic.capture.incoherent import incoherent_sum
 from mitsuba_plenoptic.capture.scene import set_variant
 from mitsuba_plenoptic.lightfield import (
     FourierRefocuser,

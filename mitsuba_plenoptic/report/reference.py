@@ -1,4 +1,4 @@
-"""Mitsuba's own cameras as the outside referee of refocused images."""
+"""Images by Mitsuba's own cameras, the independent reference of refocused images."""
 
 from __future__ import annotations
 

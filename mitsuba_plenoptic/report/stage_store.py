@@ -12,6 +12,7 @@ import re
 import time
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -27,10 +28,29 @@ from ..runtime.software import software as versions
 
 Value = TypeVar("Value")
 Progress = Callable[[int, int], None]
-# Called with a stage's name, what is done and how much there is (0 of 0: it has begun) ...
-Notify = Callable[[str, int, int], None]
-# ... and with its name, its seconds and whether it was already there.
-Finished = Callable[[str, float, bool], None]
+
+
+def _ignore(*_: Any) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class StageOptions:
+    """How the progress of stages is reported, and what becomes of checkpoints.
+
+    Attributes
+    ----------
+    notify : callable
+        Called while a stage is computed, with its name, what is done and how much there is (0 of 0: it has begun).
+    finished : callable
+        Called when a stage is there, with its name, its seconds and whether it was there already.
+    resume : bool
+        Whether the checkpoint of another capture is refused, instead of being replaced.
+    """
+
+    notify: Callable[[str, int, int], None] = _ignore
+    finished: Callable[[str, float, bool], None] = _ignore
+    resume: bool = False
 
 
 class StageStore:
@@ -39,33 +59,23 @@ class StageStore:
     Parameters
     ----------
     folder : path
-        Where the files lie; it must exist.
-    notify : callable, optional
-        Told of the progress of a stage.
-    finished : callable, optional
-        Told when a stage is there.
-    resume : bool
-        Whether a checkpoint that is of another run is refused, instead of being replaced.
+        Where the files lie; it is made with the first stage.
+    options : StageOptions, optional
+        How progress is reported. Default: not at all.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        notify: Notify | None = None,
-        finished: Finished | None = None,
-        *,
-        resume: bool = False,
-    ) -> None:
+    def __init__(self, folder: Path, options: StageOptions | None = None) -> None:
+        options = options or StageOptions()
         self.folder = folder
-        self._existing: Existing = "resume" if resume else "resume_if_same"
         self.seconds: dict[str, float] = {}
-        self._notify = notify
-        self._finished = finished
+        self.notify = options.notify
+        self._finished = options.finished
+        self._existing: Existing = "resume" if options.resume else "resume_if_same"
         self._log = folder / "stages.json"
         self._known = _read_json(self._log)
 
     def capture(self, name: str, inputs: Any, make: Callable[[Progress, Checkpoint], Capture]) -> tuple[Capture, str]:
-        """Give a stage that is a capture, and its key; while it is under way it has a checkpoint."""
+        """Return a stage that is a capture, and its key; while it is under way it has a checkpoint."""
 
         def write(path: Path, value: Capture, key: str) -> None:
             stamped = {**value.metadata, "key": key}
@@ -81,7 +91,7 @@ class StageStore:
     def image(
         self, name: str, inputs: Any, make: Callable[[Progress], tuple[np.ndarray, dict[str, Any]]]
     ) -> tuple[np.ndarray, str]:
-        """Give a stage that is an image with facts about it for the file's header, and its key."""
+        """Return a stage that is an image, and its key; the facts about it go into the file's header."""
 
         def write(path: Path, value: tuple[np.ndarray, dict[str, Any]], key: str) -> None:
             write_exr(path, value[0], {**value[1], "key": key})
@@ -94,7 +104,7 @@ class StageStore:
         return np.asarray(image, dtype=np.float32), key
 
     def facts(self, name: str, inputs: Any, make: Callable[[Progress], dict[str, Any]]) -> dict[str, Any]:
-        """Give a stage that is a dictionary of plain JSON values."""
+        """Return a stage that is a dictionary of plain JSON values."""
 
         def write(path: Path, value: dict[str, Any], key: str) -> None:
             write_json(path, {"key": key, "value": value})
@@ -120,8 +130,8 @@ class StageStore:
         was_there = value is not None
         if value is None:
             start = time.perf_counter()
-            self._tell(name, 0, 0)
-            value = make(lambda done, total: self._tell(name, done, total))
+            self.notify(name, 0, 0)
+            value = make(lambda done, total: self.notify(name, done, total))
             seconds = time.perf_counter() - start
             self.folder.mkdir(parents=True, exist_ok=True)
             write(path, value, key)
@@ -129,13 +139,8 @@ class StageStore:
             write_json(self._log, self._known)
         log = self._known.get(name, {})
         self.seconds[name] = log.get("seconds", 0.0) if log.get("key") == key else 0.0
-        if self._finished:
-            self._finished(name, self.seconds[name], was_there)
+        self._finished(name, self.seconds[name], was_there)
         return value, key
-
-    def _tell(self, name: str, done: int, total: int) -> None:
-        if self._notify:
-            self._notify(name, done, total)
 
 
 def scene_fingerprint(path: Path, parameters: Mapping[str, str]) -> str:
@@ -145,13 +150,13 @@ def scene_fingerprint(path: Path, parameters: Mapping[str, str]) -> str:
 
 @cache
 def software() -> dict[str, str]:
-    """Tell the versions that stages depend on, our own by the source text."""
-    referee = hashlib.sha256(Path(__file__).with_name("referee.py").read_bytes())
-    return {**versions(), "referee": referee.hexdigest()[:16]}
+    """Return the versions that stages depend on, our own by the source text."""
+    reference = hashlib.sha256(Path(__file__).with_name("reference.py").read_bytes())
+    return {**versions(), "reference": reference.hexdigest()[:16]}
 
 
-def told_seconds(seconds: dict[str, float]) -> str:
-    """Tell how long the longest parts took."""
+def time_summary(seconds: dict[str, float]) -> str:
+    """Say how long the stages took together, and the longest one."""
     total = sum(seconds.values())
     longest = max(seconds, key=lambda name: seconds[name])
     return f"{total:.0f} s, of which {seconds[longest]:.0f} s for {longest.replace('_', ' ')}"

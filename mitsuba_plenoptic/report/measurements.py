@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from .experiment import METHODS, Experiment
-from .metrics import common_scale, interference, likeness, lit_region, relative_error, shape_window
+from .experiment import METHODS, TITLES, Experiment
+from .metrics import common_scale, image_metrics, interference, lit_region, relative_error, shape_window
 from .slanted_edge import square_sharpness
 
 # The chart's squares, by the beginning of their ids, and how far they are turned.
@@ -26,16 +25,13 @@ def measure(experiment: Experiment) -> dict[str, Any]:
     -------
     dict
         ``captures``: the ray capture compared with the wave capture. ``reconstructions``: for each method and
-        distance likeness to the thin lens (after one scale per method), energy (before it) and, where waves
+        distance image metrics against the thin lens (after one scale per method), energy (before it) and, where waves
         interfere, the distance from the one-lens limit over all that is lit. ``interference``: the same over each
         flat shape. ``edges``: sharpness of the chart's slanted edges, empty for other scenes.
     """
     ray, wave = experiment.ray.image, experiment.wave.image
     return {
-        "captures": {
-            **likeness(ray, wave).to_dict(),
-            "relative_error": round(relative_error(ray, wave), 5),
-        },
+        "captures": {**image_metrics(ray, wave).to_dict(), "relative_error": round(relative_error(ray, wave), 5)},
         "reconstructions": _reconstructions(experiment),
         "interference": _interference(experiment),
         "edges": _edges(experiment),
@@ -43,26 +39,8 @@ def measure(experiment: Experiment) -> dict[str, Any]:
 
 
 def find(rows: list[dict[str, Any]], **wanted: Any) -> dict[str, Any]:
-    """Give the row of a table that has the wanted values."""
+    """Return the row of a table that has the wanted values."""
     return next(row for row in rows if all(row[name] == value for name, value in wanted.items()))
-
-
-def likeness_notes(numbers: dict[str, Any]) -> dict[tuple[str, float], str]:
-    """Tell under each reconstruction how like the thin lens's image it is."""
-    return {
-        (row["method"], row["distance"]): f"{row['psnr']:.1f} dB, SSIM {row['ssim']:.3f}"
-        for row in numbers["reconstructions"]
-    }
-
-
-def interference_notes(numbers: dict[str, Any]) -> dict[tuple[str, float], str]:
-    """Tell under each reconstruction how far it is from the one-lens limit."""
-    rows = numbers["reconstructions"]
-    return {
-        (row["method"], row["distance"]): f"{row['interference']:.1%} of the mean"
-        for row in rows
-        if "interference" in row
-    }
 
 
 def _reconstructions(experiment: Experiment) -> list[dict[str, Any]]:
@@ -79,8 +57,8 @@ def _reconstructions(experiment: Experiment) -> list[dict[str, Any]]:
                 "distance": distance,
                 "bins": list(image.shape[::-1]),
                 "scale": round(scale, 5),
-                **likeness(scale * image, truth).to_dict(),
-                "energy": round(likeness(image, truth).energy, 5),
+                **image_metrics(scale * image, truth).to_dict(),
+                "energy": round(image_metrics(image, truth).energy, 5),
             }
             if method.name in _COHERENT:
                 row["interference"] = round(interference(image, limit, lit_region(limit)), 5)
@@ -114,13 +92,9 @@ def _edges(experiment: Experiment) -> list[dict[str, Any]]:
         scale = camera.mla_distance / (low[2] * camera.mla_pitch)
         column, row = (camera.bin_count[axis] / 2 - (low[axis] + high[axis]) / 2 * scale for axis in (0, 1))
         side = float(high[0] - low[0]) / (math.cos(_EDGE_TILT) + math.sin(_EDGE_TILT)) * scale
-        pictures: Mapping[str, np.ndarray] = {
-            "truth": experiment.truths[distance],
-            **{method.name: experiment.images[method.name, distance] for method in METHODS},
-        }
-        for method, image in pictures.items():
+        for method in TITLES:
             try:
-                sharpness = square_sharpness(image, row, column, side)
+                sharpness = square_sharpness(experiment.image(method, distance), row, column, side)
             except ValueError:
                 continue
             bin_size = camera.bin_size(distance)
