@@ -86,7 +86,7 @@ def sampled_fraction(
         landed = window.holds(*lens.land((x * radius, y * radius), tuple(positions[some].T[..., None])))
         seen = np.ones_like(landed)
         if weights is not None:
-            seen = weights.table[weights.index[some]].reshape(len(some), -1)[:, cell] > 0
+            seen = weights.table[weights.index[some]].reshape(len(some), PUPIL_CELLS**2)[:, cell] > 0
         # The ray that found the radiator landed, so the fraction is never nothing.
         fraction[some] = np.maximum((landed & seen).sum(axis=1), 1) / np.maximum(seen.sum(axis=1), 1)
     return fraction
