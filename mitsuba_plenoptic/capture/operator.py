@@ -158,7 +158,10 @@ class CaptureOperator:
         InputError
             If the image has another shape or is not finite, or the work would need too much memory.
         """
-        pixels = np.asarray(image, np.float32)
+        try:
+            pixels = np.asarray(image, np.float32)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError("image: it must be numbers, (rows, columns) or (rows, columns, channels)") from None
         rows, columns = self.camera.shape
         if pixels.ndim not in (2, 3) or pixels.shape[:2] != (rows, columns) or not np.isfinite(pixels).all():
             raise InputError(

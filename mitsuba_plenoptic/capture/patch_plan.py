@@ -140,16 +140,17 @@ class PatchPlan:
     def scatter(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> Scatter:
         """Describe a chunk: its fields are scaled by their largest weights, and the weights relative to these.
 
-        Patterns without weight are left out.
+        Patterns without weight are left out, but not those whose weights cancel: a batch is never empty.
         """
         kept, amplitudes, copies = [], [], []
         for pattern in chunk:
             members = slice(self._first[pattern], self._last[pattern])
-            shifts, copy = np.unique(self._shifts[members], axis=0, return_inverse=True)
-            factors = np.zeros((len(shifts), weights.shape[1]))
-            np.add.at(factors, copy.reshape(-1), weights[self._order[members]])
-            largest = float(np.abs(factors).max())
-            if largest > 0:
+            given = weights[self._order[members]]
+            if given.any():
+                shifts, copy = np.unique(self._shifts[members], axis=0, return_inverse=True)
+                factors = np.zeros((len(shifts), weights.shape[1]))
+                np.add.at(factors, copy.reshape(-1), given)
+                largest = float(np.abs(factors).max()) or 1.0
                 kept.append(pattern)
                 amplitudes.append(largest**0.5)
                 copies.append(Copies(shifts, (factors / largest).astype(np.float32)))
