@@ -77,8 +77,7 @@ class PupilWeights:
 
     def lit(self) -> NDArray[np.bool_]:
         """Whether any light of each radiator passes."""
-        passing: NDArray[np.bool_] = (self.table > 0).any(axis=(1, 2))
-        return passing[self.index]
+        return np.asarray((self.table > 0).any(axis=(1, 2)))[self.index]
 
     def at(self, radiator: Any, Px: Any, Py: Any, radius: Any) -> Any:
         """Return the weights at points of the pupil.
