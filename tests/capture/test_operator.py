@@ -124,6 +124,14 @@ def test_forward_is_linear_in_weights_of_any_sign():
     assert error(operator.forward(2 * a - 3 * b), expected) < 1e-5
 
 
+def test_weights_that_cancel_leave_nothing():
+    """Of two radiators at one place, which share a point spread, beside others and alone."""
+    positions = in_every_lens(SMALL, 3, 240.0)[[4, 4, 0]]
+    operator = CaptureOperator(SMALL, positions, wavelength=WAVELENGTH, accuracy=0.1)
+    assert not operator.forward([1.0, -1.0, 0.0]).any()
+    assert error(operator.forward([1.0, -1.0, 2.0]), operator.forward([0.0, 0.0, 2.0])) < 1e-6
+
+
 def test_channels_are_separate_sums():
     positions = np.concatenate([scattered(4), in_every_lens(SMALL, 2, 240.0, per_lens=3)])
     weights = np.random.default_rng(3).normal(size=(len(positions), 3))
@@ -314,8 +322,13 @@ def test_mistakes_in_images(shape):
     operator = CaptureOperator(SMALL, scattered(2), spectrum=Spectrum.lines(633, 532))
     with pytest.raises(InputError, match=r"^image of shape"):
         operator.adjoint(np.ones(shape))
-    with pytest.raises(InputError, match=r"^image of shape"):
-        operator.adjoint(np.full((256, 256, 2), np.nan))
+
+
+def test_images_that_are_no_numbers_are_refused():
+    operator = CaptureOperator(SMALL, scattered(2), wavelength=WAVELENGTH)
+    for image in (np.full(SMALL.shape, np.nan), "image", [[1.0], [1.0, 2.0]]):
+        with pytest.raises(InputError, match=r"^image"):
+            operator.adjoint(image)
 
 
 def test_more_memory_than_allowed_is_refused_with_the_estimate(monkeypatch):

@@ -136,7 +136,7 @@ def test_light_that_never_reaches_the_mla_is_refused():
 
 
 def test_a_field_too_large_for_memory_is_refused_with_the_estimate():
-    huge = PlenopticCamera(detector_width=80, resolution=(40000, 40000))
+    huge = PlenopticCamera(detector_width=24, resolution=(12000, 12000))
     with pytest.raises(InputError, match=r"full field of position.*GiB"):
         point_spread_function(huge, (0, 0, 240), wavelength=633, method="full_field")
 
