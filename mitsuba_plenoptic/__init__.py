@@ -17,13 +17,16 @@ have their lamps in another order each time, so that the noise of their light di
 """
 
 # ruff: noqa: E402
+import importlib
 import importlib.metadata
+from typing import TYPE_CHECKING, Any
 
 from .runtime import llvm
 
 # Dr.Jit takes its LLVM from the environment when it is first imported, which all of the following do.
 llvm.choose()
 
+from . import design as design
 from . import plugins as plugins
 from .camera import PlenopticCamera
 from .capture.point_spread import point_spread_function
@@ -33,10 +36,15 @@ from .detector import Detector, expose
 from .errors import InputError
 from .io.captures import Capture, read_capture, write_capture
 from .io.checkpoints import Checkpoint
-from .lightfield import decode
 from .optics.guards import PhysicsError, PhysicsWarning
-from .reconstruction import Reconstruction, reconstruct
 from .runtime.cluster import Cluster
+
+if TYPE_CHECKING:
+    from .lightfield import decode
+    from .reconstruction import Reconstruction, reconstruct
+
+# Whole parts that bring large libraries, imported when they are first asked for.
+_LATER = {"decode": "lightfield", "Reconstruction": "reconstruction", "reconstruct": "reconstruction"}
 
 __version__ = importlib.metadata.version("mitsuba-plenoptic")
 
@@ -60,3 +68,11 @@ __all__ = [
     "scene_path",
     "write_capture",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LATER:
+        return getattr(importlib.import_module(f".{_LATER[name]}", __name__), name)
+    if name in _LATER.values():
+        return importlib.import_module(f".{name}", __name__)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,46 +1,39 @@
-"""Plain numbers of a plenoptic camera, and all that follows from them."""
+"""Plain numbers of a plenoptic camera: their checks, their forms, and the few others that nearly everything uses.
+
+What else follows from them is in `mitsuba_plenoptic.design`.
+"""
 
 from __future__ import annotations
 
-import math
+import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from .errors import InputError, require_count, require_number, require_pair, shown
-from .lattice import APERTURES, KINDS, LENS_KINDS, Lattice
+from .bounds import (
+    FULL_TURN,
+    LEAST_FILL,
+    MOST_STRETCH,
+    require_choice,
+    require_length,
+    require_lengths,
+    require_pixels,
+    require_place,
+)
+from .errors import InputError, require_number, shown
+from .lattice import APERTURES, LATTICES, Lattice, make_lattice
 from .presets import PRESETS
+from .thin_lens import conjugate_distance, defocus_factor, image_distance
 
 LENS_MODELS = ("ideal", "parabolic")
 
-SHORTEST, LONGEST = 1e-9, 1e9
-"""Bounds of every length in scene units: a picometre and a thousand kilometres in millimetres.
-
-Between them no product or quotient of a camera's numbers leaves what a float holds.
-"""
-
-MOST_PIXELS = 2**20
-"""Pixels along an axis of a detector, at most; pixel coordinates stay exact in single precision."""
-
-WAVELENGTHS = (1.0, 1e6)
-"""Bounds of a wavelength in nanometres, from soft X-rays to a millimetre."""
-
-FULL_TURN = 360.0
-"""Bound of a rotation in degrees, either way."""
-
-MOST_OVERLAP = 100_000
-"""Lenses that may light one pixel."""
-
-LEAST_FILL = 1e-3
-"""Width of a microlens over its pitch, at least; that of the thinnest line would let no light through."""
-
-# First zero of the diffraction pattern of a disc, in wavelengths over its diameter: that of J1 over pi.
-AIRY_ZERO = 1.21967
-
 LATER = {"mla_lattice", "mla_rotation", "mla_offset", "mla_aperture", "mla_fill"}
 """Parameters that files written before there were other lattices do not name."""
+
+_SEVERAL = {"mla_focal_lengths": "mla_focal_length", "mla_pitches": "mla_pitch"}
+"""Parameters of one number or several, by the fields that hold them as tuples."""
 
 
 @dataclass(frozen=True, init=False, repr=False)
@@ -65,8 +58,9 @@ class PlenopticCamera:
     mla_focal_length : float or three floats
         Focal length :math:`f_2` of a microlens. Three on a hexagonal lattice make a multi-focus array: interleaved,
         so that no two neighbours are alike, the first on the lens with the indices (0, 0).
-    mla_pitch : float
-        Pitch :math:`D_2` of the microlens lattice, the distance of neighbouring centres.
+    mla_pitch : float or two floats
+        Pitch :math:`D_2` of the microlens lattice, the distance of neighbouring centres. Of two the first is that along
+        the rows and the second that across them: the lattice is stretched, its cells with it.
     mla_lattice : {"square", "hexagonal"}
         Arrangement of the microlenses: see `mitsuba_plenoptic.lattice`.
     mla_rotation : float
@@ -76,7 +70,7 @@ class PlenopticCamera:
     mla_aperture : {"cell", "circle"}
         What of its cell a lens fills: all of it, or a disc. What lies between is opaque.
     mla_fill : float
-        Width of a lens's aperture over the pitch, at most 1.
+        Width of a lens's aperture over the pitch, at most 1; of a disc's over the shorter pitch.
     detector_distance : float, optional
         Distance :math:`z` from the MLA to the detector. Default: `mla_focal_length`, the first of three.
     detector_width : float
@@ -94,14 +88,14 @@ class PlenopticCamera:
     ------
     InputError
         If a length is not a number from 1e-9 to 1e9 (`focus_distance` may be infinite), a side of the detector is not
-        from 1 to 1048576 pixels, or the crop window leaves the detector.
+        from 1 to 1048576 pixels, one pitch is more than ten times the other, or the crop window leaves the detector.
     """
 
     focal_length: float
     aperture_radius: float
     mla_distance: float
     mla_focal_lengths: tuple[float, ...]
-    mla_pitch: float
+    mla_pitches: tuple[float, float]
     mla_lattice: str
     mla_rotation: float
     mla_offset: tuple[float, float]
@@ -122,7 +116,7 @@ class PlenopticCamera:
         mla_distance: float | None = None,
         focus_distance: float | None = None,
         mla_focal_length: float | Sequence[float] = 0.512,
-        mla_pitch: float = 0.064,
+        mla_pitch: float | Sequence[float] = 0.064,
         mla_lattice: str = "square",
         mla_rotation: float = 0.0,
         mla_offset: tuple[float, float] = (0.0, 0.0),
@@ -138,8 +132,8 @@ class PlenopticCamera:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        put("focal_length", _length("focal_length", focal_length))
-        put("aperture_radius", _length("aperture_radius", aperture_radius))
+        put("focal_length", require_length("focal_length", focal_length))
+        put("aperture_radius", require_length("aperture_radius", aperture_radius))
         if mla_distance is not None and focus_distance is not None:
             raise InputError(
                 f"mla_distance = {shown(mla_distance)} and focus_distance = {shown(focus_distance)}: "
@@ -147,37 +141,42 @@ class PlenopticCamera:
             )
         if focus_distance is not None:
             mla_distance = image_distance(
-                self.focal_length, _length("focus_distance", focus_distance, finite=False), name="focus_distance"
+                self.focal_length, require_length("focus_distance", focus_distance, finite=False), name="focus_distance"
             )
-        put("mla_distance", _length("mla_distance", 120.0 if mla_distance is None else mla_distance))
-        put("mla_lattice", _choice("mla_lattice", mla_lattice, KINDS))
-        put("mla_focal_lengths", _focal_lengths(mla_focal_length, self.mla_lattice))
-        put("mla_pitch", _length("mla_pitch", mla_pitch))
+        put("mla_distance", require_length("mla_distance", 120.0 if mla_distance is None else mla_distance))
+        put("mla_lattice", require_choice("mla_lattice", mla_lattice, LATTICES))
+        types = LATTICES[self.mla_lattice].lens_types
+        several = ", ".join(name for name, kind in LATTICES.items() if kind.lens_types > 1)
+        rule = f"one number or {types}" if types > 1 else f"one number; several need mla_lattice = {several}"
+        put("mla_focal_lengths", require_lengths("mla_focal_length", mla_focal_length, {1, types}, rule))
+        pitches = require_lengths("mla_pitch", mla_pitch, {1, 2}, "one number, or two, along the rows and across them")
+        if max(pitches) > MOST_STRETCH * min(pitches):
+            raise InputError(f"mla_pitch = {pitches}: neither may be more than {MOST_STRETCH:g} times the other")
+        put("mla_pitches", (pitches[0], pitches[-1]))
         put("mla_rotation", require_number("mla_rotation", mla_rotation, minimum=-FULL_TURN, maximum=FULL_TURN))
-        x, y = require_pair("mla_offset", mla_offset, "(x, y)")
-        put("mla_offset", (_coordinate("mla_offset", x), _coordinate("mla_offset", y)))
-        put("mla_aperture", _choice("mla_aperture", mla_aperture, APERTURES))
+        put("mla_offset", require_place("mla_offset", mla_offset))
+        put("mla_aperture", require_choice("mla_aperture", mla_aperture, APERTURES))
         fill = require_number("mla_fill", mla_fill, positive=True)
         put("mla_fill", require_number("mla_fill", fill, minimum=LEAST_FILL, maximum=1))
         if detector_distance is None:
             detector_distance = self.mla_focal_length
-        put("detector_distance", _length("detector_distance", detector_distance))
-        put("detector_width", _length("detector_width", detector_width))
-        put("resolution", _pair("resolution", resolution, minimum=1))
-        put("crop_offset", _pair("crop_offset", crop_offset, minimum=0))
+        put("detector_distance", require_length("detector_distance", detector_distance))
+        put("detector_width", require_length("detector_width", detector_width))
+        put("resolution", require_pixels("resolution", resolution, minimum=1))
+        put("crop_offset", require_pixels("crop_offset", crop_offset, minimum=0))
         if crop_size is None:
             crop_size = (
                 self.resolution[0] - self.crop_offset[0],
                 self.resolution[1] - self.crop_offset[1],
             )
-        put("crop_size", _pair("crop_size", crop_size, minimum=1))
+        put("crop_size", require_pixels("crop_size", crop_size, minimum=1))
         for axis in (0, 1):
             if self.crop_offset[axis] + self.crop_size[axis] > self.resolution[axis]:
                 raise InputError(
                     f"crop_offset = {self.crop_offset} with crop_size = {self.crop_size}: the window must lie "
                     f"within the resolution {self.resolution}"
                 )
-        put("lens_model", _choice("lens_model", lens_model, LENS_MODELS))
+        put("lens_model", require_choice("lens_model", lens_model, LENS_MODELS))
 
     # -- to and from other forms ---------------------------------------------------------------------
 
@@ -218,22 +217,83 @@ class PlenopticCamera:
         InputError
             If a name is unknown or missing, or a value is out of range.
         """
-        names = set(cls().to_dict())
-        if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
-            raise InputError(f"camera = {shown(values)}: it must be camera parameters by name")
-        for name in sorted((set(values) ^ names) - LATER):
-            rule = "is not a camera parameter" if name in values else "is missing from the camera parameters"
-            raise InputError(f"{name}: it {rule}")
-        return cls(**values)
+        if isinstance(values, dict):
+            for name in sorted(set(cls().to_dict()) - set(values) - LATER):
+                raise InputError(f"{name}: it is missing from the camera parameters")
+        return cls._from_names(values)
 
     def to_dict(self) -> dict[str, Any]:
         """All parameters by name, in plain numbers, strings and tuples."""
-        values = {
-            "mla_focal_length" if name == "mla_focal_lengths" else name: value for name, value in asdict(self).items()
-        }
+        values = {_SEVERAL.get(name, name): value for name, value in asdict(self).items()}
         if len(self.mla_focal_lengths) == 1:
             values["mla_focal_length"] = self.mla_focal_length
+        if self.lattice.aspect == 1:
+            values["mla_pitch"] = self.mla_pitch
         return values
+
+    @classmethod
+    def from_json(cls, text: str) -> PlenopticCamera:
+        """Build a camera from the text of a JSON file: an object of parameters; one that is left out has its default.
+
+        Raises
+        ------
+        InputError
+            If it is not such an object, a name is unknown, or a value is out of range.
+        """
+        try:
+            values = json.loads(text)
+        except (ValueError, TypeError, RecursionError) as error:
+            raise InputError(f"camera: it must be a JSON object of camera parameters: {error}") from None
+        return cls._from_names(values)
+
+    def to_json(self) -> str:
+        """Write all parameters as the text of a JSON file, for `from_json`."""
+        return json.dumps(self.to_dict(), indent=1) + "\n"
+
+    @classmethod
+    def _from_names(cls, values: Any) -> PlenopticCamera:
+        """Build a camera from parameters of unknown origin."""
+        if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
+            raise InputError(f"camera = {shown(values)}: it must be camera parameters by name")
+        for name in sorted(set(values) - set(cls().to_dict()) - {"focus_distance"}):
+            raise InputError(f"{name}: it is not a camera parameter")
+        return cls(**values)
+
+    def to_sensor(self, to_world: Any = None) -> dict[str, Any]:
+        """Describe the sensor plugin ``plenoptic`` of this camera for ``mi.load_dict``, film included.
+
+        Parameters
+        ----------
+        to_world : mitsuba.ScalarTransform4f, optional
+            Camera to world, without scale. Default: the camera is at the origin and looks along +z.
+
+        Returns
+        -------
+        dict
+            The film has one channel, of luminance, in single precision. `from_sensor` of what is loaded from it gives
+            this camera.
+        """
+        values = self.to_dict()
+        columns, rows = values.pop("resolution")
+        (left, top), (width, height) = values.pop("crop_offset"), values.pop("crop_size")
+        sensor: dict[str, Any] = {"type": "plenoptic"} | {
+            name: ", ".join(map(repr, value)) if isinstance(value, tuple) else value for name, value in values.items()
+        }
+        if to_world is not None:
+            sensor["to_world"] = to_world
+        sensor["film"] = {
+            "type": "hdrfilm",
+            "width": columns,
+            "height": rows,
+            "crop_offset_x": left,
+            "crop_offset_y": top,
+            "crop_width": width,
+            "crop_height": height,
+            "rfilter": {"type": "box"},
+            "pixel_format": "luminance",
+            "component_format": "float32",
+        }
+        return sensor
 
     def __repr__(self) -> str:
         return f"PlenopticCamera({', '.join(f'{name}={value!r}' for name, value in self.to_dict().items())})"
@@ -246,16 +306,12 @@ class PlenopticCamera:
         InputError
             If a name is unknown or a value is out of range.
         """
-        own = self.to_dict()
-        for name in changes:
-            if name not in own and name != "focus_distance":
-                raise InputError(f"{name}: it is not a camera parameter")
-        values = own | changes
+        values = self.to_dict() | changes
         if "resolution" in changes and "crop_size" not in changes and not self.is_cropped:
             values.pop("crop_size")
-        if "focus_distance" in changes:
-            values.pop("mla_distance") if "mla_distance" not in changes else None
-        return PlenopticCamera(**values)
+        if "focus_distance" in changes and "mla_distance" not in changes:
+            values.pop("mla_distance")
+        return self._from_names(values)
 
     # -- main lens -----------------------------------------------------------------------------------
 
@@ -268,16 +324,6 @@ class PlenopticCamera:
     def f_number(self) -> float:
         """Focal length of the main lens over its diameter."""
         return self.focal_length / self.aperture_diameter
-
-    @property
-    def image_f_number(self) -> float:
-        """F-number of the main lens as the MLA sees it, :math:`b / D_1`."""
-        return self.mla_distance / self.aperture_diameter
-
-    @property
-    def mla_f_number(self) -> float:
-        """F-number of a microlens as the detector sees it: :math:`z` over the width of its aperture."""
-        return self.detector_distance / self.lattice.aperture_width
 
     @property
     def focus_distance(self) -> float:
@@ -298,65 +344,35 @@ class PlenopticCamera:
         """Diameter on the MLA of the image of a point at `distance`, by rays: :math:`D_1 |s|`."""
         return self.aperture_diameter * abs(self.defocus(distance))
 
-    # -- what the microlenses are focused on ---------------------------------------------------------
-
-    @property
-    def mla_kinds(self) -> tuple[str, ...]:
-        r"""What each kind of microlens is focused on.
-
-        - ``unfocused``: on the main lens, as good as infinitely far (Ng 2006; the "plenoptic camera 1.0"). It makes a
-          spot of at most a pixel of parallel light: :math:`D_2 |z / f_2 - 1| \le` pixel.
-        - ``keplerian``: on the main lens's image, a real one before the MLA; :math:`z > f_2`.
-        - ``galilean``: on the main lens's image, a virtual one behind the detector, where it would be without the MLA;
-          :math:`z < f_2`. These two make the "focused plenoptic camera" or "2.0" (Lumsdaine and Georgiev 2009, "The
-          focused plenoptic camera"; Perwass and Wietzke 2012, "Single lens 3D-camera with extended depth-of-field").
-        """
-        # Rounding must not take a lens out of focus.
-        limit = self.pixel_size * (1 + 1e-9)
-        spots = [self.lattice.aperture_width * (self.detector_distance / f2 - 1) for f2 in self.mla_focal_lengths]
-        return tuple("unfocused" if abs(s) <= limit else "keplerian" if s > 0 else "galilean" for s in spots)
-
-    @property
-    def kind(self) -> str:
-        """What all microlenses are focused on, as `mla_kinds` names it, or ``mixed``."""
-        kinds = set(self.mla_kinds)
-        return kinds.pop() if len(kinds) == 1 else "mixed"
-
-    @property
-    def mla_object_distances(self) -> tuple[float, ...]:
-        """Distance a before the MLA, towards the main lens, of what each kind of microlens images on the detector.
-
-        :math:`1/a + 1/z = 1/f_2`; negative for a virtual image behind the MLA, infinite for :math:`z = f_2`.
-        """
-        return tuple(conjugate_distance(f2, self.detector_distance) for f2 in self.mla_focal_lengths)
-
-    @property
-    def best_distances(self) -> tuple[float, ...]:
-        """Distance of the object plane that each kind of microlens sees sharply through the main lens.
-
-        For an unfocused one, `focus_distance`. Infinite or negative as that is where there is no such plane.
-        """
-        return tuple(
-            conjugate_distance(self.focal_length, self.mla_distance - (0 if kind == "unfocused" else a))
-            for kind, a in zip(self.mla_kinds, self.mla_object_distances, strict=True)
-        )
-
-    def virtual_depth(self, distance: float) -> float:
-        """Distance before the MLA of the main lens's image of an object, in units of z: :math:`v = a / z`.
-
-        A point is then seen by about as many microlenses along an axis, each of which shrinks the image by that factor
-        (Perwass and Wietzke 2012, section 2). Negative for an image behind the MLA.
-        """
-        return (self.mla_distance - image_distance(self.focal_length, distance)) / self.detector_distance
-
     # -- detector and lattice ------------------------------------------------------------------------
 
     @property
     def lattice(self) -> Lattice:
         """The microlens lattice."""
-        return Lattice(
-            self.mla_lattice, self.mla_pitch, self.mla_rotation, self.mla_offset, self.mla_aperture, self.mla_fill
+        return make_lattice(
+            self.mla_lattice,
+            self.mla_pitches,
+            rotation=self.mla_rotation,
+            offset=self.mla_offset,
+            aperture=self.mla_aperture,
+            fill=self.mla_fill,
         )
+
+    @property
+    def lenses_like_bins(self) -> bool:
+        """Whether each lens is an upright square as large as a bin, without gaps; it may lie between bins."""
+        lattice = self.lattice
+        return lattice.separable and lattice.fills and lattice.aspect == 1
+
+    @property
+    def lenses_are_bins(self) -> bool:
+        """Whether there is a lens on each bin, which it fills."""
+        return self.lenses_like_bins and self.mla_offset == (0, 0)
+
+    @property
+    def mla_pitch(self) -> float:
+        """Pitch :math:`D_2` of the microlenses along their rows, and width of a bin of reconstructions."""
+        return self.mla_pitches[0]
 
     @property
     def mla_focal_length(self) -> float:
@@ -378,7 +394,7 @@ class PlenopticCamera:
         """Radius within which the pupil is seen by some of a pixel: half a pixel's width more than the pupil's own."""
         return self.aperture_radius + self.pupil_step / 2
 
-    def pupil_walk(self, mla_focal_length: float) -> float:
+    def pupil_shift(self, mla_focal_length: float) -> float:
         r"""How fast the place on the pupil, seen by a point of the detector, moves with that on the lens.
 
         :math:`\kappa = 1 + b/z - b/f_2`, which is 1 for :math:`z = f_2`.
@@ -407,8 +423,8 @@ class PlenopticCamera:
 
     @property
     def pixels_per_lens(self) -> float:
-        """Microlens pitch in pixels; need not be a whole number."""
-        return self.mla_pitch / self.pixel_size
+        """Microlens pitch in pixels, the shorter one if there are two; need not be a whole number."""
+        return min(self.mla_pitches) / self.pixel_size
 
     def require_resolved(self) -> None:
         """Refuse a camera whose lenses are narrower than a pixel, for work that goes from lens to lens.
@@ -420,7 +436,7 @@ class PlenopticCamera:
         """
         if self.pixels_per_lens < 1:
             raise InputError(
-                f"mla_pitch = {self.mla_pitch:g}: it is less than a pixel of {self.pixel_size:g}, so that no "
+                f"mla_pitch = {min(self.mla_pitches):g}: it is less than a pixel of {self.pixel_size:g}, so that no "
                 "micro-image is resolved"
             )
 
@@ -443,7 +459,7 @@ class PlenopticCamera:
         A turned lattice has as many on the same area.
         """
         columns, rows = self.bin_count
-        if self.mla_lattice == "hexagonal":
+        if self.lattice.row_distance != self.mla_pitch:
             rows = max(1, round(self.detector_height / self.lattice.row_distance))
         return columns, rows
 
@@ -454,223 +470,11 @@ class PlenopticCamera:
 
     @property
     def micro_image_pitch(self) -> float:
-        """Distance of neighbouring micro-images, :math:`D_2 (b + z) / b`."""
+        """Distance of neighbouring micro-images of a row, :math:`D_2 (b + z) / b`."""
         return self.mla_pitch * (self.mla_distance + self.detector_distance) / self.mla_distance
-
-    def crosstalk_neighbours(self, beyond: float = 0.0) -> np.ndarray:
-        """Find the lenses that can light a pixel, from the one of its chief ray, and those up to a distance beyond.
-
-        The ray from a detector point p through the point c + d of a lens meets the pupil plane in
-        :math:`(1 + b/z)(c - m) + (1 + b/z - b/f_2) d`, m the point of the chief ray, which is in its lens's cell. For
-        that to be in the pupil, c must be within :math:`(D_1/2) / (1 + b/z)` of some
-        :math:`m - d (1 + b/z - b/f_2) / (1 + b/z)`: a cell enlarged by apertures.
-
-        Returns
-        -------
-        (lenses, 2) int array
-            Steps in the lattice's indices; the first is the chief ray's own lens.
-
-        Raises
-        ------
-        InputError
-            If micro-images overlap so much that these are more than 100,000.
-        """
-        lenses, reach, smear = self._crosstalk()
-        reach += beyond
-        if not lenses <= MOST_OVERLAP:
-            raise InputError(
-                f"camera: its micro-images overlap so much that some {lenses:.3g} lenses light each pixel; at most "
-                f"{MOST_OVERLAP} are followed"
-            )
-        if self.mla_aperture == "circle":
-            return self.lattice.neighbours(reach + smear * self.lattice.aperture_reach)
-        return self.lattice.neighbours(reach, scale=1 + smear * self.mla_fill)
-
-    @property
-    def crosstalk_lenses(self) -> int:
-        """Number of lenses that can light one pixel; above 100,000 by the area that they cover."""
-        lenses = self._crosstalk()[0]
-        return len(self.crosstalk_neighbours()) if lenses <= MOST_OVERLAP else round(lenses)
-
-    def _crosstalk(self) -> tuple[float, float, float]:
-        """About how many lenses light a pixel, within which distance, and the part of their apertures that adds."""
-        b, z, lattice = self.mla_distance, self.detector_distance, self.lattice
-        reach = self.aperture_radius / (1 + b / z)
-        smear = max(abs(self.pupil_walk(f2)) for f2 in self.mla_focal_lengths) / (1 + b / z)
-        covered = math.pi * (reach + smear * lattice.aperture_reach + self.mla_pitch) ** 2
-        return covered / lattice.cell_area, reach, smear
-
-    @property
-    def white_mean(self) -> float:
-        r"""Mean of an endless capture of a scene of uniform radiance 1.
-
-        A micro-image of area :math:`(\pi/4)(D_1 z / b)^2` reads 1 whatever its lens's aperture, because a pixel is the
-        mean radiance over the aperture; there is one on each :math:`A ((b + z)/b)^2` of the detector, A the area of
-        the lattice's cell.
-        """
-        return (
-            math.pi
-            / 4
-            * self.micro_image_diameter**2
-            * self.mla_pitch**2
-            / (self.lattice.cell_area * self.micro_image_pitch**2)
-        )
 
     # -- object side ---------------------------------------------------------------------------------
 
     def bin_size(self, distance: float) -> float:
         """Width in the object plane of one bin of a reconstruction, :math:`D_2 g / b`."""
         return self.mla_pitch * distance / self.mla_distance
-
-    @property
-    def field_of_view(self) -> float:
-        """Full horizontal field of view in degrees."""
-        return math.degrees(2 * math.atan(self.detector_width / (2 * self.mla_distance)))
-
-    def field_width(self, distance: float) -> float:
-        """Width of the field in the object plane."""
-        return self.detector_width * distance / self.mla_distance
-
-    def refocus_range(self, wavelength: float | None = None) -> tuple[float, float]:
-        """Nearest and farthest distance that refocusing brings back to one sample per lens.
-
-        The blur on the MLA may then span as many lenses as directions are told apart under each (Ng 2006,
-        "Digital Light Field Photography", section 3.4). A microlens that is in focus at the distance a, not on the main
-        lens, must besides blur the main lens's image by less than its own width, which it does as far as 2a. The far
-        end may be infinite.
-        """
-        slack = self.direction_count(wavelength) * self.mla_pitch / self.aperture_diameter
-        ends = []
-        for kind, a in zip(self.mla_kinds, self.mla_object_distances, strict=True):
-            # The defocus of what has its image at 2a; of what has it at the MLA it is 0.
-            twice = -2 * a / (self.mla_distance - 2 * a)
-            ends += [-slack, slack] if kind == "unfocused" else [0.0, min(max(twice, -slack), slack)]
-        base = self.mla_distance / self.focal_length - 1
-        near, far = base + max(ends), base + min(ends)
-        return (
-            self.mla_distance / near if near > 0 else math.inf,
-            self.mla_distance / far if far > 0 else math.inf,
-        )
-
-    # -- diffraction ---------------------------------------------------------------------------------
-
-    def spot_size(self, wavelength: float) -> float:
-        r"""Half width of a microlens's focal spot, centre to first zero.
-
-        :math:`\lambda z / w` for a square aperture of width w; :math:`1.22\, \lambda z / d` for a disc of diameter d;
-        for a hexagon that of the disc of its area.
-
-        Parameters
-        ----------
-        wavelength : float
-            Wavelength in nanometres.
-        """
-        lattice = self.lattice
-        if lattice.aperture == "cell" and lattice.kind == "square":
-            width = lattice.aperture_width
-        else:
-            width = math.sqrt(4 / math.pi * lattice.lens_area) / AIRY_ZERO
-        return wavelength * 1e-6 * self.detector_distance / width
-
-    def direction_count(self, wavelength: float | None = None) -> float:
-        """Directions told apart across a micro-image: its diameter over a pixel or the spot, whichever is larger.
-
-        Without a wavelength diffraction is left out.
-        """
-        spot = 0.0 if wavelength is None else self.spot_size(wavelength)
-        return self.micro_image_diameter / max(self.pixel_size, spot)
-
-    def mla_fresnel_number(self, wavelength: float) -> float:
-        r"""Fresnel number of a microlens of width w seen from the detector, :math:`(w/2)^2 / (\lambda z)`."""
-        return (self.lattice.aperture_width / 2) ** 2 / (wavelength * 1e-6 * self.detector_distance)
-
-    def main_fresnel_number(self, wavelength: float) -> float:
-        r"""Fresnel number of the main lens seen from the MLA, :math:`(D_1/2)^2 / (\lambda b)`."""
-        return self.aperture_radius**2 / (wavelength * 1e-6 * self.mla_distance)
-
-
-def defocus_factor(distance: Any, mla_distance: Any, focal_length: Any) -> Any:
-    """Part of a pupil coordinate by which a ray from an object point misses its image on the MLA: 1 + b/g - b/f1."""
-    return 1 + mla_distance / distance - mla_distance / focal_length
-
-
-def conjugate_distance(focal_length: float, distance: float) -> float:
-    """Distance of the plane that a thin lens images to one at `distance`, :math:`1/x + 1/d = 1/f`.
-
-    Infinite for the focal plane, negative for planes within it.
-    """
-    power = 1 / focal_length - 1 / distance
-    return math.inf if power == 0 else 1 / power
-
-
-def image_distance(focal_length: float, distance: float, *, name: str = "distance") -> float:
-    """Distance behind a thin lens at which an object at `distance` is in focus.
-
-    Raises
-    ------
-    InputError
-        If the object is at or inside the focal length, where a lens forms no real image.
-    """
-    if not distance > focal_length:
-        raise InputError(f"{name} = {distance:g}: it must be greater than the focal length {focal_length:g}")
-    if LONGEST < distance < math.inf:
-        raise InputError(f"{name} = {distance:g}: it must be at most {LONGEST:g}")
-    power = 1 / focal_length - 1 / distance
-    if power * LONGEST < 1:
-        raise InputError(
-            f"{name} = {distance!r}: its image lies too far behind a lens of focal length {focal_length:g}, at more "
-            f"than {LONGEST:g}"
-        )
-    return 1 / power
-
-
-def require_wavelength(value: Any, name: str = "wavelength") -> float:
-    """Return a wavelength in nanometres as a float.
-
-    Raises
-    ------
-    InputError
-        If it is not a number from 1 to 1e6.
-    """
-    number = require_number(name, value, positive=True)
-    return require_number(name, number, minimum=WAVELENGTHS[0], maximum=WAVELENGTHS[1])
-
-
-def _length(name: str, value: Any, *, finite: bool = True) -> float:
-    number = require_number(name, value, positive=True, finite=finite)
-    return require_number(name, number, minimum=SHORTEST, maximum=LONGEST, finite=finite)
-
-
-def _pair(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
-    columns, rows = require_pair(name, value, "(columns, rows)")
-    return (
-        require_count(name, columns, minimum=minimum, maximum=MOST_PIXELS),
-        require_count(name, rows, minimum=minimum, maximum=MOST_PIXELS),
-    )
-
-
-def _coordinate(name: str, value: Any) -> float:
-    return require_number(name, value, minimum=-LONGEST, maximum=LONGEST)
-
-
-def _choice(name: str, value: Any, choices: tuple[str, ...]) -> str:
-    if not isinstance(value, str) or value not in choices:
-        raise InputError(f"{name} = {shown(value)}: it must be one of {', '.join(choices)}")
-    return value
-
-
-def _focal_lengths(value: Any, lattice: str) -> tuple[float, ...]:
-    """Check one focal length, or three of a hexagonal lattice."""
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
-    if not isinstance(value, (tuple, list)):
-        return (_length("mla_focal_length", value),)
-    lengths = tuple(_length("mla_focal_length", number) for number in value)
-    if len(lengths) not in (1, LENS_KINDS):
-        raise InputError(f"mla_focal_length = {shown(value)}: it must be one number or {LENS_KINDS}")
-    if len(lengths) > 1 and lattice != "hexagonal":
-        raise InputError(
-            f"mla_focal_length = {shown(value)} with mla_lattice = {lattice!r}: {LENS_KINDS} kinds of lenses need a "
-            "hexagonal lattice, where no two neighbours are alike"
-        )
-    return lengths

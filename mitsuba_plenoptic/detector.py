@@ -33,7 +33,7 @@ class Detector:
     Parameters
     ----------
     quantum_efficiency : float
-        Share :math:`\eta` of photons that free an electron, 1e-9 to 1.
+        Fraction :math:`\eta` of photons that free an electron, 1e-9 to 1.
     full_well : float
         Electrons at which a pixel saturates, 1 to 1e9; so many are also the most of the following.
     dark_electrons : float

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import reprlib
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -105,6 +106,19 @@ def require_number(
     if maximum is not None and maximum < number < math.inf:
         raise InputError(f"{name} = {number:g}: it must be at most {maximum:g}")
     return number
+
+
+def require_choice(name: str, value: Any, choices: Collection[str]) -> str:
+    """Return `value` if it is one of the choices, or say in one line which there are.
+
+    Raises
+    ------
+    InputError
+        If it is none of them.
+    """
+    if not isinstance(value, str) or value not in choices:
+        raise InputError(f"{name} = {shown(value)}: it must be one of {', '.join(choices)}")
+    return value
 
 
 def require_pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:

@@ -20,14 +20,15 @@ from mitsuba_plenoptic import (
     InputError,
     PlenopticCamera,
     decode,
+    design,
     expose,
     read_capture,
     reconstruct,
     write_capture,
 )
-from mitsuba_plenoptic.camera import LONGEST, SHORTEST
+from mitsuba_plenoptic.bounds import LONGEST, SHORTEST
 from mitsuba_plenoptic.errors import printable, require_count, require_number
-from mitsuba_plenoptic.report.design_sheet import design_sheet, design_warnings
+from mitsuba_plenoptic.report.design_sheet import design_sheet
 
 TOOLS = Path(__file__).parents[1] / "tools"
 LENGTHS = (
@@ -118,7 +119,7 @@ class TestCameras:
                 assert math.isfinite(value), name
         assert PlenopticCamera.from_dict(json.loads(json.dumps(camera.to_dict()))) == camera
         assert not any("nan" in row.value for row in design_sheet(camera, wavelength))
-        design_warnings(camera, wavelength)
+        design.design_warnings(camera, wavelength)
 
     @settings(quick, max_examples=200)
     @given(st.sampled_from(LENGTHS), anything)

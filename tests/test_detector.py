@@ -43,8 +43,8 @@ def test_shot_noise_is_poisson_not_normal():
     numbers = Detector(quantum_efficiency=1, read_noise=0, gain=1, full_well=1000, black_level=0).digital_numbers(
         np.full(200000, 0.5), np.random.default_rng(0)
     )
-    share = np.bincount(numbers, minlength=4)[:4] / numbers.size
-    assert share == pytest.approx([0.6065, 0.3033, 0.0758, 0.0126], abs=0.005)
+    fraction = np.bincount(numbers, minlength=4)[:4] / numbers.size
+    assert fraction == pytest.approx([0.6065, 0.3033, 0.0758, 0.0126], abs=0.005)
 
 
 def test_saturation():

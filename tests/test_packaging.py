@@ -6,6 +6,7 @@ import os
 import re
 import runpy
 import subprocess
+import sys
 import tomllib
 from importlib.metadata import version
 from pathlib import Path
@@ -66,6 +67,16 @@ def test_the_readme_gets_the_measured_coverage():
     text = "before <!-- coverage -->old<!-- /coverage --> after"
     assert tool["with_figure"](text, 93.6) == "before <!-- coverage -->94 %<!-- /coverage --> after"
     assert tool["with_figure"]("no mark", 93.6) == "no mark"
+
+
+def test_large_libraries_wait_until_they_are_used():
+    """What takes most of a second to import, and what many programs never need."""
+    later = "distributed", "matplotlib", "scipy.fft", "scipy.signal", "scipy.sparse", "skimage", "xarray"
+    code = f"import mitsuba_plenoptic, sys; print(*sys.modules.keys() & {later})"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.split() == []
+    assert mitsuba_plenoptic.decode is mitsuba_plenoptic.lightfield.decode
+    assert all(hasattr(mitsuba_plenoptic, name) for name in mitsuba_plenoptic.__all__)
 
 
 class TestFindPython:

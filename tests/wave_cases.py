@@ -12,6 +12,8 @@ LATTICES = {
     "turned": {"mla_rotation": 7.0, "mla_offset": (0.01, -0.02)},
     "circles": {"mla_lattice": "hexagonal", "mla_rotation": 11.0, "mla_aperture": "circle", "mla_fill": 0.95},
     "gaps": {"mla_fill": 0.8},
+    "rectangular": {"mla_pitch": (0.064, 0.05)},
+    "stretched": {"mla_lattice": "hexagonal", "mla_pitch": (0.056, 0.07), "mla_rotation": 4.0},
     "three focal lengths": {
         "mla_lattice": "hexagonal", "mla_focal_length": (0.44, 0.512, 0.6), "mla_offset": (0.013, 0.0)
     },
@@ -21,6 +23,7 @@ LATTICES = {
 CAMERAS = {
     "square": {},
     "hexagonal, turned": {"mla_lattice": "hexagonal", "mla_rotation": 7.0, "mla_offset": (0.01, -0.02)},
+    "rectangular": {"mla_pitch": (0.064, 0.05), "mla_offset": (0.0, 0.013)},
     "focused": {"mla_distance": 112.0, "detector_distance": 0.6},
     "turned, cropped": {
         "mla_rotation": -13.0, "mla_fill": 0.9, "detector_distance": 0.48,

@@ -19,12 +19,12 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from _referee import agreement, thin_lens_image
 from scipy.ndimage import map_coordinates
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.design import effective_resolution, suitable_oversample
 from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.report.reference import agreement, thin_lens_image
 from mitsuba_plenoptic.report.slanted_edge import square_sharpness
 
 DISTANCE = 240.0

@@ -22,7 +22,7 @@ COMMAND = """
 import sys
 from mitsuba_plenoptic.io import checkpoints as checkpoint
 from mitsuba_plenoptic import cli
-checkpoint._SECONDS, checkpoint._SHARE = 0.0, 1e9
+checkpoint.INTERVAL, checkpoint.FRACTION = 0.0, 1e9
 if __name__ == "__main__":
     sys.exit(cli.main(sys.argv[1:]))
 """

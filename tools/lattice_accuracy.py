@@ -14,13 +14,13 @@ from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
-from _referee import agreement, thin_lens_image
 from scipy.spatial import cKDTree
 
-from mitsuba_plenoptic import Capture, load_scene, reconstruct, render_capture
+from mitsuba_plenoptic import Capture, design, load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.lightfield import estimate_lens_grid
 from mitsuba_plenoptic.lightfield.grid import micro_image_centres
 from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.report.reference import agreement, thin_lens_image
 
 LATTICES = {
     "square": {},
@@ -81,7 +81,7 @@ def main() -> None:
 
         lines.append(
             f"| {name} | {len(centres)} | {error.max():.3f} | {np.sqrt(np.mean(error**2)):.3f} "
-            f"| {mean(white) / white.camera.white_mean:.4f} | {np.sqrt(np.mean(estimated**2)):.4f} "
+            f"| {mean(white) / design.white_mean(white.camera):.4f} | {np.sqrt(np.mean(estimated**2)):.4f} "
             f"| {', '.join(f'{psnr:.1f}' for psnr, _ in scores)} |"
         )
         print(lines[-1], flush=True)

@@ -31,7 +31,7 @@ from mitsuba_plenoptic.lightfield import (
     white_image,
 )
 from mitsuba_plenoptic.lightfield.geometry import view_steps
-from mitsuba_plenoptic.report.light_fields import write_depth, write_epipolar_image, write_stack, write_views
+from mitsuba_plenoptic.report.output_files import write_depth, write_epipolar_image, write_stack, write_views
 
 SCENES = {"letters": (210.0, 240.0, 280.0), "still_life": (215.0, 240.0, 280.0)}
 NEAR, FAR = 195.0, 310.0

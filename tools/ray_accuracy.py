@@ -14,10 +14,10 @@ from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
-from _referee import agreement, best_shift, thin_lens_image
 
 from mitsuba_plenoptic import load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.report.reference import agreement, best_shift, thin_lens_image
 
 SCENES = {"letters": (210.0, 240.0, 280.0), "still_life": (215.0, 240.0, 280.0)}
 

@@ -14,6 +14,11 @@ import sys
 import tempfile
 from pathlib import Path
 
+FLAGS = (
+    "headless no-sandbox disable-gpu disable-quic no-first-run disable-background-networking "
+    "disable-component-update disable-sync hide-scrollbars"
+)
+
 
 def main() -> None:
     """Open the report without a window and save what it shows."""
@@ -27,26 +32,13 @@ def main() -> None:
     if not browser:
         sys.exit("report_picture.py: no Chromium was found on the PATH")
     with tempfile.TemporaryDirectory() as profile:
-        subprocess.run(
-            [
-                browser,
-                "--headless",
-                "--no-sandbox",
-                "--disable-gpu",
-                "--disable-quic",
-                "--no-first-run",
-                "--disable-background-networking",
-                "--disable-component-update",
-                "--disable-sync",
-                "--hide-scrollbars",
-                f"--user-data-dir={profile}",
-                f"--window-size={arguments.width},{arguments.height}",
-                f"--screenshot={arguments.picture.resolve()}",
-                arguments.report.resolve().as_uri(),
-            ],
-            check=True,
-            capture_output=True,
-        )
+        options = [
+            *(f"--{flag}" for flag in FLAGS.split()),
+            f"--user-data-dir={profile}",
+            f"--window-size={arguments.width},{arguments.height}",
+            f"--screenshot={arguments.picture.resolve()}",
+        ]
+        subprocess.run([browser, *options, arguments.report.resolve().as_uri()], check=True, capture_output=True)
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from mitsuba_plenoptic import PlenopticCamera, render_capture, scene_path
+from mitsuba_plenoptic import PlenopticCamera, design, render_capture, scene_path
 
 WAVELENGTH = 633.0
 F_NUMBERS = (4.0, 8.0, 16.0)
@@ -85,7 +85,7 @@ def study(f_number: float, pitch: float, focus: str) -> list[dict[str, Any]]:
     camera = scene.sensors()[0].camera
     rays = [render_capture(scene, model="ray", spp=128, seed=seed).image.astype(np.float64) for seed in (0, 1)]
     # Radiators as close as the main lens's own spot on the microlenses.
-    radiators = min(16, max(4, math.ceil(pitch / (WAVELENGTH * 1e-6 * camera.image_f_number))))
+    radiators = min(16, max(4, math.ceil(pitch / (WAVELENGTH * 1e-6 * design.image_f_number(camera)))))
     wave = render_capture(scene, model="wave", wavelength=WAVELENGTH, radiators_per_lens=radiators, spp=1).image.astype(
         np.float64
     )
@@ -99,7 +99,7 @@ def study(f_number: float, pitch: float, focus: str) -> list[dict[str, Any]]:
                 "f_number": f_number,
                 "pitch": pitch,
                 "focus": focus,
-                "fresnel": camera.mla_fresnel_number(WAVELENGTH),
+                "fresnel": design.mla_fresnel_number(camera, WAVELENGTH),
                 "pixel": camera.pixel_size * binning,
                 "pixel_over_spot": camera.pixel_size * binning / spot,
                 "binning": binning,
@@ -157,7 +157,7 @@ def diffract(image: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
     """Convolve a capture with the spot of a square lens, whose transfer function is a triangle along each axis."""
     size = 2 * image.shape[0]
     frequency = np.fft.fftfreq(size, camera.pixel_size)
-    spot = camera.spot_size(WAVELENGTH)
+    spot = design.spot_radius(camera, WAVELENGTH)
     triangle = (1 - np.abs(frequency) * spot).clip(min=0)
     spectrum = np.fft.rfft2(image, (size, size))
     spectrum *= triangle[:, None] * triangle[: size // 2 + 1]

@@ -96,10 +96,7 @@ class Grid:
         cosine = lens.pupil_radius * float(powers.max(initial=1 / lens.pupil_distance))
         half_band = band.cone * (cosine + scattering(camera))
         largest = in_millimetres(wavelength) / (2 * half_band)
-        steps = np.array([camera.micro_image_pitch, camera.micro_image_pitch])
-        if camera.mla_lattice == "hexagonal":
-            # every second row is half a pitch aside
-            steps *= 0.5, camera.lattice.row_distance / camera.mla_pitch
+        steps = np.array(camera.lattice.grid_step) * (camera.micro_image_pitch / camera.mla_pitch)
         check_samples(float((steps / largest).max()), "from lens to lens")
         origin = -np.array([camera.detector_width, camera.detector_height]) / 2
         return cls(camera, rotation, wavelength, band, cosine, steps / np.ceil(steps / largest), origin)

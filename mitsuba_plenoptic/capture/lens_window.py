@@ -48,12 +48,13 @@ class LensWindow:
         """Find the window of a camera's recorded pixels."""
         edges = np.array([[0, 0], camera.crop_size]) + camera.crop_offset - np.array(camera.resolution) / 2
         recorded = rays.chief_point(edges * camera.pixel_size, camera.mla_distance, camera.detector_distance)
-        margin = (_MARGIN + 0.5) * camera.mla_pitch
+        pitch = max(camera.mla_pitches)
+        margin = (_MARGIN + 0.5) * pitch
         # A lens of whose cell no more than the lower edge is recorded counts as well.
         low, high = recorded[0] - margin * (1 - _ROUNDING), recorded[1] + margin * (1 + _ROUNDING)
         index = camera.lattice.lenses_within(tuple(low), tuple(high))
         # No point that lies nearer to the recorded part than this is in the cell of a lens beyond the window.
-        whole = (_MARGIN - 1) * camera.mla_pitch
+        whole = (_MARGIN - 1) * pitch
         return cls(camera.lattice, index, recorded[0] - whole, recorded[1] + whole)
 
     def place(self, i: Any, j: Any) -> tuple[Any, Any]:

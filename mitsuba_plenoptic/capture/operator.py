@@ -10,7 +10,8 @@ from typing import Any, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera, require_wavelength
+from ..bounds import require_wavelength
+from ..camera import PlenopticCamera
 from ..errors import InputError, shown
 from ..optics import guards
 from ..optics.sampling import check_positions

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera, require_wavelength
+from ..bounds import require_wavelength
+from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import guards
 from ..optics.sampling import check_positions

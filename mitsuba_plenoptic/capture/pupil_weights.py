@@ -77,7 +77,7 @@ class PupilWeights:
 
     def lit(self) -> NDArray[np.bool_]:
         """Whether any light of each radiator passes."""
-        return np.asarray((self.table > 0).any(axis=(1, 2)))[self.index]
+        return np.asarray(self.table.reshape(len(self.table), -1).max(axis=1) > 0)[self.index]
 
     def at(self, radiator: Any, Px: Any, Py: Any, radius: Any) -> Any:
         """Return the weights at points of the pupil.

@@ -44,7 +44,8 @@ def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Map
     variant : str, optional
         Mitsuba variant to set. Default: the active one, or ``llvm_ad_mono`` if none is.
     parameters : mapping, optional
-        Values for the scene's ``$name`` parameters.
+        Values for the scene's ``$name`` parameters. Where a scene has the columns and rows of its detector as
+        ``$resolution`` and ``$rows``, rows that are not given follow the columns in proportion.
 
     Returns
     -------
@@ -66,6 +67,7 @@ def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Map
         if f"${name}" not in text and "<include" not in text:
             known = sorted(set(re.findall(r"<default\s+name=\"(\w+)\"", text)))
             raise InputError(f"parameter {name}: the scene {path} has none of that name ({', '.join(known)})")
+    parameters = _with_rows(text, parameters)
     try:
         # Mitsuba's optimisation lists merged shapes and emitters in an order that changes from run to run, and with
         # it the random numbers that each gets.
@@ -78,6 +80,15 @@ def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Map
     # The name that captures carry in their metadata.
     loaded.set_id(path.name)
     return loaded
+
+
+def _with_rows(text: str, parameters: dict[str, str]) -> dict[str, str]:
+    """Add the rows that keep the detector's aspect; Mitsuba's XML cannot compute them."""
+    columns, rows = (re.search(rf'<default name="{name}" value="(\d+)"', text) for name in ("resolution", "rows"))
+    wanted = parameters.get("resolution", "")
+    if not columns or not rows or "rows" in parameters or not re.fullmatch(r"\d{1,9}", wanted):
+        return parameters
+    return {**parameters, "rows": str(max(1, round(int(wanted) * int(rows[1]) / int(columns[1]))))}
 
 
 def _find(scene: str | Path) -> Path:

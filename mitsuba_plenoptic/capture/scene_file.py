@@ -6,7 +6,7 @@ It may not
 - be anything but UTF-8 XML, with a document type (whose entities can grow without bounds) or nested deeper than 64;
 - include itself, include scenes deeper than 8, or more than 256 of them;
 - name devices, pipes or sockets, which may never end;
-- name pictures or meshes whose headers claim more than memory holds, or than the file;
+- name pictures or meshes whose headers claim more than memory or the file holds, or that make Mitsuba crash;
 - bring native code: Mitsuba looks for plugins first in a folder ``plugins`` beside the scene, and runs what it finds.
 """
 
@@ -15,14 +15,11 @@ from __future__ import annotations
 import re
 import stat
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
 
-from PIL import Image
-
 from ..errors import InputError, shown
-from ..io.exr_header import DamageError, Part, check_exr
+from ..io.exr import read_parts
 from ..io.files import require_file
 from ..runtime.limits import GIB, require_memory
 
@@ -32,7 +29,7 @@ _MOST_FILES = 256
 _LARGEST = 2**28
 """Bytes of an XML file, at most: Mitsuba's parser holds several times as much."""
 
-_NATIVE = (".so", ".dylib", ".dll", ".pyd")
+_NATIVE = re.compile(r"\.(so|dylib|dll|pyd)(\.|$)", re.IGNORECASE)
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tga")
 
 # Bytes that Mitsuba takes for a texel: four channels, as read and in single precision, twice.
@@ -40,16 +37,10 @@ _TEXEL = 40
 
 _LONGEST_PLY_HEADER = 2**16
 
+_ATTRIBUTES = ("name", "value", "type", "filename")
 
-@dataclass
-class _Found:
-    """What one XML file holds."""
-
-    defaults: dict[str, str] = field(default_factory=dict)
-    types: list[str] = field(default_factory=list)
-    includes: list[str] = field(default_factory=list)
-    folders: list[str] = field(default_factory=list)
-    values: list[str] = field(default_factory=list)
+_Element = tuple[str, dict[str, str]]
+"""Tag and those attributes, empty where it has none."""
 
 
 def check_scene_file(path: Path, parameters: Mapping[str, str]) -> None:
@@ -82,58 +73,48 @@ def _check(
             f"{path}: scenes include each other without end, deeper than {_DEEPEST_INCLUDE} or more than "
             f"{_MOST_FILES} times"
         )
-    found = _parse(path)
-    # A scene's defaults serve what it includes.
-    values = found.defaults | parameters
-    folders = [*folders, path.parent]
-    folders += [path.parent / _filled(text, values) for text in found.folders]
+    elements = _parse(path)
+    # Of several defaults of one name the first counts. A scene's defaults serve what it includes.
+    defaults = (given for tag, given in reversed(elements) if tag == "default" and given["name"])
+    values = {given["name"]: given["value"] for given in defaults} | parameters
+    elements = [(tag, {key: _filled(text, values) for key, text in given.items()}) for tag, given in elements]
+    folders = [*folders, path.parent, *(path.parent / given["value"] for tag, given in elements if tag == "path")]
     for folder in folders:
         _refuse_native_code(path, folder)
-    for text in found.types:
-        for name in (text, *(value for key, value in values.items() if f"${key}" in text)):
-            if re.search(r"[^\w$.\-]", name) or ".." in name:
-                raise InputError(f"{path}: type = {shown(name)}: it must be the name of a plugin")
-    for text in found.values:
-        for file in _existing(_filled(text, values), folders):
-            _check_resource(path, file)
-    for text in found.includes:
-        for file in _existing(_filled(text, values), folders):
+    for tag, given in elements:
+        plugin = given["type"]
+        if re.search(r"[^\w$.\-]", plugin) or ".." in plugin:
+            raise InputError(f"{path}: type = {shown(plugin)}: it must be the name of a plugin")
+        for name in (given["value"], given["filename"]):
+            for file in _existing(name, folders):
+                _check_resource(path, file)
+        for file in _existing(given["filename"], folders) if tag == "include" else ():
             _check(file, values, folders, files, (*parents, path.resolve()))
 
 
-def _parse(path: Path) -> _Found:
-    """Read what matters of an XML file, with a parser that stops at what is not allowed."""
+def _parse(path: Path) -> list[_Element]:
+    """Read the elements of an XML file, with a parser that stops at what is not allowed."""
     if path.stat().st_size > _LARGEST:
         raise InputError(
             f"{path}: it is larger than {_LARGEST / GIB:.2f} GiB: a scene's meshes belong in their own files"
         )
-    data = path.read_bytes()
     try:
-        text = data.decode("utf-8-sig")
+        text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: it is not UTF-8 text: {error.reason} at byte {error.start}") from None
     # Two parsers that read an encoding differently would see two scenes.
     declared = re.match(r"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)", text)
     if declared and declared.group(1).lower() not in ("utf-8", "utf8", "us-ascii", "ascii"):
         raise InputError(f"{path}: its encoding is {shown(declared.group(1))}: it must be UTF-8")
-    found, depth = _Found(), 0
+    elements: list[_Element] = []
+    depth = 0
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
         if depth > _DEEPEST:
             raise InputError(f"{path}, line {parser.CurrentLineNumber}: nested deeper than {_DEEPEST}")
-        if tag == "default" and "name" in attributes:
-            found.defaults.setdefault(attributes["name"], attributes.get("value", ""))
-        elif tag == "include":
-            found.includes.append(attributes.get("filename", ""))
-        elif tag == "path":
-            found.folders.append(attributes.get("value", ""))
-        elif tag == "alias":
-            found.types.append(attributes.get("as", ""))
-        if "type" in attributes:
-            found.types.append(attributes["type"])
-        found.values += [value for name, value in attributes.items() if name in ("value", "filename") and value]
+        elements.append((tag, {name: attributes.get(name, "") for name in _ATTRIBUTES}))
 
     def end(tag: str) -> None:
         nonlocal depth
@@ -150,7 +131,7 @@ def _parse(path: Path) -> _Found:
         raise InputError(
             f"{path}, line {error.lineno}: it is not well-formed XML: {expat.ErrorString(error.code)}"
         ) from None
-    return found
+    return elements
 
 
 def _filled(text: str, values: Mapping[str, str]) -> str:
@@ -162,7 +143,7 @@ def _filled(text: str, values: Mapping[str, str]) -> str:
 
 def _existing(name: str, folders: list[Path]) -> Iterator[Path]:
     """Yield the files, of whatever kind, that a name means."""
-    if "\0" in name:
+    if not name or "\0" in name:
         return
     for folder in dict.fromkeys(folders):
         file = folder / name
@@ -175,7 +156,7 @@ def _existing(name: str, folders: list[Path]) -> Iterator[Path]:
 
 def _refuse_native_code(path: Path, folder: Path) -> None:
     try:
-        native = sorted(item.name for item in (folder / "plugins").iterdir() if _NATIVE_NAME.search(item.name))
+        native = sorted(item.name for item in (folder / "plugins").iterdir() if _NATIVE.search(item.name))
     except OSError:
         return
     if native:
@@ -185,31 +166,29 @@ def _refuse_native_code(path: Path, folder: Path) -> None:
         )
 
 
-_NATIVE_NAME = re.compile(rf"({'|'.join(map(re.escape, _NATIVE))})(\.|$)", re.IGNORECASE)
-
-
 def _check_resource(scene: Path, file: Path) -> None:
     """Refuse a file that may never end, or that claims more than there is."""
     status = file.stat()
     if not stat.S_ISREG(status.st_mode):
         raise InputError(f"{scene}: {file} is a device, a pipe or a socket: a scene may name regular files only")
+    # Imported here, like all that only some scenes need.
+    from PIL import Image
+
     suffix = file.suffix.lower()
     try:
         if suffix in _PICTURES:
             with Image.open(file) as picture:
                 _check_picture(scene, file, *picture.size)
         elif suffix == ".exr":
-
-            def allow(parts: list[Part]) -> None:
-                for part in parts:
-                    _check_picture(scene, file, part.columns, part.rows)
-
-            check_exr(file, allow)
+            for part in read_parts(file):
+                _check_picture(scene, file, part.columns, part.rows)
+                if min(part.origin) < 0:
+                    raise ValueError(f"its data window begins at {part.origin}, and Mitsuba crashes below 0")
         elif suffix == ".ply":
             _check_ply(scene, file, status.st_size)
     except InputError:
         raise
-    except (DamageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise InputError(f"{scene}: {file} cannot be read: {error}") from None
 
 

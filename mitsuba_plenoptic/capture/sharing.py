@@ -99,7 +99,7 @@ def find_patterns(
     keys = [zone, size[:, None], depth[:, None], fine - lens * parts[:, None]]
     kinds = len(camera.mla_focal_lengths)
     if kinds > 1:
-        kind = camera.lattice.lens_kind(*lens.T).astype(np.int64)
+        kind = camera.lattice.lens_type(*lens.T).astype(np.int64)
         keys.append(kind[:, None])
     if pupil_weights is not None:
         keys.append(pupil_weights.index[:, None])
@@ -113,7 +113,7 @@ def find_patterns(
     middle = (low + high) // 2
     if kinds > 1:
         # the nearest lens of the same kind
-        off = kind[first] - camera.lattice.lens_kind(*middle.T).astype(np.int64)
+        off = kind[first] - camera.lattice.lens_type(*middle.T).astype(np.int64)
         middle[:, 0] += (off + 1) % kinds - 1
     count = np.bincount(pattern)
     place = np.column_stack([np.bincount(pattern, part) for part in (image - lens).T]) / count[:, None] + middle
@@ -144,14 +144,15 @@ def _depth_steps(
     lens, lam = main_lens(camera), in_millimetres(wavelength)
     a, b = lens.pupil_radius, lens.pupil_distance
     defocus = a * a / (2 * lam) * (lens.vergence(g) - 1 / b)
-    lenses_per_wave = 4 * b * lam / (a * camera.mla_pitch)
+    pitch = max(camera.mla_pitches)
+    lenses_per_wave = 4 * b * lam / (a * pitch)
     lenses = np.maximum(1, lenses_per_wave * np.abs(defocus))
     # even where the blur is below one lens, logarithmic beyond
     scale = np.where(lenses > 1, np.sign(defocus) * (1 + np.log(lenses)) / lenses_per_wave, defocus)
     depth = np.floor(4 * scale / step + _OFF_LATTICE)
     middle = np.abs(depth + 0.5 - _OFF_LATTICE) * step / 4 * lenses_per_wave
     lenses = np.exp(np.maximum(0, middle - 1))
-    width = np.minimum(step * lam * b / (2 * a) * lenses / camera.mla_pitch, _LENS_PER_WAVE * step)
+    width = np.minimum(step * lam * b / (2 * a) * lenses / pitch, _LENS_PER_WAVE * step)
     return depth.astype(np.int64), np.ceil(1 / width).astype(np.int64)
 
 
@@ -162,14 +163,14 @@ def _zones(
 
     In it the wavefront changes little enough.
     """
-    main, pitch = main_lens(camera), camera.mla_pitch
+    main, pitch = main_lens(camera), max(camera.mla_pitches)
     size = np.ones(len(lens), np.int64)
     width = 2
     while width <= LARGEST_ZONE:
         first = lens // width * width
         square = np.max(
             [
-                ((_in_pitches(camera, first + np.array(corner) * width) * pitch) ** 2).sum(1)
+                ((_in_pitches(camera, first + np.array(corner) * width) * camera.mla_pitch) ** 2).sum(1)
                 for corner in ((0, 0), (0, 1), (1, 0), (1, 1))
             ],
             axis=0,

@@ -30,8 +30,7 @@ def _print_version(wanted: bool) -> None:
 def _root(
     context: typer.Context,
     show_version: Annotated[
-        bool,
-        typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version and exit."),
+        bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version and exit.")
     ] = False,
 ) -> None:
     """Simulate plenoptic (light-field) cameras in Mitsuba 3 and refocus what they record.

@@ -2,40 +2,30 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ..camera import require_wavelength
+from ..bounds import require_wavelength
 from ..capture.render import MOST_SAMPLES
 from ..errors import require_count, require_number
 from ..plugins.integrator import MOST_RADIATORS
-from ._common import Definitions, ResumeOnly, parse_definitions
-from ._stages import stage_lines
+from .inputs import parse_definitions
+from .options import Definitions, Distances, OutputFolder, ResumeOnly, Scene, number
+from .terminal import stage_lines
 
 
 def compare(
-    scene: Annotated[str, typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.")],
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder to write into; made if it is not there.")
-    ],
-    distance: Annotated[
-        list[float],
-        typer.Option(metavar="MM", help="Distance from the main lens to focus on; repeat for several."),
-    ],
-    wavelength: Annotated[float, typer.Option(metavar="NM", help="Wavelength in nanometres.")] = 633.0,
-    radiators_per_lens: Annotated[
-        int, typer.Option(metavar="N", help="Radiators per microlens and axis; the time grows with its square.")
-    ] = 8,
-    spp: Annotated[
-        int, typer.Option(metavar="N", help="Samples per pixel by rays, light paths per radiator by waves.")
-    ] = 16,
+    scene: Scene,
+    output: OutputFolder,
+    distance: Distances,
+    wavelength: Annotated[float, number("Wavelength in nanometres.", unit="NM")] = 633.0,
+    radiators_per_lens: Annotated[int, number("Radiators per microlens and axis; the time grows with its square.")] = 8,
+    spp: Annotated[int, number("Samples per pixel by rays, light paths per radiator by waves.")] = 16,
     resume: ResumeOnly = False,
     define: Definitions = None,
     variant: Annotated[
-        str,
-        typer.Option(metavar="NAME", help="Mitsuba variant of one colour: llvm_ad_mono or cuda_ad_mono."),
+        str, typer.Option(metavar="NAME", help="Mitsuba variant of one colour: llvm_ad_mono or cuda_ad_mono.")
     ] = "llvm_ad_mono",
 ) -> None:
     """Capture a scene by rays and by waves, refocus it in every way, and compare.
@@ -66,8 +56,8 @@ def compare(
         paths=spp,
         variant=variant,
     )
-    with stage_lines() as (notify, finished):
-        results = compute(settings, output, notify=notify, finished=finished, resume=resume)
+    with stage_lines(resume) as stages:
+        results = compute(settings, output, stages=stages)
     found = results["captures"]
     typer.echo(f"Rays against waves: {found['psnr']:.1f} dB, SSIM {found['ssim']:.3f}, energy {found['energy']:.3f}")
     typer.echo(f"{output / 'report.html'}: open it in a browser")

@@ -9,18 +9,17 @@ import typer
 
 from ..io.files import require_writable
 from ..lightfield.exchange import save_light_field
-from ._light_field import Linear, Source, ViewCount, White, load_light_field
+from .inputs import load_light_field
+from .options import LightFieldSource, Linear, ViewCount, White, output_option
 
 
 def convert(
-    source: Source,
+    source: LightFieldSource,
     output: Annotated[
         Path,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="FILE",
-            help="File to write: .mat for LFToolbox, .eslf.png for the samples of each lens together, .png for a "
+        output_option(
+            "FILE",
+            "File to write: .mat for LFToolbox, .eslf.png for the samples of each lens together, .png for a "
             "16-bit mosaic of views.",
         ),
     ],

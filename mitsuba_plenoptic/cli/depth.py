@@ -8,32 +8,29 @@ from typing import Annotated
 import typer
 
 from ..lightfield import depth_map
-from ..report.light_fields import require_picture_path, write_depth
-from ._common import progress_bar
-from ._light_field import Linear, Source, ViewCount, White, load_light_field
+from ..report.output_files import require_picture_path, write_depth
+from .inputs import load_light_field
+from .options import LightFieldSource, Linear, ViewCount, White, number, output_option
+from .terminal import progress_bar
 
 
 def depth(
-    source: Source,
+    source: LightFieldSource,
     output: Annotated[
         Path,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="FILE",
-            help="File to write: OpenEXR with the parts depth, disparity, confidence and image if it ends in .exr; "
+        output_option(
+            "FILE",
+            "File to write: OpenEXR with the parts depth, disparity, confidence and image if it ends in .exr; "
             "if in .png pictures of the all-in-focus image, the depth (near is white) and the confidence.",
         ),
     ],
     near: Annotated[
-        float | None,
-        typer.Option(metavar="MM", show_default="where views differ by a lens", help="Nearest distance to search."),
+        float | None, number("Nearest distance to search.", "where views differ by a lens", unit="MM")
     ] = None,
     far: Annotated[
-        float | None,
-        typer.Option(metavar="MM", show_default="where views differ by a lens", help="Farthest distance to search."),
+        float | None, number("Farthest distance to search.", "where views differ by a lens", unit="MM")
     ] = None,
-    planes: Annotated[int, typer.Option(metavar="N", help="Number of distances to try.")] = 64,
+    planes: Annotated[int, number("Number of distances to try.")] = 64,
     white: White = None,
     view_count: ViewCount = None,
     linear: Linear = False,
@@ -55,6 +52,6 @@ def depth(
     write_depth(output, found)
     sure = found.confidence > 0.5
     where = found.depth.where(sure)
-    share = f"{100 * float(sure.mean()):.0f} % of the bins with a confidence above half"
+    fraction = f"{100 * float(sure.mean()):.0f} % of the bins with a confidence above half"
     span = f", from {float(where.min()):.4g} to {float(where.max()):.4g} mm" if bool(sure.any()) else ""
-    typer.echo(f"{output}: {share}{span}")
+    typer.echo(f"{output}: {fraction}{span}")

@@ -9,26 +9,24 @@ import typer
 
 from ..lightfield import epipolar_image
 from ..lightfield.views import AXES
-from ..report.light_fields import require_picture_path, write_epipolar_image
-from ._light_field import Linear, Source, ViewCount, White, load_light_field
+from ..report.output_files import require_picture_path, write_epipolar_image
+from .inputs import load_light_field
+from .options import LightFieldSource, Linear, ViewCount, White, number, output_option
 
 
 def epi(
-    source: Source,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FILE", help="File to write: .exr, or .png four times as large.")
-    ],
+    source: LightFieldSource,
+    output: Annotated[Path, output_option("FILE", "File to write: .exr, or .png four times as large.")],
     axis: Annotated[str, typer.Option(metavar="|".join(AXES), help="Direction of the line.")] = "horizontal",
     at: Annotated[
         float,
-        typer.Option(
-            metavar="MM",
-            help="Place of the line in the object plane in focus: y (up) of a horizontal, x (left) of a vertical one.",
+        number(
+            "Place of the line in the object plane in focus: y (up) of a horizontal, x (left) of a vertical one.",
+            unit="MM",
         ),
     ] = 0.0,
     through: Annotated[
-        float,
-        typer.Option(metavar="MM", help="Place on the pupil: y (up) of a horizontal, x (left) of a vertical line."),
+        float, number("Place on the pupil: y (up) of a horizontal, x (left) of a vertical line.", unit="MM")
     ] = 0.0,
     white: White = None,
     view_count: ViewCount = None,

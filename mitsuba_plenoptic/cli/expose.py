@@ -2,49 +2,35 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ..detector import Detector
 from ..detector import expose as record
-from ..errors import InputError
 from ..io.captures import write_capture
-from ..io.files import require_writable
-from ._common import load_capture
+from .inputs import load_capture, require_capture_output
+from .options import CaptureFile, CaptureOutput, number
 
 
 def expose(
-    capture: Annotated[Path, typer.Argument(metavar="CAPTURE.exr", help="A file that 'render' wrote.")],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.exr", help="File to write.")],
-    photons: Annotated[
-        float, typer.Option(metavar="N", help="Photons that hit a pixel of value 1 during the exposure.")
-    ],
+    capture: CaptureFile,
+    output: CaptureOutput,
+    photons: Annotated[float, number("Photons that hit a pixel of value 1 during the exposure.")],
     quantum_efficiency: Annotated[
-        float, typer.Option(metavar="SHARE", help="Electrons per photon, up to 1.")
+        float, number("Electrons per photon, up to 1.", unit="FRACTION")
     ] = Detector.quantum_efficiency,
-    full_well: Annotated[
-        float, typer.Option(metavar="N", help="Electrons at which a pixel saturates.")
-    ] = Detector.full_well,
-    dark_electrons: Annotated[
-        float, typer.Option(metavar="N", help="Mean electrons without light.")
-    ] = Detector.dark_electrons,
-    read_noise: Annotated[
-        float, typer.Option(metavar="N", help="Standard deviation of the reading, in electrons.")
-    ] = Detector.read_noise,
-    bits: Annotated[int, typer.Option(metavar="N", help="Bits of a digital number, up to 16.")] = Detector.bits,
+    full_well: Annotated[float, number("Electrons at which a pixel saturates.")] = Detector.full_well,
+    dark_electrons: Annotated[float, number("Mean electrons without light.")] = Detector.dark_electrons,
+    read_noise: Annotated[float, number("Standard deviation of the reading, in electrons.")] = Detector.read_noise,
+    bits: Annotated[int, number("Bits of a digital number, up to 16.")] = Detector.bits,
     gain: Annotated[
-        float | None,
-        typer.Option(metavar="K", show_default="the full well is the largest number", help="Numbers per electron."),
+        float | None, number("Numbers per electron.", "the full well is the largest number", unit="K")
     ] = None,
     black_level: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N", show_default="four deviations of the dark noise", help="Number without any electron."
-        ),
+        int | None, number("Number without any electron.", "four deviations of the dark noise")
     ] = None,
-    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the noise.")] = 0,
+    seed: Annotated[int, number("Seed of the noise.")] = 0,
 ) -> None:
     """Add what a real detector does: photon and read noise, saturation, digital numbers.
 
@@ -55,9 +41,7 @@ def expose(
 
       mitsuba-plenoptic expose raw.exr -o noisy.exr --photons 2000
     """
-    if output.suffix.lower() != ".exr":
-        raise InputError(f"{output}: a capture is written as OpenEXR; give a name that ends in .exr")
-    require_writable(output)
+    require_capture_output(output)
     detector = Detector(
         quantum_efficiency=quantum_efficiency,
         full_well=full_well,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from itertools import groupby
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -12,13 +11,14 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from ..camera import PlenopticCamera, require_wavelength
-from ..capture.scene import load_scene
-from ..errors import InputError, printable
+from ..bounds import require_wavelength
+from ..design import design_warnings
+from ..errors import printable
 from ..io.captures import Capture
 from ..presets import PRESETS
-from ..report.design_sheet import Row, design_sheet, design_warnings
-from ._common import Definitions, load_capture, parse_definitions
+from ..report.design_sheet import Row, design_sheet
+from .inputs import load_camera, load_capture, parse_definitions
+from .options import Definitions, number
 
 
 def info(
@@ -30,12 +30,7 @@ def info(
         ),
     ],
     wavelength: Annotated[
-        float | None,
-        typer.Option(
-            metavar="NM",
-            show_default="the capture's",
-            help="Wavelength in nanometres at which to judge diffraction.",
-        ),
+        float | None, number("Wavelength in nanometres at which to judge diffraction.", "the capture's", unit="NM")
     ] = None,
     define: Definitions = None,
 ) -> None:
@@ -55,21 +50,12 @@ def info(
         wavelength = require_wavelength(wavelength)
     parameters = parse_definitions(define)
     capture = load_capture(source) if source.lower().endswith(".exr") else None
-    if capture is None and source in PRESETS and not parameters and not Path(source).is_file():
-        camera = PlenopticCamera.preset(source)
-    elif capture is None:
-        sensors = load_scene(source, parameters=parameters).sensors()
-        if not sensors:
-            raise InputError(f"{source}: it has no sensor; add one of type 'plenoptic'")
-        camera = PlenopticCamera.from_sensor(sensors[0])
-    else:
-        camera = capture.camera
-        if wavelength is None and isinstance(capture.wavelength, float):
-            wavelength = capture.wavelength
-    rows = design_sheet(camera, wavelength)
+    camera = capture.camera if capture else load_camera(source, parameters)
+    if capture and wavelength is None and isinstance(capture.wavelength, float):
+        wavelength = capture.wavelength
     console = Console(highlight=False)
-    console.print(_table(rows))
-    if capture is not None:
+    console.print(_table(design_sheet(camera, wavelength)))
+    if capture:
         console.print("[bold]Capture[/bold]")
         for name, fact in _origin(capture).items():
             console.print(f"  {escape(printable(name))}: {escape(printable(fact))}", soft_wrap=True)

@@ -8,31 +8,24 @@ from typing import Annotated
 import typer
 
 from .. import reconstruction
-from ..report.images import reconstruction_paths, write_reconstructions
+from ..report.output_files import reconstruction_paths, write_reconstructions
 from ..runtime.variant import set_variant
-from ._common import Variant, load_capture, progress_bar
+from .inputs import load_capture
+from .options import CaptureFile, Distances, Variant, number, output_option
+from .terminal import progress_bar
 
 
 def reconstruct(
-    capture: Annotated[Path, typer.Argument(metavar="CAPTURE.exr", help="A file that 'render' wrote.")],
+    capture: CaptureFile,
     output: Annotated[
         Path,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="FILE",
-            help="File to write: float32 OpenEXR if it ends in .exr, an 8-bit picture if in .png. With "
+        output_option(
+            "FILE",
+            "File to write: float32 OpenEXR if it ends in .exr, an 8-bit picture if in .png. With "
             "several distances each goes into a file of its own: out.exr becomes out_210.exr and so on.",
         ),
     ],
-    distance: Annotated[
-        list[float],
-        typer.Option(
-            metavar="MM",
-            help="Distance from the main lens to focus on, in scene units, beyond the focal length; "
-            "repeat for several.",
-        ),
-    ],
+    distance: Distances,
     method: Annotated[
         str,
         typer.Option(
@@ -56,8 +49,7 @@ def reconstruct(
         ),
     ] = "2",
     wavelength: Annotated[
-        float | None,
-        typer.Option(metavar="NM", help="For waves: wavelength in nanometres.", show_default="the capture's"),
+        float | None, number("For waves: wavelength in nanometres.", "the capture's", unit="NM")
     ] = None,
     relay: Annotated[
         bool,
@@ -65,9 +57,7 @@ def reconstruct(
             "--relay/--no-relay", help="For waves: whether the microlenses act again on the way back, as they should."
         ),
     ] = True,
-    oversample: Annotated[
-        int, typer.Option(metavar="N", help="Bins per microlens along each axis; info tells what suits.")
-    ] = 1,
+    oversample: Annotated[int, number("Bins per microlens along each axis; info tells what suits.")] = 1,
     variant: Variant = None,
 ) -> None:
     """Refocus a capture to one or several distances.

@@ -10,38 +10,39 @@ import typer
 
 from ..capture.render import render_capture
 from ..capture.scene import load_scene
-from ..errors import InputError
 from ..io.captures import write_capture
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import remove_leftovers, require_writable
-from ._common import (
+from .inputs import batches_on, parse_definitions, require_capture_output
+from .options import (
+    CaptureOutput,
     Definitions,
     Model,
     RadiatorsPerLens,
     Resume,
     Samples,
+    Scene,
     Scheduler,
     Seed,
     Variant,
     Workers,
-    batches_on,
-    parse_definitions,
-    progress_bar,
+    number,
 )
+from .terminal import progress_bar
 
 
 def render(
-    scene: Annotated[str, typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.")],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.exr", help="File to write.")],
+    scene: Scene,
+    output: CaptureOutput,
     model: Model = None,
     spp: Samples = None,
     seed: Seed = 0,
     wavelength: Annotated[
         str | None,
-        typer.Option(
-            metavar="NM",
-            show_default="the scene's, else 633",
-            help="By waves: wavelength in nanometres; for a variant of three channels three, as 611,549,464.",
+        number(
+            "By waves: wavelength in nanometres; for a variant of three channels three, as 611,549,464.",
+            "the scene's, else 633",
+            unit="NM",
         ),
     ] = None,
     radiators_per_lens: RadiatorsPerLens = None,
@@ -80,9 +81,7 @@ def render(
     """
     parameters = parse_definitions(define)
     # Before the rendering, which may take long.
-    if output.suffix.lower() != ".exr":
-        raise InputError(f"{output}: a capture is written as OpenEXR; give a name that ends in .exr")
-    require_writable(output)
+    require_capture_output(output)
     if resume:
         remove_leftovers(output)
     checkpoint = require_writable(checkpoint or output.with_name(output.name + SUFFIX))
@@ -93,14 +92,7 @@ def render(
         start = time.perf_counter()
         with progress_bar("Rendering") as progress:
             capture = render_capture(
-                loaded,
-                model=model,
-                spp=spp,
-                seed=seed,
-                progress=progress,
-                checkpoint=kept,
-                batch_map=batch_map,
-                **wave,
+                loaded, model=model, spp=spp, seed=seed, progress=progress, checkpoint=kept, batch_map=batch_map, **wave
             )
         seconds = time.perf_counter() - start
         write_capture(output, capture)

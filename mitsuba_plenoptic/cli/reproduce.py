@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ._common import ResumeOnly
-from ._stages import stage_lines
+from .options import OutputFolder, ResumeOnly
+from .terminal import stage_lines
 
 
 def reproduce(
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder to write into; made if it is not there.")
-    ],
+    output: OutputFolder,
     preset: Annotated[
         str,
         typer.Option(
@@ -40,8 +37,8 @@ def reproduce(
     # Figures need libraries that take a second to load, which other commands need not wait for.
     from ..report.reproduce import reproduce as compute
 
-    with stage_lines() as (notify, finished):
-        results = compute(output, preset=preset, notify=notify, finished=finished, resume=resume)
+    with stage_lines(resume) as stages:
+        results = compute(output, preset=preset, stages=stages)
     for claim in results["claims"]:
         typer.echo(f"{claim['verdict']:<10} {claim['statement']}")
     typer.echo(f"{output / 'report.html'}: open it in a browser")

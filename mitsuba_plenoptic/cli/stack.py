@@ -9,27 +9,23 @@ import typer
 
 from ..lightfield import focal_stack
 from ..lightfield.refocus import METHODS
-from ..report.light_fields import require_picture_path, write_stack
-from ._common import progress_bar
-from ._light_field import Linear, Source, ViewCount, White, load_light_field
+from ..report.output_files import require_picture_path, write_stack
+from .inputs import load_light_field
+from .options import Distances, LightFieldSource, Linear, ViewCount, White, output_option
+from .terminal import progress_bar
 
 
 def stack(
-    source: Source,
+    source: LightFieldSource,
     output: Annotated[
         Path,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="FILE",
-            help="File to write: OpenEXR with a part for each distance if it ends in .exr, pictures side by side if "
+        output_option(
+            "FILE",
+            "File to write: OpenEXR with a part for each distance if it ends in .exr, pictures side by side if "
             "in .png.",
         ),
     ],
-    distance: Annotated[
-        list[float],
-        typer.Option(metavar="MM", help="Distance from the main lens to focus on; repeat for several."),
-    ],
+    distance: Distances,
     method: Annotated[
         str, typer.Option(metavar="|".join(METHODS), help="Shift views and add, or slice the spectrum.")
     ] = "shift",

@@ -9,28 +9,28 @@ import typer
 
 from .. import reconstruction
 from ..runtime.variant import DEFAULT_VARIANT
-from ._common import (
+from .inputs import batches_on, parse_definitions
+from .options import (
     Definitions,
     Model,
     RadiatorsPerLens,
     ResumeOnly,
     Samples,
+    Scene,
     Scheduler,
     Seed,
     Variant,
     Workers,
-    batches_on,
-    parse_definitions,
+    output_option,
 )
-from ._stages import stage_lines
+from .terminal import stage_lines
 
 
 def sweep(
-    scene: Annotated[str, typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.")],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.nc", help="NetCDF file to write.")],
+    scene: Scene,
+    output: Annotated[Path, output_option("FILE.nc", "NetCDF file to write.")],
     grid: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.yaml", help="The grid: names, each with a list of numbers."),
+        Path | None, typer.Option(metavar="FILE.yaml", help="The grid: names, each with a list of numbers.")
     ] = None,
     vary: Annotated[
         list[str] | None,
@@ -84,9 +84,7 @@ def sweep(
         method=method,
         variant=variant or DEFAULT_VARIANT,
     )
-    with batches_on(workers, scheduler) as batch_map, stage_lines() as (notify, finished):
-        dataset = compute(
-            settings, wanted, output, batch_map=batch_map, notify=notify, finished=finished, resume=resume
-        )
+    with batches_on(workers, scheduler) as batch_map, stage_lines(resume) as stages:
+        dataset = compute(settings, wanted, output, batch_map=batch_map, stages=stages)
     axes = " x ".join(f"{len(values)} {name}" for name, values in wanted.items())
     typer.echo(f"{output}: {', '.join(str(name) for name in dataset.data_vars)} over {axes}")

@@ -8,25 +8,20 @@ from typing import Annotated
 import typer
 
 from ..lightfield import pick_views
-from ..report.light_fields import require_picture_path, write_views
-from ._light_field import Linear, Source, ViewCount, White, load_light_field
+from ..report.output_files import require_picture_path, write_views
+from .inputs import load_light_field
+from .options import LightFieldSource, Linear, ViewCount, White, number, output_option
 
 
 def views(
-    source: Source,
+    source: LightFieldSource,
     output: Annotated[
         Path,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="FILE",
-            help="File to write: OpenEXR with a part for each view if it ends in .exr, a mosaic if in .png.",
+        output_option(
+            "FILE", "File to write: OpenEXR with a part for each view if it ends in .exr, a mosaic if in .png."
         ),
     ],
-    count: Annotated[
-        int | None,
-        typer.Option(metavar="N", show_default="all", help="Write N x N views, evenly spread over the pupil."),
-    ] = None,
+    count: Annotated[int | None, number("Write N x N views, evenly spread over the pupil.", "all")] = None,
     white: White = None,
     view_count: ViewCount = None,
     linear: Linear = False,

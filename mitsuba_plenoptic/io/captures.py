@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..camera import PlenopticCamera, require_wavelength
-from ..errors import InputError, shown
+from ..bounds import require_wavelength
+from ..camera import PlenopticCamera
+from ..errors import InputError, require_choice, shown
 from .exr import read_exr, write_exr
 
 MODELS = ("ray", "wave")
@@ -65,8 +66,7 @@ class Capture:
             raise InputError(f"image of shape {image.shape}: a capture has 1 channel or 3")
         require_pixels("image", image)
         object.__setattr__(self, "image", np.asarray(image, dtype=np.float32))
-        if self.model not in MODELS:
-            raise InputError(f"model = {shown(self.model)}: it must be one of {', '.join(MODELS)}")
+        require_choice("model", self.model, MODELS)
         if isinstance(self.wavelength, (tuple, list)):
             if len(self.wavelength) != channels:
                 raise InputError(f"wavelength = {shown(self.wavelength)}: the image has {channels} channels")
@@ -78,7 +78,7 @@ class Capture:
 
 
 def as_array(name: str, values: Any) -> np.ndarray:
-    """Give the array of something that should be one.
+    """Return the array of something that should be one.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def require_pixels(name: str, image: np.ndarray) -> None:
     InputError
         With their number and the place of the first.
     """
-    # The largest and the smallest value tell of every NaN too, and cost far less than a test of each.
+    # The largest and the smallest value show every NaN too, and cost far less than a test of each.
     if image.size == 0 or max(float(image.max()), -float(image.min())) <= BRIGHTEST:
         return
     bad = ~np.isfinite(image)

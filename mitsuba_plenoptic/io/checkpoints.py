@@ -1,8 +1,7 @@
 """Checkpoints of wave captures: what has been summed so far, on disk, so that a run that was killed goes on there.
 
-A checkpoint is an uncompressed ZIP archive of ``header.json`` and plain float32 arrays. The header holds all that the
-run's bits depend on; a run with anything else there is refused. Nothing of a checkpoint is ever executed, and no
-more memory is taken for it than the file itself has bytes.
+A checkpoint is a NumPy archive (``.npz``) of float32 arrays and a ``header``, a JSON text that holds all that the run's
+bits depend on; a run with anything else there is refused. Nothing of a checkpoint is ever unpickled.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ import math
 import os
 import time
 import warnings
-import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -30,30 +28,24 @@ from ..runtime.jobs import Snapshot
 from ..runtime.software import software
 from .files import atomic_output, remove_leftovers
 
-FORMAT = 1
+FORMAT = 2
 SUFFIX = ".checkpoint"
 
 Existing = Literal["refuse", "resume", "resume_if_same"]
 
-_SECONDS = 10.0
-"""Time between checkpoints, at least."""
+INTERVAL = 10.0
+"""Seconds between checkpoints, at least."""
 
-_SHARE = 0.05
-"""Share of the time that writing them may take."""
+FRACTION = 0.05
+"""Fraction of the time that writing them may take."""
 
-_LARGEST_HEADER = 2**20
-_TOLD = 3
-_DTYPE = np.dtype("<f4")
+_DIFFERENCES_SHOWN = 3
 
 _log = logging.getLogger(__name__)
 
 
-class _AnotherRunError(InputError):
-    """A checkpoint is whole, but of another run."""
-
-
 class Checkpoint:
-    """A file that a capture writes its state into now and then, and goes on from.
+    """A file into which a capture writes its state now and then, and from which it can go on.
 
     A context in which the capture is rendered and written: left without an exception, the file is removed.
 
@@ -93,7 +85,7 @@ class Checkpoint:
             self.path.unlink(missing_ok=True)
 
     def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:
-        """Say what the run is, and get how far an earlier process has come with it.
+        """Say what the run is, and return how far an earlier process has come with it.
 
         Parameters
         ----------
@@ -107,7 +99,7 @@ class Checkpoint:
         InputError
             If there is the checkpoint of another run, with the differences, or a damaged one.
         """
-        self._due = time.monotonic() + _SECONDS
+        self._due = time.monotonic() + INTERVAL
         self.run = json.loads(json.dumps({**self.run, **facts, "software": software()}))
         remove_leftovers(self.path)
         if not self.path.exists():
@@ -140,7 +132,7 @@ class Checkpoint:
                 warnings.warn(f"{self.path}: no checkpoint can be written: {cause}", stacklevel=2)
                 self._complained = True
         now = time.monotonic()
-        self._due = now + max(_SECONDS, (now - start) / _SHARE)
+        self._due = now + max(INTERVAL, (now - start) / FRACTION)
 
 
 def digest(*arrays: NDArray[Any] | None) -> str:
@@ -156,25 +148,14 @@ def digest(*arrays: NDArray[Any] | None) -> str:
 
 
 def _write(path: Path, run: dict[str, Any], snapshot: Snapshot) -> None:
-    arrays = {"image": snapshot.image}
+    header: dict[str, Any] = {"format": FORMAT, "run": run, "sums": snapshot.sums}
+    arrays: dict[str, Any] = {"image": snapshot.image}
     if snapshot.partial:
-        sums = snapshot.partial.sums
-        arrays["partial"] = backend_of(sums).to_host(sums)
-    header = {
-        "kind": "checkpoint",
-        "format": FORMAT,
-        "run": run,
-        "sums": snapshot.sums,
-        "batches": snapshot.partial.batches if snapshot.partial else 0,
-        "arrived": snapshot.partial.arrived if snapshot.partial else 0.0,
-        "shapes": {name: array.shape for name, array in arrays.items()},
-    }
+        partial = snapshot.partial
+        header |= {"batches": partial.batches, "arrived": partial.arrived}
+        arrays["partial"] = backend_of(partial.sums).to_host(partial.sums)
     with path.open("wb") as file:
-        with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
-            archive.writestr("header.json", json.dumps(header))
-            for name, array in arrays.items():
-                with archive.open(name, "w", force_zip64=True) as member:
-                    member.write(np.ascontiguousarray(array, _DTYPE).data.cast("B"))
+        np.savez(file, header=json.dumps(header), **arrays)
         file.flush()
         # On the disk before it takes the place of the one of before.
         os.fsync(file.fileno())
@@ -189,79 +170,48 @@ def _read(path: Path, run: dict[str, Any], shape: tuple[int, ...]) -> Snapshot:
         If it is of another run, or damaged.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
-            header = _read_header(archive)
-            if header.get("kind") != "checkpoint":
-                raise ValueError("its header is not a checkpoint's")
-            _compare(path, {"format": header.get("format")}, {"format": FORMAT})
-            _compare(path, header["run"], run)
-            arrays = {name: _read_array(archive, name, sizes) for name, sizes in header["shapes"].items()}
-            if arrays["image"].shape != shape:
-                raise ValueError(f"image has the shape {arrays['image'].shape} instead of {shape}")
-            sums, batches = (require_count(name, header[name], minimum=0) for name in ("sums", "batches"))
-            arrived = require_number("arrived", header["arrived"])
-            partial = PartialSum(batches, arrays["partial"], arrived) if "partial" in arrays else None
-            return Snapshot(sums, arrays["image"], partial)
-    except _AnotherRunError:
-        raise
+        with np.load(path, allow_pickle=False) as archive:
+            header = json.loads(str(archive["header"]))
+            differences = _differences({"format": header["format"], **header["run"]}, {"format": FORMAT, **run})
+            if not differences:
+                return _snapshot(archive, header, shape)
     except Exception as error:
-        # ZIP, JSON and NumPy tell of damage by many exception types; all mean the same to the user.
-        raise InputError(f"{path}: it is not a checkpoint, or is damaged: {' '.join(str(error).split())}") from None
+        # ZIP, JSON and NumPy report damage by many types of exception; all mean the same to the user.
+        raise InputError(f"{path}: it is not a checkpoint of this version, or is damaged: {error}") from None
+    shown = "; ".join(differences[:_DIFFERENCES_SHOWN])
+    more = len(differences) - _DIFFERENCES_SHOWN
+    raise InputError(f"{path}: the checkpoint of another run: {shown}" + (f", and {more} more" if more > 0 else ""))
 
 
-def _read_header(archive: zipfile.ZipFile) -> dict[str, Any]:
-    _check_member(archive, "header.json", maximum=_LARGEST_HEADER)
-    header = json.loads(archive.read("header.json"))
-    if not isinstance(header, dict):
-        raise ValueError("its header is not a JSON object")
-    return header
+def _snapshot(archive: Mapping[str, NDArray[Any]], header: dict[str, Any], shape: tuple[int, ...]) -> Snapshot:
+    image = _array(archive, "image")
+    if image.shape != shape:
+        raise ValueError(f"image has the shape {image.shape} instead of {shape}")
+    sums = require_count("sums", header["sums"], minimum=0)
+    if "partial" not in archive:
+        return Snapshot(sums, image, None)
+    batches = require_count("batches", header["batches"], minimum=0)
+    arrived = require_number("arrived", header["arrived"])
+    return Snapshot(sums, image, PartialSum(batches, _array(archive, "partial"), arrived))
 
 
-def _read_array(archive: zipfile.ZipFile, name: str, shape: list[int]) -> NDArray[np.float32]:
-    if len(shape) != 3 or not all(isinstance(size, int) and size > 0 for size in shape):
-        raise ValueError(f"{name} has the shape {shape}")
-    size = math.prod(shape) * _DTYPE.itemsize
-    if _check_member(archive, name) != size:
-        raise ValueError(f"{name} of shape {shape} does not have {size} bytes")
-    array = np.empty(shape, _DTYPE)
-    view = array.reshape(-1).view(np.uint8)
-    with archive.open(name) as opened:
-        member: Any = opened
-        while count := member.readinto(view):
-            view = view[count:]
-    if len(view):
-        raise ValueError(f"{name} ends early")
+def _array(archive: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.float32]:
+    array = archive[name]
+    if array.dtype != np.float32 or array.ndim != 3:
+        raise ValueError(f"{name} is of type {array.dtype} and shape {array.shape}")
     if not np.isfinite(array).all():
         raise ValueError(f"{name} holds numbers that are not finite")
-    return array.astype(np.float32, copy=False)
+    return array
 
 
-def _check_member(archive: zipfile.ZipFile, name: str, maximum: int | None = None) -> int:
-    """Return the size of an archive's member, which must be as large as its header says: not compressed."""
-    info = archive.getinfo(name)
-    if info.compress_type != zipfile.ZIP_STORED or info.compress_size != info.file_size:
-        raise ValueError(f"{name} is compressed")
-    if info.file_size > (os.fstat(archive.fp.fileno()).st_size if maximum is None else maximum):  # type: ignore[union-attr]
-        raise ValueError(f"{name} has {info.file_size} bytes")
-    return info.file_size
-
-
-def _compare(path: Path, there: Mapping[str, Any], here: Mapping[str, Any]) -> None:
-    """Refuse the checkpoint of another run, and name what differs."""
+def _differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
+    """Return what differs between the run of a checkpoint and this one."""
     found, wanted = dict(_flat(there)), dict(_flat(here))
-    nothing = object()
-    differences = [
-        f"{name} = {_told(found, name)} there, {_told(wanted, name)} here"
-        for name in dict.fromkeys((*wanted, *found))
-        if found.get(name, nothing) != wanted.get(name, nothing)
+    return [
+        f"{name} = {found.get(name, 'nothing')} there, {wanted.get(name, 'nothing')} here"
+        for name in {**wanted, **found}
+        if name not in found or name not in wanted or found[name] != wanted[name]
     ]
-    if differences:
-        more = f", and {len(differences) - _TOLD} more" if len(differences) > _TOLD else ""
-        raise _AnotherRunError(f"{path}: the checkpoint of another run: {'; '.join(differences[:_TOLD])}{more}")
-
-
-def _told(values: dict[str, Any], name: str) -> str:
-    return str(values.get(name, "nothing"))
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
-from collections.abc import Mapping
+import os
+import threading
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +17,48 @@ import OpenEXR
 
 from ..errors import InputError
 from ..runtime.limits import require_memory
-from .exr_header import DamageError, Part, check_exr
 from .files import atomic_output, require_file
 
 ATTRIBUTE = "mitsuba_plenoptic"
+
+# The others lose precision, which is not for captures.
+_LOSSLESS = (
+    OpenEXR.NO_COMPRESSION,
+    OpenEXR.RLE_COMPRESSION,
+    OpenEXR.ZIPS_COMPRESSION,
+    OpenEXR.ZIP_COMPRESSION,
+    OpenEXR.PIZ_COMPRESSION,
+)
+
+_one_at_a_time = threading.Lock()
+
+
+@dataclass(frozen=True)
+class Part:
+    """What the header of one part of an OpenEXR file says.
+
+    Attributes
+    ----------
+    origin : (column, row)
+        First pixel of its data window.
+    columns, rows : int
+        Size of its data window.
+    channels : tuple of str
+        Their names.
+    header : dict
+        All its attributes, as OpenEXR gives them.
+    """
+
+    origin: tuple[int, int]
+    columns: int
+    rows: int
+    channels: tuple[str, ...]
+    header: dict[str, Any]
+
+    @property
+    def size(self) -> int:
+        """Bytes of its pixels, at most: no type of pixel takes more than four bytes a channel."""
+        return 4 * self.columns * self.rows * len(self.channels)
 
 
 def write_exr(
@@ -44,20 +87,7 @@ def write_exr(
     InputError
         If the file cannot be written.
     """
-    rows, columns = image.shape[:2]
-    width, height = full_size or (columns, rows)
-    header = {
-        "compression": OpenEXR.ZIP_COMPRESSION,
-        "type": OpenEXR.scanlineimage,
-        "dataWindow": _window(offset[0], offset[1], columns, rows),
-        "displayWindow": _window(0, 0, width, height),
-        ATTRIBUTE: json.dumps(attributes, sort_keys=True),
-    }
-    try:
-        with atomic_output(path) as temporary:
-            OpenEXR.File(header, _channels(image)).write(str(temporary))
-    except (RuntimeError, OSError) as error:
-        raise InputError(f"{path}: it cannot be written: {error}") from None
+    _write(path, {"": image}, attributes, offset, full_size or image.shape[1::-1])
 
 
 def write_exr_parts(path: str | Path, parts: Mapping[str, np.ndarray], attributes: dict[str, Any]) -> None:
@@ -77,18 +107,29 @@ def write_exr_parts(path: str | Path, parts: Mapping[str, np.ndarray], attribute
     InputError
         If the file cannot be written.
     """
-    text = json.dumps(attributes, sort_keys=True)
-    written = []
-    for index, (name, image) in enumerate(parts.items()):
+    # All parts of a file must share one display window.
+    columns, rows = (max(image.shape[axis] for image in parts.values()) for axis in (1, 0))
+    _write(path, parts, attributes, (0, 0), (columns, rows))
+
+
+def _write(
+    path: str | Path,
+    parts: Mapping[str, np.ndarray],
+    attributes: dict[str, Any],
+    offset: tuple[int, int],
+    full_size: tuple[int, ...],
+) -> None:
+    written: list[OpenEXR.Part] = []
+    for name, image in parts.items():
         rows, columns = image.shape[:2]
         header = {
             "compression": OpenEXR.ZIP_COMPRESSION,
             "type": OpenEXR.scanlineimage,
-            "dataWindow": _window(0, 0, columns, rows),
-            # All parts of a file must share one display window.
-            "displayWindow": _window(0, 0, *_largest(parts)),
-            **({ATTRIBUTE: text} if index == 0 else {}),
+            "dataWindow": _window(*offset, columns, rows),
+            "displayWindow": _window(0, 0, *full_size),
         }
+        if not written:
+            header[ATTRIBUTE] = json.dumps(attributes, sort_keys=True)
         written.append(OpenEXR.Part(header, _channels(image), name))
     try:
         with atomic_output(path) as temporary:
@@ -97,8 +138,8 @@ def write_exr_parts(path: str | Path, parts: Mapping[str, np.ndarray], attribute
         raise InputError(f"{path}: it cannot be written: {error}") from None
 
 
-def _largest(parts: Mapping[str, np.ndarray]) -> tuple[int, int]:
-    return max(image.shape[1] for image in parts.values()), max(image.shape[0] for image in parts.values())
+def _window(x: int, y: int, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.array([x, y], dtype=np.int32), np.array([x + columns - 1, y + rows - 1], dtype=np.int32)
 
 
 def _channels(image: np.ndarray) -> dict[str, np.ndarray]:
@@ -118,44 +159,82 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, dict[str, Any]]:
         more memory than is allowed.
     """
     path = require_file(path)
+    parts = read_parts(path)
     try:
-        (part, *_) = check_exr(path, lambda parts: _allow(path, parts))
-        attributes = json.loads(part.text[ATTRIBUTE])
+        part, names = parts[0], _image_channels(parts[0])
+        text = part.header.get(ATTRIBUTE)
+        if text is None:
+            raise InputError(
+                f"{path}: it has no attribute '{ATTRIBUTE}' in its header, so its camera is unknown; "
+                "read the pixels yourself and give reconstruct(..., camera=...)"
+            )
+        attributes = json.loads(text)
         if not isinstance(attributes, dict):
             raise ValueError(f"attribute '{ATTRIBUTE}' is not a JSON object")
-        found = OpenEXR.File(str(path), separate_channels=True).channels()
-        names = _image_channels(part)
-        image = np.empty((part.rows, part.columns, len(names)), dtype=np.float32)
-        for index, name in enumerate(names):
-            image[..., index] = found.pop(name).pixels
+        # The library's arrays of all parts, and ours.
+        needed = sum(part.size for part in parts) + 4 * part.columns * part.rows * len(names)
+        require_memory(needed, f"{path}: {part.columns} x {part.rows} pixels of {len(part.channels)} channels")
+        with _quiet(), OpenEXR.File(str(path), separate_channels=True) as file:
+            if len(file.parts) < len(parts):
+                raise ValueError("its pixels are damaged or incomplete")
+            found = file.channels()
+            image = np.empty((part.rows, part.columns, len(names)), dtype=np.float32)
+            for index, name in enumerate(names):
+                image[..., index] = found.pop(name).pixels.reshape(part.rows, part.columns)
     except InputError:
         raise
     except Exception as error:
-        # OpenEXR tells of damage by several exception types; all mean the same to the user.
-        raise InputError(f"{path}: it cannot be read as an OpenEXR image, or is damaged: {error}") from None
+        raise _damaged(path, error) from None
     return image if len(names) == 3 else image[..., 0], attributes
 
 
-def _allow(path: Path, parts: list[Part]) -> None:
-    """Refuse what is not of this package or takes too much memory, before pixels are read."""
-    part = parts[0]
-    if ATTRIBUTE not in part.text:
-        raise InputError(
-            f"{path}: it has no attribute '{ATTRIBUTE}' in its header, so its camera is unknown; "
-            "read the pixels yourself and give reconstruct(..., camera=...)"
-        )
-    pixels = part.rows * part.columns
-    # The library's arrays, and ours.
-    needed = sum(part.size for part in parts) + 4 * pixels * len(_image_channels(part))
-    require_memory(needed, f"{path}: {part.columns} x {part.rows} pixels of {len(part.channels)} channels")
+def read_parts(path: Path) -> list[Part]:
+    """Read the headers of an OpenEXR file, without its pixels.
+
+    Raises
+    ------
+    InputError
+        If the file is no OpenEXR file, or its header is damaged.
+    """
+    try:
+        with _quiet(), OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
+            return [_part(part.header) for part in file.parts]
+    except Exception as error:
+        raise _damaged(path, error) from None
+
+
+def _part(header: dict[str, Any]) -> Part:
+    (left, top), (right, bottom) = (map(int, corner) for corner in header["dataWindow"])
+    names = tuple(channel.name for channel in header["channels"])
+    # Closing the file empties its own dictionary.
+    return Part((left, top), right - left + 1, bottom - top + 1, names, dict(header))
+
+
+def _damaged(path: Path, error: Exception) -> InputError:
+    """Return the error for a file whose damage OpenEXR, JSON or NumPy found, by whatever type of exception."""
+    return InputError(f"{path}: it cannot be read as an OpenEXR image, or is damaged: {error}")
 
 
 def _image_channels(part: Part) -> tuple[str, ...]:
+    if part.header["type"] != OpenEXR.scanlineimage or part.header["compression"] not in _LOSSLESS:
+        raise ValueError("its pixels are tiled or deep, or their compression is lossy or unknown")
     for names in (("Y",), ("R", "G", "B")):
-        if set(names) <= set(part.channels) and len(set("YRGB") & set(part.channels)) == len(names):
+        if set("YRGB").intersection(part.channels) == set(names):
             return names
-    raise DamageError(f"it has the channels {', '.join(part.channels)} instead of Y or R, G, B")
+    raise ValueError(f"it has the channels {', '.join(part.channels)} instead of Y or R, G, B")
 
 
-def _window(x: int, y: int, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
-    return np.array([x, y], dtype=np.int32), np.array([x + columns - 1, y + rows - 1], dtype=np.int32)
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Hide what OpenEXR prints about damaged files, to Python's output and to the process's standard error.
+
+    The exceptions say it again.
+    """
+    with _one_at_a_time, Path(os.devnull).open("wb") as nowhere, contextlib.redirect_stdout(io.StringIO()):
+        kept = os.dup(2)
+        os.dup2(nowhere.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)

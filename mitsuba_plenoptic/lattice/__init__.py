@@ -1,5 +1,20 @@
-"""Arrangements of microlenses: which lens a point belongs to, where its centre is, what its aperture lets through."""
+"""Arrangements of microlenses: which lens a point belongs to, where its centre is, what its aperture lets through.
 
-from .base import APERTURES, KINDS, LENS_KINDS, Lattice, turn
+`base` says what a lattice is; each kind has a file of its own, which registers it under the name that the camera's
+``mla_lattice`` takes; `apertures` holds the shapes of the lenses. To add a lattice, write its file and import it here.
+"""
 
-__all__ = ["APERTURES", "KINDS", "LENS_KINDS", "Lattice", "turn"]
+from typing import Any
+
+from .apertures import APERTURES
+from .base import LATTICES, Lattice, register
+from .generic import turn
+from .hexagonal import HexagonalLattice
+from .square import SquareLattice
+
+__all__ = ["APERTURES", "LATTICES", "HexagonalLattice", "Lattice", "SquareLattice", "make_lattice", "register", "turn"]
+
+
+def make_lattice(name: str, pitches: tuple[Any, Any], **numbers: Any) -> Lattice:
+    """Build the lattice of a name in `LATTICES`; see `Lattice` for the numbers."""
+    return LATTICES[name](pitches, **numbers)

@@ -1,56 +1,46 @@
-r"""Microlens lattices: which lens a point belongs to, where its centre is, and what its aperture lets through.
+r"""What a microlens lattice is: which lens a point belongs to, where its centre is, and what its aperture lets through.
 
 Everything that has to do with the arrangement of microlenses is asked of a `Lattice`, which `PlenopticCamera.lattice`
 makes. It covers the whole plane and does not end with the detector. Points are given in the camera frame, in the
 plane of the microlens array (MLA), as floats, NumPy arrays or Dr.Jit arrays; so may the lattice's own numbers be.
 
-A lens is named by two whole numbers (i, j), its steps along the two lattice vectors. In the lattice's own frame,
-with pitch D:
+A lens is named by two whole numbers (i, j), its steps along the two lattice vectors. Its place is decided in three
+frames:
 
-- ``square``: centres at :math:`((i + 1/2) D, (j + 1/2) D)`. A corner of four lenses lies on the axis, so that a
-  detector of an even number of lenses holds whole ones.
-- ``hexagonal``: centres at :math:`((i + j/2) D, \tfrac{\sqrt 3}{2} j D)`: rows along x, every second one offset by
-  half a pitch. The centre of lens (0, 0) lies on the axis, the point of the lattice with the most symmetry: six-fold
-  about the axis and a mirror image of itself in both x and y.
-
-The frame is turned counter-clockwise about the axis (from +x towards +y of the camera frame) by `rotation`, then
-moved by `offset`. A cell is the set of points nearer to its centre than to any other.
+- In the *unit frame* lengths along the rows count in pitches and lengths across them in row distances. Each lattice
+  says there which cell holds a point and where its centre is.
+- The lattice's own frame has the rows along its first axis. Two different pitches stretch it across the rows: cells are
+  then affine images of those of equal pitches, the sets of points nearer to their centre than to any other.
+- The camera frame: the lattice's, turned counter-clockwise about the axis (from +x towards +y of the camera frame) by
+  `rotation`, then moved by `offset`.
 """
 
 from __future__ import annotations
 
+import abc
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
-import drjit as dr
 import numpy as np
 
 from ..runtime.limits import require_memory
+from .apertures import APERTURES
+from .generic import floor, is_zero, maximum, turn
 
-KINDS = ("square", "hexagonal")
-APERTURES = ("cell", "circle")
-
-# Kinds of lenses on a multi-focus array, such that no two neighbours of a hexagonal lattice are alike.
-LENS_KINDS = 3
-
-# Distance of rows of a hexagonal lattice over its pitch.
-_ROW = math.sqrt(0.75)
-
-# Points across a sample for the share of it that is aperture.
+# Points across a sample for the fraction of it that is aperture.
 _POINTS = 8
 
 
 @dataclass(frozen=True)
-class Lattice:
+class Lattice(abc.ABC):
     """An endless plane of microlenses.
 
     Parameters
     ----------
-    kind : {"square", "hexagonal"}
-        Arrangement of the centres.
-    pitch : float
-        Distance of neighbouring centres.
+    pitches : (float, float)
+        Pitch along the rows, the distance of neighbouring centres; and across them, the same but for a stretched
+        lattice.
     rotation : float
         Degrees, counter-clockwise in the camera frame. As that frame's y falls on rows, this is clockwise in a capture
         as it is looked at.
@@ -63,155 +53,191 @@ class Lattice:
         The rest of the cell is opaque.
     """
 
-    kind: str
-    pitch: Any
+    pitches: tuple[Any, Any]
     rotation: Any = 0.0
     offset: tuple[Any, Any] = (0.0, 0.0)
     aperture: str = "cell"
     fill: Any = 1.0
 
+    # -- what a lattice defines ----------------------------------------------------------------------
+
+    name: ClassVar[str]
+    """What the camera's ``mla_lattice`` calls it."""
+
+    row_ratio: ClassVar[float]
+    """Distance of rows over the pitch across them."""
+
+    stagger: ClassVar[int]
+    """Rows from one to the next that stands straight above it."""
+
+    lens_types: ClassVar[int]
+    """Types of lenses that a multi-focus array interleaves so that no two neighbours are alike; 1: there are none."""
+
+    rectangular: ClassVar[bool]
+    """Whether cells are rectangles along the rows."""
+
+    unit_corners: ClassVar[tuple[tuple[float, float], ...]]
+    """Corners of a cell of pitch 1 from its centre, in the order of their angles."""
+
+    @staticmethod
+    @abc.abstractmethod
+    def unit_cell(u: Any, v: Any) -> tuple[Any, Any]:
+        """Find the cell that holds a point of the unit frame: its indices, whole numbers as floats."""
+
+    @staticmethod
+    @abc.abstractmethod
+    def unit_centre(i: Any, j: Any) -> tuple[Any, Any]:
+        """Return the centre of a cell in the unit frame."""
+
+    @staticmethod
+    @abc.abstractmethod
+    def in_cell(u: Any, v: Any, width: Any) -> Any:
+        """Whether a point at this offset from the centre is in a cell of equal pitches `width`."""
+
+    @staticmethod
+    @abc.abstractmethod
+    def point_in_cell(s: Any, t: Any, width: Any) -> tuple[Any, Any]:
+        """Map the unit square evenly to a cell of equal pitches `width`."""
+
     # -- sizes ---------------------------------------------------------------------------------------
+
+    @property
+    def aspect(self) -> Any:
+        """Pitch across the rows over that along them."""
+        along, across = self.pitches
+        return 1.0 if along is across else across / along
 
     @property
     def row_distance(self) -> Any:
         """Distance between rows of lenses."""
-        return self.pitch if self.kind == "square" else _ROW * self.pitch
+        return self.row_ratio * self.pitches[1]
+
+    @property
+    def basis(self) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+        """The two lattice vectors in the camera frame, steps of one in i and of one in j."""
+        (u0, v0), *steps = (self.unit_centre(i, j) for i, j in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))
+        first, second = (self.from_frame((u - u0) * self.pitches[0], (v - v0) * self.row_distance) for u, v in steps)
+        return first, second
+
+    @property
+    def nearest_distance(self) -> float:
+        """Distance of the closest two centres."""
+        first, second = np.array(self.basis)
+        return float(min(np.hypot(*step) for step in (first, second, second - first)))
+
+    @property
+    def grid_step(self) -> tuple[Any, Any]:
+        """Sides, in the lattice's frame, of the coarsest rectangular grid that all centres lie on."""
+        return self.pitches[0] / self.stagger, self.row_distance
+
+    def period(self, lens_types: int = 1) -> tuple[Any, Any]:
+        """Return the sides, in the lattice's frame, of a rectangle after which an array of so many types repeats."""
+        return self.pitches[0] * lens_types, self.row_distance * self.stagger
 
     @property
     def cell_area(self) -> Any:
         """Area of a cell."""
-        return self.pitch * self.row_distance
+        return self.pitches[0] * self.row_distance
+
+    @property
+    def cell_reach(self) -> float:
+        """Greatest distance of a point of a cell from its centre."""
+        return float(np.hypot(*self.cell_corners().T).max())
+
+    @property
+    def aperture_widths(self) -> tuple[Any, Any]:
+        """Diameter of a circular aperture, twice; width of another along the rows and across them."""
+        return APERTURES[self.aperture].widths(self)
 
     @property
     def aperture_width(self) -> Any:
-        """Diameter of a circular aperture, distance of opposite sides of another."""
-        return self.fill * self.pitch
-
-    @property
-    def lens_area(self) -> Any:
-        """Area of a lens's aperture."""
-        if self.aperture == "circle":
-            return math.pi / 4 * self.aperture_width**2
-        return self.cell_area * self.fill**2
+        """Diameter of a circular aperture; width of another, the greater one."""
+        along, across = self.aperture_widths
+        return along if self.pitches[0] is self.pitches[1] else maximum(along, across)
 
     @property
     def aperture_reach(self) -> Any:
         """Greatest distance of a point of the aperture from its centre."""
-        half = self.aperture_width / 2
-        if self.aperture == "circle":
-            return half
-        return half * (math.sqrt(2) if self.kind == "square" else 1 / _ROW)
+        return APERTURES[self.aperture].reach(self)
 
     @property
-    def basis(self) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
-        """The two lattice vectors, steps of one in i and of one in j."""
-        second = (0.0 * self.pitch, self.pitch) if self.kind == "square" else (self.pitch / 2, _ROW * self.pitch)
-        return self._to_camera(self.pitch, 0.0 * self.pitch), self._to_camera(*second)
+    def diffraction_width(self) -> float:
+        r"""Width w for which the first zero of an aperture's diffraction lies at :math:`\lambda / w`."""
+        return APERTURES[self.aperture].diffraction_width(self)
+
+    @property
+    def lens_area(self) -> Any:
+        """Area of a lens's aperture."""
+        return APERTURES[self.aperture].area(self)
+
+    # -- what it allows ------------------------------------------------------------------------------
+
+    @property
+    def fills(self) -> bool:
+        """Whether lenses fill their cells, without opaque gaps."""
+        return bool(self.lens_area == self.cell_area)
+
+    @property
+    def axis_aligned(self) -> bool:
+        """Whether cells are rectangles along x and y, by plain numbers: an index along x follows from x alone."""
+        return self.rectangular and self.stagger == 1 and is_zero(self.rotation)
+
+    @property
+    def separable(self) -> bool:
+        """Whether cells and apertures are products of one along x and one along y."""
+        return self.axis_aligned and APERTURES[self.aperture].product
 
     # -- cells ---------------------------------------------------------------------------------------
 
     def cell(self, x: Any, y: Any) -> tuple[Any, Any]:
         """Find the cell that holds a point: its indices, whole numbers as floats."""
-        u, v = self._to_lattice(x - self.offset[0], y - self.offset[1])
-        if self.kind == "square":
-            return _floor(u / self.pitch), _floor(v / self.pitch)
-        # The nearest centre is in the row below or the row above.
-        u, v = u / self.pitch, v / (_ROW * self.pitch)
-        low = _floor(v)
-        rows = (low, low + 1)
-        columns = [_floor(u - row / 2 + 0.5) for row in rows]
-        below, above = (
-            (u - column - row / 2) ** 2 + _ROW**2 * (v - row) ** 2 for column, row in zip(columns, rows, strict=True)
-        )
-        nearer = below <= above
-        return _select(nearer, columns[0], columns[1]), _select(nearer, rows[0], rows[1])
+        u, v = self.to_frame(x - self.offset[0], y - self.offset[1])
+        return self.unit_cell(u / self.pitches[0], v / self.row_distance)
 
     def centre(self, i: Any, j: Any) -> tuple[Any, Any]:
-        """Give the centre of a cell."""
-        if self.kind == "square":
-            x, y = self._to_camera((i + 0.5) * self.pitch, (j + 0.5) * self.pitch)
-        else:
-            x, y = self._to_camera((i + j / 2) * self.pitch, j * (_ROW * self.pitch))
+        """Return the centre of a cell."""
+        u, v = self.unit_centre(i, j)
+        x, y = self.from_frame(u * self.pitches[0], v * self.row_distance)
         return x + self.offset[0], y + self.offset[1]
 
-    @staticmethod
-    def lens_kind(i: Any, j: Any) -> Any:
-        """Which of three interleaved kinds a lens is, 0, 1 or 2: (i - j) mod 3; hexagonal neighbours differ."""
+    def axis_cell(self, coordinate: Any, axis: int) -> Any:
+        """Return the index along one axis (0: x, 1: y) of an `axis_aligned` lattice."""
+        return self.cell(coordinate, coordinate)[axis]
+
+    def axis_centre(self, index: Any, axis: int) -> Any:
+        """Return the coordinate of a centre along one axis (0: x, 1: y) of an `axis_aligned` lattice."""
+        return self.centre(index, index)[axis]
+
+    def lens_type(self, i: Any, j: Any) -> Any:
+        """Return which of the interleaved types a lens is, from 0: (i - j) modulo their number."""
         difference = i - j
-        return difference - LENS_KINDS * _floor((difference + 0.5) / LENS_KINDS)
+        return difference - self.lens_types * floor((difference + 0.5) / self.lens_types)
+
+    def cell_point(self, s: Any, t: Any, scale: Any = 1.0) -> tuple[Any, Any]:
+        """Map the unit square evenly to a cell, shrunk by `scale`; the result is an offset from the centre."""
+        u, v = self.point_in_cell(s, t, scale * self.pitches[0])
+        return self.from_frame(u, v * self.aspect)
 
     # -- apertures -----------------------------------------------------------------------------------
 
     def in_aperture(self, dx: Any, dy: Any) -> Any:
         """Whether a point at this offset from its lens's centre is within the aperture."""
-        half = self.aperture_width / 2
-        if self.aperture == "circle":
-            return dx * dx + dy * dy <= half * half
-        u, v = self._to_lattice(dx, dy)
-        if self.kind == "square":
-            return (abs(u) <= half) & (abs(v) <= half)
-        return (abs(u) <= half) & (abs(0.5 * u + _ROW * v) <= half) & (abs(0.5 * u - _ROW * v) <= half)
+        return APERTURES[self.aperture].holds(self, dx, dy)
 
     def aperture_point(self, s: Any, t: Any) -> tuple[Any, Any]:
         """Map the unit square evenly to the aperture; the result is an offset from the centre."""
-        if self.aperture == "circle":
-            module = _module(s)
-            radius = module.sqrt(s) * (self.aperture_width / 2)
-            return radius * module.cos(2 * math.pi * t), radius * module.sin(2 * math.pi * t)
-        return self.cell_point(s, t, self.fill)
-
-    def cell_point(self, s: Any, t: Any, scale: Any = 1.0) -> tuple[Any, Any]:
-        """Map the unit square evenly to a cell, shrunk by `scale`; the result is an offset from the centre."""
-        width = scale * self.pitch
-        if self.kind == "square":
-            return self._to_camera((s - 0.5) * width, (t - 0.5) * width)
-        # A hexagon is three rhombi about its centre; this is the upper left one, spanned by two of the corners.
-        third = _floor(s * 3)
-        s = s * 3 - third
-        u, v = -0.5 * t * width, (s - 0.5 * t) * (width / (2 * _ROW))
-        cosine = _select(third == 0, 1.0, -0.5)
-        sine = _select(third == 0, 0.0, _select(third == 1, _ROW, -_ROW))
-        return self._to_camera(cosine * u - sine * v, sine * u + cosine * v)
-
-    # -- one axis at a time --------------------------------------------------------------------------
-
-    @property
-    def separable(self) -> bool:
-        """Whether cells are the same along each axis for itself: an upright square lattice of plain numbers."""
-        return self.kind == "square" and _is_zero(self.rotation)
-
-    def axis_cell(self, coordinate: Any, axis: int) -> Any:
-        """Index along one axis (0: x, 1: y) of a separable lattice."""
-        return _floor((coordinate - self.offset[axis]) / self.pitch)
-
-    def axis_centre(self, index: Any, axis: int) -> Any:
-        """Coordinate of a centre along one axis (0: x, 1: y) of a separable lattice."""
-        return (index + 0.5) * self.pitch + self.offset[axis]
-
-    # -- sets of lenses, for lattices of plain numbers -----------------------------------------------
-
-    def cell_corners(self) -> np.ndarray:
-        """Corners of a cell from its centre, in the order of their angles.
-
-        Returns
-        -------
-        (4 or 6, 2) array
-        """
-        corners = 4 if self.kind == "square" else 6
-        angle = 2 * math.pi * (np.arange(corners) + 0.5) / corners
-        radius = self.pitch / (2 * math.cos(math.pi / corners))
-        return np.stack(self._to_camera(radius * np.cos(angle), radius * np.sin(angle)), axis=-1)
+        return APERTURES[self.aperture].point(self, s, t)
 
     def aperture_image(self, step: float, scale: float) -> np.ndarray:
-        """Draw an aperture, enlarged by `scale`, into samples of width `step`: their shares of its area.
+        """Draw an aperture, enlarged by `scale`, into samples of width `step`: the fractions of its area in each.
 
         Returns
         -------
         (size, size) float64 array
             Of odd size, the lens's centre in the middle; the sum is 1.
         """
-        if scale * self.aperture_width < 2 * step / _POINTS:
-            # too small to be drawn
+        if scale * min(self.aperture_widths) < 2 * step / _POINTS:
+            # Too small to be drawn.
             return np.ones((1, 1))
         half = math.ceil(scale * self.aperture_reach / step)
         require_memory(30.0 * (_POINTS * (2 * half + 1.0)) ** 2, f"aperture of {2 * half + 1:.3g} samples across")
@@ -220,30 +246,53 @@ class Lattice:
         counts = inside.reshape(2 * half + 1, _POINTS, 2 * half + 1, _POINTS).sum(axis=(1, 3), dtype=np.float64)
         return counts / counts.sum()
 
-    def neighbours(self, reach: float, scale: float = 1.0) -> np.ndarray:
-        """Find the lenses whose centre is within `reach` of some point of a cell, itself enlarged by `scale`.
+    # -- sets of lenses, for lattices of plain numbers -----------------------------------------------
+
+    def cell_corners(self) -> np.ndarray:
+        """Return the corners of a cell from its centre, in the order of their angles.
+
+        Returns
+        -------
+        (corners, 2) array
+        """
+        u, v = np.array(self.unit_corners).T
+        return np.stack(self.from_frame(u * self.pitches[0], v * self.pitches[1]), axis=-1)
+
+    def neighbours(self, reach: float, smear: float = 0.0) -> np.ndarray:
+        """Find the lenses whose aperture, enlarged by `smear`, comes within `reach` of some point of a cell.
+
+        Parameters
+        ----------
+        reach : float
+            Distance.
+        smear : float
+            Scale of the apertures; 0 leaves their centres.
 
         Returns
         -------
         (lenses, 2) int array
             Steps in i and j from the cell's own lens, which is the first; then by distance.
         """
+        added, scale = APERTURES[self.aperture].added(self, smear)
+        reach += added
         corners = scale * self.cell_corners()
         edges = np.roll(corners, -1, axis=0) - corners
-        span = math.ceil((reach + np.hypot(*corners[0])) / (_ROW * self.pitch))
+        basis = np.array(self.basis)
+        # Lines of the lattice are at least an area over a vector apart.
+        span = math.ceil((reach + scale * self.cell_reach) * np.hypot(*basis.T).max() / self.cell_area)
         steps = np.arange(-span, span + 1)
         index = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
-        place = index @ np.array(self.basis)
+        place = index @ basis
         # Distance from each of the cell's sides.
         to_corner = place[:, None] - corners
         along = np.clip((to_corner * edges).sum(-1) / (edges**2).sum(-1), 0, 1)
         distance = np.hypot(*np.moveaxis(to_corner - along[..., None] * edges, -1, 0)).min(1)
         # Centres inside an enlarged cell are to the left of all its sides.
-        turn = edges[:, 0] * to_corner[..., 1] - edges[:, 1] * to_corner[..., 0]
-        distance[(turn >= 0).all(1)] = 0
+        side = edges[:, 0] * to_corner[..., 1] - edges[:, 1] * to_corner[..., 0]
+        distance[(side >= 0).all(1)] = 0
         kept = distance <= reach
         index, place = index[kept], place[kept]
-        return index[np.lexsort((index[:, 0], index[:, 1], np.round(np.hypot(*place.T) / self.pitch, 6)))]
+        return index[np.lexsort((index[:, 0], index[:, 1], np.round(np.hypot(*place.T) / self.pitches[0], 6)))]
 
     def lenses_within(self, low: tuple[float, float], high: tuple[float, float]) -> np.ndarray:
         """Find the lenses whose centre lies in the rectangle from `low` to `high`.
@@ -266,38 +315,27 @@ class Lattice:
 
     # -- frames --------------------------------------------------------------------------------------
 
-    def _to_lattice(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def to_frame(self, x: Any, y: Any) -> tuple[Any, Any]:
         """Turn a vector of the camera frame into one of the lattice's frame."""
         return turn(x, y, -self.rotation)
 
-    def _to_camera(self, u: Any, v: Any) -> tuple[Any, Any]:
+    def from_frame(self, u: Any, v: Any) -> tuple[Any, Any]:
         """Turn a vector of the lattice's frame into one of the camera frame."""
         return turn(u, v, self.rotation)
 
 
-def turn(x: Any, y: Any, degrees: Any) -> tuple[Any, Any]:
-    """Turn places counter-clockwise about the axis; floats, NumPy arrays or Dr.Jit arrays."""
-    if _is_zero(degrees):
-        return x, y
-    angle = degrees * (math.pi / 180)
-    # a number of NumPy would turn Dr.Jit's arrays into its own
-    module = dr if dr.is_array_v(angle) else math
-    cosine, sine = module.cos(angle), module.sin(angle)
-    return cosine * x - sine * y, sine * x + cosine * y
+LATTICES: dict[str, type[Lattice]] = {}
+"""Lattices by name, as they were registered."""
 
 
-def _is_zero(value: Any) -> bool:
-    """Whether a number is plain and zero, so that what it multiplies can be left out."""
-    return isinstance(value, (int, float)) and value == 0
+def register(kind: type[Lattice]) -> type[Lattice]:
+    """Register a lattice under its name; a decorator of its class."""
+    LATTICES[kind.name] = kind
+    return kind
 
 
-def _module(value: Any) -> Any:
-    return dr if dr.is_array_v(value) else np
-
-
-def _floor(value: Any) -> Any:
-    return _module(value).floor(value)
-
-
-def _select(condition: Any, yes: Any, no: Any) -> Any:
-    return dr.select(condition, yes, no) if dr.is_array_v(condition) else np.where(condition, yes, no)
+def regular_corners(sides: int) -> tuple[tuple[float, float], ...]:
+    """Return the corners of a regular polygon whose opposite sides are 1 apart, the first of them along +x."""
+    radius = 1 / (2 * math.cos(math.pi / sides))
+    angles = [2 * math.pi * (corner + 0.5) / sides for corner in range(sides)]
+    return tuple((radius * math.cos(angle), radius * math.sin(angle)) for angle in angles)

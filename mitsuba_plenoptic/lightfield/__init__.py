@@ -6,7 +6,7 @@ A light field is an `xarray.DataArray`; `geometry` says what its axes mean.
 from .decode import decode
 from .depth import depth_map
 from .fourier import FourierRefocuser
-from .geometry import camera_of, depth_range, disparity, distance_of
+from .geometry import camera_of, depth_range, disparity, distance_of, grid_of
 from .grid import LensGrid, lens_grid
 from .grid_estimation import estimate_lens_grid
 from .refocus import focal_stack, refocus, shift_and_add
@@ -25,6 +25,7 @@ __all__ = [
     "epipolar_image",
     "estimate_lens_grid",
     "focal_stack",
+    "grid_of",
     "lens_grid",
     "lens_mosaic",
     "pick_views",

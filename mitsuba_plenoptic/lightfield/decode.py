@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy.sparse
+import scipy
 import xarray as xr
 
 from ..camera import PlenopticCamera
@@ -51,7 +51,7 @@ def decode(
     -------
     xarray.DataArray
         Dimensions ``v, u, t, s[, c]``, see `mitsuba_plenoptic.lightfield.geometry`. Values are radiance in units of
-        the capture, 0 where the coordinate `weight` (share of the sample that sees through the pupil) is 0.
+        the capture, 0 where the coordinate `weight` (the fraction of the sample that sees through the pupil) is 0.
 
     Raises
     ------
@@ -89,13 +89,13 @@ def decode(
     resampling = None if lenses == bins else _between_lenses(lenses, bins)
 
     light = _sample(image, lenses, half, resampling, bins)
-    share = _sample(reference, lenses, half, resampling, bins)[..., 0]
+    fraction = _sample(reference, lenses, half, resampling, bins)[..., 0]
     if camera is None:
-        share /= _brightness(share[half, half])
-    share[(share < MINIMUM_WEIGHT) | ~alone[:, :, None, None]] = 0
-    np.divide(light, share[..., None], out=light, where=share[..., None] > 0)
-    light[share == 0] = 0
-    return light_field(light if light.shape[-1] == 3 else light[..., 0], np.minimum(share, 1), camera, bins, lenses)
+        fraction /= _brightness(fraction[half, half])
+    fraction[(fraction < MINIMUM_WEIGHT) | ~alone[:, :, None, None]] = 0
+    np.divide(light, fraction[..., None], out=light, where=fraction[..., None] > 0)
+    light[fraction == 0] = 0
+    return light_field(light if light.shape[-1] == 3 else light[..., 0], np.minimum(fraction, 1), camera, bins, lenses)
 
 
 def _require_memory(image: np.ndarray, bins: LensGrid, lenses: LensGrid, half: int) -> None:
@@ -150,7 +150,7 @@ def _window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.n
 
 
 def _upright(lenses: LensGrid) -> LensGrid:
-    """Give a square upright grid of the same density that fills what the lenses cover."""
+    """Return a square upright grid of the same density that fills what the lenses cover."""
     pitch = lenses.pitch
     low, high = (edge(lenses.centres().reshape(-1, 2), axis=0) for edge in (np.min, np.max))
     if lenses.rotation == 0 and lenses.shifted_rows is None and lenses.spacing[0] == lenses.spacing[1]:

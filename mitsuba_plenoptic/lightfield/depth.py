@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import scipy.ndimage
+import scipy
 import xarray as xr
 
 from ..errors import InputError, require_count, require_number
@@ -16,7 +16,7 @@ from .refocus import channel_planes, shift_and_add, shifted
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window.
 _WINDOW = 1.0
 
-# The variance over half of the pupil counts so many times: half a baseline tells wrong depths less well.
+# The variance over half of the pupil counts so many times: with half a baseline wrong depths stand out less.
 _HALF = 2.0
 
 # Samples that see at least this much of the pupil take part. The others see it nearer to its middle than their
@@ -139,10 +139,10 @@ def view_variance(lf: xr.DataArray, slope: float) -> np.ndarray:
         sums = np.zeros((2, 2, 3, *lf.shape[2:4]), dtype=np.float64)
         for row, row_weight, down in zip(plane, weight, v, strict=True):
             moved, moved_weight = shifted(row, down * slope, axis=1), shifted(row_weight, down * slope, axis=1)
-            for view, share, across in zip(moved, moved_weight, u, strict=True):
-                if not share.any():
+            for view, view_weight, across in zip(moved, moved_weight, u, strict=True):
+                if not view_weight.any():
                     continue
-                value, part = shifted(view, across * slope, axis=1), shifted(share, across * slope, axis=1)
+                value, part = shifted(view, across * slope, axis=1), shifted(view_weight, across * slope, axis=1)
                 moments = np.stack([part, part * value, part * value * value])
                 # A view on a dividing line belongs to both of its sides by half.
                 for j, vertical in enumerate(_sides(down)):
@@ -157,7 +157,7 @@ def view_variance(lf: xr.DataArray, slope: float) -> np.ndarray:
 
 
 def _sides(step: float) -> tuple[float, float]:
-    """Share of a view that lies on the low and on the high side of the pupil's middle."""
+    """Return the fraction of a view that lies on the low and on the high side of the pupil's middle."""
     high = float(np.clip(step + 0.5, 0, 1))
     return 1 - high, high
 

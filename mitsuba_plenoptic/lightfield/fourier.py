@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy.fft
+import scipy
 import xarray as xr
 
 from ..errors import InputError, require_number
 from ..runtime.limits import require_memory
 from .geometry import require_light_field, view_steps
+from .views import as_view
 
 # Gridding kernel: a Kaiser-Bessel window this many samples wide on a grid with twice as many samples as views.
 _WIDTH = 6
@@ -55,7 +56,7 @@ class FourierRefocuser:
         size = self._grid[0] * self._grid[1] * self._field[0] * (self._field[1] // 2 + 1) * (3 if lf.ndim == 5 else 1)
         # The spectrum before and after its last transform.
         require_memory(16.0 * size, f"spectrum of a light field of shape {lf.shape}", lambda _: "method 'shift'")
-        # Views count by their mean share of the pupil.
+        # Views count by the mean fraction of the pupil that they see.
         weight = np.asarray(lf["weight"].values).mean(axis=(2, 3))
         weight = weight / max(weight.sum(), np.finfo(np.float32).tiny)
         values = np.asarray(lf.values) if lf.ndim == 5 else np.asarray(lf.values)[..., None]
@@ -69,14 +70,14 @@ class FourierRefocuser:
         after = [total - before - size for total, size in zip(self._field, values.shape[2:], strict=True)]
         prepared = np.pad(prepared, ((0, 0), (0, 0), (before, after[0]), (before, after[1])), mode="edge")
         spectrum = scipy.fft.rfft2(prepared, axes=(2, 3))
-        # The middle view goes to index 0, so that phases turn slowly.
+        # The middle view goes to index 0, so that phases vary slowly.
         padded = np.zeros((*self._grid, *spectrum.shape[2:]), dtype=np.complex64)
         rows, columns = ((np.arange(n) - n // 2) % m for n, m in zip(weight.shape, self._grid, strict=True))
         padded[np.ix_(rows, columns)] = spectrum
         return scipy.fft.fft2(padded, axes=(0, 1), overwrite_x=True)
 
     def refocus(self, disparity: float) -> xr.DataArray:
-        """Give the photograph refocused to a disparity.
+        """Return the photograph refocused to a disparity.
 
         Parameters
         ----------
@@ -115,15 +116,11 @@ class FourierRefocuser:
             image = scipy.fft.irfft2(slice_ * phase, s=self._field)
             height, width = self._lf.shape[2:4]
             images.append(image[self._margin : self._margin + height, self._margin : self._margin + width])
-        image = np.stack(images, axis=-1) if self._lf.ndim == 5 else images[0]
-        dims = ("t", "s", "c")[: image.ndim]
-        return xr.DataArray(
-            image, dims=dims, coords={dim: self._lf[dim] for dim in dims}, name="radiance", attrs=self._lf.attrs
-        )
+        return as_view(self._lf, np.stack(images, axis=-1) if self._lf.ndim == 5 else images[0])
 
 
 def _neighbours(frequency: np.ndarray, grid: int) -> tuple[np.ndarray, np.ndarray]:
-    """Give the grid samples about each frequency (in cycles per sample), and their weights, (frequencies, width)."""
+    """Return the grid samples about each frequency (in cycles per sample), and their weights, (frequencies, width)."""
     place = frequency * grid
     first = np.ceil(place - _WIDTH / 2).astype(np.int64)
     index = first[:, None] + np.arange(_WIDTH)
@@ -134,6 +131,6 @@ def _neighbours(frequency: np.ndarray, grid: int) -> tuple[np.ndarray, np.ndarra
 def _kernel_transform(position: np.ndarray, grid: int) -> np.ndarray:
     """Fourier transform of the kernel at sample positions: what interpolation with it multiplies them by."""
     square = np.asarray(_BETA**2 - (math.pi * _WIDTH * position / grid) ** 2)
-    # The window's transform turns from sinh to sin beyond its main lobe, which positions of views never reach.
+    # The window's transform changes from sinh to sin beyond its main lobe, which positions of views never reach.
     root = np.sqrt(square)
     return _WIDTH * np.sinh(root) / (root * np.i0(_BETA))

@@ -15,6 +15,7 @@ on zero and rising with the index.
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import asdict
 from typing import Any
@@ -22,10 +23,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from ..camera import PlenopticCamera, image_distance
-from ..errors import InputError, require_number
+from ..camera import PlenopticCamera
+from ..errors import InputError, require_number, shown
 from ..io.captures import require_pixels
 from ..optics import rays
+from ..thin_lens import image_distance
 from .grid import LensGrid
 
 DIMS = ("v", "u", "t", "s")
@@ -46,7 +48,7 @@ def light_field(
     values : (v, u, t, s[, 3]) float32 array
         Radiance; 0 where `weight` is 0.
     weight : (v, u, t, s) float32 array
-        Share of the sample that sees through the pupil, 0 to 1.
+        Fraction of the sample that sees through the pupil, 0 to 1.
     camera : PlenopticCamera, optional
         The camera, for physical coordinates.
     bins : LensGrid, optional
@@ -57,8 +59,9 @@ def light_field(
     Returns
     -------
     xarray.DataArray
-        With the coordinate `weight`, and in `attrs` the parameters of the camera under ``camera`` and of the
-        micro-images under ``grid``, both None where unknown.
+        With the coordinate `weight`, and in `attrs` the camera under ``camera`` and the grid of the micro-images under
+        ``grid``, as JSON texts that every file format keeps; without them where they are unknown. `camera_of` and
+        `grid_of` read them.
 
     Raises
     ------
@@ -91,16 +94,12 @@ def light_field(
     if values.ndim == 5:
         dims = (*DIMS, "c")
         coordinates["c"] = ("c", list(CHANNELS))
-    return xr.DataArray(
-        values,
-        dims=dims,
-        coords=coordinates,
-        name="radiance",
-        attrs={
-            "camera": None if camera is None else camera.to_dict(),
-            "grid": None if lenses is None else asdict(lenses),
-        },
-    )
+    attributes = {}
+    if camera is not None:
+        attributes["camera"] = json.dumps(camera.to_dict())
+    if lenses is not None:
+        attributes["grid"] = json.dumps(asdict(lenses))
+    return xr.DataArray(values, dims=dims, coords=coordinates, name="radiance", attrs=attributes)
 
 
 def _object_coordinate(c: np.ndarray, camera: PlenopticCamera, axis: str) -> tuple[np.ndarray, dict[str, str]]:
@@ -115,17 +114,29 @@ def _object_coordinate(c: np.ndarray, camera: PlenopticCamera, axis: str) -> tup
 
 
 def camera_of(lf: xr.DataArray) -> PlenopticCamera:
-    """Give the camera of a light field.
+    """Return the camera of a light field.
 
     Raises
     ------
     InputError
         If it has none.
     """
-    values = lf.attrs.get("camera")
-    if values is None:
+    if not lf.attrs.get("camera"):
         raise InputError("light field: it has no camera, so distances in millimetres mean nothing; give a disparity")
-    return PlenopticCamera.from_dict(dict(values))
+    return PlenopticCamera.from_dict(_record(lf, "camera"))
+
+
+def grid_of(lf: xr.DataArray) -> LensGrid | None:
+    """Return the grid of the micro-images that a light field was decoded from, None where it is unknown."""
+    return LensGrid(**_record(lf, "grid")) if lf.attrs.get("grid") else None
+
+
+def _record(lf: xr.DataArray, name: str) -> dict[str, Any]:
+    """Return what an attribute holds as JSON."""
+    try:
+        return dict(json.loads(lf.attrs[name]))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"light field: its attribute {name} = {shown(lf.attrs[name])} is no JSON: {error}") from None
 
 
 def require_light_field(lf: Any) -> xr.DataArray:
@@ -149,7 +160,7 @@ def require_light_field(lf: Any) -> xr.DataArray:
 
 
 def view_steps(lf: xr.DataArray, axis: str) -> np.ndarray:
-    """Give the place of each view along ``u`` or ``v`` in views from the pupil's centre, rising with the index."""
+    """Return the place of each view along ``u`` or ``v`` in views from the pupil's centre, rising with the index."""
     coordinate = np.asarray(lf[axis].values, dtype=np.float64)
     return -coordinate / camera_of(lf).pupil_step if lf.attrs.get("camera") else coordinate
 

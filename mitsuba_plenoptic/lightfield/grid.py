@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..camera import MOST_PIXELS, PlenopticCamera
+from ..bounds import MOST_PIXELS
+from ..camera import PlenopticCamera
 from ..errors import InputError, require_count, require_number, require_pair
 from ..optics import rays
 from ..runtime.limits import require_memory
@@ -146,11 +147,11 @@ def lens_grid(camera: PlenopticCamera) -> LensGrid:
         If no micro-image is centred in the recorded window.
     """
     lattice = camera.lattice
-    if lattice.separable and lattice.offset == (0, 0):
+    if lattice.axis_aligned and lattice.aspect == 1 and lattice.offset == (0, 0):
         return bin_grid(camera)
     if not len(micro_image_centres(camera, 0)):
         raise InputError(f"crop_size = {camera.crop_size}: no micro-image is centred in the recorded window")
-    scale = camera.micro_image_pitch / camera.mla_pitch / camera.pixel_size
+    scale = rays.chief_detector_point(1 / camera.pixel_size, camera.mla_distance, camera.detector_distance)
     vectors, shifted = lattice_rows(np.array(lattice.basis) * scale)
     x, y = lattice.centre(0.0, 0.0)
     return covering_grid(camera.shape, np.array([_pixel(camera, x, 0), _pixel(camera, y, 1)]), vectors, shifted)
@@ -176,7 +177,7 @@ def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:
     return centres[((centres >= -margin) & (centres <= np.array(camera.crop_size) + margin)).all(1)]
 
 
-def lens_kinds(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
+def lens_types(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
     """Tell the kind of the lens of each micro-image: the index of its focal length.
 
     Parameters
@@ -195,16 +196,22 @@ def lens_kinds(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
     p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
     chief = rays.chief_point(p, camera.mla_distance, camera.detector_distance)
     i, j = camera.lattice.cell(chief[..., 0], chief[..., 1])
-    return camera.lattice.lens_kind(i, j).astype(np.int64)
+    return camera.lattice.lens_type(i, j).astype(np.int64)
 
 
-def lattice_rows(vectors: np.ndarray) -> tuple[np.ndarray, bool]:
+def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9) -> tuple[np.ndarray, bool]:
     """Turn two lattice vectors into the steps along and across the rows, rows nearest to level.
+
+    Rows and what stands across them are at right angles: of the shortest two vectors a and b of a rectangular lattice
+    these are, and of a hexagonal one, stretched or not, a diagonal of the rhombus of a and b or a itself is a row of
+    which every second is shifted. Of a hexagonal lattice that is not stretched all three ways are the same.
 
     Parameters
     ----------
     vectors : (2, 2) array
         Two vectors, in its rows, that span the lattice.
+    tolerance : float
+        Error of an angle in radians, within which it counts as right.
 
     Returns
     -------
@@ -213,32 +220,37 @@ def lattice_rows(vectors: np.ndarray) -> tuple[np.ndarray, bool]:
     shifted : bool
         Whether every second row is shifted by half a step.
     """
+    a, b = reduced(vectors)
+    # Step along a row, and twice that from row to row; of a rectangular lattice, steps of one.
+    crossings = [(a, b), (a + b, a - b), (a, 2 * b + a), (b, 2 * a + b)]
+    errors = [abs(p @ q) / (math.hypot(*p) * math.hypot(*q)) for p, q in crossings]
+    best = min(errors)
+    shifted = errors[0] > best + tolerance
+    found = [
+        (along, across)
+        for pair, error in zip(crossings[1:], errors[1:], strict=True)
+        if error <= best + tolerance
+        for along, across in (pair, pair[::-1])
+    ]
+    if not shifted:
+        found = [(a, b), (b, a)]
+    along, across = min(found, key=lambda pair: abs(pair[0][1]) / math.hypot(*pair[0]))
+    unit = along / math.hypot(*along) * (1 if along[0] > 0 else -1)
+    normal = np.array([-unit[1], unit[0]])
+    return np.array([unit * math.hypot(*along), normal * (math.hypot(*across) / (2 if shifted else 1))]), shifted
+
+
+def reduced(vectors: np.ndarray) -> np.ndarray:
+    """Return the two shortest vectors of the lattice that two span, at no less than a right angle (Lagrange)."""
     a, b = vectors
-    # Lagrange's reduction to the two shortest vectors.
     while True:
         if a @ a > b @ b:
             a, b = b, a
-        # Of a hexagonal lattice the share is a half, but for rounding, and either of two vectors will do.
-        share = (a @ b) / (a @ a)
-        if abs(share) <= 0.5 + 1e-9:
-            break
-        b = b - round(share) * a
-    shifted = abs(a @ b) > 0.25 * (a @ a)
-    if shifted:
-        # Of the six directions of symmetry of a hexagonal lattice those 60 degrees apart go from lens to lens.
-        b = b if a @ b < 0 else -b
-        short = [a, b, a + b]
-        long = [a - b, a + 2 * b, 2 * a + b]
-        along = min(short + long, key=lambda d: abs(d[1]) / math.hypot(*d))
-        pitch = math.sqrt(sum(d @ d for d in short) / 3)
-        is_short = along @ along < 2 * pitch**2
-        sizes = (pitch, math.sqrt(0.75) * pitch) if is_short else (math.sqrt(3) * pitch, pitch / 2)
-    else:
-        along = min((a, b), key=lambda d: abs(d[1]) / math.hypot(*d))
-        other = b if along is a else a
-        sizes = (math.hypot(*along), math.hypot(*other))
-    unit = along / math.hypot(*along) * (1 if along[0] > 0 else -1)
-    return np.array([unit * sizes[0], np.array([-unit[1], unit[0]]) * sizes[1]]), shifted
+        # Of a hexagonal lattice the projection is a half, but for rounding, and either of two vectors will do.
+        projection = (a @ b) / (a @ a)
+        if abs(projection) <= 0.5 + 1e-9:
+            return np.array([a, b if projection <= 0 else -b])
+        b = b - round(projection) * a
 
 
 def covering_grid(shape: tuple[int, ...], origin: np.ndarray, vectors: np.ndarray, shifted: bool) -> LensGrid:

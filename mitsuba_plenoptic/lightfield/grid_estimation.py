@@ -9,12 +9,12 @@ import scipy.ndimage
 
 from ..errors import InputError
 from ..io.captures import as_array, require_pixels
-from .grid import LensGrid, covering_grid, lattice_rows
+from .grid import LensGrid, covering_grid, lattice_rows, reduced
 
 # Side of the middle part of the image whose spectrum gives the first guess.
 _CROP = 1024
 
-# Peaks of the spectrum lower than this share of the highest are not taken for the lattice's.
+# Peaks of the spectrum lower than this fraction of the highest are not taken for the lattice's.
 _PEAK = 0.2
 
 # A lattice's highest peak stands out from the median of the spectrum by far more than that of noise, about 5.
@@ -24,15 +24,19 @@ _CONTRAST = 20
 _FIRST_REACH = 4
 _REPEATS = 12
 
+# Ways to lay rows through the lattice count as the same if they part by no more of a lens at the image's corners.
+_SAME = 0.02
+
 # Micro-images measured at once.
 _BLOCK = 2048
 
 
 def estimate_lens_grid(white: np.ndarray) -> LensGrid:
-    """Find pitch, rotation and offset of a square, rectangular or hexagonal microlens array from a white image.
+    """Find pitches, rotation and offset of a square, rectangular or hexagonal microlens array from a white image.
 
     The spectrum of the image's middle gives the lattice to a fraction of a pixel per lens. From there the centroids
-    of the micro-images are fitted by least squares, first about the middle, then further and further out. After
+    of the micro-images are fitted by least squares, first about the middle, then further and further out. A hexagonal
+    array may be stretched. After
     D. G. Dansereau, O. Pizarro and S. B. Williams, "Decoding, calibration and rectification for lenslet-based
     plenoptic cameras" (2013), who fit a grid to the local maxima.
 
@@ -60,9 +64,7 @@ def estimate_lens_grid(white: np.ndarray) -> LensGrid:
     if image.ndim == 3:
         image = image.mean(axis=2)
     vectors, origin = _guess(image)
-    vectors, shifted = lattice_rows(vectors)
-    origin, vectors = _fit(image, origin, vectors, shifted)
-    return covering_grid(image.shape, origin, vectors, shifted)
+    return covering_grid(image.shape, *_fit(image, origin, reduced(vectors)))
 
 
 def _guess(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -116,26 +118,26 @@ def _refined(spectrum: np.ndarray, place: np.ndarray) -> np.ndarray:
     return result
 
 
-def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray, shifted: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Fit the lattice to the micro-images' centroids, about the middle first and then everywhere."""
+def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Fit the lattice to the micro-images' centroids, about the middle first and then everywhere.
+
+    Returns
+    -------
+    origin, vectors, shifted
+        One centre, and the rows as `lattice_rows` gives them.
+    """
     size = np.array(image.shape[::-1])
+    radius = min(math.hypot(*step) for step in (*vectors, vectors.sum(0))) / 2
     reach = _FIRST_REACH
-    whole = math.ceil(math.hypot(*size) / min(math.hypot(*step) for step in vectors))
+    whole = math.ceil(math.hypot(*size) / (2 * radius))
     repeats = 0
     while repeats < _REPEATS:
-        row, column = (index.ravel() for index in np.mgrid[-reach : reach + 1, -reach : reach + 1])
-        along = column + (0.5 * (row % 2) if shifted else 0)
-        centres = origin + along[:, None] * vectors[0] + row[:, None] * vectors[1]
-        radius = (
-            0.5
-            * LensGrid(
-                (math.hypot(*vectors[0]), math.hypot(*vectors[1])), (0, 0), (1, 1), shifted_rows=1 if shifted else None
-            ).nearest_distance
-        )
+        index = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
+        centres = origin + index @ vectors
         inside = ((centres > radius + 1) & (centres < size - radius - 1)).all(1)
         if inside.sum() < 16:
             raise InputError(f"white of shape {image.shape}: at least 4 x 4 whole micro-images are needed")
-        along, row, centres = along[inside], row[inside], centres[inside]
+        index, centres = index[inside], centres[inside]
         blocks = np.array_split(centres, -(-len(centres) // _BLOCK))
         measured, light = (
             np.concatenate(parts) for parts in zip(*(_centroids(image, block, radius) for block in blocks), strict=True)
@@ -143,9 +145,9 @@ def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray, shifted: bo
         kept = light > 0.1 * np.median(light)
         moved = np.hypot(*(measured - centres).T)
         kept &= moved < 3 * np.median(moved[kept]) + 0.5
-        origin, new = _least_squares(along[kept], row[kept], measured[kept])
+        origin, *new = np.linalg.lstsq(np.column_stack([np.ones(kept.sum()), index[kept]]), measured[kept])[0]
         change = np.abs(new - vectors).max() * reach
-        vectors = new
+        vectors = np.array(new)
         if reach < whole:
             reach = min(2 * reach, whole)
         else:
@@ -154,7 +156,9 @@ def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray, shifted: bo
                 break
     if np.median(moved[kept]) > 0.2 * radius:
         raise InputError("white: no regular lattice of micro-images is seen in it")
-    return origin, vectors
+    rows, shifted = lattice_rows(vectors, _SAME / whole)
+    steps = np.round(np.linalg.solve(rows.T, (index[kept] @ vectors).T).T * 2) / 2
+    return *_rows_at_right_angles(steps, measured[kept]), shifted
 
 
 def _centroids(image: np.ndarray, centres: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
@@ -175,12 +179,12 @@ def _centroids(image: np.ndarray, centres: np.ndarray, radius: float) -> tuple[n
     return centres + shift, light
 
 
-def _least_squares(along: np.ndarray, row: np.ndarray, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fit origin, rotation and both spacings, rows at right angles to columns."""
-    matrix = np.stack([np.ones_like(along), along, row], axis=1).astype(np.float64)
-    origin, first, second = np.linalg.lstsq(matrix, measured, rcond=None)[0]
+def _rows_at_right_angles(steps: np.ndarray, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Fit origin, rotation and both spacings to centres at so many steps along the rows and across them."""
+    matrix = np.column_stack([np.ones(len(steps)), steps])
+    origin, first, second = np.linalg.lstsq(matrix, measured)[0]
     # Both fitted steps tell the rotation, the longer lever arm better.
-    arms = np.array([(along**2).sum() * (first @ first), (row**2).sum() * (second @ second)])
+    arms = (steps**2).sum(0) * [first @ first, second @ second]
     angles = np.array([math.atan2(first[1], first[0]), math.atan2(-second[0], second[1])])
     angle = float(arms @ angles / arms.sum())
     unit = np.array([math.cos(angle), math.sin(angle)])

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from ..errors import InputError, require_number
+from ..errors import InputError, require_choice, require_number
 from ..runtime.limits import require_memory
 from .fourier import FourierRefocuser
 from .geometry import disparity as disparity_at
 from .geometry import require_light_field, view_steps
+from .views import as_view
 
 METHODS = ("shift", "fourier")
 
@@ -21,7 +21,8 @@ def shift_and_add(lf: xr.DataArray, disparity: float) -> xr.DataArray:
     """Refocus by moving every view against its parallax and averaging them.
 
     After R. Ng et al., "Light Field Photography with a Hand-held Plenoptic Camera" (2005), section 4. Views are
-    moved by linear interpolation and weighted by their share of the pupil, so that the borders do not darken.
+    moved by linear interpolation and weighted by the fraction of the pupil that they see, so that the borders do not
+    darken.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ def shift_and_add(lf: xr.DataArray, disparity: float) -> xr.DataArray:
     total, *light = (_gather(plane, v * disparity, u * disparity) for plane in planes)
     seen = total > 1e-6
     image = np.stack([np.where(seen, plane / np.where(seen, total, 1), 0) for plane in light], axis=-1)
-    return like_view(lf, image if "c" in lf.dims else image[..., 0], "radiance")
+    return as_view(lf, image if "c" in lf.dims else image[..., 0])
 
 
 def refocus(lf: xr.DataArray, distance: float, *, method: str = "shift") -> xr.DataArray:
@@ -109,8 +110,7 @@ def focal_stack(
     distances = [require_number("distance", value, finite=False) for value in distances]
     if not distances:
         raise InputError("distances = []: give at least one")
-    if method not in METHODS:
-        raise InputError(f"method = {method!r}: it must be one of {', '.join(METHODS)}")
+    require_choice("method", method, METHODS)
     disparities = [disparity_at(lf, value) for value in distances]
     refocus_at: Callable[[float], xr.DataArray]
     if method == "fourier":
@@ -140,14 +140,6 @@ def channel_planes(lf: xr.DataArray) -> Iterator[np.ndarray]:
         yield from (values[..., channel] for channel in range(values.shape[4]))
 
 
-def like_view(lf: xr.DataArray, image: np.ndarray, name: str, **attributes: Any) -> xr.DataArray:
-    """Label an image (t, s[, c]) with the coordinates of a light field's views."""
-    dims = ("t", "s", "c")[: image.ndim]
-    return xr.DataArray(
-        image, dims=dims, coords={dim: lf[dim] for dim in dims}, name=name, attrs={**lf.attrs, **attributes}
-    )
-
-
 def shifted(values: np.ndarray, shift: float, axis: int) -> np.ndarray:
     """Read an array at `shift` samples further along an axis, linearly; 0 comes in from outside."""
     result = np.zeros_like(values)
@@ -159,11 +151,11 @@ def _add_shifted(total: np.ndarray, values: np.ndarray, shift: float, axis: int)
     """Add what `shifted` reads."""
     whole, size, before = int(np.floor(shift)), values.shape[axis], (slice(None),) * axis
     part = np.float32(shift - whole)
-    for count, share in ((whole, 1 - part), (whole + 1, part)):
+    for count, factor in ((whole, 1 - part), (whole + 1, part)):
         kept = size - abs(count)
-        if kept > 0 and share > 0:
+        if kept > 0 and factor > 0:
             source = values[(*before, slice(max(count, 0), max(count, 0) + kept))]
-            total[(*before, slice(max(-count, 0), max(-count, 0) + kept))] += source if share == 1 else source * share
+            total[(*before, slice(max(-count, 0), max(-count, 0) + kept))] += source if factor == 1 else source * factor
 
 
 def _gather(values: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from ..errors import InputError, require_count, require_number
+from ..errors import require_choice, require_count, require_number
 from .geometry import require_light_field
 
 AXES = ("horizontal", "vertical")
 
 
 def view(lf: xr.DataArray, *, u: float = 0.0, v: float = 0.0) -> xr.DataArray:
-    """Give the sub-aperture view from nearest to a point of the pupil.
+    """Return the sub-aperture view nearest to a point of the pupil.
 
     Parameters
     ----------
@@ -28,6 +28,12 @@ def view(lf: xr.DataArray, *, u: float = 0.0, v: float = 0.0) -> xr.DataArray:
     """
     lf = require_light_field(lf)
     return lf.sel(u=require_number("u", u), v=require_number("v", v), method="nearest")
+
+
+def as_view(lf: xr.DataArray, image: np.ndarray) -> xr.DataArray:
+    """Label an image (t, s[, c]) with the coordinates and attributes of a light field's views."""
+    dims = ("t", "s", "c")[: image.ndim]
+    return xr.DataArray(image, dims=dims, coords={dim: lf[dim] for dim in dims}, name="radiance", attrs=lf.attrs)
 
 
 def pick_views(lf: xr.DataArray, count: int) -> xr.DataArray:
@@ -71,7 +77,7 @@ def lens_mosaic(lf: xr.DataArray) -> np.ndarray:
 def epipolar_image(
     lf: xr.DataArray, axis: str = "horizontal", *, at: float = 0.0, through: float = 0.0
 ) -> xr.DataArray:
-    """Give one line of the field from every view of one line of the pupil: a point of the scene draws a slanted line.
+    """Return one line of the field from every view of one line of the pupil: a point of the scene draws a slanted line.
 
     Parameters
     ----------
@@ -90,8 +96,7 @@ def epipolar_image(
         Dimensions u, s[, c], or v, t[, c].
     """
     lf = require_light_field(lf)
-    if axis not in AXES:
-        raise InputError(f"axis = {axis!r}: it must be one of {', '.join(AXES)}")
+    require_choice("axis", axis, AXES)
     field, pupil = ("t", "v") if axis == "horizontal" else ("s", "u")
     place = {field: require_number("at", at), pupil: require_number("through", through)}
     return lf.sel(place, method="nearest")

@@ -8,9 +8,9 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..optics.pupil import PupilShare
+from ..optics.pupil import PupilFraction
 from ..runtime.limits import require_memory
-from .grid import LensGrid, lens_kinds, micro_image_centres
+from .grid import LensGrid, lens_types, micro_image_centres
 
 # Micro-images drawn at once.
 _BLOCK = 128
@@ -22,7 +22,7 @@ _MOST_WORK = 3e10
 def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.ndarray:
     """Compute what a camera records of a scene of uniform radiance 1.
 
-    The value of a pixel is its `PupilShare`; where micro-images overlap, their light adds.
+    The value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     InputError
         If micro-images are so wide or so much out of focus that it would take an hour, or too much memory.
     """
-    kinds = [PupilShare(camera, kind) for kind in range(len(camera.mla_focal_lengths))]
+    kinds = [PupilFraction(camera, kind) for kind in range(len(camera.mla_focal_lengths))]
     half = math.ceil(max(share.reach for share in kinds) / camera.pupil_step)
     rows, columns = camera.shape
     require_memory(
@@ -66,7 +66,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
         # Pupil coordinates that each pixel sees through its lens's centre, but for their sign.
         x, y = ((base[:, axis, None] + window + 0.5 - row[:, axis, None]) * camera.pupil_step for axis in (0, 1))
         share = np.zeros((len(base), window.size, window.size), dtype=np.float32)
-        kind = lens_kinds(camera, row)
+        kind = lens_types(camera, row)
         for number, pupil in enumerate(kinds):
             share[kind == number] = pupil(x[kind == number, None, :], y[kind == number, :, None])
         down = base[:, 1, None, None] + window[:, None] + half

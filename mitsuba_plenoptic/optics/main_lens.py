@@ -18,6 +18,7 @@ import drjit as dr
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..thin_lens import vergence
 from . import rays
 from .phase import in_millimetres, parabola
 
@@ -107,7 +108,7 @@ class ThinLens:
 
     def vergence(self, distance: Any) -> Any:
         r"""Return :math:`1/g' = 1/f_1 - 1/g`; zero or negative where there is no real image."""
-        return 1 / self.focal_length - 1 / distance
+        return vergence(self.focal_length, distance)
 
     def trace(
         self, place: tuple[Any, Any], slope: tuple[Any, Any]

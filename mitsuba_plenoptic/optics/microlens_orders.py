@@ -22,8 +22,7 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-import scipy.fft
-import scipy.special
+import scipy
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
@@ -50,8 +49,8 @@ _PER_ORDER = 40
 """Samples of a period's table across one wave of its highest order, between which it is interpolated."""
 
 
-def axis_orders(camera: PlenopticCamera, wavelength: float, count: int) -> NDArray[np.complex128]:
-    """Return the amplitudes of the orders -count ... count along one axis; a corner of four cells lies at x = 0.
+def axis_orders(camera: PlenopticCamera, wavelength: float, count: int, axis: int) -> NDArray[np.complex128]:
+    """Return the amplitudes of the orders -count ... count along one axis, in which an edge of a cell lies at 0.
 
     Parameters
     ----------
@@ -61,12 +60,14 @@ def axis_orders(camera: PlenopticCamera, wavelength: float, count: int) -> NDArr
         Wavelength in nanometres.
     count : int
         Highest order.
+    axis : int
+        0: x, 1: y.
 
     Returns
     -------
     complex128 array (2 count + 1,)
     """
-    pitch, width = camera.mla_pitch, camera.lattice.aperture_width
+    pitch, width = camera.mla_pitches[axis], camera.lattice.aperture_widths[axis]
     area = in_millimetres(wavelength) * camera.mla_focal_length
     q = np.arange(-count, count + 1)
     shift = area * q / pitch
@@ -91,19 +92,23 @@ class AxisTransmission:
     """
 
     def __init__(self, camera: PlenopticCamera, wavelength: float, cosine: float) -> None:
-        count = int(cosine * camera.mla_pitch / in_millimetres(wavelength))
-        self._length = max(_TABLE_LENGTH, 2 ** math.ceil(math.log2(64 * max(count, 1))))
+        highest = cosine / in_millimetres(wavelength)
+        self._length = max(_TABLE_LENGTH, 2 ** math.ceil(math.log2(64 * max(highest * max(camera.mla_pitches), 1))))
+        self._pitches, self._offset = camera.mla_pitches, camera.mla_offset
+        self._words = [_words(self._table(camera, wavelength, highest, axis)) for axis in (0, 1)]
+
+    def _table(self, camera: PlenopticCamera, wavelength: float, highest: float, axis: int) -> NDArray[np.complex64]:
+        count = int(highest * camera.mla_pitches[axis])
         spectrum = np.zeros(self._length, np.complex128)
-        spectrum[np.arange(-count, count + 1)] = axis_orders(camera, wavelength, count)
+        spectrum[np.arange(-count, count + 1)] = axis_orders(camera, wavelength, count, axis)
         table = (np.fft.ifft(spectrum) * self._length).astype(np.complex64)
-        self._words = _words(np.append(table, table[0]))
-        self._pitch, self._offset = camera.mla_pitch, camera.mla_offset
+        return np.append(table, table[0])
 
     def along(self, coordinate: Any, axis: int) -> Any:
         """Return the factor along one axis (0: x, 1: y) at float64 coordinates of Dr.Jit, as Complex2f."""
-        node, part = _node(coordinate - self._offset[axis], self._pitch, self._length)
+        node, part = _node(coordinate - self._offset[axis], self._pitches[axis], self._length)
         types = array_types(coordinate)
-        low, high = (unpack(dr.gather(types.UInt64, self._words, node + step)) for step in (0, 1))
+        low, high = (unpack(dr.gather(types.UInt64, self._words[axis], node + step)) for step in (0, 1))
         return types.Complex2f(dr.lerp(low.real, high.real, part), dr.lerp(low.imag, high.imag, part))
 
 
@@ -119,7 +124,7 @@ def plane_orders(camera: PlenopticCamera, wavelength: float, cosine: float, fine
     cosine : float
         Largest direction cosine, relative to that of the incident light, that is kept.
     fine : int
-        Samples across a pitch of which they are made, at least.
+        Samples across the smaller pitch of which they are made, at least.
 
     Returns
     -------
@@ -131,16 +136,17 @@ def plane_orders(camera: PlenopticCamera, wavelength: float, cosine: float, fine
     InputError
         If they would take too much memory.
     """
-    sides = _period(camera)
+    sides = camera.lattice.period(len(camera.mla_focal_lengths))
     highest = cosine / in_millimetres(wavelength)
     counts = [int(highest * side) for side in sides[::-1]]
-    fine = max(fine, math.ceil(_PER_WAVE * highest * camera.mla_pitch))
+    pitch = min(camera.mla_pitches)
+    fine = max(fine, math.ceil(_PER_WAVE * highest * pitch))
     table = math.prod(side * highest * _PER_ORDER for side in sides)
     check_memory(
-        _FINE_BYTES * math.prod(side / camera.mla_pitch * fine for side in sides) + 16 * table,
+        _FINE_BYTES * math.prod(side / pitch * fine for side in sides) + 16 * table,
         f"microlens array of pitch {camera.mla_pitch:g} with {counts[1]} x {counts[0]} orders",
     )
-    shape = [fast_length(side / camera.mla_pitch * fine, 2) for side in sides[::-1]]
+    shape = [fast_length(side / pitch * fine, 2) for side in sides[::-1]]
     spectrum = scipy.fft.fft2(
         _period_samples(camera, wavelength, shape), norm="forward", overwrite_x=True, workers=worker_count()
     )
@@ -151,20 +157,15 @@ def plane_orders(camera: PlenopticCamera, wavelength: float, cosine: float, fine
     return (spectrum[np.ix_(*order)] * np.exp(-2j * math.pi * waves) * held).astype(np.complex64)
 
 
-def _period(camera: PlenopticCamera) -> tuple[float, float]:
-    """Return width and height of a rectangle, in the array's frame, after which its transmission repeats."""
-    width = camera.mla_pitch * len(camera.mla_focal_lengths)
-    return width, camera.lattice.row_distance * (1 if camera.mla_lattice == "square" else 2)
-
-
 def _period_samples(camera: PlenopticCamera, wavelength: float, shape: list[int]) -> Field:
     """Return the transmission at fine samples of one period, in the middles of equal rectangles."""
     types = array_module()
+    sides = camera.lattice.period(len(camera.mla_focal_lengths))
     index = dr.arange(types.UInt32, shape[0] * shape[1])
     _, row, column = split(types, index, *shape)
     x, y = (
         (types.Float64(place) + 0.5) * (side / count)
-        for place, side, count in zip((column, row), _period(camera), shape[::-1], strict=True)
+        for place, side, count in zip((column, row), sides, shape[::-1], strict=True)
     )
     packed = pack(transmission(camera.replace(mla_rotation=0.0, mla_offset=(0.0, 0.0)), wavelength, x, y))
     return np.asarray(backend_of(packed).to_host(as_field(packed, tuple(shape))))
@@ -191,7 +192,7 @@ class PlaneTransmission:
         spectrum[np.ix_(*(np.arange(-count, count + 1) for count in half))] = amplitudes
         table = scipy.fft.ifft2(spectrum, norm="forward", overwrite_x=True, workers=worker_count())
         self._words = _words(np.pad(table, ((0, 1), (0, 1)), mode="wrap"))
-        self._period = _period(camera)
+        self._period = camera.lattice.period(len(camera.mla_focal_lengths))
         self._rotation, self._offset = camera.mla_rotation, camera.mla_offset
 
     def at(self, x: Any, y: Any) -> Any:

@@ -25,8 +25,7 @@ _HARD_EDGES = 1.4
 
 def is_separable(camera: PlenopticCamera) -> bool:
     """Whether the transmission is a function of x times one of y."""
-    lattice = camera.lattice
-    return bool(lattice.separable) and lattice.aperture == "cell" and len(camera.mla_focal_lengths) == 1
+    return camera.lattice.separable and len(camera.mla_focal_lengths) == 1
 
 
 def upright(camera: PlenopticCamera) -> PlenopticCamera:
@@ -56,8 +55,8 @@ def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> 
     i, j = lattice.cell(x, y)
     cx, cy = lattice.centre(i, j)
     dx, dy = x - cx, y - cy
-    kind = types.UInt32(lattice.lens_kind(i, j)) if len(lengths) > 1 else types.UInt32(0)
-    focal_length = dr.gather(types.Float64, types.Float64(lengths), kind)
+    which = types.UInt32(lattice.lens_type(i, j)) if len(lengths) > 1 else types.UInt32(0)
+    focal_length = dr.gather(types.Float64, types.Float64(lengths), which)
     phase = phasor(parabola(dx * dx + dy * dy, focal_length, wavelength))
     return dr.select(lattice.in_aperture(dx, dy), phase, 0)
 
@@ -85,14 +84,13 @@ def transmission_along(
     lattice = camera.lattice
     offset = coordinate - lattice.axis_centre(lattice.axis_cell(coordinate, axis), axis)
     phase = phasor(parabola(offset * offset, camera.mla_focal_length, wavelength))
-    return phase if lattice.fill == 1 else np.where(np.abs(offset) <= lattice.aperture_width / 2, phase, 0)
+    return phase if lattice.fills else np.where(np.abs(offset) <= lattice.aperture_widths[axis] / 2, phase, 0)
 
 
 def bend(camera: PlenopticCamera) -> float:
     """Return the largest change of a direction cosine by a microlens, along an axis: :math:`D_2 / 2 f_2`."""
     lattice = camera.lattice
-    corner = lattice.aperture == "cell" and not lattice.separable
-    half = lattice.aperture_reach if corner else lattice.aperture_width / 2
+    half = lattice.aperture_width / 2 if lattice.separable else lattice.aperture_reach
     return float(half) / min(camera.mla_focal_lengths)
 
 
@@ -101,5 +99,4 @@ def scattering(camera: PlenopticCamera) -> float:
 
     The edges of opaque gaps scatter more than the joints of lenses.
     """
-    lattice = camera.lattice
-    return bend(camera) * (_HARD_EDGES if lattice.lens_area < lattice.cell_area else 1)
+    return bend(camera) * (1 if camera.lattice.fills else _HARD_EDGES)

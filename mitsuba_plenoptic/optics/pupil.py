@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy.signal
+import scipy
 
 from ..camera import PlenopticCamera
 from ..runtime.limits import require_memory
@@ -18,7 +18,7 @@ _WIDEST = 4096
 _POINTS = 8
 
 
-class PupilShare:
+class PupilFraction:
     r"""Share of the light that a pixel would get from an endless pupil that comes through the pupil there is.
 
     Seen through a point m of its lens, a pixel covers a square of the pupil plane of side :math:`\Delta p\, b/z`; its
@@ -39,7 +39,7 @@ class PupilShare:
     """
 
     def __init__(self, camera: PlenopticCamera, kind: int = 0) -> None:
-        smear = abs(camera.pupil_walk(camera.mla_focal_lengths[kind]))
+        smear = abs(camera.pupil_shift(camera.mla_focal_lengths[kind]))
         reach = camera.aperture_radius + smear * camera.lattice.aperture_reach + camera.pupil_step
         pixels = 2 * reach / camera.pupil_step
         samples = max(1, min(_SAMPLES, int(_WIDEST / pixels)))

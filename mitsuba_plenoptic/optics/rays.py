@@ -16,7 +16,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from ..camera import PlenopticCamera, defocus_factor
+from ..camera import PlenopticCamera
+from ..thin_lens import defocus_factor
 
 
 def chief_point(p: Any, mla_distance: Any, detector_distance: Any) -> Any:

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.fft
+import scipy
 from numpy.typing import NDArray
 
-from ..camera import SHORTEST, PlenopticCamera
+from ..bounds import SHORTEST
+from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..runtime.limits import memory_limit, require_memory
 from .main_lens import main_lens

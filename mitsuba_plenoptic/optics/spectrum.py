@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import require_wavelength
+from ..bounds import require_wavelength
 from ..errors import InputError
 
 

@@ -12,7 +12,8 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ..camera import PlenopticCamera, require_wavelength
+from ..bounds import require_wavelength
+from ..camera import PlenopticCamera
 from ..capture.accuracy import DEFAULT_ACCURACY, check_accuracy
 from ..capture.operator import METHODS, CaptureOperator
 from ..capture.radiators import Radiators, find_radiators, sample_pairs

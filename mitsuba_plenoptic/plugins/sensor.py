@@ -10,25 +10,27 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..design import crosstalk_neighbours
 from ..errors import InputError
-from ..lattice import Lattice
+from ..lattice import make_lattice
 from ..optics import rays
+from ..optics.main_lens import ThinLens
 from .properties import read_number, read_numbers, read_plain
 
 NAME = "plenoptic"
 
 # Positive numbers that can be changed and differentiated through `mi.traverse`, in the order of the documentation;
-# so can `mla_focal_length`, `mla_rotation` and `mla_offset`.
+# so can those of one value or several, `mla_rotation` and `mla_offset`.
 POSITIVE = (
     "focal_length",
     "aperture_radius",
     "mla_distance",
-    "mla_pitch",
     "mla_fill",
     "detector_distance",
     "detector_width",
 )
-NUMBERS = (*POSITIVE, "mla_focal_length", "mla_rotation", "mla_offset")
+SEVERAL = {"mla_focal_length": "mla_focal_lengths", "mla_pitch": "mla_pitches"}
+NUMBERS = (*POSITIVE, *SEVERAL, "mla_rotation", "mla_offset")
 WORDS = ("mla_lattice", "mla_aperture", "lens_model")
 
 _CROSSTALK_RAYS = 2**16
@@ -64,8 +66,9 @@ def make_class() -> type:
              of lenses interleaved on a hexagonal lattice, so that no two neighbours are alike. (Default: 0.512)
            - |exposed|, |differentiable|, |discontinuous|
          * - mla_pitch
-           - |float|
-           - Pitch of the microlens lattice, the distance of neighbouring centres. (Default: 0.064)
+           - |float| or |string|
+           - Pitch of the microlens lattice, the distance of neighbouring centres; or two, with a comma between them,
+             along the rows and across them, to which the lattice is stretched with its cells. (Default: 0.064)
            - |exposed|, |differentiable|, |discontinuous|
          * - mla_lattice
            - |string|
@@ -88,7 +91,8 @@ def make_class() -> type:
              the cell is opaque. (Default: ``cell``)
          * - mla_fill
            - |float|
-           - Width of a lens's aperture over the pitch, at most 1. (Default: 1)
+           - Width of a lens's aperture over the pitch, at most 1; of a round one's over the shorter pitch.
+             (Default: 1)
            - |exposed|, |differentiable|, |discontinuous|
          * - detector_distance
            - |float|
@@ -173,7 +177,7 @@ def make_class() -> type:
             given: dict[str, Any] = {
                 **{name: read_number(props, NAME, name, None) for name in (*POSITIVE, "focus_distance")},
                 **{name: read_plain(props, name, None) for name in WORDS},
-                "mla_focal_length": read_numbers(props, NAME, "mla_focal_length"),
+                **{name: read_numbers(props, NAME, name) for name in SEVERAL},
                 "mla_rotation": read_plain(props, "mla_rotation", None),
                 "mla_offset": _flat(read_numbers(props, NAME, "mla_offset")),
             }
@@ -186,11 +190,14 @@ def make_class() -> type:
                 )
             except InputError as error:
                 raise InputError(f"{NAME}: {error}") from None
+            self._given = camera
             for name in WORDS:
                 setattr(self, name, getattr(camera, name))
             for name in (*POSITIVE, "mla_rotation"):
                 setattr(self, name, mi.Float(getattr(camera, name)))
             self.mla_focal_length = mi.Float(camera.mla_focal_lengths)
+            # One number where one is enough, so that it can be set as such.
+            self.mla_pitch = mi.Float(camera.to_dict()["mla_pitch"])
             self.mla_offset = mi.Point2f(camera.mla_offset)
             self.m_needs_sample_3 = True
             self._update()
@@ -225,53 +232,46 @@ def make_class() -> type:
             dr.make_opaque(*(getattr(self, name) for name in NUMBERS))
             # An upright lattice needs no turning, unless the gradient for its angle is asked for.
             turned = camera.mla_rotation != 0 or dr.grad_enabled(self.mla_rotation)
-            self._lattice = Lattice(
+            pitches = self.mla_pitch, self.mla_pitch
+            if dr.width(self.mla_pitch) > 1:
+                pitches = dr.gather(mi.Float, self.mla_pitch, 0), dr.gather(mi.Float, self.mla_pitch, 1)
+            self._lattice = make_lattice(
                 camera.mla_lattice,
-                self.mla_pitch,
-                self.mla_rotation if turned else 0.0,
-                (self.mla_offset.x, self.mla_offset.y),
-                camera.mla_aperture,
-                self.mla_fill,
+                pitches,
+                rotation=self.mla_rotation if turned else 0.0,
+                offset=(self.mla_offset.x, self.mla_offset.y),
+                aperture=camera.mla_aperture,
+                fill=self.mla_fill,
             )
-            self._candidates = [mi.Float(steps) for steps in camera.crosstalk_neighbours().T]
+            self._main_lens = ThinLens(self.focal_length, self.aperture_radius, self.mla_distance, self.lens_model)
+            self._candidates = [mi.Float(steps) for steps in crosstalk_neighbours(camera).T]
             dr.make_opaque(*self._candidates)
 
         @property
         def camera(self) -> PlenopticCamera:
             """The camera's present numbers."""
-            film = self.film()
-            numbers: dict[str, Any] = {name: _decimals(getattr(self, name))[0] for name in (*POSITIVE, "mla_rotation")}
+            film, given = self.film(), self._given
+            numbers: dict[str, Any] = {
+                name: _plain(getattr(self, name), getattr(given, SEVERAL.get(name, name))) for name in NUMBERS
+            }
+            numbers |= {name: numbers[name][0] for name in (*POSITIVE, "mla_rotation")}
             return PlenopticCamera(
                 **numbers,
                 **{name: getattr(self, name) for name in WORDS},
-                mla_focal_length=_decimals(self.mla_focal_length),
-                mla_offset=(_decimals(self.mla_offset.x)[0], _decimals(self.mla_offset.y)[0]),
                 resolution=tuple(film.size()),
                 crop_offset=tuple(film.crop_offset()),
                 crop_size=tuple(film.crop_size()),
             )
 
-        def _trace(self, px: Any, py: Any, mx: Any, my: Any, cx: Any, cy: Any, f2: Any) -> tuple[Any, Any, Any, Any]:
-            """Pupil point and slopes behind the main lens of the ray from p through m of the lens at c."""
-            b, z = self.mla_distance, self.detector_distance
-            ideal = self.lens_model == "ideal"
-            if ideal:
-                tx = rays.microlens_slope(px, mx, cx, z, f2)
-                ty = rays.microlens_slope(py, my, cy, z, f2)
+        def _trace(self, px: Any, py: Any, mx: Any, my: Any, cx: Any, cy: Any, f2: Any) -> tuple[Any, Any, Any]:
+            """Follow the ray from p through m of the lens at c: return what `MainLens.trace` does."""
+            z = self.detector_distance
+            if self.lens_model == "ideal":
+                slope = tuple(rays.microlens_slope(p, m, c, z, f2) for p, m, c in ((px, mx, cx), (py, my, cy)))
             else:
                 sx, sy = rays.slopes_to_cosines((mx - px) / z, (my - py) / z)
-                tx, ty = rays.cosines_to_slopes(sx - (mx - cx) / f2, sy - (my - cy) / f2)
-            Px, Py = rays.pupil_point(mx, tx, b), rays.pupil_point(my, ty, b)
-            if ideal:
-                return Px, Py, *(rays.main_lens_slope(t, P, self.focal_length) for t, P in ((tx, Px), (ty, Py)))
-            sx, sy = rays.slopes_to_cosines(tx, ty)
-            return (
-                Px,
-                Py,
-                *rays.cosines_to_slopes(
-                    rays.main_lens_slope(sx, Px, self.focal_length), rays.main_lens_slope(sy, Py, self.focal_length)
-                ),
-            )
+                slope = rays.cosines_to_slopes(sx - (mx - cx) / f2, sy - (my - cy) / f2)
+            return self._main_lens.trace((mx, my), slope)
 
         def _places(self, film_sample: Any, lens_sample: Any, candidates: list[Any]) -> tuple[tuple[Any, ...], Any]:
             """Detector point, point on a lens, its centre and focal length, and which of the candidates it is."""
@@ -296,20 +296,19 @@ def make_class() -> type:
             dx, dy = lattice.aperture_point(within, lens_sample[1])
             f2 = self.mla_focal_length
             if dr.width(f2) > 1:
-                f2 = dr.gather(mi.Float, f2, mi.UInt32(lattice.lens_kind(i, j)))
+                f2 = dr.gather(mi.Float, f2, mi.UInt32(lattice.lens_type(i, j)))
             return (px, py, cx + dx, cy + dy, cx, cy, f2), candidate
 
         def crosstalk_missed(self) -> float:
-            """Share of the light that comes through lenses just beyond those that rays try, from a sample of rays."""
+            """Estimate from a sample of rays what fraction of the light lenses beyond those that are tried let in."""
             tried = set(zip(*(steps.numpy().astype(int).tolist() for steps in self._candidates), strict=True))
-            around = self.camera.crosstalk_neighbours(beyond=self.camera.mla_pitch)
+            around = crosstalk_neighbours(self.camera, beyond=max(self.camera.mla_pitches))
             random = mi.PCG32(size=_CROSSTALK_RAYS)
             film_sample, lens_sample = (
                 mi.Point2f(random.next_float32(), random.next_float32()) for _ in ("film", "lens")
             )
             places, candidate = self._places(film_sample, lens_sample, [mi.Float(steps) for steps in around.T])
-            Px, Py, _, _ = self._trace(*places)
-            open_ = Px * Px + Py * Py <= self.aperture_radius * self.aperture_radius
+            _, _, open_ = self._trace(*places)
             beyond = dr.gather(mi.Bool, mi.Bool([tuple(steps) not in tried for steps in around]), candidate)
             return int(dr.count(open_ & beyond)[0]) / max(1, int(dr.count(open_)[0]))
 
@@ -318,22 +317,22 @@ def make_class() -> type:
         ) -> tuple[Any, Any]:
             pixel = self.detector_width / self.film().size()[0]
             (px, py, *lens), _ = self._places(film_sample, lens_sample, self._candidates)
-            Px, Py, tx, ty = self._trace(px, py, *lens)
-            open_ = active & (Px * Px + Py * Py <= self.aperture_radius * self.aperture_radius)
+            point, slope, open_ = self._trace(px, py, *lens)
+            open_ &= active
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
             to_world = self.world_transform()
             ray = mi.RayDifferential3f() if differential else mi.Ray3f()
-            ray.o = to_world @ mi.Point3f(Px, Py, 0)
-            ray.d = to_world @ dr.normalize(mi.Vector3f(tx, ty, 1))
+            ray.o = to_world @ mi.Point3f(*point)
+            ray.d = to_world @ dr.normalize(mi.Vector3f(*slope, 1))
             # A ray of no length meets nothing: it is cheap, and depth or normals of dark pixels stay 0.
             ray.maxt = dr.select(open_, dr.largest(mi.Float), 0)
             ray.time = time
             ray.wavelengths = wavelengths
             if differential:
                 for name, dx, dy in (("x", pixel, 0), ("y", 0, pixel)):
-                    Px, Py, tx, ty = self._trace(px + dx, py + dy, *lens)
-                    setattr(ray, f"o_{name}", to_world @ mi.Point3f(Px, Py, 0))
-                    setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(tx, ty, 1)))
+                    point, slope, _ = self._trace(px + dx, py + dy, *lens)
+                    setattr(ray, f"o_{name}", to_world @ mi.Point3f(*point))
+                    setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
                 ray.has_differentials = True
             return ray, dr.select(open_, weight * dr.width(self._candidates[0]), 0)
 
@@ -382,6 +381,9 @@ def _flat(offset: tuple[float, ...] | None) -> tuple[float, ...] | None:
     return offset
 
 
-def _decimals(values: Any) -> list[float]:
-    """Give the shortest decimal numbers of single-precision ones: 0.512, not 0.5120000243."""
-    return [float(str(np.float32(value))) for value in dr.detach(values)]
+def _plain(values: Any, given: float | tuple[float, ...]) -> list[float]:
+    """Return single-precision numbers as they were given, or else their shortest decimals: 0.512, not 0.5120000243."""
+    numbers = np.ravel(given).tolist()
+    # Points and vectors come in single precision.
+    known = {np.float32(number): number for number in numbers if float(np.float32(number)) != number}
+    return [known.get(value, float(str(value))) for value in np.ravel(dr.detach(values)).astype(np.float32)]

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..design import lens_footprint, pixel_footprint
+from ..design import focus_type, lens_footprint, pixel_footprint
+from ..errors import InputError
 from ..optics import rays
-from ._binning import AxisBins, axis_bins, bin_image
-from ._splatting import splat
+from .binning import AxisBins, axis_bins, bin_image
+from .methods import Task, method
+from .radiance import at_least, pixels_per_bin
+from .splatting import splat
 
-# Bins that get less than this share of the light that a bin gets of a white scene on average lie at the border of what
-# was recorded; they are not brightened any further, since they would show little but noise.
-_LEAST_WEIGHT = 0.25
+# Dr.Jit counts in 32 bits.
+_MOST_VALUES = 2**32 - 1
 
 
-def reconstruct_ray(
-    image: np.ndarray, camera: PlenopticCamera, distance: float, *, footprint: str, oversample: int = 1
-) -> np.ndarray:
+def _memory(shape: tuple[int, ...], rows: int, columns: int) -> float:
+    # One axis is binned before the other.
+    return 4.0 * shape[2] * columns * (rows + shape[0])
+
+
+@method("ray", options=("footprint",), waves=False, memory=_memory)
+def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
     r"""Follow one ray a pixel back to the object plane and add the pixel's value to the bin it meets.
 
     The ray goes from the pixel's centre through the centre of its lens. With ``footprint="point"`` the whole value
@@ -34,56 +38,32 @@ def reconstruct_ray(
     they get of it, so that a white scene gives 1. (In the plane in focus a point version leaves those bins empty that
     hold no lens's centre.)
 
-    Parameters
-    ----------
-    image : (rows, columns, channels) float32 array
-        The capture.
-    camera : PlenopticCamera
-        The camera; its recorded window is the image.
-    distance : float
-        Object distance.
-    footprint : {"lens", "point"}
-        The version.
-    oversample : int
-        Bins per lens along each axis.
-
     Returns
     -------
-    (rows, columns, channels) float32 array
+    list of (rows, columns, channels) float32 arrays
         Radiance: bins are divided by the number of pixels in a micro-image,
         :math:`(\pi/4) (D_1 z / b)^2` over the pixel's area.
     """
-    if camera.kind != "unfocused" or not lenses_fill_bins(camera):
+    images = []
+    for done, distance in enumerate(task.distances):
+        images.append(_refocus(task.image, task.camera, distance, footprint, task.oversample))
+        task.progress((done + 1) / len(task.distances))
+    return images
+
+
+def _refocus(
+    image: np.ndarray, camera: PlenopticCamera, distance: float, footprint: str, oversample: int
+) -> np.ndarray:
+    if focus_type(camera) != "unfocused" or not camera.lenses_like_bins:
         light, white = splat(image, camera, distance, _pupil_radius(camera), footprint=footprint, oversample=oversample)
         return (light / at_least(white, camera, oversample)[..., None]).astype(np.float32)
     x, y = (_axis(camera, distance, axis, footprint, oversample) for axis in (0, 1))
+    values = image.shape[2] * x.count * max(y.count, image.shape[0])
+    if values > _MOST_VALUES:
+        raise InputError(
+            f"images of {x.count} x {y.count} bins: {values} values are summed at once, at most {_MOST_VALUES} can be"
+        )
     return bin_image(image, x, y, _pupil_radius(camera)) / np.float32(pixels_per_bin(camera, oversample))
-
-
-def pixels_per_bin(camera: PlenopticCamera, oversample: int) -> float:
-    r"""Pixels of micro-images that go to one bin: :math:`(\pi/4) (D_1 z / b)^2` over the pixel's area for each lens."""
-    lenses = camera.mla_pitch**2 / camera.lattice.cell_area
-    return lenses * math.pi / 4 * (camera.micro_image_diameter / camera.pixel_size / oversample) ** 2
-
-
-def lenses_fill_bins(camera: PlenopticCamera) -> bool:
-    """Whether lenses and bins are arranged alike, on an upright square lattice without gaps."""
-    return bool(camera.lattice.separable and camera.lattice.lens_area == camera.lattice.cell_area)
-
-
-def white_bins(camera: PlenopticCamera, distance: float, oversample: int) -> np.ndarray:
-    """Return what every bin gets of a white scene, in pixels, by one ray a pixel.
-
-    The ray must pass the pupil, by half a pixel: a smooth wave goes back through the lens's centre alone.
-    """
-    nothing = np.zeros((*camera.shape, 1), np.float32)
-    footprint = "point" if camera.kind == "unfocused" else "lens"
-    return splat(nothing, camera, distance, camera.lit_radius, footprint=footprint, oversample=oversample)[1]
-
-
-def at_least(white: np.ndarray, camera: PlenopticCamera, oversample: int) -> np.ndarray:
-    """Return what bins are divided by for a white scene to give 1, where they got this much of it."""
-    return np.maximum(white, _LEAST_WEIGHT * pixels_per_bin(camera, oversample))
 
 
 def _pupil_radius(camera: PlenopticCamera) -> float:
@@ -93,7 +73,7 @@ def _pupil_radius(camera: PlenopticCamera) -> float:
     would lose 3 % of the paper's light. Through the edge of a lens that is not in focus on the pupil it looks elsewhere
     than through the centre, for a focused camera by a good part of the pupil.
     """
-    view = max(abs(camera.pupil_walk(f2) - 1) for f2 in camera.mla_focal_lengths) * camera.lattice.aperture_reach
+    view = max(abs(camera.pupil_shift(f2) - 1) for f2 in camera.mla_focal_lengths) * camera.lattice.aperture_reach
     return camera.lit_radius + view
 
 

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from .experiment import Experiment
-from .measure import find
-from .metrics import likeness
+from .measurements import find
+from .metrics import image_metrics
 
 CONFIRMED, PARTLY, DIFFERS = "confirmed", "partly", "differs"
 
@@ -42,7 +42,7 @@ class Claim:
     remark: str
 
     def to_dict(self) -> dict[str, str]:
-        """Give the claim by names."""
+        """Return the claim by names."""
         return asdict(self)
 
 
@@ -71,7 +71,7 @@ def check_claims(
         _pixel_counts(numbers),
         _interference(blurred),
         _removal(blurred),
-        _likeness_to_rays(experiment, (first, last)),
+        _similarity_to_rays(experiment, (first, last)),
         _four_suffice(experiment, blurred[0], last),
         _speed(seconds),
         _price(seconds),
@@ -115,20 +115,21 @@ def _interference(blurred: list[dict[str, Any]]) -> Claim:
 
 
 def _removal(blurred: list[dict[str, Any]]) -> Claim:
-    shares = [row["partial"] / max(row["coherent"], 1e-9) for row in blurred]
+    fractions = [row["partial"] / max(row["coherent"], 1e-9) for row in blurred]
     return Claim(
         "Partially coherent propagation removes the interference.",
         f"{_percent(blurred, 'partial')} Left of the coherent one: "
-        + " and ".join(f"{share:.0%}" for share in shares)
+        + " and ".join(f"{fraction:.0%}" for fraction in fractions)
         + ".",
-        CONFIRMED if max(shares) < 0.5 else PARTLY if min(shares) < 0.8 else DIFFERS,
+        CONFIRMED if max(fractions) < 0.5 else PARTLY if min(fractions) < 0.8 else DIFFERS,
         "Most of it, not all: lenses of one subset still interfere.",
     )
 
 
-def _likeness_to_rays(experiment: Experiment, distances: tuple[float, ...]) -> Claim:
+def _similarity_to_rays(experiment: Experiment, distances: tuple[float, ...]) -> Claim:
     found = [
-        likeness(experiment.images["partial", distance], experiment.images["ray", distance]) for distance in distances
+        image_metrics(experiment.images["partial", distance], experiment.images["ray", distance])
+        for distance in distances
     ]
     texts = [
         f"{one.psnr:.1f} dB, SSIM {one.ssim:.3f} at {distance:g} mm"

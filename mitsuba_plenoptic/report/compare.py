@@ -7,20 +7,14 @@ from typing import Any
 
 from ..errors import InputError
 from .experiment import Settings, open_store, run_experiment
-from .figures import brightest_zoom, figure_captures, figure_grid, figure_interference
-from .html import Page, write_page
-from .measure import interference_notes, likeness_notes, measure
-from .stages import Finished, Notify, software, told_seconds, write_json
+from .figures import draw_comparison
+from .framing import brightest_zoom
+from .measurements import measure
+from .page import Report, write_report
+from .stage_store import StageOptions
 
 
-def compare(
-    settings: Settings,
-    output: Path,
-    *,
-    notify: Notify | None = None,
-    finished: Finished | None = None,
-    resume: bool = False,
-) -> dict[str, Any]:
+def compare(settings: Settings, output: Path, *, stages: StageOptions | None = None) -> dict[str, Any]:
     """Capture a scene by rays and by waves, refocus it in every way, and report how they differ.
 
     The ray capture has parabolic lenses, whose aberrations are those of the wave capture's thin phases, so that
@@ -32,10 +26,8 @@ def compare(
         Scene, distances and sampling.
     output : Path
         Folder to write into; what is in it already and valid is kept.
-    notify, finished : callable, optional
-        Told of the progress and of the end of each stage; see `stages`.
-    resume : bool
-        Whether to refuse the checkpoint of another capture in the folder, instead of replacing it.
+    stages : StageOptions, optional
+        How progress is reported, and what becomes of checkpoints.
 
     Returns
     -------
@@ -49,47 +41,27 @@ def compare(
     """
     if not settings.distances:
         raise InputError("distance: give at least one to refocus to")
-    store = open_store(output, notify, finished, resume=resume)
+    store = open_store(output, stages)
     experiment = run_experiment(settings, store)
     numbers = measure(experiment)
     zooms = [brightest_zoom(experiment)]
-    plates = {
-        "captures.png": "Micro-images by rays and by waves, and their difference.",
-        "methods.png": "All methods beside the thin lens.",
-        "interference.png": "What interference between lenses adds to the image.",
-    }
-    figure_captures(output / "captures.png", experiment, zooms)
-    figure_grid(output / "methods.png", experiment, likeness_notes(numbers))
-    figure_interference(output / "interference.png", experiment, interference_notes(numbers))
-    results = {
-        "settings": settings.to_dict(),
-        "camera": experiment.camera.to_dict(),
-        "software": software(),
-        **numbers,
-        "stage_seconds": store.seconds,
-    }
-    write_json(output / "results.json", results)
     columns, rows = experiment.camera.bin_count
     name = Path(settings.scene).stem.replace("_", " ")
-    write_page(
-        output / "report.html",
-        Page(
-            title=f"Rays and waves: {name}",
-            lead=f"Recorded through {columns} x {rows} microlenses, once by rays and once by waves at "
-            f"{settings.wavelength:g} nm, and refocused from one capture.",
-            experiment=experiment,
-            numbers=numbers,
-            zooms=zooms,
-            plates=[(output / file, caption) for file, caption in plates.items()],
-            command=_command(settings, output),
-            seconds=told_seconds(store.seconds),
-        ),
+    report = Report(
+        title=f"Rays and waves: {name}",
+        lead=f"Recorded through {columns} x {rows} microlenses, once by rays and once by waves at "
+        f"{settings.wavelength:g} nm, and refocused from one capture.",
+        experiment=experiment,
+        numbers=numbers,
+        zooms=zooms,
+        plates=draw_comparison(output, experiment, numbers, zooms),
+        command=_command(settings),
     )
-    return results
+    return write_report(output, report)
 
 
-def _command(settings: Settings, output: Path) -> str:
-    words = ["mitsuba-plenoptic compare", settings.scene, f"-o {output.name}"]
+def _command(settings: Settings) -> str:
+    words = ["mitsuba-plenoptic compare", settings.scene]
     words += [f"--distance {distance:g}" for distance in settings.distances]
     words += [f"-D {name}={value}" for name, value in settings.parameters.items()]
     words += [

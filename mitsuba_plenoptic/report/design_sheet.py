@@ -1,13 +1,14 @@
-"""What follows from a camera's parameters, as a sheet to read, and what is poor about the design."""
+"""What follows from a camera's parameters, as a sheet to read."""
 
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
 
-from ..camera import PlenopticCamera, image_distance
-from ..design import depth_ranges, effective_resolution, lenses_across, suitable_oversample
+from .. import design
+from ..camera import PlenopticCamera
 from ..errors import InputError
+from ..thin_lens import image_distance
 
 
 class Row(NamedTuple):
@@ -20,6 +21,10 @@ class Row(NamedTuple):
     note: str
 
 
+# A row without its group.
+_Line = tuple[str, str, str, str]
+
+
 def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> list[Row]:
     """List a camera's parameters and derived quantities.
 
@@ -30,104 +35,36 @@ def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> li
     wavelength : float, optional
         Wavelength in nanometres; without it what follows from diffraction is left out.
     """
-    rows = [*_main_lens(camera), *_microlenses(camera), *_detector(camera), *_micro_images(camera)]
-    rows += _resolution(camera, wavelength)
-    rows += _refocusing(camera, wavelength)
+    groups = {
+        "Main lens": _main_lens(camera),
+        "Microlenses": _microlenses(camera),
+        "Detector": _detector(camera),
+        "Micro-images": _micro_images(camera),
+        "Resolution": _resolution(camera, wavelength),
+        "Refocusing": _refocusing(camera, wavelength),
+    }
     if wavelength is not None:
-        rows += _diffraction(camera, wavelength)
-    return rows
+        groups[f"Diffraction at {wavelength:g} nm"] = _diffraction(camera, wavelength)
+    return [Row(group, *line) for group, lines in groups.items() for line in lines]
 
 
-def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
-    """Say in one sentence each what is poor about a design.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float, optional
-        Wavelength in nanometres; without it diffraction is not judged.
-    """
-    found = []
-    diameter, pitch = camera.micro_image_diameter, camera.micro_image_pitch
-    # The stop for which the micro-images just touch.
-    touching = camera.aperture_diameter * pitch / diameter
-    if diameter > pitch:
-        found.append(
-            f"micro-images overlap: their diameter of {_text(diameter)} mm exceeds their pitch of "
-            f"{_text(pitch)} mm; stop the main lens down to a diameter of {_text(touching)} mm"
-        )
-    elif diameter < 0.5 * pitch:
-        found.append(
-            f"pixels are wasted: micro-images fill {diameter / pitch:.0%} of their pitch; open the main "
-            f"lens to a diameter of {_text(touching)} mm, or shorten mla_focal_length"
-        )
-    elif camera.kind != "unfocused" and camera.crosstalk_lenses > 1:
-        found.append(
-            "micro-images overlap at their rims, which a lens that is in focus on the object blurs: light of "
-            "neighbouring lenses mixes there; stop the main lens down, or narrow the lenses (mla_fill)"
-        )
-    image = max(camera.mla_distance - _focus_on_image(camera, lens) for lens in range(len(camera.mla_kinds)))
-    if image < camera.focal_length:
-        found.append(
-            f"no object plane is in focus: the microlenses see a plane {_text(image)} mm behind the main lens, "
-            f"within its focal length of {_text(camera.focal_length)} mm; lengthen mla_distance"
-        )
-    found += _coverage_warnings(camera)
-    directions = camera.direction_count(wavelength)
-    if directions < 2:
-        found.append(f"no refocusing: across its diameter a micro-image tells only {directions:.2g} directions apart")
-    if wavelength is not None:
-        spot = camera.spot_size(wavelength)
-        if camera.pixel_size > 0.5 * spot:
-            pixel = _text(1e3 * camera.pixel_size)
-            found.append(
-                f"the detector undersamples the diffraction spot: a pixel of {pixel} um exceeds half"
-                f" the spot's half width of {_text(1e3 * spot)} um"
-            )
-        fresnel = camera.mla_fresnel_number(wavelength)
-        if fresnel < 1:
-            found.append(f"the microlenses hardly focus: their Fresnel number is {fresnel:.2g}")
-    return found
-
-
-def _focus_on_image(camera: PlenopticCamera, lens: int) -> float:
-    """Distance before the MLA of what a kind of lens is to see: 0 if unfocused, as the MLA itself is in focus then."""
-    return 0.0 if camera.mla_kinds[lens] == "unfocused" else camera.mla_object_distances[lens]
-
-
-def _coverage_warnings(camera: PlenopticCamera) -> list[str]:
-    """Tell where the lenses of a focused camera leave gaps between their pictures."""
-    if camera.kind == "unfocused":
-        return []
-    cones = {g: lenses_across(camera, g) for g in camera.best_distances if camera.focal_length < g < math.inf}
-    return [
-        f"gaps at {_text(distance)} mm, where the microlenses are sharpest: the light of a point spans only "
-        f"{across:.2g} of them; open the main lens, or move the detector so that they see farther"
-        for distance, across in cones.items()
-        if across < 1
-    ]
-
-
-def _main_lens(camera: PlenopticCamera) -> list[Row]:
-    group = "Main lens"
+def _main_lens(camera: PlenopticCamera) -> list[_Line]:
     rows = [
-        Row(group, "focal length", _text(camera.focal_length), "mm", ""),
-        Row(group, "diameter", _text(camera.aperture_diameter), "mm", f"f/{camera.f_number:.3g}"),
-        Row(group, "distance to microlenses", _text(camera.mla_distance), "mm", ""),
-        Row(group, "focused distance", *_distance(camera.focus_distance), "on the microlenses"),
-        Row(group, "field of view", f"{camera.field_of_view:.3g}", "deg", "horizontal, full angle"),
+        ("focal length", four_digits(camera.focal_length), "mm", ""),
+        ("diameter", four_digits(camera.aperture_diameter), "mm", f"f/{camera.f_number:.3g}"),
+        ("distance to microlenses", four_digits(camera.mla_distance), "mm", ""),
+        ("focused distance", *_distance(camera.focus_distance), "on the microlenses"),
+        ("field of view", f"{design.field_of_view(camera):.3g}", "deg", "horizontal, full angle"),
     ]
     if 0 < camera.focus_distance < math.inf:
-        width = camera.field_width(camera.focus_distance)
-        rows.append(Row(group, "field width", _text(width), "mm", "in the focused plane"))
-    rows.append(Row(group, "lens model", camera.lens_model, "", ""))
+        width = design.field_width(camera, camera.focus_distance)
+        rows.append(("field width", four_digits(width), "mm", "in the focused plane"))
+    rows.append(("lens model", camera.lens_model, "", ""))
     return rows
 
 
-def _microlenses(camera: PlenopticCamera) -> list[Row]:
-    group = "Microlenses"
-    main, micro = camera.image_f_number, camera.mla_f_number
+def _microlenses(camera: PlenopticCamera) -> list[_Line]:
+    main, micro = design.image_f_number(camera), design.mla_f_number(camera)
     # Neighbouring micro-images touch where the two match, up to the factor (b + z)/b of their pitch.
     if math.isclose(micro, main, rel_tol=0.05):
         match = "matches: micro-images touch"
@@ -139,75 +76,74 @@ def _microlenses(camera: PlenopticCamera) -> list[Row]:
         bins = f"in rows; a reconstruction has {camera.bin_count[0]} x {camera.bin_count[1]} bins"
     lattice = [f"{camera.mla_lattice} lattice"]
     if camera.mla_rotation:
-        lattice.append(f"turned by {_text(camera.mla_rotation)} deg")
+        lattice.append(f"turned by {four_digits(camera.mla_rotation)} deg")
     if camera.mla_offset != (0, 0):
-        lattice.append(f"moved by ({', '.join(map(_text, camera.mla_offset))}) mm")
+        lattice.append(f"moved by ({', '.join(map(four_digits, camera.mla_offset))}) mm")
     area = camera.lattice.lens_area / camera.lattice.cell_area
     shape = "round" if camera.mla_aperture == "circle" else camera.mla_lattice
     return [
-        Row(group, "focal length", ", ".join(map(_text, camera.mla_focal_lengths)), "mm", ""),
-        Row(group, "pitch", _text(camera.mla_pitch), "mm", ", ".join(lattice)),
-        Row(group, "lens width", _text(camera.lattice.aperture_width), "mm", f"{shape}, {area:.0%} of the area"),
-        Row(group, "lenses", f"{columns} x {rows}", "", bins),
-        Row(group, "distance to detector", _text(camera.detector_distance), "mm", ""),
-        Row(group, "f-number z/width", f"{micro:.3g}", "", ""),
-        Row(group, "main lens's b/D1", f"{main:.3g}", "", match),
+        ("focal length", ", ".join(map(four_digits, camera.mla_focal_lengths)), "mm", ""),
+        ("pitch", four_digits(camera.mla_pitch), "mm", ", ".join(lattice)),
+        ("lens width", four_digits(camera.lattice.aperture_width), "mm", f"{shape}, {area:.0%} of the area"),
+        ("lenses", f"{columns} x {rows}", "", bins),
+        ("distance to detector", four_digits(camera.detector_distance), "mm", ""),
+        ("f-number z/width", f"{micro:.3g}", "", ""),
+        ("main lens's b/D1", f"{main:.3g}", "", match),
     ]
 
 
-def _detector(camera: PlenopticCamera) -> list[Row]:
-    group = "Detector"
+def _detector(camera: PlenopticCamera) -> list[_Line]:
     columns, rows = camera.resolution
-    size = f"{_text(camera.detector_width)} x {_text(camera.detector_height)}"
+    size = f"{four_digits(camera.detector_width)} x {four_digits(camera.detector_height)}"
     sheet = [
-        Row(group, "size", size, "mm", ""),
-        Row(group, "pixels", f"{columns} x {rows}", "", ""),
-        Row(group, "pixel size", _text(1e3 * camera.pixel_size), "um", ""),
-        Row(group, "pixels per lens", _text(camera.pixels_per_lens), "", "across its pitch"),
+        ("size", size, "mm", ""),
+        ("pixels", f"{columns} x {rows}", "", ""),
+        ("pixel size", four_digits(1e3 * camera.pixel_size), "um", ""),
+        ("pixels per lens", four_digits(camera.pixels_per_lens), "", "across its pitch"),
     ]
     if camera.is_cropped:
         window, offset = camera.crop_size, camera.crop_offset
         note = f"from column {offset[0]}, row {offset[1]}"
-        sheet.append(Row(group, "recorded pixels", f"{window[0]} x {window[1]}", "", note))
+        sheet.append(("recorded pixels", f"{window[0]} x {window[1]}", "", note))
     return sheet
 
 
-def _micro_images(camera: PlenopticCamera) -> list[Row]:
-    group = "Micro-images"
+def _micro_images(camera: PlenopticCamera) -> list[_Line]:
     pixel = camera.pixel_size
     diameter, pitch = camera.micro_image_diameter, camera.micro_image_pitch
     return [
-        Row(group, "diameter", _text(diameter / pixel), "pixels", f"{_text(1e3 * diameter)} um, D1 z/b"),
-        Row(group, "pitch", _text(pitch / pixel), "pixels", f"{_text(1e3 * pitch)} um, D2 (b + z)/b"),
-        Row(group, "diameter over pitch", f"{diameter / pitch:.3g}", "", ""),
-        Row(group, "mean of a white capture", f"{camera.white_mean:.3g}", "", "per unit radiance"),
+        ("diameter", four_digits(diameter / pixel), "pixels", f"{four_digits(1e3 * diameter)} um, D1 z/b"),
+        ("pitch", four_digits(pitch / pixel), "pixels", f"{four_digits(1e3 * pitch)} um, D2 (b + z)/b"),
+        ("diameter over pitch", f"{diameter / pitch:.3g}", "", ""),
+        ("mean of a white capture", f"{design.white_mean(camera):.3g}", "", "per unit radiance"),
     ]
 
 
-def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[Row]:
-    group = "Resolution"
+def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]:
     names = {"keplerian": "focused, Keplerian", "galilean": "focused, Galilean"}
-    kinds = [names.get(kind, kind) for kind in dict.fromkeys(camera.mla_kinds)]
-    rows = [Row(group, "kind of camera", "; ".join(kinds), "", _seen(camera))]
-    lenses = zip(camera.mla_focal_lengths, camera.best_distances, depth_ranges(camera, wavelength), strict=True)
+    kinds = [names.get(kind, kind) for kind in dict.fromkeys(design.focus_types(camera))]
+    rows = [("kind of camera", "; ".join(kinds), "", _seen(camera))]
+    limits_of_all = design.depth_ranges(camera, wavelength)
+    lenses = zip(camera.mla_focal_lengths, design.best_distances(camera), limits_of_all, strict=True)
     for f2, best, limits in lenses:
-        which = f"f2 = {_text(f2)} mm" if len(camera.mla_focal_lengths) > 1 else ""
-        rows.append(Row(group, "sharpest distance", *_distance(best), which))
+        which = f"f2 = {four_digits(f2)} mm" if len(camera.mla_focal_lengths) > 1 else ""
+        rows.append(("sharpest distance", *_distance(best), which))
         if _is_imaged(camera, best):
-            rows += _effective(group, camera, best, wavelength)
-        note = "refocused" if camera.kind == "unfocused" else "blur below a pixel or the spot, no gaps"
-        rows.append(Row(group, "depth range", *_range(limits), note))
+            rows += _effective(camera, best, wavelength)
+        note = "refocused" if design.focus_type(camera) == "unfocused" else "blur below a pixel or the spot, no gaps"
+        rows.append(("depth range", *_range(limits), note))
     if len(camera.mla_focal_lengths) > 1:
-        together = [_range(limits)[0] for limits in _union(depth_ranges(camera, wavelength))]
-        rows.append(Row(group, "depth range, together", ", ".join(together) or "none", "mm" if together else "", ""))
+        together = [_range(limits)[0] for limits in _union(limits_of_all)]
+        rows.append(("depth range, together", ", ".join(together) or "none", "mm" if together else "", ""))
     return rows
 
 
 def _seen(camera: PlenopticCamera) -> str:
     """Say what the microlenses see."""
-    if camera.kind == "unfocused":
+    if design.focus_type(camera) == "unfocused":
         return "the microlenses see the main lens"
-    where = [f"{_text(abs(a))} mm {'before' if a > 0 else 'behind'} them" for a in camera.mla_object_distances]
+    distances = design.mla_object_distances(camera)
+    where = [f"{four_digits(abs(a))} mm {'before' if a > 0 else 'behind'} them" for a in distances]
     return f"the microlenses see an image {', '.join(where)}"
 
 
@@ -220,81 +156,54 @@ def _is_imaged(camera: PlenopticCamera, distance: float) -> bool:
     return math.isfinite(distance)
 
 
-def _effective(group: str, camera: PlenopticCamera, distance: float, wavelength: float | None) -> list[Row]:
+def _effective(camera: PlenopticCamera, distance: float, wavelength: float | None) -> list[_Line]:
     """Resolution at one distance."""
-    finest = effective_resolution(camera, distance, wavelength)
+    finest = design.effective_resolution(camera, distance, wavelength)
     rows = [
-        Row(group, "effective resolution", f"{finest.columns:.0f} x {finest.rows:.0f}", "", "details across and down"),
-        Row(group, "finest detail", _text(finest.line_width), "mm", f"{finest.ratio:.3g} per pixel of the detector"),
-        Row(
-            group,
+        ("effective resolution", f"{finest.columns:.0f} x {finest.rows:.0f}", "", "details across and down"),
+        ("finest detail", four_digits(finest.line_width), "mm", f"{finest.ratio:.3g} per pixel of the detector"),
+        (
             "samples per lens",
             f"{finest.samples_per_lens:.3g}",
             "",
-            f"along an axis; suits oversample = {suitable_oversample(camera, distance, wavelength)}",
+            f"along an axis; suits oversample = {design.suitable_oversample(camera, distance, wavelength)}",
         ),
     ]
-    if camera.kind != "unfocused":
-        across = f"{lenses_across(camera, distance):.3g}"
+    if design.focus_type(camera) != "unfocused":
+        across = f"{design.lenses_across(camera, distance):.3g}"
         rows += [
-            Row(group, "virtual depth", f"{camera.virtual_depth(distance):.3g}", "", "image to MLA over z"),
-            Row(group, "lenses that see a point", across, "", "along an axis"),
+            ("virtual depth", f"{design.virtual_depth(camera, distance):.3g}", "", "image to MLA over z"),
+            ("lenses that see a point", across, "", "along an axis"),
         ]
     return rows
 
 
-def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> list[Row]:
-    group = "Refocusing"
-    near, far = camera.refocus_range(wavelength)
+def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]:
+    near, far = design.refocus_range(camera, wavelength)
     limit = "in a micro-image, by its pixels" if wavelength is None else "in a micro-image, with diffraction"
     rows = [
-        Row(group, "directions told apart", f"{camera.direction_count(wavelength):.3g}", "", limit),
-        Row(group, "nearest distance", *_distance(near), "with one sample per lens"),
-        Row(group, "farthest distance", *_distance(far), ""),
+        ("directions told apart", f"{design.direction_count(camera, wavelength):.3g}", "", limit),
+        ("nearest distance", *_distance(near), "with one sample per lens"),
+        ("farthest distance", *_distance(far), ""),
     ]
-    for distance in dict.fromkeys((near, *camera.best_distances, far)):
+    for distance in dict.fromkeys((near, *design.best_distances(camera), far)):
         if camera.focal_length < distance < math.inf:
-            at = f"at {_text(distance)} mm"
+            at = f"at {four_digits(distance)} mm"
             rows += [
-                Row(group, "bin size", _text(camera.bin_size(distance)), "mm", at),
-                Row(
-                    group,
-                    "blur diameter",
-                    _text(camera.blur_diameter(distance)),
-                    "mm",
-                    f"{at}, on the MLA",
-                ),
+                ("bin size", four_digits(camera.bin_size(distance)), "mm", at),
+                ("blur diameter", four_digits(camera.blur_diameter(distance)), "mm", f"{at}, on the MLA"),
             ]
     return rows
 
 
-def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[Row]:
-    group = f"Diffraction at {wavelength:g} nm"
-    spot = camera.spot_size(wavelength)
-    pixels = f"{_text(spot / camera.pixel_size)} pixels, centre to first zero"
+def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[_Line]:
+    spot = design.spot_radius(camera, wavelength)
+    pixels = f"{four_digits(spot / camera.pixel_size)} pixels, centre to first zero"
     return [
-        Row(group, "spot of a microlens", _text(1e3 * spot), "um", pixels),
-        Row(
-            group,
-            "directions by the spot",
-            _text(camera.micro_image_diameter / spot),
-            "",
-            "across a micro-image",
-        ),
-        Row(
-            group,
-            "Fresnel number, microlens",
-            f"{camera.mla_fresnel_number(wavelength):.3g}",
-            "",
-            "from the detector",
-        ),
-        Row(
-            group,
-            "Fresnel number, main lens",
-            f"{camera.main_fresnel_number(wavelength):.3g}",
-            "",
-            "from the MLA",
-        ),
+        ("spot of a microlens", four_digits(1e3 * spot), "um", pixels),
+        ("directions by the spot", four_digits(camera.micro_image_diameter / spot), "", "across a micro-image"),
+        ("Fresnel number, microlens", f"{design.mla_fresnel_number(camera, wavelength):.3g}", "", "from the detector"),
+        ("Fresnel number, main lens", f"{design.main_fresnel_number(camera, wavelength):.3g}", "", "from the MLA"),
     ]
 
 
@@ -302,7 +211,7 @@ def _distance(value: float) -> tuple[str, str]:
     """Write a distance and its unit, where there may be no such plane or it may be at infinity."""
     if value < 0:
         return "none", ""
-    return ("infinity", "") if math.isinf(value) else (_text(value), "mm")
+    return ("infinity", "") if math.isinf(value) else (four_digits(value), "mm")
 
 
 def _range(limits: tuple[float, float] | None) -> tuple[str, str]:
@@ -323,6 +232,6 @@ def _union(ranges: list[tuple[float, float] | None]) -> list[tuple[float, float]
     return joined
 
 
-def _text(value: float) -> str:
+def four_digits(value: float) -> str:
     """Four digits, without an exponent for the sizes that cameras have."""
     return f"{value:.4g}"

@@ -17,8 +17,8 @@ from ..errors import InputError
 from ..io.captures import Capture
 from ..reconstruction import Reconstruction, reconstruct
 from ..runtime.variant import DEFAULT_VARIANT, set_variant
-from .referee import pinhole_image, thin_lens_image
-from .stages import Finished, Notify, Progress, StageStore, scene_fingerprint
+from .reference import pinhole_image, thin_lens_image
+from .stage_store import Progress, StageOptions, StageStore, scene_fingerprint
 
 OBJECT_COLUMNS = 1024
 
@@ -87,7 +87,7 @@ class Settings:
     variant: str = DEFAULT_VARIANT
 
     def to_dict(self) -> dict[str, Any]:
-        """Give the settings in plain JSON values."""
+        """Return the settings as plain JSON values."""
         return asdict(self)
 
 
@@ -130,6 +130,10 @@ class Experiment:
     pinhole: np.ndarray
     boxes: dict[str, tuple[np.ndarray, np.ndarray]]
     seconds: dict[str, float]
+
+    def image(self, method: str, distance: float) -> np.ndarray:
+        """Return the reconstruction of a method, or for ``truth`` the thin lens's image."""
+        return self.truths[distance] if method == "truth" else self.images[method, distance]
 
 
 def run_experiment(settings: Settings, store: StageStore) -> Experiment:
@@ -218,7 +222,7 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     )
 
 
-def open_store(output: Path, notify: Notify | None, finished: Finished | None, *, resume: bool = False) -> StageStore:
+def open_store(output: Path, stages: StageOptions | None) -> StageStore:
     """Check, before the work, that the output folder can be made; it is made with the first stage.
 
     Raises
@@ -229,7 +233,7 @@ def open_store(output: Path, notify: Notify | None, finished: Finished | None, *
     there = next(path for path in (output, *output.absolute().parents) if path.exists())
     if not there.is_dir() or not os.access(there, os.W_OK):
         raise InputError(f"{output}: the folder cannot be made: {there} is not a folder that can be written to")
-    return StageStore(output / "data", notify, finished, resume=resume)
+    return StageStore(output / "data", stages)
 
 
 def _refocus(store: StageStore, capture: Capture, key: str, method: Method, distance: float) -> np.ndarray:

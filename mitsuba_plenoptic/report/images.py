@@ -1,19 +1,13 @@
-"""Captures and reconstructions as files: 8-bit pictures, and names for several distances."""
+"""Linear images as 8-bit pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from ..errors import InputError
-from ..io.files import atomic_output, require_writable
-from ..reconstruction import Reconstruction, write_reconstruction
-
-SUFFIXES = (".exr", ".png")
+from ..io.files import atomic_output
 
 
 def write_png(path: str | Path, image: np.ndarray, *, peak: float | None = None) -> None:
@@ -58,57 +52,6 @@ def shrink(image: np.ndarray, longest: int) -> np.ndarray:
     whole = image[: rows // down * down, : columns // across * across]
     blocks = whole.reshape(rows // down, down, columns // across, across, *image.shape[2:])
     return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32))
-
-
-def reconstruction_paths(path: str | Path, distances: Sequence[float]) -> list[Path]:
-    """Name a file for each distance, and check that all can be written.
-
-    One distance gives `path` itself, several give ``name_210.exr``, ``name_240.exr``.
-
-    Raises
-    ------
-    InputError
-        If the suffix is unknown, a distance is given twice or a file cannot be written.
-    """
-    path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: give a name that ends in {' or '.join(SUFFIXES)}")
-    if len(distances) == 1:
-        return [require_writable(path)]
-    names = [f"{path.stem}_{distance:.12g}{path.suffix}" for distance in distances]
-    for name, distance in zip(names, distances, strict=True):
-        if names.count(name) > 1:
-            raise InputError(f"distance = {distance:g}: it is given twice")
-    return [require_writable(path.with_name(name)) for name in names]
-
-
-def write_reconstructions(
-    paths: Sequence[Path], results: Sequence[Reconstruction], source: dict[str, Any] | None = None
-) -> None:
-    """Write each reconstruction into its file, as OpenEXR or as a picture by the suffix.
-
-    Pictures share one scale: the brightest bin of all is white.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Files, as from `reconstruction_paths`.
-    results : sequence of Reconstruction
-        As many reconstructions.
-    source : dict, optional
-        Metadata of the capture, kept in the headers of OpenEXR files.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
-    """
-    peak = max(float(result.image.max()) for result in results)
-    for path, result in zip(paths, results, strict=True):
-        if path.suffix.lower() == ".png":
-            write_png(path, result.image, peak=peak)
-        else:
-            write_reconstruction(path, result, source)
 
 
 def _srgb(linear: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""How far images are from each other, in numbers."""
+"""Image metrics: how far images are from each other, in numbers."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from ..camera import PlenopticCamera
 
 
 @dataclass(frozen=True)
-class Likeness:
-    """How like its reference an image is.
+class ImageMetrics:
+    """How close an image is to its reference.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Likeness:
     energy: float
 
     def to_dict(self) -> dict[str, float]:
-        """Give the numbers by name, rounded to what they mean."""
+        """Return the numbers by name, rounded to what they mean."""
         return {name: round(value, 5) for name, value in asdict(self).items()}
 
 
@@ -42,13 +42,13 @@ def common_scale(images: Sequence[np.ndarray], references: Sequence[np.ndarray])
     return products / squares if squares > 0 else 1.0
 
 
-def likeness(image: np.ndarray, reference: np.ndarray) -> Likeness:
+def image_metrics(image: np.ndarray, reference: np.ndarray) -> ImageMetrics:
     """Compare an image with a reference of the same shape, at least 7 x 7 pixels, brightness and all."""
     image, reference = np.asarray(image, np.float32), np.asarray(reference, np.float32)
     peak = float(reference.max())
     mean_square = float(np.mean((image - reference) ** 2, dtype=np.float64))
     total = float(reference.sum(dtype=np.float64))
-    return Likeness(
+    return ImageMetrics(
         psnr=10 * math.log10(peak**2 / mean_square) if mean_square > 0 and peak > 0 else math.inf,
         ssim=float(skimage.metrics.structural_similarity(image, reference, data_range=peak)) if peak > 0 else 1.0,
         energy=float(image.sum(dtype=np.float64)) / total if total > 0 else 1.0,
@@ -62,7 +62,7 @@ def relative_error(image: np.ndarray, reference: np.ndarray) -> float:
 
 
 def interference(image: np.ndarray, limit: np.ndarray, region: np.ndarray | tuple[slice, slice]) -> float:
-    """Tell how far a reconstruction is from the limit in which no two lenses interfere.
+    """Return how far a reconstruction is from the limit in which no two lenses interfere.
 
     The root mean square of their difference over the limit's mean, within a region of bins. A high-pass filter would
     not do as a measure, because it sees detail where there is any.
@@ -72,9 +72,9 @@ def interference(image: np.ndarray, limit: np.ndarray, region: np.ndarray | tupl
     return float(np.sqrt(np.mean(difference**2)) / mean) if mean > 0 else 0.0
 
 
-def lit_region(limit: np.ndarray, share: float = 0.1) -> np.ndarray:
-    """Mark the bins that are brighter than a share of the brightest."""
-    return limit > share * limit.max()
+def lit_region(limit: np.ndarray, fraction: float = 0.1) -> np.ndarray:
+    """Mark the bins that are brighter than a fraction of the brightest."""
+    return limit > fraction * limit.max()
 
 
 def shape_window(camera: PlenopticCamera, low: np.ndarray, high: np.ndarray) -> tuple[slice, slice] | None:

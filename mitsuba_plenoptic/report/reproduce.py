@@ -9,13 +9,21 @@ from typing import Any
 from ..errors import InputError
 from .claims import check_claims, timing_table
 from .experiment import Settings, open_store, run_experiment
-from .figures import figure_2, figure_4, figure_captures, figure_grid, figure_interference, letter_zooms
-from .html import Page, write_page
-from .measure import interference_notes, likeness_notes, measure
-from .one_core import seconds_on_one_core
-from .stages import Finished, Notify, software, told_seconds, write_json
+from .figures import draw_comparison, figure_2, figure_4
+from .framing import letter_zooms
+from .measurements import measure
+from .page import Report, write_report
+from .stage_store import StageOptions
+from .timing import seconds_on_one_core
 
 _LETTERS = {"eight": "the 8 (210 mm)", "f": "the F (240 mm)", "hash": "the # (280 mm)"}
+
+_PLATES = {
+    "fig2.png": "The paper's figure 2: the object and its image on the detector, by waves; below, 8 x 8 lenses of each "
+    "letter.",
+    "fig4.png": "The paper's figure 4: reconstructions by rays (a), coherent (b) and partially coherent (c) at 280 mm, "
+    "and partially coherent at 210 mm (d).",
+}
 
 _PAPER = Settings(
     scene="letters",
@@ -39,14 +47,7 @@ PRESETS = {
 }
 
 
-def reproduce(
-    output: Path,
-    *,
-    preset: str = "quick",
-    notify: Notify | None = None,
-    finished: Finished | None = None,
-    resume: bool = False,
-) -> dict[str, Any]:
+def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | None = None) -> dict[str, Any]:
     """Make the paper's figures 2 and 4, its timing comparison and its conclusions, with a report.
 
     Parameters
@@ -55,10 +56,8 @@ def reproduce(
         Folder to write into; what is in it already and valid is kept.
     preset : {"quick", "paper"}
         A smaller detector and smaller letters, or the paper's.
-    notify, finished : callable, optional
-        Told of the progress and of the end of each stage; see `stages`.
-    resume : bool
-        Whether to refuse the checkpoint of another capture in the folder, instead of replacing it.
+    stages : StageOptions, optional
+        How progress is reported, and what becomes of checkpoints.
 
     Returns
     -------
@@ -72,8 +71,8 @@ def reproduce(
     """
     if preset not in PRESETS:
         raise InputError(f"preset = {preset!r}: it must be one of {', '.join(PRESETS)}")
-    settings, command = PRESETS[preset], f"mitsuba-plenoptic reproduce --preset {preset}"
-    store = open_store(output, notify, finished, resume=resume)
+    settings = PRESETS[preset]
+    store = open_store(output, stages)
     experiment = run_experiment(settings, store)
     numbers = measure(experiment)
     last = settings.distances[-1]
@@ -84,54 +83,23 @@ def reproduce(
     )
     near, _, far = _LETTERS
     claims = check_claims(experiment, numbers, seconds, near, far)
-    timing = timing_table(experiment, seconds)
-
     zooms = letter_zooms(experiment, _LETTERS)
-    plates = {
-        "fig2.png": "The paper's figure 2: the object and its image on the detector, by waves; below, 8 x 8 lenses "
-        "of each letter.",
-        "fig4.png": "The paper's figure 4: reconstructions by rays (a), coherent (b) and partially coherent (c) at "
-        "280 mm, and partially coherent at 210 mm (d).",
-        "methods.png": "All methods at all three distances beside the thin lens.",
-        "interference.png": "What interference between lenses adds to the image.",
-        "captures.png": "Micro-images by rays and by waves, and their difference.",
-    }
     figure_2(output / "fig2.png", experiment, _LETTERS)
-    figure_4(
-        output / "fig4.png", experiment, [("ray", 280.0), ("coherent", 280.0), ("partial", 280.0), ("partial", 210.0)]
-    )
-    figure_grid(output / "methods.png", experiment, likeness_notes(numbers))
-    figure_interference(output / "interference.png", experiment, interference_notes(numbers))
-    figure_captures(output / "captures.png", experiment, zooms)
-
-    results = {
-        "command": command,
-        "settings": settings.to_dict(),
-        "camera": experiment.camera.to_dict(),
-        "software": software(),
-        **numbers,
-        "timing": timing,
-        "claims": [claim.to_dict() for claim in claims],
-        "stage_seconds": store.seconds,
-    }
-    write_json(output / "results.json", results)
+    panels = [("ray", last), ("coherent", last), ("partial", last), ("partial", settings.distances[0])]
+    figure_4(output / "fig4.png", experiment, panels)
     columns, rows = experiment.camera.bin_count
     confirmed = sum(claim.verdict == "confirmed" for claim in claims)
-    write_page(
-        output / "report.html",
-        Page(
-            title="A plenoptic camera by rays and by waves",
-            lead=f"Three letters at 210, 240 and 280 mm, recorded through {columns} x {rows} microlenses at "
-            f'{settings.wavelength:g} nm and refocused from one capture, after the paper "Wave-Optical '
-            f'Reconstruction of Plenoptic Camera Images". Of its {len(claims)} conclusions {confirmed} are confirmed.',
-            experiment=experiment,
-            numbers=numbers,
-            zooms=zooms,
-            plates=[(output / name, caption) for name, caption in plates.items()],
-            command=f"{command} -o {output.name}",
-            seconds=told_seconds(store.seconds),
-            claims=claims,
-            timing=timing,
-        ),
+    report = Report(
+        title="A plenoptic camera by rays and by waves",
+        lead=f"Three letters at 210, 240 and 280 mm, recorded through {columns} x {rows} microlenses at "
+        f'{settings.wavelength:g} nm and refocused from one capture, after the paper "Wave-Optical '
+        f'Reconstruction of Plenoptic Camera Images". Of its {len(claims)} conclusions {confirmed} are confirmed.',
+        experiment=experiment,
+        numbers=numbers,
+        zooms=zooms,
+        plates=_PLATES | draw_comparison(output, experiment, numbers, zooms),
+        command=f"mitsuba-plenoptic reproduce --preset {preset}",
+        claims=claims,
+        timing=timing_table(experiment, seconds),
     )
-    return results
+    return write_report(output, report)

@@ -128,5 +128,5 @@ def _first_crossing(position: np.ndarray, rising: np.ndarray, level: float) -> f
     i = int(above[0])
     if i == 0:
         return float(position[0])
-    share = (level - rising[i - 1]) / (rising[i] - rising[i - 1])
-    return float(position[i - 1] + share * (position[i] - position[i - 1]))
+    part = (level - rising[i - 1]) / (rising[i] - rising[i - 1])
+    return float(position[i - 1] + part * (position[i] - position[i - 1]))

@@ -19,8 +19,7 @@ from typing import Any, ParamSpec, TypeVar
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import scipy.fft
-import scipy.sparse
+import scipy
 from numpy.typing import NDArray
 
 from ..errors import InputError

@@ -14,8 +14,8 @@ GIB = 2**30
 VARIABLE = "MITSUBA_PLENOPTIC_MEMORY"
 """Environment variable that sets the limit, in GiB."""
 
-_SHARE = 0.75
-"""Share of the machine's memory that is allowed unless told; the rest is for what is underestimated."""
+_FRACTION = 0.75
+"""Fraction of the machine's memory that is allowed by default; the rest is for what is underestimated."""
 
 _UNKNOWN = 8 * GIB
 _CGROUP_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
@@ -34,7 +34,7 @@ def memory_limit() -> float:
     """
     told = os.environ.get(VARIABLE)
     if told is None:
-        return _SHARE * _machine_memory()
+        return _FRACTION * _machine_memory()
     try:
         number = float(told)
     except ValueError:

@@ -13,7 +13,7 @@ _SHOWING = {"report", "cli"}
 
 @cache
 def software() -> dict[str, str]:
-    """Tell the versions that results depend on, our own by its source text."""
+    """Return the versions that results depend on, our own by its source text."""
     package = Path(__file__).parent.parent
     text = hashlib.sha256()
     for source in sorted(package.rglob("*.py")):

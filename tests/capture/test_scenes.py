@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import sys
+import runpy
 from pathlib import Path
+from types import SimpleNamespace
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import PlenopticCamera, scene_path
+from mitsuba_plenoptic import PlenopticCamera, load_scene, scene_path
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("letters", "white", "chart", "still_life")
@@ -22,19 +22,14 @@ STILL_LIFE = ("table", "backdrop", "pawn", "die", "ball", "lambda", "knot", "win
 
 @pytest.fixture(scope="module")
 def make_meshes():
-    specification = importlib.util.spec_from_file_location("make_meshes", ROOT / "tools" / "make_meshes.py")
-    module = importlib.util.module_from_spec(specification)
-    # Its dataclass looks its own module up.
-    sys.modules[specification.name] = module
-    specification.loader.exec_module(module)
-    return module
+    return SimpleNamespace(**runpy.run_path(str(ROOT / "tools" / "make_meshes.py")))
 
 
 def load(name, **parameters):
     return mi.load_file(str(scene_path(name)), **{"resolution": "64", **parameters})
 
 
-def referee(resolution, **parameters):
+def thin_camera(resolution, **parameters):
     """Build one of Mitsuba's own cameras with the view of the plenoptic one."""
     return mi.load_dict(
         {
@@ -54,7 +49,7 @@ def referee(resolution, **parameters):
 
 
 def render(scene, resolution=128, spp=64, **parameters):
-    return np.array(mi.render(scene, sensor=referee(resolution, **parameters), spp=spp, seed=1))[..., 0]
+    return np.array(mi.render(scene, sensor=thin_camera(resolution, **parameters), spp=spp, seed=1))[..., 0]
 
 
 def shapes(scene):
@@ -89,6 +84,23 @@ def test_camera_is_the_papers_and_parameters_reach_it(name):
         assert getattr(camera, key) == (pytest.approx(value) if isinstance(value, float) else value)
     # Nobody asked for another detector distance, so the detector stays in the microlenses' focus.
     assert camera.detector_distance == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in (ROOT / "scenes").glob("*.xml")))
+def test_resolution_samples_the_same_detector(name):
+    full = load_scene(name).sensors()[0].camera
+    columns = full.resolution[0] // 20
+    camera = load_scene(name, parameters={"resolution": str(columns)}).sensors()[0].camera
+    assert camera.resolution[0] == columns
+    assert camera.detector_width == full.detector_width
+    # As near to the detector's shape as whole pixels come.
+    assert camera.detector_height == pytest.approx(full.detector_height, abs=camera.pixel_size / 2)
+    assert camera.pixels_per_lens == pytest.approx(full.pixels_per_lens * columns / full.resolution[0])
+
+
+def test_rows_can_be_given():
+    camera = load_scene("raytrix", parameters={"resolution": "102", "rows": "10"}).sensors()[0].camera
+    assert camera.resolution == (102, 10)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -222,7 +234,7 @@ def test_still_life_shows_everything_between_200_and_300(variant):
     assert image.min() > 0
 
     x, y = dr.meshgrid(*[(dr.arange(mi.Float, resolution) + 0.5) / resolution] * 2)
-    ray, _ = referee(resolution).sample_ray(0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
+    ray, _ = thin_camera(resolution).sample_ray(0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
     hit = scene.ray_intersect(ray)
     depth = np.array(hit.p.z)
     assert depth.min() > 190

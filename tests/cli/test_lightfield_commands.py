@@ -1,4 +1,4 @@
-"""The commands on light fields: what they write and what they say about mistakes."""
+"""The commands on light fields: what they write."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import pytest
 from PIL import Image
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, read_capture, write_capture
-from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.lightfield import decode, depth_map, epipolar_image, focal_stack, refocus, white_image
 
 CAMERA = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
@@ -30,18 +29,6 @@ def lf(raw):
     return decode(read_capture(raw))
 
 
-def run(*arguments):
-    assert main([str(argument) for argument in arguments]) == 0
-
-
-def complaint(capfd, *arguments):
-    assert main([str(argument) for argument in arguments]) == 2
-    error = capfd.readouterr().err
-    assert error.startswith("mitsuba-plenoptic: error: ")
-    assert error.count("\n") == 1, error
-    return error
-
-
 def parts(path):
     """Read the parts of an EXR file by name, and the JSON of the first."""
     found = OpenEXR.File(str(path), separate_channels=True).parts
@@ -52,13 +39,7 @@ def parts(path):
     return images, json.loads(found[0].header["mitsuba_plenoptic"])
 
 
-@pytest.mark.parametrize("command", ["views", "epi", "stack", "depth", "expose", "convert"])
-def test_help(command, capfd):
-    run(command, "--help")
-    assert f"mitsuba-plenoptic {command}" in capfd.readouterr().out
-
-
-def test_views(raw, lf, tmp_path, capfd):
+def test_views(raw, lf, tmp_path, run):
     run("views", raw, "-o", tmp_path / "all.exr")
     images, header = parts(tmp_path / "all.exr")
     assert len(images) == lf.sizes["v"] * lf.sizes["u"]
@@ -67,12 +48,11 @@ def test_views(raw, lf, tmp_path, capfd):
     assert header["coordinates"]["s"] == pytest.approx(lf.s.values.tolist())
     assert PlenopticCamera.from_dict(header["camera"]) == CAMERA
 
-    run("views", raw, "-o", tmp_path / "some.png", "--count", 3)
+    assert "3 x 3 views of 8 x 8 pixels" in run("views", raw, "-o", tmp_path / "some.png", "--count", 3)
     assert Image.open(tmp_path / "some.png").size == (24, 24)
-    assert "3 x 3 views of 8 x 8 pixels" in capfd.readouterr().out
 
 
-def test_views_with_a_white_image(raw, lf, tmp_path):
+def test_views_with_a_white_image(raw, lf, tmp_path, run):
     write_capture(tmp_path / "white.exr", Capture(2 * white_image(CAMERA), CAMERA))
     run("views", raw, "-o", tmp_path / "one.exr", "--count", 1, "--white", tmp_path / "white.exr")
     (image,) = parts(tmp_path / "one.exr")[0].values()
@@ -80,7 +60,7 @@ def test_views_with_a_white_image(raw, lf, tmp_path):
     np.testing.assert_allclose(image, lf.values[middle, middle] / 2, rtol=1e-5)
 
 
-def test_epi(raw, lf, tmp_path):
+def test_epi(raw, lf, tmp_path, run):
     run("epi", raw, "-o", tmp_path / "a.exr", "--axis", "vertical", "--at", float(lf.s[5]), "--through", float(lf.u[2]))
     image = parts(tmp_path / "a.exr")[0]["epipolar"]
     np.testing.assert_array_equal(image, epipolar_image(lf, "vertical", at=lf.s[5], through=lf.u[2]).values)
@@ -89,7 +69,7 @@ def test_epi(raw, lf, tmp_path):
 
 
 @pytest.mark.parametrize("method", ["shift", "fourier"])
-def test_stack(raw, lf, method, tmp_path):
+def test_stack(raw, lf, method, tmp_path, run):
     distances = ("--distance", 210, "--distance", 250.5, "--distance", 280)
     run("stack", raw, "-o", tmp_path / "a.exr", *distances, "--method", method)
     images, header = parts(tmp_path / "a.exr")
@@ -103,7 +83,7 @@ def test_stack(raw, lf, method, tmp_path):
     assert Image.open(tmp_path / "a.png").size == (16, 16)
 
 
-def test_depth(raw, lf, tmp_path, capfd):
+def test_depth(raw, lf, tmp_path, run):
     options = ("--near", 200, "--far", 300, "--planes", 8)
     run("depth", raw, "-o", tmp_path / "a.exr", *options)
     images, header = parts(tmp_path / "a.exr")
@@ -111,21 +91,22 @@ def test_depth(raw, lf, tmp_path, capfd):
     for name in ("depth", "disparity", "confidence", "image"):
         np.testing.assert_allclose(images[name], found[name].values, rtol=1e-5, atol=1e-6)
     assert (header["near"], header["far"], header["planes"]) == (200, 300, 8)
-    run("depth", raw, "-o", tmp_path / "a.png", *options)
+    assert "confidence above half" in run("depth", raw, "-o", tmp_path / "a.png", *options)
     assert Image.open(tmp_path / "a.png").size == (3 * 4 * 8, 4 * 8)
-    assert "confidence above half" in capfd.readouterr().out
 
 
-def test_expose(raw, tmp_path, capfd):
-    run("expose", raw, "-o", tmp_path / "a.exr", "--photons", 500, "--bits", 10, "--seed", 4, "--full-well", 2000)
+def test_expose(raw, tmp_path, run):
+    told = run(
+        "expose", raw, "-o", tmp_path / "a.exr", "--photons", 500, "--bits", 10, "--seed", 4, "--full-well", 2000
+    )
+    assert "300 electrons" in told
     noisy = read_capture(tmp_path / "a.exr")
     assert noisy.image.mean() == pytest.approx(read_capture(raw).image.mean(), rel=0.02)
     assert noisy.metadata["exposure"]["full_well"] == 2000
     assert noisy.metadata["exposure"]["seed"] == 4
-    assert "300 electrons" in capfd.readouterr().out
 
 
-def test_convert_there_and_back(raw, lf, tmp_path):
+def test_convert_there_and_back(raw, lf, tmp_path, run):
     run("convert", raw, "-o", tmp_path / "a.mat")
     run("convert", tmp_path / "a.mat", "-o", tmp_path / "a.eslf.png")
     run("convert", tmp_path / "a.eslf.png", "--view-count", lf.sizes["u"], "-o", tmp_path / "b.mat")
@@ -133,30 +114,3 @@ def test_convert_there_and_back(raw, lf, tmp_path):
     run("stack", tmp_path / "a.mat", "-o", tmp_path / "a.exr", "--distance", 210)
     image = parts(tmp_path / "a.exr")[0]["210 mm"]
     np.testing.assert_allclose(image, refocus(lf, 210).values, atol=2e-4)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["views", "{raw}", "-o", "{out}.tif"], ".png"),
-        (["views", "{raw}", "-o", "{out}.png", "--count", "99"], "count = 99"),
-        (["views", "nosuch.exr", "-o", "{out}.png"], "nosuch.exr"),
-        (["views", "{raw}", "-o", "{out}.png", "--view-count", "3"], "views = 3"),
-        (["epi", "{raw}", "-o", "{out}.png", "--axis", "sideways"], "axis = 'sideways'"),
-        (["stack", "{raw}", "-o", "{out}.png"], "--distance"),
-        (["stack", "{raw}", "-o", "{out}.png", "--distance", "70"], "focal length"),
-        (["stack", "{raw}", "-o", "{out}.png", "--distance", "240", "--method", "magic"], "method = 'magic'"),
-        (["depth", "{raw}", "-o", "{out}.png", "--near", "300", "--far", "200"], "near"),
-        (["depth", "{raw}", "-o", "{out}.png", "--planes", "1"], "planes = 1"),
-        (["expose", "{raw}", "-o", "{out}.png", "--photons", "5"], ".exr"),
-        (["expose", "{raw}", "-o", "{out}.exr"], "--photons"),
-        (["expose", "{raw}", "-o", "{out}.exr", "--photons", "-5"], "photons = -5"),
-        (["expose", "{raw}", "-o", "{out}.exr", "--photons", "5", "--bits", "40"], "bits = 40"),
-        (["convert", "{raw}", "-o", "{out}.npz"], "ends in"),
-        (["convert", "{raw}", "-o", "missing/{out}.mat"], "does not exist"),
-    ],
-)
-def test_mistakes(arguments, words, raw, tmp_path, capfd):
-    filled = [argument.format(raw=raw, out=tmp_path / "out") for argument in arguments]
-    assert words in complaint(capfd, *filled)
-    assert list(tmp_path.iterdir()) == []

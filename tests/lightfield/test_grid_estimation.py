@@ -31,8 +31,19 @@ def distances(found, truth, shape):
         LensGrid((17.1, 17.1 * ROOT3 / 2), (-23.3, -17.2), (80, 70), math.radians(0.3), 1),
         LensGrid((17.1 * ROOT3, 17.1 / 2), (-23.3, -17.2), (140, 45), math.radians(-0.3), 0),
         LensGrid((17.0, 15.5), (-60.0, 17.3), (90, 80), math.radians(-3.0)),
+        LensGrid((17.1, 0.93 * 17.1 * ROOT3 / 2), (-23.3, -80.2), (80, 70), math.radians(4.0), 1),
+        LensGrid((17.1 * ROOT3, 1.003 * 17.1 / 2), (-23.3, -17.2), (140, 45), math.radians(-3.0), 0),
+        LensGrid((20.0, 1.3 * 20.0 * ROOT3 / 2), (-95.3, -17.2), (60, 60), math.radians(-5.0), 1),
     ],
-    ids=["square", "hexagonal", "hexagonal, upright", "rectangular"],
+    ids=[
+        "square",
+        "hexagonal",
+        "hexagonal, upright",
+        "rectangular",
+        "hexagonal, flat",
+        "hexagonal, upright, hardly stretched",
+        "hexagonal, tall",
+    ],
 )
 def test_centres_of_an_unknown_lattice(grid):
     # A micro-image is 10.7 pixels wide. The picture is darker towards its corners and noisy.

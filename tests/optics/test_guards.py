@@ -13,6 +13,7 @@ from mitsuba_plenoptic import (
     PhysicsError,
     PhysicsWarning,
     PlenopticCamera,
+    design,
     load_scene,
     point_spread_function,
     read_capture,
@@ -149,12 +150,12 @@ class TestReconstruction:
                 interleave=interleave,
             )
         assert len(caught) == 1
-        beside = 1 - self.CAMERA.white_mean
+        beside = 1 - design.white_mean(self.CAMERA)
         assert result.guards["outside_pupil"] == pytest.approx(beside, abs=0.05)
 
     def test_light_that_leaves_the_object_window(self, monkeypatch):
         """One lens's light, kept in a window without a margin."""
-        monkeypatch.setattr("mitsuba_plenoptic.reconstruction._plan.OBJECT_MARGIN", -0.2)
+        monkeypatch.setattr("mitsuba_plenoptic.reconstruction.grids.OBJECT_MARGIN", -0.2)
         image = np.zeros((512, 512), np.float32)
         image[261:283, 261:283] = 1
         with pytest.warns(PhysicsWarning, match="misses the window"):

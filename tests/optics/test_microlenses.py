@@ -20,12 +20,6 @@ def to_numpy(values):
     return np.array(values.real) + 1j * np.array(values.imag)
 
 
-def period(camera):
-    """Return width and height of a rectangle after which the array repeats, in its own frame."""
-    rows = 2 if camera.mla_lattice == "hexagonal" else 1
-    return camera.mla_pitch * len(camera.mla_focal_lengths), rows * camera.lattice.row_distance
-
-
 # -- the element -------------------------------------------------------------------------------------
 
 
@@ -37,7 +31,7 @@ def test_every_lens_is_a_parabola_in_its_aperture(lattice):
     dx, dy = np.random.default_rng(0).uniform(-0.03, 0.03, (2, 500))
     dx, dy = (axis[camera.lattice.in_aperture(dx, dy)] for axis in (dx, dy))
     found = to_numpy(transmission(camera, WAVELENGTH, Float64(cx + dx), Float64(cy + dy)))
-    focal_length = camera.mla_focal_lengths[int(camera.lattice.lens_kind(i, j)) % len(camera.mla_focal_lengths)]
+    focal_length = camera.mla_focal_lengths[int(camera.lattice.lens_type(i, j)) % len(camera.mla_focal_lengths)]
     expected = np.exp(-1j * np.pi * (dx**2 + dy**2) / (WAVELENGTH * 1e-6 * focal_length))
     assert np.abs(found - expected).max() < 1e-5
 
@@ -48,9 +42,9 @@ def test_the_gaps_are_opaque():
     assert (np.abs(to_numpy(transmission(camera, WAVELENGTH, edge, Float64(0.032)))) > 0.5).tolist() == [0, 0, 1, 0]
 
 
-@pytest.mark.parametrize("fill", [1.0, 0.8])
-def test_a_separable_array_is_the_product_of_its_axes(fill):
-    camera = SMALL.replace(mla_fill=fill, mla_offset=(0.01, -0.02))
+@pytest.mark.parametrize("changes", [{}, {"mla_fill": 0.8}, {"mla_fill": 0.8, "mla_pitch": (0.064, 0.05)}])
+def test_a_separable_array_is_the_product_of_its_axes(changes):
+    camera = SMALL.replace(mla_offset=(0.01, -0.02), **changes)
     x, y = np.random.default_rng(0).uniform(-1, 1, (2, 500))
     expected = transmission_along(camera, WAVELENGTH, x, 0) * transmission_along(camera, WAVELENGTH, y, 1)
     assert np.allclose(to_numpy(transmission(camera, WAVELENGTH, Float64(x), Float64(y))), expected, atol=1e-5)
@@ -74,9 +68,9 @@ def test_orders_of_the_lens_array():
     t = np.exp(-1j * np.pi * (x - SMALL.mla_pitch / 2) ** 2 / (WAVELENGTH * 1e-6 * SMALL.mla_focal_length))
     q = np.arange(-20, 21)
     expected = [np.mean(t * np.exp(-2j * np.pi * k * x / SMALL.mla_pitch)) for k in q]
-    assert np.allclose(axis_orders(SMALL, WAVELENGTH, 20), expected, atol=1e-8)
+    assert np.allclose(axis_orders(SMALL, WAVELENGTH, 20, 0), expected, atol=1e-8)
     # All of the light is in some order.
-    assert np.sum(np.abs(axis_orders(SMALL, WAVELENGTH, 3000)) ** 2) == pytest.approx(1, abs=1e-4)
+    assert np.sum(np.abs(axis_orders(SMALL, WAVELENGTH, 3000, 0)) ** 2) == pytest.approx(1, abs=1e-4)
 
 
 @pytest.mark.filterwarnings("ignore:.*outer eighth of its window:mitsuba_plenoptic.PhysicsWarning")  # it is periodic
@@ -102,10 +96,12 @@ def test_self_imaging_of_a_bare_lens_array(part):
     assert error(field, expected) < 1e-4
 
 
-def test_orders_of_a_square_lattice_are_those_of_two_axes():
-    plane = plane_orders(SMALL, WAVELENGTH, 0.2)
-    single = axis_orders(SMALL, WAVELENGTH, plane.shape[0] // 2)
-    assert np.allclose(plane, np.outer(single, single) * (plane != 0), atol=1e-6)
+@pytest.mark.parametrize("pitch", [0.064, (0.064, 0.05)])
+def test_orders_of_a_separable_array_are_those_of_two_axes(pitch):
+    camera = SMALL.replace(mla_pitch=pitch)
+    plane = plane_orders(camera, WAVELENGTH, 0.2)
+    down, along = (axis_orders(camera, WAVELENGTH, plane.shape[1 - axis] // 2, axis) for axis in (1, 0))
+    assert np.allclose(plane, np.outer(down, along) * (plane != 0), atol=1e-6)
 
 
 def test_orders_of_holes_are_airy_patterns():
@@ -113,7 +109,7 @@ def test_orders_of_holes_are_airy_patterns():
     camera = SMALL.replace(mla_lattice="hexagonal", mla_aperture="circle", mla_fill=0.9, mla_focal_length=1e6)
     found = plane_orders(camera, WAVELENGTH, 0.2)
     q = [np.arange(size) - size // 2 for size in found.shape]
-    width, height = period(camera)
+    width, height = camera.lattice.period()
     argument = np.pi * 0.9 * camera.mla_pitch * np.hypot(q[1] / width, q[0][:, None] / height)
     with np.errstate(invalid="ignore"):
         airy = np.where(argument == 0, 1, 2 * j1(argument) / argument)
@@ -141,9 +137,10 @@ def test_transmission_is_the_sum_of_its_orders(lattice):
     found = to_numpy(PlaneTransmission(camera, WAVELENGTH, 0.2).at(Float64(x), Float64(y)))
     amplitudes = plane_orders(camera, WAVELENGTH, 0.2)
     x, y = turn(x - camera.mla_offset[0], y - camera.mla_offset[1], -camera.mla_rotation)
+    sides = camera.lattice.period(len(camera.mla_focal_lengths))
     along_x, along_y = (
         np.exp(2j * np.pi * np.outer(place, np.arange(size) - size // 2) / side)
-        for place, size, side in zip((x, y), amplitudes.shape[::-1], period(camera), strict=True)
+        for place, size, side in zip((x, y), amplitudes.shape[::-1], sides, strict=True)
     )
     expected = np.einsum("kj,ji,ki->k", along_y, amplitudes, along_x)
     assert error(found, expected) < 1e-3

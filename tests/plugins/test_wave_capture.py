@@ -10,7 +10,7 @@ from scipy.ndimage import map_coordinates
 from scipy.signal import fftconvolve
 from wave_cases import error
 
-from mitsuba_plenoptic import InputError, reconstruct, render_capture, scene_path
+from mitsuba_plenoptic import InputError, design, reconstruct, render_capture, scene_path
 from mitsuba_plenoptic.capture.point_spread import point_spread_function
 
 
@@ -55,7 +55,7 @@ def test_a_white_scene_is_the_pupil_blurred_by_the_microlens(camera_dict):
     camera, fine = wave.camera, 9
     step = camera.pixel_size / fine
     x = np.arange(-230 * fine, 230 * fine + 1) * step
-    spot = np.sinc(x / camera.spot_size(633)) ** 2
+    spot = np.sinc(x / design.spot_radius(camera, 633)) ** 2
     spot /= spot.sum()
     box = np.ones(fine) / fine
     profile = np.convolve(spot, box, mode="same")

@@ -8,9 +8,10 @@ from wave_cases import LATTICES, WAVELENGTH, capture, error, scattered, small_ca
 
 from mitsuba_plenoptic import PlenopticCamera, reconstruct
 from mitsuba_plenoptic.capture.point_spread import point_spread_function
-from mitsuba_plenoptic.reconstruction.coherent import reconstruct_subsets
-from mitsuba_plenoptic.reconstruction.lens_by_lens import reconstruct_lens_by_lens, white_throughput
-from mitsuba_plenoptic.reconstruction.wave import _over_lenses
+from mitsuba_plenoptic.reconstruction.full_fields import reconstruct_subsets
+from mitsuba_plenoptic.reconstruction.lens_by_lens import reconstruct_lens_by_lens
+from mitsuba_plenoptic.reconstruction.spread import over_lenses
+from mitsuba_plenoptic.reconstruction.white import white_throughput
 
 SMALL = small_camera(12)
 WAVES = [
@@ -50,7 +51,7 @@ def test_single_lenses_are_full_fields_of_one_lens(lattice):
     image = (np.hypot(px - cx, py[:, None] - cy) < 0.016).astype(np.float32)
     for distance in (225.0, 240.0):
         full, single = (
-            _over_lenses(route(image, camera, [distance], WAVELENGTH, oversample=9)[0], camera, 1, 9)
+            over_lenses(route(image, camera, [distance], WAVELENGTH, oversample=9)[0], camera, 1, 9)
             for route in (reconstruct_subsets, reconstruct_lens_by_lens)
         )
         assert single.sum() == pytest.approx(full.sum(), rel=0.01)

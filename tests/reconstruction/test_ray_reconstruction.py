@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct
-from mitsuba_plenoptic.reconstruction._binning import axis_bins, bin_image
+from mitsuba_plenoptic.reconstruction.binning import axis_bins, bin_image
 
 
 def by_single_rays(image, camera, distance):

@@ -11,10 +11,8 @@ from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct,
 from mitsuba_plenoptic.capture.point_spread import point_spread_function
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.exr import read_exr
-from mitsuba_plenoptic.reconstruction import coherent
-from mitsuba_plenoptic.reconstruction._legs import Workspace
-from mitsuba_plenoptic.reconstruction._plan import plan
-from mitsuba_plenoptic.reconstruction.coherent import lit_window, reconstruct_subsets
+from mitsuba_plenoptic.reconstruction.full_fields import FullFields, lit_window, reconstruct_subsets
+from mitsuba_plenoptic.reconstruction.grids import plan
 from mitsuba_plenoptic.reconstruction.lens_by_lens import reconstruct_lens_by_lens
 
 # Grey or random pixels and single ones are no captures, and a guard says so.
@@ -145,9 +143,8 @@ def test_what_passes_the_pupil_lands_in_the_image(camera, interleave):
     distances = [0.93 * focus, focus, 1.1 * focus]
     lit = lit_window(image, camera)
     grids = plan(camera, WAVELENGTH, distances, lit)
-    fields = coherent._pupil_fields(image, camera, WAVELENGTH, grids, lit, interleave, True, Workspace())
-    area = grids.main_lens.x.new_pitch * grids.main_lens.y.new_pitch / camera.pixel_size**2
-    passed = sum(float((np.abs(field) ** 2).sum(dtype=np.float64)) for field in fields) * area
+    fields = FullFields(image, camera, WAVELENGTH, grids, lit, interleave=interleave, relay=True)
+    passed = sum(fields.power(fields.at_main_lens(subset)) for subset in np.ndindex(interleave, interleave))
     assert 0.05 * image.sum() < passed < image.sum()
     for total in reconstruct_subsets(image, camera, distances, WAVELENGTH, interleave=interleave):
         assert total.sum() == pytest.approx(passed, rel=5e-3)

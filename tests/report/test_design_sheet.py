@@ -6,8 +6,9 @@ import math
 
 import pytest
 
-from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.report.design_sheet import design_sheet, design_warnings
+from mitsuba_plenoptic import PlenopticCamera, design
+from mitsuba_plenoptic.design import design_warnings
+from mitsuba_plenoptic.report.design_sheet import design_sheet
 
 
 def values(camera, wavelength=None):
@@ -42,7 +43,7 @@ def test_without_a_wavelength_nothing_is_said_of_diffraction():
 
 def test_refocusing_rows_give_bins_and_blur_at_the_ends_of_the_range():
     camera = PlenopticCamera()
-    near, far = camera.refocus_range(633)
+    near, far = design.refocus_range(camera, 633)
     notes = [row.note for row in design_sheet(camera, 633) if row.quantity == "bin size"]
     assert notes == [f"at {near:.4g} mm", "at 240 mm", f"at {far:.4g} mm"]
 
@@ -81,4 +82,4 @@ def test_no_plane_in_focus_or_at_infinity(mla_distance):
     camera = PlenopticCamera(mla_distance=mla_distance)
     text = values(camera, 633)["Main lens", "focused distance"][0]
     assert text == ("none" if mla_distance < 80 else "infinity")
-    assert not math.isnan(camera.refocus_range(633)[0])
+    assert not math.isnan(design.refocus_range(camera, 633)[0])

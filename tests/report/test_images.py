@@ -7,7 +7,8 @@ import pytest
 from PIL import Image
 
 from mitsuba_plenoptic import InputError
-from mitsuba_plenoptic.report.images import reconstruction_paths, shrink, write_png
+from mitsuba_plenoptic.report.images import shrink, write_png
+from mitsuba_plenoptic.report.output_files import reconstruction_paths
 
 
 def test_srgb_encoding_and_peak(tmp_path):

@@ -11,8 +11,8 @@ from scipy.special import erf
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.report.metrics import (
     common_scale,
+    image_metrics,
     interference,
-    likeness,
     lit_region,
     relative_error,
     shape_window,
@@ -22,7 +22,7 @@ from mitsuba_plenoptic.report.slanted_edge import edge_sharpness, square_sharpne
 
 def test_likeness_of_equal_images():
     image = np.random.default_rng(0).random((16, 16))
-    same = likeness(image, image)
+    same = image_metrics(image, image)
     assert same.psnr == math.inf
     assert same.ssim == pytest.approx(1)
     assert same.energy == pytest.approx(1)
@@ -31,14 +31,14 @@ def test_likeness_of_equal_images():
 def test_psnr_and_energy_of_a_constant_difference():
     reference = np.zeros((10, 10))
     reference[2:8, 2:8] = 2.0
-    found = likeness(reference + 0.02, reference)
+    found = image_metrics(reference + 0.02, reference)
     assert found.psnr == pytest.approx(20 * math.log10(2.0 / 0.02), abs=1e-3)
     assert found.energy == pytest.approx(1 + 0.02 * 100 / (2 * 36), rel=1e-5)
 
 
 def test_a_black_reference_gives_finite_answers():
     black = np.zeros((8, 8))
-    assert likeness(black, black).energy == 1
+    assert image_metrics(black, black).energy == 1
 
 
 def test_common_scale_serves_all_images():

@@ -7,15 +7,17 @@ import signal
 import subprocess
 import sys
 import weakref
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from mitsuba_plenoptic import InputError, load_scene, reconstruct, render_capture
+from mitsuba_plenoptic import InputError, load_scene, reconstruct, render_capture, scene_path
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io import checkpoints as checkpoints
 from mitsuba_plenoptic.report import sweep as sweeps
+from mitsuba_plenoptic.report.stage_store import StageOptions
 from mitsuba_plenoptic.report.sweep import SweepSettings, check_grid, parse_grid, read_grid, sweep
 
 pytest.importorskip("h5netcdf")
@@ -35,7 +37,7 @@ class StoppedError(Exception):
 def computed():
     """Tell which stages were computed, and which were there."""
     stages = {}
-    return stages, lambda name, seconds, was_there: stages.update({name: "kept" if was_there else "made"})
+    return stages, StageOptions(finished=lambda name, _, kept: stages.update({name: "kept" if kept else "made"}))
 
 
 def test_every_point_is_what_its_own_rendering_gives(tmp_path):
@@ -62,26 +64,26 @@ def test_every_point_is_what_its_own_rendering_gives(tmp_path):
 
 
 def test_finished_points_are_kept_and_a_grown_grid_computes_what_is_missing(tmp_path, computed):
-    stages, finished = computed
+    stages, options = computed
     output = tmp_path / "out.nc"
-    sweep(RAYS, {"aperture_radius": [4, 5]}, output, finished=finished).close()
+    sweep(RAYS, {"aperture_radius": [4, 5]}, output, stages=options).close()
     assert list(stages.values()) == ["made", "made"]
     first = output.read_bytes()
-    sweep(RAYS, {"aperture_radius": [4, 5]}, output, finished=finished).close()
+    sweep(RAYS, {"aperture_radius": [4, 5]}, output, stages=options).close()
     assert list(stages.values()) == ["kept", "kept"]
     assert output.read_bytes() == first
-    with sweep(RAYS, {"aperture_radius": [3, 5], "distance": [240]}, output, finished=finished) as data:
+    with sweep(RAYS, {"aperture_radius": [3, 5], "distance": [240]}, output, stages=options) as data:
         assert [stages[f"capture,aperture_radius={radius}"] for radius in (3, 4, 5)] == ["made", "kept", "kept"]
         assert data.capture.sizes["aperture_radius"] == 2
     other = SweepSettings("letters", parameters=TINY, spp=3)
-    sweep(other, {"aperture_radius": [5]}, output, finished=finished).close()
+    sweep(other, {"aperture_radius": [5]}, output, stages=options).close()
     assert stages["capture,aperture_radius=5"] == "made"
 
 
 def test_a_sweep_that_was_stopped_goes_on_in_the_midst_of_a_capture(tmp_path, computed, monkeypatch):
-    stages, finished = computed
-    monkeypatch.setattr(checkpoints, "_SECONDS", 0.0)
-    monkeypatch.setattr(checkpoints, "_SHARE", 1e9)
+    stages, options = computed
+    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
+    monkeypatch.setattr(checkpoints, "FRACTION", 1e9)
     grid = {"wavelength": [500, 633]}
     with sweep(WAVES, grid, tmp_path / "clean.nc") as data:
         clean = data.capture.values
@@ -97,12 +99,13 @@ def test_a_sweep_that_was_stopped_goes_on_in_the_midst_of_a_capture(tmp_path, co
     output = tmp_path / "out.nc"
     output.write_bytes(b"yesterday's")
     with pytest.raises(StoppedError):
-        sweep(WAVES, grid, output, finished=finished)
+        sweep(WAVES, grid, output, stages=options)
     assert output.read_bytes() == b"yesterday's"
     assert stages == {"capture,wavelength=500": "made"}
     monkeypatch.setattr(checkpoints, "_write", write)
     progress = []
-    with sweep(WAVES, grid, output, finished=finished, resume=True, notify=lambda *told: progress.append(told)) as data:
+    again = replace(options, resume=True, notify=lambda *told: progress.append(told))
+    with sweep(WAVES, grid, output, stages=again) as data:
         np.testing.assert_array_equal(data.capture, clean)
     first = next(done for name, done, total in progress if name == "capture,wavelength=633" and total)
     assert first > 0
@@ -114,9 +117,22 @@ def test_a_sweep_that_was_stopped_goes_on_in_the_midst_of_a_capture(tmp_path, co
     ]
 
 
+def test_a_hexagonal_sweep_has_bins_and_not_lenses(tmp_path):
+    settings = SweepSettings("letters", parameters={**TINY, "mla_lattice": "hexagonal"}, spp=2)
+    with sweep(settings, {"aperture_radius": [4, 5], "distance": [240, 280]}, tmp_path / "out.nc") as data:
+        scene = load_scene("letters", parameters={**settings.parameters, "aperture_radius": "5"})
+        camera = scene.sensors()[0].camera
+        assert camera.lens_count != camera.bin_count
+        assert (data.sizes["bin_column"], data.sizes["bin_row"]) == camera.bin_count
+        (result,) = reconstruct(render_capture(scene, spp=2), [280])
+        point = data.sel(aperture_radius=5, distance=280)
+        np.testing.assert_array_equal(point.reconstruction, result.image)
+        assert float(point.bin_size) == pytest.approx(result.bin_size)
+
+
 def test_colours_have_channels(tmp_path):
     scene = tmp_path / "scene.xml"
-    source = sweeps.scene_path("letters")
+    source = scene_path("letters")
     scene.write_text(source.read_text().replace('"luminance"', '"rgb"').replace("meshes/", f"{source.parent}/meshes/"))
     settings = SweepSettings(str(scene), parameters=TINY, spp=1, variant="llvm_ad_rgb")
     with sweep(settings, {"distance": [240, 280]}, tmp_path / "out.nc") as data:
@@ -140,14 +156,14 @@ def test_the_command_takes_yaml_and_words(tmp_path, capsys):
 def test_the_dataset_does_not_grow_in_memory(tmp_path, monkeypatch):
     """Only one point's images are held at a time."""
     held = []
-    put = sweeps._Layout.put
+    put = sweeps.Layout.put
 
     def watched(layout, index, capture, images):
         held.append(weakref.ref(capture))
         put(layout, index, capture, images)
         assert sum(reference() is not None for reference in held) <= 2
 
-    monkeypatch.setattr(sweeps._Layout, "put", watched)
+    monkeypatch.setattr(sweeps.Layout, "put", watched)
     sweep(RAYS, {"aperture_radius": [2, 3, 4, 5]}, tmp_path / "out.nc").close()
     assert len(held) == 4
 

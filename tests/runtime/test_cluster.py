@@ -12,9 +12,9 @@ import time
 
 import numpy as np
 import pytest
+from mitsuba_plenoptic.capture.incoherent import estimate_cost, incoherent_sum
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, render_capture
-from mitsuba_plenoptic.capture.incoherent import estimate_cost, incoherent_sum
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.report.sweep import SweepSettings, sweep
 from mitsuba_plenoptic.runtime import cluster as distributed
@@ -31,7 +31,7 @@ import sys
 from mitsuba_plenoptic.io import checkpoints as checkpoint
 from mitsuba_plenoptic import cli
 from mitsuba_plenoptic.runtime import cluster as distributed
-checkpoint._SECONDS, checkpoint._SHARE, distributed._GROUP_SAMPLES = 0.0, 1e9, 1
+checkpoint.INTERVAL, checkpoint.FRACTION, distributed._GROUP_SAMPLES = 0.0, 1e9, 1
 sys.exit(cli.main(sys.argv[1:]))
 """
 

@@ -8,14 +8,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from mitsuba_plenoptic.capture.incoherent import estimate_cost, incoherent_sum
 
 from mitsuba_plenoptic import PlenopticCamera, point_spread_function, reconstruct
-from mitsuba_plenoptic.capture.incoherent import estimate_cost, incoherent_sum
 from mitsuba_plenoptic.capture.point_spread import point_fields
 from mitsuba_plenoptic.errors import InputError
 from mitsuba_plenoptic.io import checkpoints as checkpoint
 from mitsuba_plenoptic.optics.free_space import propagate
-from mitsuba_plenoptic.reconstruction.lens_by_lens import white_throughput
+from mitsuba_plenoptic.reconstruction.white import white_throughput
 from mitsuba_plenoptic.runtime import backend as _backend
 
 # The inputs are random: the field fills its window, and the captures have light beside the micro-images.

@@ -25,7 +25,7 @@ def camera():
     return PlenopticCamera(resolution=(64, 64), detector_width=0.256)
 
 
-def test_the_limit_is_a_share_of_the_machine_or_what_the_variable_says(monkeypatch):
+def test_the_limit_is_a_fraction_of_the_machine_or_what_the_variable_says(monkeypatch):
     assert memory_limit() == 16 * GIB
     monkeypatch.delenv(limits.VARIABLE)
     assert GIB / 4 < memory_limit() < 2**50

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
+import runpy
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,11 +14,7 @@ from mitsuba_plenoptic import PlenopticCamera
 
 @pytest.fixture(scope="module")
 def study():
-    path = Path(__file__).parents[2] / "tools" / "when_do_rays_fail.py"
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return SimpleNamespace(**runpy.run_path(str(Path(__file__).parents[2] / "tools" / "when_do_rays_fail.py")))
 
 
 def test_the_spot_of_a_square_lens(study):

@@ -20,8 +20,8 @@ import scipy.fft
 from mitsuba_plenoptic import Capture, PlenopticCamera, decode, load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.lightfield.geometry import distance_of
 from mitsuba_plenoptic.lightfield.refocus import refocus
-from mitsuba_plenoptic.reconstruction._plan import plan
-from mitsuba_plenoptic.reconstruction.coherent import lit_window
+from mitsuba_plenoptic.reconstruction.full_fields import lit_window
+from mitsuba_plenoptic.reconstruction.grids import plan
 
 from .table import Row, on_cores, side_by_side
 
@@ -140,15 +140,12 @@ def _bare_transforms(capture: Capture, distance: float) -> Callable[[], None]:
     lit = lit_window(capture.image, capture.camera)
     assert lit is not None
     grids = plan(capture.camera, _WAVELENGTH, [distance], lit)
-    shapes = []
-    for leg in (grids.detector, grids.main_lens, *grids.objects):
-        x, y = leg.x, leg.y
-        shapes += [
-            ((y.count, x.padded), 1, False),
-            ((y.padded, x.kept), 0, False),
-            ((y.kept, x.kept), 0, True),
-            ((y.wanted, x.kept), 1, True),
-        ]
+    # Along rows for the first and the last of a step's four, along columns for the two between them.
+    shapes = [
+        ((count, length) if axis else (length, count), axis, inverse)
+        for step in grids.steps
+        for (count, length, inverse), axis in zip(step.transforms, (1, 0, 0, 1), strict=True)
+    ]
     memory = np.ones(max(rows * columns for (rows, columns), _, _ in shapes), np.complex64)
 
     def transforms() -> None:

@@ -6,8 +6,8 @@ import cProfile
 import pstats
 from typing import Any
 
-from mitsuba_plenoptic.capture.accuracy import DEFAULT_ACCURACY
 from mitsuba_plenoptic.capture import incoherent, patch
+from mitsuba_plenoptic.capture.accuracy import DEFAULT_ACCURACY
 from mitsuba_plenoptic.runtime import batches, fft
 
 from .point_spreads import WAVELENGTH, radiators

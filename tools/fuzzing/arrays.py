@@ -8,6 +8,7 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
+from mitsuba_plenoptic.capture.incoherent import incoherent_sum
 
 from mitsuba_plenoptic import (
     Capture,
@@ -15,12 +16,12 @@ from mitsuba_plenoptic import (
     InputError,
     PlenopticCamera,
     decode,
+    design,
     expose,
     point_spread_function,
     reconstruct,
     render_capture,
 )
-from mitsuba_plenoptic.capture.incoherent import incoherent_sum
 from mitsuba_plenoptic.capture.scene import set_variant
 from mitsuba_plenoptic.lightfield import (
     FourierRefocuser,
@@ -169,7 +170,7 @@ def wall(camera: PlenopticCamera, distance: float) -> Any:
     (columns, rows), (left, top), (width, height) = (numbers.pop(name) for name in cameras.PAIRS)
     # A plugin takes several numbers as text.
     numbers |= {name: ", ".join(map(repr, value)) for name, value in numbers.items() if isinstance(value, tuple)}
-    size = min(camera.field_width(distance) / 8, 1e6)
+    size = min(design.field_width(camera, distance) / 8, 1e6)
     film = {"type": "hdrfilm", "width": columns, "height": rows, "rfilter": {"type": "box"},
             "pixel_format": "luminance", "component_format": "float32", "crop_offset_x": left, "crop_offset_y": top,
             "crop_width": width, "crop_height": height}  # fmt: skip

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.camera import LONGEST, SHORTEST
-from mitsuba_plenoptic.report.design_sheet import design_sheet, design_warnings
+from mitsuba_plenoptic.bounds import LONGEST, SHORTEST
+from mitsuba_plenoptic.design import design_warnings
+from mitsuba_plenoptic.report.design_sheet import design_sheet
 
 from .cases import Case
 from .values import NOT_FINITE, NOT_NUMBERS, NOT_POSITIVE, NOT_WHOLE, TOO_LARGE, TOO_SMALL, pick

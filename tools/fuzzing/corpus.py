@@ -15,7 +15,7 @@ from mitsuba_plenoptic import Capture, PlenopticCamera, decode, reconstruct, wri
 from mitsuba_plenoptic.lightfield import white_image
 from mitsuba_plenoptic.lightfield.exchange import write_lftoolbox, write_mosaic
 from mitsuba_plenoptic.reconstruction import write_reconstruction
-from mitsuba_plenoptic.report.light_fields import write_views
+from mitsuba_plenoptic.report.output_files import write_views
 
 SCENE = """<?xml version="1.0" encoding="utf-8"?>
 <scene version="3.0.0">

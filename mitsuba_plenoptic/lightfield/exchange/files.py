@@ -31,7 +31,7 @@ def open_light_field(
         plenoptic camera.
     white : path, optional
         A picture of something white by the same camera, ``.exr`` or ``.png``. For a capture of this package it
-        replaces the computed one; for a raw picture it tells where the micro-images are.
+        replaces the computed one; for a raw picture it shows where the micro-images are.
     views : int, optional
         Views along each axis of a mosaic.
     linear : bool

@@ -22,12 +22,11 @@ import scipy.io
 import xarray as xr
 
 from ...camera import PlenopticCamera
-from ...errors import InputError, require_number
+from ...errors import InputError, require_choice, require_number
 from ...io.files import atomic_output, require_file
 from ...runtime.limits import require_memory
-from ..geometry import light_field, require_light_field
+from ..geometry import grid_of, light_field, require_light_field
 from ..grid import LensGrid, bin_grid
-from .matlab5 import NUMERIC, read_variables
 
 # Bytes of a light field's number while it is read: as stored (at most 8), and twice in single precision.
 _NUMBER_BYTES = 8 + 4 + 4
@@ -40,6 +39,9 @@ _MODEL = ("HSpacing", "VSpacing", "HOffset", "VOffset", "Rot", "UMax", "VMax", "
 
 # MATLAB's version 5 files hold at most so many bytes in one variable.
 _MAX_BYTES = 2**31 - 1
+
+# MATLAB's names of the arrays that a light field may be.
+_NUMERIC = ("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
 
 _TYPES = {"uint8": np.uint8, "uint16": np.uint16, "single": np.float32}
 
@@ -65,8 +67,7 @@ def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uin
         If the precision is unknown, the light field too large for the format, or the file cannot be written.
     """
     lf = require_light_field(lf)
-    if precision not in _TYPES:
-        raise InputError(f"precision = {precision!r}: it must be one of {', '.join(_TYPES)}")
+    require_choice("precision", precision, _TYPES)
     values = np.asarray(lf.values)
     if values.ndim == 4:
         values = values[..., None]
@@ -81,10 +82,10 @@ def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uin
     if kind.kind == "u":
         stored = np.round(np.clip(stored, 0, 1) * (2 ** (8 * kind.itemsize) - 1))
     variables: dict[str, Any] = {"LF": stored.astype(kind), "MaxLum": peak}
-    if lf.attrs.get("grid") is not None:
-        variables["LensletGridModel"] = _to_model(LensGrid(**lf.attrs["grid"]))
-    if lf.attrs.get("camera") is not None:
-        variables["Camera"] = json.dumps(lf.attrs["camera"])
+    if (grid := grid_of(lf)) is not None:
+        variables["LensletGridModel"] = _to_model(grid)
+    if "camera" in lf.attrs:
+        variables["Camera"] = lf.attrs["camera"]
     variables["GeneratedByInfo"] = {"mfilename": "mitsuba_plenoptic"}
     with atomic_output(path) as temporary, temporary.open("wb") as file:
         scipy.io.savemat(file, variables, do_compression=True)
@@ -102,7 +103,7 @@ def read_lftoolbox(path: str | Path) -> xr.DataArray:
     -------
     xarray.DataArray
         Integers are scaled to 0 to 1 and by ``MaxLum``. Without weights in the file, views that are black throughout
-        have none. The coordinates are physical if the file tells the camera.
+        have none. The coordinates are physical if the file holds the camera.
 
     Raises
     ------
@@ -155,25 +156,25 @@ def _check(shape: tuple[int, ...]) -> None:
 
 
 def _read_version_5(path: Path) -> dict[str, Any]:
-    names = ("LF", "LensletGridModel", "Camera", "MaxLum")
-    sizes: dict[str, tuple[int, ...]] = {}
-    with path.open("rb") as file:
-        for name, variable in read_variables(file):
-            if name in names:
-                if name in sizes:
-                    raise InputError(f"it has two variables {name}")
-                sizes[name] = variable.shape
-                if name == "LF":
-                    if variable.kind not in NUMERIC:
-                        raise InputError("LF is not an array of numbers")
-                    _check(variable.shape)
-                variable.require_size(8 * math.prod(variable.shape) + _SMALL if name == "LF" else _SMALL)
-    if "LF" not in sizes:
-        raise InputError("it has no variable LF")
+    variables = scipy.io.whosmat(path)
+    for name, shape, kind in variables:
+        if name == "LF":
+            if kind not in _NUMERIC:
+                raise InputError("LF is not an array of numbers")
+            _check(shape)
     # One number, one structure, or one line of text.
-    small = [name for name in names[1:] if sizes.get(name, (0, 0))[0] == 1]
-    found = scipy.io.loadmat(str(path), variable_names=["LF", *small], simplify_cells=True)
-    return {name: found[name] for name in ("LF", *small)}
+    small = [
+        name
+        for name, shape, _ in variables
+        if name in ("LensletGridModel", "Camera", "MaxLum")
+        if math.prod(shape) == 1
+    ]
+    found = scipy.io.loadmat(path, variable_names=["LF", *small], simplify_cells=True)
+    if "LF" not in found:
+        raise InputError("it has no variable LF")
+    if found["LF"].dtype.kind not in "fiu":
+        raise InputError("LF is not an array of numbers")
+    return found
 
 
 def _read_hdf5(path: Path) -> dict[str, Any]:
@@ -207,7 +208,7 @@ def _read_model(h5py: Any, group: Any) -> dict[str, Any]:
 
 
 def _dataset(h5py: Any, group: Any, name: str) -> Any:
-    """Give an array of numbers that lies in this very file, or None if there is none of the name.
+    """Return the array of numbers of a name that lies in this very file, or None if there is none.
 
     HDF5 can link to other files, keep data in other files and assemble them from other files; of a light field from a
     stranger that would read files of the user's.

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from ...errors import InputError, require_count
+from ...errors import InputError, require_choice, require_count
 from ..geometry import light_field, require_light_field
 from ..views import lens_mosaic, view_mosaic
 from .pictures import read_picture, write_picture
@@ -37,7 +37,7 @@ def write_mosaic(path: str | Path, lf: xr.DataArray, *, layout: str = "lenses") 
     InputError
         If the layout is unknown or the file cannot be written.
     """
-    _require_layout(layout)
+    require_choice("layout", layout, LAYOUTS)
     lf = require_light_field(lf)
     peak = float(np.max(lf.values, initial=0)) or 1.0
     mosaic = lens_mosaic(lf) if layout == "lenses" else view_mosaic(lf)
@@ -68,7 +68,7 @@ def read_mosaic(path: str | Path, views: int, *, layout: str = "lenses", linear:
     InputError
         If the file cannot be read, or its sides are not whole multiples of the number of views.
     """
-    _require_layout(layout)
+    require_choice("layout", layout, LAYOUTS)
     image = read_picture(path, linear=linear)
     views = require_count("views", views, maximum=min(image.shape[:2]))
     rows, columns = image.shape[:2]
@@ -80,12 +80,7 @@ def read_mosaic(path: str | Path, views: int, *, layout: str = "lenses", linear:
         values = values.transpose(1, 3, 0, 2, *range(4, values.ndim))
     else:
         values = image.reshape(views, rows // views, views, columns // views, *rest).swapaxes(1, 2)
-    # Views beyond the pupil are black throughout; no weights are stored to tell them.
+    # Views beyond the pupil are black throughout; no weights are stored that would say so.
     seen = np.any(values.reshape(views, views, -1), axis=2)
     weight = np.broadcast_to(seen[:, :, None, None], values.shape[:4]).astype(np.float32)
     return light_field(np.ascontiguousarray(values), weight)
-
-
-def _require_layout(layout: str) -> None:
-    if layout not in LAYOUTS:
-        raise InputError(f"layout = {layout!r}: it must be one of {', '.join(LAYOUTS)}")

@@ -1,0 +1,127 @@
+"""Arguments and options that several commands have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ..io.captures import MODELS
+
+
+def output_option(metavar: str, text: str) -> Any:
+    """Return the option ``-o`` of a command that writes a file or a folder."""
+    return typer.Option("-o", "--output", metavar=metavar, help=text)
+
+
+def number(text: str, default: str | None = None, *, unit: str = "N") -> Any:
+    """Return an option that takes a number; `default` is what the help shows for a default of None."""
+    return typer.Option(metavar=unit, show_default=default or True, help=text)
+
+
+Scene = Annotated[str, typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.")]
+CaptureFile = Annotated[Path, typer.Argument(metavar="CAPTURE.exr", help="A file that 'render' wrote.")]
+OutputFolder = Annotated[Path, output_option("DIR", "Folder to write into; made if it is not there.")]
+CaptureOutput = Annotated[Path, output_option("FILE.exr", "File to write.")]
+
+Definitions = Annotated[
+    list[str] | None,
+    typer.Option(
+        "-D",
+        "--define",
+        metavar="NAME=VALUE",
+        help="Set a scene parameter, the $NAME in its XML file; repeat for several.",
+    ),
+]
+
+Distances = Annotated[
+    list[float],
+    number("Distance from the main lens to focus on, beyond its focal length; repeat for several.", unit="MM"),
+]
+
+Variant = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME", show_default="llvm_ad_mono", help="Mitsuba variant, for example llvm_ad_rgb or cuda_ad_mono."
+    ),
+]
+
+Model = Annotated[
+    str | None,
+    typer.Option(
+        metavar="|".join(MODELS),
+        show_default="as the scene's integrator has it",
+        help="How light propagates through the camera.",
+    ),
+]
+
+Samples = Annotated[
+    int | None, number("Samples per pixel; by waves, light paths per radiator.", "those of the scene's sampler")
+]
+
+Seed = Annotated[int, number("Seed of the random numbers.")]
+
+RadiatorsPerLens = Annotated[
+    int | None, number("By waves: incoherent point sources per microlens and axis.", "the scene's, else 8")
+]
+
+Resume = Annotated[
+    bool,
+    typer.Option(
+        "--resume",
+        help="Go on from the checkpoint of a wave capture that was stopped; refuse one of another scene, camera or "
+        "version.",
+    ),
+]
+
+# Of commands that always go on where they stood.
+ResumeOnly = Annotated[
+    bool,
+    typer.Option(
+        "--resume",
+        help="Refuse the checkpoint of another scene, camera or version, if the folder holds one, instead of "
+        "replacing it.",
+    ),
+]
+
+Workers = Annotated[
+    int | None,
+    number(
+        "By waves: sum on so many processes of this machine; the capture has the same bits.", "threads of one process"
+    ),
+]
+
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS", help="By waves: sum on the workers of this Dask scheduler, for example tcp://10.0.0.1:8786."
+    ),
+]
+
+LightFieldSource = Annotated[
+    Path,
+    typer.Argument(
+        metavar="SOURCE",
+        help="A capture (.exr), a light field of LFToolbox (.mat), a mosaic (.png with --view-count, .eslf.png for "
+        "the samples of each lens together), or a raw picture of a real camera (.png with --white).",
+    ),
+]
+
+White = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        show_default="computed from the camera",
+        help="White image of the same camera, .exr or .png. Of a raw picture it tells where the micro-images are.",
+    ),
+]
+
+ViewCount = Annotated[
+    int | None, number("For a mosaic: how many views it has along each axis, 14 in Lytro's ESLF files.")
+]
+
+Linear = Annotated[
+    bool,
+    typer.Option("--linear", help="PNG files hold values proportional to light, as raw data does, instead of sRGB."),
+]

@@ -1,0 +1,63 @@
+"""What follows from a camera's numbers: functions of a `PlenopticCamera`, in closed form and by rays.
+
+`focus` tells what the microlenses are focused on, and how sharply the camera sees at which distance; `micro_images`
+tells how large the micro-images are, by rays and with diffraction, and which lenses light a pixel.
+"""
+
+from .focus import (
+    EffectiveResolution,
+    best_distances,
+    depth_ranges,
+    effective_resolution,
+    field_of_view,
+    field_width,
+    focus_type,
+    focus_types,
+    lens_footprint,
+    lenses_across,
+    mla_object_distances,
+    pixel_footprint,
+    refocus_range,
+    suitable_oversample,
+    virtual_depth,
+)
+from .micro_images import (
+    crosstalk_lenses,
+    crosstalk_neighbours,
+    direction_count,
+    image_f_number,
+    main_fresnel_number,
+    mla_f_number,
+    mla_fresnel_number,
+    spot_radius,
+    white_mean,
+)
+from .warnings import design_warnings
+
+__all__ = [
+    "EffectiveResolution",
+    "best_distances",
+    "crosstalk_lenses",
+    "crosstalk_neighbours",
+    "depth_ranges",
+    "design_warnings",
+    "direction_count",
+    "effective_resolution",
+    "field_of_view",
+    "field_width",
+    "focus_type",
+    "focus_types",
+    "image_f_number",
+    "lens_footprint",
+    "lenses_across",
+    "main_fresnel_number",
+    "mla_f_number",
+    "mla_fresnel_number",
+    "mla_object_distances",
+    "pixel_footprint",
+    "refocus_range",
+    "spot_radius",
+    "suitable_oversample",
+    "virtual_depth",
+    "white_mean",
+]

@@ -1,0 +1,118 @@
+"""How large a camera's micro-images are, by rays and with diffraction, and which lenses light a pixel."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..camera import PlenopticCamera
+from ..errors import InputError
+
+MOST_OVERLAP = 100_000
+"""Lenses that may light one pixel."""
+
+
+def image_f_number(camera: PlenopticCamera) -> float:
+    """F-number of the main lens as the MLA sees it, :math:`b / D_1`."""
+    return camera.mla_distance / camera.aperture_diameter
+
+
+def mla_f_number(camera: PlenopticCamera) -> float:
+    """F-number of a microlens as the detector sees it: :math:`z` over the width of its aperture."""
+    return camera.detector_distance / camera.lattice.aperture_width
+
+
+# -- diffraction -------------------------------------------------------------------------------------
+
+
+def spot_radius(camera: PlenopticCamera, wavelength: float) -> float:
+    r"""Radius of a microlens's focal spot, from its centre to the first zero.
+
+    :math:`\lambda z / w` for a rectangular aperture, w its narrower side; :math:`1.22\, \lambda z / d` for a disc of
+    diameter d; for a hexagon that of the disc of its area.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    """
+    return wavelength * 1e-6 * camera.detector_distance / camera.lattice.diffraction_width
+
+
+def direction_count(camera: PlenopticCamera, wavelength: float | None = None) -> float:
+    """Directions told apart across a micro-image: its diameter over a pixel or the spot, whichever is larger.
+
+    Without a wavelength diffraction is left out.
+    """
+    spot = 0.0 if wavelength is None else spot_radius(camera, wavelength)
+    return camera.micro_image_diameter / max(camera.pixel_size, spot)
+
+
+def mla_fresnel_number(camera: PlenopticCamera, wavelength: float) -> float:
+    r"""Fresnel number of a microlens of width w seen from the detector, :math:`(w/2)^2 / (\lambda z)`."""
+    return (camera.lattice.aperture_width / 2) ** 2 / (wavelength * 1e-6 * camera.detector_distance)
+
+
+def main_fresnel_number(camera: PlenopticCamera, wavelength: float) -> float:
+    r"""Fresnel number of the main lens seen from the MLA, :math:`(D_1/2)^2 / (\lambda b)`."""
+    return camera.aperture_radius**2 / (wavelength * 1e-6 * camera.mla_distance)
+
+
+# -- light of a white scene --------------------------------------------------------------------------
+
+
+def white_mean(camera: PlenopticCamera) -> float:
+    r"""Mean of an endless capture of a scene of uniform radiance 1.
+
+    A micro-image of area :math:`(\pi/4)(D_1 z / b)^2` reads 1 whatever its lens's aperture, because a pixel is the
+    mean radiance over the aperture; there is one on each :math:`A ((b + z)/b)^2` of the detector, A the area of
+    the lattice's cell.
+    """
+    growth = camera.micro_image_pitch / camera.mla_pitch
+    return math.pi / 4 * camera.micro_image_diameter**2 / (camera.lattice.cell_area * growth**2)
+
+
+def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.ndarray:
+    """Find the lenses that can light a pixel, from the one of its chief ray, and those up to a distance beyond.
+
+    The ray from a detector point p through the point c + d of a lens meets the pupil plane in
+    :math:`(1 + b/z)(c - m) + (1 + b/z - b/f_2) d`, m the point of the chief ray, which is in its lens's cell. For
+    that to be in the pupil, c must be within :math:`(D_1/2) / (1 + b/z)` of some
+    :math:`m - d (1 + b/z - b/f_2) / (1 + b/z)`: a cell enlarged by apertures.
+
+    Returns
+    -------
+    (lenses, 2) int array
+        Steps in the lattice's indices; the first is the chief ray's own lens.
+
+    Raises
+    ------
+    InputError
+        If micro-images overlap so much that these are more than 100,000.
+    """
+    lenses, reach, smear = _crosstalk(camera)
+    reach += beyond
+    if not lenses <= MOST_OVERLAP:
+        raise InputError(
+            f"camera: its micro-images overlap so much that some {lenses:.3g} lenses light each pixel; at most "
+            f"{MOST_OVERLAP} are followed"
+        )
+    return camera.lattice.neighbours(reach, smear)
+
+
+def crosstalk_lenses(camera: PlenopticCamera) -> int:
+    """Count the lenses that can light one pixel; above 100,000 by the area that they cover."""
+    lenses = _crosstalk(camera)[0]
+    return len(crosstalk_neighbours(camera)) if lenses <= MOST_OVERLAP else round(lenses)
+
+
+def _crosstalk(camera: PlenopticCamera) -> tuple[float, float, float]:
+    """About how many lenses light a pixel, within which distance, and the part of their apertures that adds."""
+    b, z, lattice = camera.mla_distance, camera.detector_distance, camera.lattice
+    reach = camera.aperture_radius / (1 + b / z)
+    smear = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths) / (1 + b / z)
+    covered = math.pi * (reach + smear * lattice.aperture_reach + max(camera.mla_pitches)) ** 2
+    return covered / lattice.cell_area, reach, smear

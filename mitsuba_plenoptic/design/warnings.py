@@ -1,0 +1,79 @@
+"""What is poor about the design of a camera, said in sentences."""
+
+from __future__ import annotations
+
+import math
+
+from ..camera import PlenopticCamera
+from .focus import best_distances, focus_type, focus_types, lenses_across, mla_object_distances
+from .micro_images import crosstalk_lenses, direction_count, mla_fresnel_number, spot_radius
+
+
+def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
+    """Say in one sentence each what is poor about a design.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float, optional
+        Wavelength in nanometres; without it diffraction is not judged.
+    """
+    found = []
+    diameter, pitch = camera.micro_image_diameter, camera.micro_image_pitch
+    # The stop for which the micro-images just touch.
+    touching = camera.aperture_diameter * pitch / diameter
+    if diameter > pitch:
+        found.append(
+            f"micro-images overlap: their diameter of {diameter:.4g} mm exceeds their pitch of "
+            f"{pitch:.4g} mm; stop the main lens down to a diameter of {touching:.4g} mm"
+        )
+    elif diameter < 0.5 * pitch:
+        found.append(
+            f"pixels are wasted: micro-images fill {diameter / pitch:.0%} of their pitch; open the main "
+            f"lens to a diameter of {touching:.4g} mm, or shorten mla_focal_length"
+        )
+    elif focus_type(camera) != "unfocused" and crosstalk_lenses(camera) > 1:
+        found.append(
+            "micro-images overlap at their rims, which a lens that is in focus on the object blurs: light of "
+            "neighbouring lenses mixes there; stop the main lens down, or narrow the lenses (mla_fill)"
+        )
+    image = max(camera.mla_distance - _focus_on_image(camera, lens) for lens in range(len(focus_types(camera))))
+    if image < camera.focal_length:
+        found.append(
+            f"no object plane is in focus: the microlenses see a plane {image:.4g} mm behind the main lens, "
+            f"within its focal length of {camera.focal_length:.4g} mm; lengthen mla_distance"
+        )
+    found += _coverage_warnings(camera)
+    directions = direction_count(camera, wavelength)
+    if directions < 2:
+        found.append(f"no refocusing: across its diameter a micro-image tells only {directions:.2g} directions apart")
+    if wavelength is not None:
+        spot = spot_radius(camera, wavelength)
+        if camera.pixel_size > 0.5 * spot:
+            found.append(
+                f"the detector undersamples the diffraction spot: a pixel of {1e3 * camera.pixel_size:.4g} um "
+                f"exceeds half the spot's radius of {1e3 * spot:.4g} um"
+            )
+        fresnel = mla_fresnel_number(camera, wavelength)
+        if fresnel < 1:
+            found.append(f"the microlenses hardly focus: their Fresnel number is {fresnel:.2g}")
+    return found
+
+
+def _focus_on_image(camera: PlenopticCamera, lens: int) -> float:
+    """Distance before the MLA of what a type of lens is to see: 0 if unfocused, as the MLA itself is in focus then."""
+    return 0.0 if focus_types(camera)[lens] == "unfocused" else mla_object_distances(camera)[lens]
+
+
+def _coverage_warnings(camera: PlenopticCamera) -> list[str]:
+    """Tell where the lenses of a focused camera leave gaps between their pictures."""
+    if focus_type(camera) == "unfocused":
+        return []
+    cones = {g: lenses_across(camera, g) for g in best_distances(camera) if camera.focal_length < g < math.inf}
+    return [
+        f"gaps at {distance:.4g} mm, where the microlenses are sharpest: the light of a point spans only "
+        f"{across:.2g} of them; open the main lens, or move the detector so that they see farther"
+        for distance, across in cones.items()
+        if across < 1
+    ]

@@ -1,0 +1,61 @@
+"""Hexagonal lattices; with two pitches their affine images."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from .base import Lattice, register, regular_corners
+from .generic import floor, select
+
+# Distance of rows over the pitch.
+_ROW = math.sqrt(0.75)
+
+
+@register
+class HexagonalLattice(Lattice):
+    r"""Rows of which every second one is offset by half a pitch: :math:`((i + j/2) D, \tfrac{\sqrt 3}{2} j D)`.
+
+    The centre of lens (0, 0) lies on the axis, the point of the lattice with the most symmetry: six-fold about the axis
+    and a mirror image of itself in both x and y. Of three interleaved types of lenses no two neighbours are alike.
+    """
+
+    name = "hexagonal"
+    row_ratio = _ROW
+    stagger = 2
+    lens_types = 3
+    rectangular = False
+    unit_corners = regular_corners(6)
+
+    @staticmethod
+    def unit_cell(u: Any, v: Any) -> tuple[Any, Any]:
+        """Find the nearest centre, which is in the row below or the row above."""
+        low = floor(v)
+        rows = (low, low + 1)
+        columns = [floor(u - row / 2 + 0.5) for row in rows]
+        below, above = (
+            (u - column - row / 2) ** 2 + _ROW**2 * (v - row) ** 2 for column, row in zip(columns, rows, strict=True)
+        )
+        nearer = below <= above
+        return select(nearer, columns[0], columns[1]), select(nearer, rows[0], rows[1])
+
+    @staticmethod
+    def unit_centre(i: Any, j: Any) -> tuple[Any, Any]:
+        """Offset each row by half a pitch more than the one before."""
+        return i + j / 2, j
+
+    @staticmethod
+    def in_cell(u: Any, v: Any, width: Any) -> Any:
+        """Compare with the three pairs of sides."""
+        half = width / 2
+        return (abs(u) <= half) & (abs(0.5 * u + _ROW * v) <= half) & (abs(0.5 * u - _ROW * v) <= half)
+
+    @staticmethod
+    def point_in_cell(s: Any, t: Any, width: Any) -> tuple[Any, Any]:
+        """Map to three rhombi about the centre; the upper left one is spanned by two of the corners."""
+        third = floor(s * 3)
+        s = s * 3 - third
+        u, v = -0.5 * t * width, (s - 0.5 * t) * (width / (2 * _ROW))
+        cosine = select(third == 0, 1.0, -0.5)
+        sine = select(third == 0, 0.0, select(third == 1, _ROW, -_ROW))
+        return cosine * u - sine * v, sine * u + cosine * v

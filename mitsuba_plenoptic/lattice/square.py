@@ -1,0 +1,44 @@
+"""Square lattices; with two pitches their cells are rectangles."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .base import Lattice, register, regular_corners
+from .generic import floor
+
+
+@register
+class SquareLattice(Lattice):
+    """Rows and columns: centres at :math:`((i + 1/2) D, (j + 1/2) D)`.
+
+    A corner of four lenses lies on the axis, so that a detector of an even number of lenses holds whole ones.
+    """
+
+    name = "square"
+    row_ratio = 1.0
+    stagger = 1
+    lens_types = 1
+    rectangular = True
+    unit_corners = regular_corners(4)
+
+    @staticmethod
+    def unit_cell(u: Any, v: Any) -> tuple[Any, Any]:
+        """Cut off the fractions."""
+        return floor(u), floor(v)
+
+    @staticmethod
+    def unit_centre(i: Any, j: Any) -> tuple[Any, Any]:
+        """Return the middle between corners at whole numbers."""
+        return i + 0.5, j + 0.5
+
+    @staticmethod
+    def in_cell(u: Any, v: Any, width: Any) -> Any:
+        """Compare with both pairs of sides."""
+        half = width / 2
+        return (abs(u) <= half) & (abs(v) <= half)
+
+    @staticmethod
+    def point_in_cell(s: Any, t: Any, width: Any) -> tuple[Any, Any]:
+        """Scale the unit square."""
+        return (s - 0.5) * width, (t - 0.5) * width

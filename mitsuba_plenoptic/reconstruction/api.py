@@ -1,0 +1,225 @@
+"""`reconstruct`: what all methods have in common, from the capture to the results."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, overload
+
+import numpy as np
+
+from ..bounds import require_wavelength
+from ..camera import PlenopticCamera
+from ..errors import InputError, require_count, require_number, shown
+from ..io.captures import Capture, as_array
+from ..optics import guards
+from ..runtime.backend import one_at_a_time
+from ..runtime.limits import largest_fitting, require_memory
+from ..thin_lens import image_distance
+from .methods import METHODS, Method, Task
+from .result import Reconstruction
+
+FOOTPRINTS = ("lens", "point")
+
+_PROGRESS_STEPS = 100
+
+
+@overload
+def reconstruct(
+    capture: Capture | np.ndarray,
+    distance: float,
+    *,
+    method: str = ...,
+    camera: PlenopticCamera | None = ...,
+    wavelength: float | Sequence[float] | None = ...,
+    interleave: int | str = ...,
+    footprint: str = ...,
+    relay: bool = ...,
+    oversample: int = ...,
+    progress: Callable[[int, int], None] | None = ...,
+) -> Reconstruction: ...
+@overload
+def reconstruct(
+    capture: Capture | np.ndarray,
+    distance: Sequence[float],
+    *,
+    method: str = ...,
+    camera: PlenopticCamera | None = ...,
+    wavelength: float | Sequence[float] | None = ...,
+    interleave: int | str = ...,
+    footprint: str = ...,
+    relay: bool = ...,
+    oversample: int = ...,
+    progress: Callable[[int, int], None] | None = ...,
+) -> list[Reconstruction]: ...
+@one_at_a_time
+def reconstruct(
+    capture: Capture | np.ndarray,
+    distance: float | Sequence[float],
+    *,
+    method: str = "ray",
+    camera: PlenopticCamera | None = None,
+    wavelength: float | Sequence[float] | None = None,
+    interleave: int | str = 2,
+    footprint: str = "lens",
+    relay: bool = True,
+    oversample: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> Reconstruction | list[Reconstruction]:
+    """Refocus a capture to one or several object distances.
+
+    Images are in units of radiance, whatever the method: a capture of a white scene gives about 1.
+
+    Parameters
+    ----------
+    capture : Capture or (rows, columns[, channels]) array
+        What the detector recorded. A plain array needs `camera`.
+    distance : float or sequence of floats
+        Object distances in scene units, beyond the focal length. Several share the way up to the main lens.
+    method : {"ray", "coherent", "partial"}
+        How light is followed back: by one ray a pixel; as one coherent wave, whose amplitude is the square root of
+        the capture; or as one such wave for each interleaved subset of lenses, whose intensities are added. Waves
+        pass the camera's lenses as thin parabolic phase elements.
+    camera : PlenopticCamera, optional
+        The camera of a plain array, or another one than the capture's.
+    wavelength : float or three floats, optional
+        For waves: wavelength in nanometres, or one for each of three channels. Default: the capture's own.
+    interleave : int or "auto"
+        For ``partial``: a subset is every `interleave`-th lens along both axes. 2 makes four waves; 1 is ``coherent``;
+        ``"auto"`` is the limit of large periods, where no two lenses interfere; its last bits follow the number of the
+        BLAS's threads.
+    footprint : {"lens", "point"}
+        For rays: whether a pixel spreads over what its whole lens sees, or goes to one bin.
+    relay : bool
+        For waves: whether the microlenses act a second time, in the MLA plane. Without it, which is the literal reading
+        of the paper, planes out of focus stay blurred: see `mitsuba_plenoptic.reconstruction.coherent`.
+    oversample : int
+        Bins per lens along each axis. A focused camera tells more than one apart:
+        `mitsuba_plenoptic.design.suitable_oversample` and ``mitsuba-plenoptic info`` say how many.
+    progress : callable, optional
+        Called with the steps done and their number.
+
+    Returns
+    -------
+    Reconstruction or list of Reconstruction
+        One for a single distance, a list for a sequence.
+
+    Raises
+    ------
+    InputError
+        If there is no camera, or no wavelength for a wave method; if the array does not fit the camera or holds NaN or
+        infinity; for a wave method, if pixels are negative or wider than lenses; or if an option is out of range.
+    PhysicsError
+        If next to none of a capture's light goes back through the main lens by waves, or too much of it misses the
+        object plane's window.
+    """
+    capture = _as_capture(capture, camera)
+    camera = capture.camera
+    if method not in METHODS:
+        raise InputError(f"method = {shown(method)}: it must be one of {', '.join(METHODS)}")
+    chosen = METHODS[method]
+    if footprint not in FOOTPRINTS:
+        raise InputError(f"footprint = {shown(footprint)}: it must be one of {', '.join(FOOTPRINTS)}")
+    given = {"footprint": footprint, "interleave": _interleave(interleave, camera), "relay": bool(relay)}
+    options: dict[str, Any] = {name: given[name] for name in chosen.options}
+    oversample = require_count("oversample", oversample)
+    distances = _distances(distance, camera)
+    image = capture.image if capture.image.ndim == 3 else capture.image[..., None]
+    if chosen.waves:
+        camera.require_resolved()
+        _require_positive(image)
+    _require_memory(chosen, camera, distances, oversample, image.shape)
+    wavelengths = _wavelengths(capture, wavelength, image.shape[2]) if chosen.waves else []
+
+    def report(done: float) -> None:
+        if progress:
+            progress(round(done * _PROGRESS_STEPS), _PROGRESS_STEPS)
+
+    report(0)
+    with guards.watch() as found:
+        images = chosen.refocus(Task(image, camera, distances, oversample, wavelengths, report), **options)
+    options |= {"oversample": oversample} | ({"wavelength": wavelengths} if chosen.waves else {})
+    results = [
+        Reconstruction(
+            image=made.reshape(*made.shape[:2], *capture.image.shape[2:]),
+            distance=value,
+            bin_size=camera.bin_size(value) / oversample,
+            method=method,
+            camera=camera,
+            options=options,
+            guards=found,
+        )
+        for value, made in zip(distances, images, strict=True)
+    ]
+    return results[0] if np.ndim(distance) == 0 else results
+
+
+def _require_memory(
+    method: Method, camera: PlenopticCamera, distances: Sequence[float], oversample: int, shape: tuple[int, ...]
+) -> None:
+    """Refuse images too large, before anything is allocated."""
+    columns, rows = camera.bin_count
+
+    def memory(oversample: int) -> float:
+        bins = float(columns * oversample) * (rows * oversample)
+        work = method.memory(shape, rows * oversample, columns * oversample)
+        return 4 * shape[2] * bins * (len(distances) + 1) + work
+
+    def fitting(limit: float) -> str | None:
+        largest = largest_fitting(memory, limit, oversample)
+        return f"oversample = {largest}" if largest else None
+
+    what = f"images of {columns * oversample} x {rows * oversample} bins at {len(distances)} distances"
+    require_memory(memory(oversample), what, fitting)
+
+
+def _as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) -> Capture:
+    if isinstance(capture, Capture):
+        if camera is None:
+            return capture
+        return Capture(capture.image, camera, capture.wavelength, capture.model, capture.metadata)
+    if camera is None:
+        raise InputError("camera = None: a plain array needs the camera that recorded it, reconstruct(..., camera=...)")
+    return Capture(as_array("capture", capture), camera)
+
+
+def _interleave(interleave: Any, camera: PlenopticCamera) -> int | str:
+    if isinstance(interleave, str) and interleave == "auto":
+        return interleave
+    lenses = max(camera.lens_count)
+    try:
+        return require_count("interleave", interleave, maximum=lenses)
+    except InputError:
+        raise InputError(
+            f"interleave = {shown(interleave)}: it must be 'auto' or a whole number from 1 to {lenses}, "
+            "the lenses along an axis"
+        ) from None
+
+
+def _distances(distance: Any, camera: PlenopticCamera) -> list[float]:
+    if isinstance(distance, (str, bytes)):
+        raise InputError(f"distance = {shown(distance)}: it must be a number or several")
+    distances = [require_number("distance", value) for value in ([distance] if np.ndim(distance) == 0 else distance)]
+    for value in distances:
+        image_distance(camera.focal_length, value)
+    if not distances:
+        raise InputError("distance = []: give at least one")
+    return distances
+
+
+def _require_positive(image: np.ndarray) -> None:
+    if image.min() < 0:
+        bad = int((image < 0).sum())
+        raise InputError(f"capture: {bad} of its pixels are negative: a wave's amplitude is their square root")
+
+
+def _wavelengths(capture: Capture, wavelength: Any, channels: int) -> list[float]:
+    """Wavelength of each channel."""
+    given: Any = capture.wavelength if wavelength is None else wavelength
+    if given is None:
+        raise InputError(
+            "wavelength = None: a wave method needs one, the capture's or reconstruct(..., wavelength=...)"
+        )
+    values = [given] * channels if np.ndim(given) == 0 else list(given)
+    if len(values) != channels:
+        raise InputError(f"wavelength = {shown(given)}: the capture has {channels} channels; give one, or one for each")
+    return [require_wavelength(value) for value in values]

@@ -1,0 +1,175 @@
+"""How finely and widely the light of one lens is sampled on its way back, the same for all lenses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..camera import PlenopticCamera
+from ..optics.free_space import advance
+from ..optics.phase import in_millimetres, phasor
+from ..optics.sampling import fast_length
+from ..runtime.backend import backend
+from ..runtime.fft import Field
+from .grids import GUARD, field_subsamples
+
+# Samples that are transformed together, on the processor and on a CUDA device.
+_BATCH_SAMPLES, _CUDA_BATCH_SAMPLES = 2**20, 2**25
+
+_MARGIN = 4.5
+"""Bins around the geometric image: more than full fields need, as the pupil's edge is softened over one sample."""
+
+
+def tile_lenses(camera: PlenopticCamera, distances: Sequence[float]) -> int:
+    """Width of an object patch in lenses, odd: the widest blur and a margin for diffraction on both sides."""
+    blur = max(camera.blur_diameter(g) for g in distances) / camera.mla_pitch
+    return 2 * math.ceil(blur / 2 + _MARGIN) + 1
+
+
+@dataclass(frozen=True)
+class Tile:
+    """Sampling of one lens's light in the four planes.
+
+    Attributes
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    lenses : int
+        Width of the object patch in lenses, odd.
+    oversample : int
+        Bins per lens.
+    """
+
+    camera: PlenopticCamera
+    wavelength: float
+    lenses: int
+    oversample: int
+
+    @cached_property
+    def pitch(self) -> float:
+        """Distance of samples on detector and MLA, in millimetres."""
+        return self.camera.pixel_size / self.subsamples
+
+    @cached_property
+    def subsamples(self) -> int:
+        """Samples across a pixel."""
+        return field_subsamples(self.camera, self.wavelength)
+
+    @cached_property
+    def cell_width(self) -> float:
+        """Extent of a cell of the lattice along both axes."""
+        lattice = self.camera.lattice
+        return self.camera.mla_pitch if lattice.axis_aligned else 2 * float(lattice.cell_corners().max())
+
+    @property
+    def lens_width(self) -> float:
+        """Extent of an aperture along both axes."""
+        lattice = self.camera.lattice
+        return float(lattice.aperture_width if lattice.aperture == "circle" else self.cell_width * lattice.fill)
+
+    @cached_property
+    def cell(self) -> np.ndarray:
+        """MLA coordinates from a lens's centre, within its aperture's extent."""
+        count = self.cell_samples
+        return (np.arange(count) - (count - 1) / 2) * self.pitch
+
+    @property
+    def cell_samples(self) -> int:
+        """Samples across an aperture."""
+        return math.ceil(self.lens_width / self.pitch - 1e-6)
+
+    @cached_property
+    def pixels(self) -> int:
+        """Most pixels that belong to one lens, along an axis."""
+        growth = self.camera.micro_image_pitch / self.camera.mla_pitch
+        return math.ceil(self.cell_width * growth / self.camera.pixel_size) + 1
+
+    @cached_property
+    def padded(self) -> int:
+        """Samples of the window from detector to MLA: what wraps round misses the cell."""
+        source = self.pixels * self.camera.pixel_size + self._chief_shift
+        spread = self.camera.detector_distance * in_millimetres(self.wavelength) / (2 * self.pitch)
+        window = (source + self.cell_width) / 2 + self._chief_shift + spread
+        # The pixels themselves must have room.
+        return fast_length(max(window / self.pitch, self.pixels * self.subsamples))
+
+    @property
+    def _chief_shift(self) -> float:
+        """How far micro-images at the rim lie from their lenses."""
+        half_field = max(self.camera.detector_width, self.camera.detector_height) / 2
+        return half_field * self.camera.detector_distance / self.camera.mla_distance
+
+    @cached_property
+    def samples(self) -> int:
+        """Object samples across a lens's image, enough for the pupil's light and a multiple of the bins."""
+        camera = self.camera
+        needed = (
+            GUARD
+            * camera.mla_pitch
+            * camera.aperture_diameter
+            / (in_millimetres(self.wavelength) * camera.mla_distance)
+        )
+        return self.oversample * max(1, math.ceil(needed / self.oversample))
+
+    @property
+    def object_samples(self) -> int:
+        """Object samples across the patch."""
+        return self.lenses * self.samples
+
+    @property
+    def pupil_pitch(self) -> float:
+        """Distance of pupil samples: the object patch is one period."""
+        return in_millimetres(self.wavelength) * self.camera.mla_distance / (self.lenses * self.camera.mla_pitch)
+
+    @cached_property
+    def pupil(self) -> np.ndarray:
+        """Pupil coordinates along an axis, in millimetres."""
+        count = self.pupil_samples
+        return (np.arange(count) - (count - 1) / 2) * self.pupil_pitch
+
+    @property
+    def pupil_samples(self) -> int:
+        """Samples across the pupil."""
+        return min(self.object_samples, 2 * math.ceil(self.camera.aperture_radius / self.pupil_pitch) + 1)
+
+    @cached_property
+    def to_pupil(self) -> Field:
+        r"""From the cell to the pupil along an axis, :math:`\exp(-i k P \mu / b) d\mu / (\lambda b)^{1/2}`."""
+        wave_path = in_millimetres(self.wavelength) * self.camera.mla_distance
+        matrix = phasor(np.outer(self.pupil, self.cell) / -wave_path) * np.float32(self.pitch / math.sqrt(wave_path))
+        return backend().arrays.asarray(matrix)
+
+    @cached_property
+    def transfer(self) -> Field:
+        """Transfer function from detector to MLA."""
+        ones = backend().arrays.ones((self.padded, self.padded), np.complex64)
+        return advance(ones, self.pitch, self.camera.detector_distance, self.wavelength)
+
+    @property
+    def transformed(self) -> int:
+        """Samples that the Fourier transforms of one lens go through."""
+        return 4 * self.padded**2 + self.object_samples * (self.object_samples + self.pupil.size)
+
+    @property
+    def memory(self) -> float:
+        """Bytes of the fields of one batch on the way, and of the matrices that serve all."""
+        bins = self.lenses * self.oversample
+        matrices = (
+            32.0 * self.cell_samples * self.pupil_samples + 16.0 * self.padded**2 + 8.0 * bins * self.object_samples
+        )
+        # What `AlignedLenses` holds of each lens along an axis.
+        lenses = sum(size / self.camera.pixels_per_lens + 2 for size in self.camera.crop_size)
+        axes = lenses * 24 * (self.padded + self.cell_samples)
+        return matrices + axes + self.batch * (16.0 * self.padded**2 + 24.0 * self.object_samples**2)
+
+    @property
+    def batch(self) -> int:
+        """Lenses that are transformed together."""
+        samples = _CUDA_BATCH_SAMPLES if backend().is_cuda else _BATCH_SAMPLES
+        return max(1, samples // max(self.object_samples, self.padded) ** 2)

@@ -1,0 +1,81 @@
+"""The methods of reconstruction, by name: each is a module that registers one function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..camera import PlenopticCamera
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What every method is asked for; all of it is checked.
+
+    Attributes
+    ----------
+    image : (rows, columns, channels) float32 array
+        The capture.
+    camera : PlenopticCamera
+        The camera; its recorded window is the image.
+    distances : sequence of floats
+        Object distances.
+    oversample : int
+        Bins per lens along each axis.
+    wavelengths : sequence of floats
+        Of the channels, in nanometres; empty for a method without waves.
+    progress : callable
+        Called with the fraction of the work that is done.
+    """
+
+    image: np.ndarray
+    camera: PlenopticCamera
+    distances: Sequence[float]
+    oversample: int
+    wavelengths: Sequence[float]
+    progress: Callable[[float], None]
+
+
+Refocus = Callable[..., list[np.ndarray]]
+"""From a `Task`, and the method's options by name, to an image (rows, columns, channels) for every distance."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to refocus.
+
+    Attributes
+    ----------
+    name : str
+        As users call it.
+    refocus : callable
+        What does it.
+    options : tuple of str
+        The options of `reconstruct` that it takes.
+    waves : bool
+        Whether it needs wavelengths, and pixels that are not negative.
+    memory : callable
+        From shape of the image, number of bins down and across to the bytes of its work, beside the images.
+    """
+
+    name: str
+    refocus: Refocus
+    options: tuple[str, ...]
+    waves: bool
+    memory: Callable[[tuple[int, ...], int, int], float]
+
+
+METHODS: dict[str, Method] = {}
+
+
+def method(name: str, **properties: Any) -> Callable[[Refocus], Refocus]:
+    """Register a function as a method; `properties` are those of `Method`."""
+
+    def register(refocus: Refocus) -> Refocus:
+        METHODS[name] = Method(name, refocus, **properties)
+        return refocus
+
+    return register

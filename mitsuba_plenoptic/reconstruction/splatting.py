@@ -1,0 +1,215 @@
+r"""Pixels summed over bins on any lattice, and how much of a white scene each bin would get.
+
+A pixel p of the lens with centre c goes to the place u(c) of the bins, through the point P(c) of the pupil. Through
+another point c + d of its lens it goes to u(c) + a d, with the same a for all pixels of one kind of lens, so that its
+footprint is the lens's aperture, enlarged by a, or the pixel's own square where that is wider. Pixels are therefore
+first counted on a grid finer than the bins, one for each kind of lens; what such a sample gives to each of the bins
+about it is then the same in every bin. Everything is summed in a fixed order, so that the result is the same bit for
+bit.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import scipy.fft
+
+from ..camera import PlenopticCamera
+from ..design import lens_footprint, pixel_footprint
+from ..optics import rays
+from ..optics.pupil import PupilFraction
+from ..runtime.limits import require_memory
+
+# Samples of the fine grid across a lens pitch; at least so many across a bin.
+_FINE = 16
+_LEAST = 4
+
+# Bins across a footprint up to which it is applied bin by bin; beyond that FFTs are faster.
+_MOST_TAPS = 9
+
+# Pixels followed at once: few enough to stay in the cache.
+_BLOCK = 2**16
+
+
+def splat(
+    image: np.ndarray, camera: PlenopticCamera, distance: float, radius: float, *, footprint: str, oversample: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Follow one ray a pixel back to the object plane and sum the pixels that go to each bin.
+
+    Parameters
+    ----------
+    image : (rows, columns, channels) float32 array
+        The capture.
+    camera : PlenopticCamera
+        The camera.
+    distance : float
+        Object distance.
+    radius : float
+        Pupil radius: pixels whose ray misses it are left out.
+    footprint : {"lens", "point"}
+        Whether a pixel is spread over what its whole lens sees, or goes to one bin.
+    oversample : int
+        Bins per lens pitch.
+
+    Returns
+    -------
+    light : (rows, columns, channels) float64 array
+        Sum of the pixels by bin.
+    white : (rows, columns) float64 array
+        The same of a white capture.
+    """
+    kinds = camera.mla_focal_lengths
+    fine, shares = 1, [np.ones((1, 1, 1, 1))] * len(kinds)
+    if footprint == "lens":
+        fine = max(_LEAST, -(-_FINE // oversample))
+        step = camera.mla_pitch / (oversample * fine)
+        shares = [_bin_shares(_footprint(camera, distance, f2, step), fine) for f2 in kinds]
+    # Pixels that land in bins beyond the border may still reach across it.
+    margin = max(share.shape[0] // 2 for share in shares)
+    columns, rows = (count * oversample for count in camera.bin_count)
+    across, down = columns + 2 * margin, rows + 2 * margin
+    require_memory(
+        # Counted samples, bins, and what is known of every pixel while those of a block are joined.
+        down * across * (24.0 * fine**2 + 8.0 * (image.shape[2] + 3)) + 100.0 * image.shape[0] * image.shape[1],
+        f"{columns} x {rows} bins with footprints of {2 * margin + 1} of them",
+    )
+
+    place, kind, pixel, white = _landing(camera, distance, radius, oversample, fine, (down, across))
+    values = image.reshape(-1, image.shape[2])[pixel]
+    total = np.zeros((image.shape[2] + 1, down + 2 * margin, across + 2 * margin))
+    for number, share in enumerate(shares):
+        mine = slice(None) if len(kinds) == 1 else np.flatnonzero(kind == number)
+        reach = share.shape[0] // 2
+        for out, weights in zip(total, (*values.T, white), strict=True):
+            samples = np.bincount(place[mine], weights=weights[mine], minlength=down * across * fine**2)
+            spread = _spread(samples.reshape(down, across, fine**2), share)
+            first = margin - reach
+            out[first : first + spread.shape[0], first : first + spread.shape[1]] += spread
+    total = total[:, 2 * margin : 2 * margin + rows, 2 * margin : 2 * margin + columns]
+    return np.moveaxis(total[:-1], 0, -1), total[-1]
+
+
+def _spread(samples: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Give every fine sample's light to the bins around its own.
+
+    Parameters
+    ----------
+    samples : (rows, columns, fine**2) float64 array
+        Light in the fine samples of each bin.
+    share : (taps, taps, fine, fine) array
+        From `_bin_shares`.
+
+    Returns
+    -------
+    (rows + taps - 1, columns + taps - 1) float64 array
+        Light of the bins, from `taps // 2` before the first.
+    """
+    taps = share.shape[0]
+    share = share.reshape(taps, taps, -1)
+    rows, columns = samples.shape[0] + taps - 1, samples.shape[1] + taps - 1
+    if taps <= _MOST_TAPS:
+        spread = np.zeros((rows, columns))
+        for y, x in np.ndindex(taps, taps):
+            spread[y : y + samples.shape[0], x : x + samples.shape[1]] += samples @ share[y, x]
+        return spread
+    shape = [scipy.fft.next_fast_len(size, real=True) for size in (rows, columns)]
+    spectrum = sum(
+        scipy.fft.rfft2(samples[..., fine], shape) * scipy.fft.rfft2(share[..., fine], shape)
+        for fine in range(share.shape[2])
+    )
+    return scipy.fft.irfft2(spectrum, shape)[:rows, :columns]
+
+
+def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float, step: float) -> np.ndarray:
+    """Draw what a pixel covers, its lens's view or its own square, whichever is wider: shares of its area, odd size."""
+    scale, pixel = lens_footprint(camera, distance, mla_focal_length), pixel_footprint(camera, distance)
+    if scale * camera.lattice.aperture_width >= pixel:
+        return camera.lattice.aperture_image(step, scale)
+    half = max(0, math.ceil((pixel / step - 1) / 2))
+    require_memory(16.0 * (2 * half + 1.0) ** 2, f"footprint of {2 * half + 1:.3g} samples across")
+    share = np.ones(2 * half + 1)
+    if half:
+        share[[0, -1]] = (pixel / step - (2 * half - 1)) / 2
+    return np.outer(share, share) / share.sum() ** 2
+
+
+def _bin_shares(blur: np.ndarray, fine: int) -> np.ndarray:
+    """Shares of the bins in a footprint that is centred in each of the fine samples of one of them.
+
+    Parameters
+    ----------
+    blur : (size, size) array
+        The footprint in fine samples, about its middle; the sum is 1.
+    fine : int
+        Fine samples across a bin.
+
+    Returns
+    -------
+    (taps, taps, fine, fine) array
+        For the bins from `taps // 2` before to as many after, and rows and columns of samples.
+    """
+    half = blur.shape[0] // 2
+    place = np.arange(fine) + np.arange(-half, half + 1)[:, None]
+    reach = -(-half // fine)
+    taps = np.arange(-reach, reach + 1)
+    # Whether a sample of the footprint lies in the bin: (taps, size, fine).
+    there = (place // fine == taps[:, None, None]).astype(np.float64)
+    return np.einsum("iyr,yx,jxc->ijrc", there, blur, there, optimize=True)
+
+
+def _landing(
+    camera: PlenopticCamera, distance: float, radius: float, oversample: int, fine: int, shape: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Find the pixels whose ray passes the pupil and lands on the bins.
+
+    Parameters
+    ----------
+    camera, distance, radius, oversample
+        As for `splat`.
+    fine : int
+        Fine samples across a bin.
+    shape : (int, int)
+        Rows and columns of bins; their middle is on the axis.
+
+    Returns
+    -------
+    place, kind, pixel : int arrays
+        Sample, counted bin by bin, kind of lens, and flat index of each pixel.
+    white : float32 array
+        What each pixel reads of a white scene.
+    """
+    lattice, columns = camera.lattice, camera.crop_size[0]
+    shares = [PupilFraction(camera, kind) for kind in range(len(camera.mla_focal_lengths))]
+    # All along the ray is linear in the pixel and the lens's centre.
+    of_pixel = np.array(rays.follow_back(1.0, 0.0, 0.0, distance, camera))
+    of_lens = np.array(rays.follow_back(0.0, 1.0, 1.0, distance, camera))
+    scale = oversample / camera.mla_pitch
+    px, rows = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
+    found = []
+    height = max(1, _BLOCK // columns)
+    for first in range(0, rows.size, height):
+        py = rows[first : first + height, None]
+        i, j = lattice.cell(*(rays.chief_point(p, camera.mla_distance, camera.detector_distance) for p in (px, py)))
+        cx, cy = lattice.centre(i, j)
+        Px, Py = (of_pixel[0] * p + of_lens[0] * c for p, c in ((px, cx), (py, cy)))
+        lit = np.flatnonzero(Px**2 + Py**2 <= radius**2)
+        i, j, cx, cy, Px, Py, qx, qy = (
+            np.broadcast_to(values, (py.size, columns)).reshape(-1)[lit] for values in (i, j, cx, cy, Px, Py, px, py)
+        )
+        x, y = (
+            (of_pixel[1] * p + of_lens[1] * c) * scale + size / 2
+            for p, c, size in ((qx, cx, shape[1]), (qy, cy, shape[0]))
+        )
+        column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+        sample = np.floor((y - row) * fine).astype(np.int64) * fine + np.floor((x - column) * fine).astype(np.int64)
+        kind = lattice.lens_type(i, j).astype(np.int8) if len(shares) > 1 else np.zeros(lit.size, dtype=np.int8)
+        white = np.empty(lit.size, dtype=np.float32)
+        for number, share in enumerate(shares):
+            mine = kind == number
+            white[mine] = share(Px[mine], Py[mine])
+        inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
+        place = (row * shape[1] + column) * fine**2 + sample
+        found.append([values[inside] for values in (place, kind, lit + first * columns, white)])
+    place, kind, pixel, white = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return place, kind, pixel, white

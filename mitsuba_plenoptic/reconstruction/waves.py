@@ -1,0 +1,81 @@
+"""What the wave methods share: channel by channel, from power in fine bins to units of radiance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from ..camera import PlenopticCamera
+from .lens_tiles import Tile
+from .methods import Task
+from .spread import lens_scale, over_lenses
+from .white import white_light
+
+
+class Power(Protocol):
+    """Propagates a channel of a capture back and returns the power in each bin, in pixel values times pixels."""
+
+    def __call__(
+        self,
+        image: np.ndarray,
+        camera: PlenopticCamera,
+        distances: Sequence[float],
+        wavelength: float,
+        *,
+        relay: bool,
+        oversample: int,
+        progress: Callable[[float], None],
+    ) -> list[np.ndarray]:
+        """Do it, for an image that is not negative and some distances, which share the way up to the main lens.
+
+        The camera's lenses are thin parabolic phase elements; `relay` tells whether the microlenses act in the MLA
+        plane.
+        """
+
+
+def memory(shape: tuple[int, ...], rows: int, columns: int) -> float:
+    """Bytes of the work on bins: powers are summed in double precision."""
+    return 12.0 * rows * columns
+
+
+def refocus_by_waves(task: Task, power: Power, *, relay: bool) -> list[np.ndarray]:
+    """Refocus every channel.
+
+    Returns
+    -------
+    list of (rows, columns, channels) float32 arrays
+        Radiance.
+    """
+    channels = []
+    for number, wavelength in enumerate(task.wavelengths):
+
+        def progress(done: float, number: int = number) -> None:
+            task.progress((number + done) / len(task.wavelengths))
+
+        channels.append(_refocus(task, number, wavelength, power, relay, progress))
+    return [np.stack(planes, axis=-1) for planes in zip(*channels, strict=True)]
+
+
+def _refocus(
+    task: Task, channel: int, wavelength: float, power: Power, relay: bool, progress: Callable[[float], None]
+) -> list[np.ndarray]:
+    camera, oversample = task.camera, task.oversample
+    fine = 1 if camera.lenses_are_bins else Tile(camera, wavelength, 1, oversample).samples // oversample
+    totals = power(
+        task.image[..., channel],
+        camera,
+        task.distances,
+        wavelength,
+        relay=relay,
+        oversample=oversample * fine,
+        progress=progress,
+    )
+    images = []
+    for distance, total in zip(task.distances, totals, strict=True):
+        if fine > 1:
+            total = over_lenses(total, camera, oversample, fine, lens_scale(camera, distance))
+        white = white_light(camera, wavelength, distance, oversample, fine=fine, relay=relay)
+        images.append((total / white).astype(np.float32))
+    return images

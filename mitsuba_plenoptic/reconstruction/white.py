@@ -1,0 +1,175 @@
+"""What a white scene gives by waves, by which images are divided: 1 then is the radiance of white."""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+
+from ..bounds import MOST_PIXELS
+from ..camera import PlenopticCamera
+from ..design import focus_type
+from ..errors import InputError
+from ..optics import rays
+from ..optics.phase import soft_edge
+from ..optics.pupil import PupilFraction
+from ..optics.sampling import check_memory
+from ..runtime.backend import backend
+from .lens_by_lens import object_patches, on_bins, pupil_fields
+from .lens_sets import AlignedLenses, LensSet, lens_set
+from .lens_tiles import Tile, tile_lenses
+from .radiance import at_least, pixels_per_bin, white_bins
+from .spread import convolve, lens_scale, over_lenses
+
+_THROUGHPUT_LENSES = 25
+
+_RAY_BINS = 36
+"""Fine bins across a lens in which the rays of a white scene are counted."""
+
+
+def white_light(
+    camera: PlenopticCamera, wavelength: float, distance: float, oversample: int, *, fine: int, relay: bool
+) -> np.ndarray | float:
+    """Return the power that comes to each bin from a white scene, in pixel values times pixels.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    distance : float
+        Object distance.
+    oversample : int
+        Bins per lens along each axis.
+    fine : int
+        Fine bins across a bin, in which power is summed before it is spread over lenses.
+    relay : bool
+        Whether the microlenses act in the MLA plane.
+
+    Returns
+    -------
+    (rows, columns) float64 array, or float if it is the same for all bins
+    """
+    unfocused = focus_type(camera) == "unfocused"
+    if camera.lenses_are_bins and not unfocused:
+        return at_least(
+            white_power(camera, wavelength, distance, relay=relay, oversample=oversample), camera, oversample
+        )
+    throughput = white_throughput(camera, wavelength, relay=relay)
+    if camera.lenses_like_bins and unfocused:
+        return pixels_per_bin(camera, oversample) * throughput
+    # Rays go to points, where waves go to spots: the grid on which they are counted must not show.
+    fine *= -(-_RAY_BINS // (oversample * fine))
+    white = white_bins(camera, distance, oversample * fine)
+    white = over_lenses(white, camera, oversample, fine, lens_scale(camera, distance))
+    return at_least(white, camera, oversample) * throughput
+
+
+@functools.lru_cache(maxsize=16)
+def white_throughput(camera: PlenopticCamera, wavelength: float, *, relay: bool = True) -> float:
+    """Return the fraction of a white micro-image's power that comes back through the main lens.
+
+    Its edge is one of the pupil, where light diffracts out: 7 % for the paper's camera.
+
+    Raises
+    ------
+    InputError
+        If no light comes back, for micro-images so small that they miss the centres of all pixels.
+    """
+    back, sent = (_aligned_throughput if camera.lenses_are_bins else _mean_throughput)(camera, wavelength, relay)
+    if not min(back, sent) > 0:
+        raise InputError(
+            f"aperture_radius = {camera.aperture_radius:g}: its micro-images of "
+            f"{camera.micro_image_diameter / camera.pixel_size:.2g} pixels light no pixel near the axis, so that "
+            "waves cannot tell what is white"
+        )
+    return back / sent
+
+
+def _aligned_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> tuple[float, float]:
+    """Power that comes back, and power sent, of the micro-image of the lens beside the axis."""
+    camera = _around_axis(camera, 2)
+    centre = rays.chief_detector_point(camera.mla_pitch / 2, camera.mla_distance, camera.detector_distance)
+    px, py = (camera.pixel_coordinates(axis) - centre for axis in (0, 1))
+    image = soft_edge((camera.micro_image_diameter / 2 - np.hypot(px, py[:, None])) / camera.pixel_size)
+    tile = Tile(camera, wavelength, _THROUGHPUT_LENSES, 1)
+    check_memory(tile.memory, "wave reconstruction of a white micro-image")
+    return _power(image, lens_set(tile), (0, 0), relay), float(image.sum()) * camera.pixel_size**2
+
+
+def _mean_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> tuple[float, float]:
+    """Power that comes back, and power sent by pixels whose own ray passes the main lens, for a lens of every type."""
+    camera = _around_axis(camera, 3)
+    lenses = lens_set(Tile(camera, wavelength, _THROUGHPUT_LENSES, 1))
+    back = sent = 0.0
+    px, py = (camera.pixel_coordinates(axis) for axis in (0, 1))
+    types = len(camera.mla_focal_lengths)
+    for step in range(types):
+        # Among the lenses beside the axis there is one of every type.
+        i, j = camera.lattice.cell(0.0, 0.0)
+        i += step
+        lens_type = int(camera.lattice.lens_type(i, j)) if types > 1 else 0
+        to_pupil = camera.mla_distance / camera.detector_distance
+        centre = [
+            rays.chief_detector_point(c, camera.mla_distance, camera.detector_distance)
+            for c in camera.lattice.centre(i, j)
+        ]
+        Px, Py = (centre[0] - px) * to_pupil, ((centre[1] - py) * to_pupil)[:, None]
+        image = PupilFraction(camera, lens_type)(*np.broadcast_arrays(Px, Py))
+        sent += float(image[np.hypot(Px, Py) <= camera.lit_radius].sum()) * camera.pixel_size**2
+        back += _power(image, lenses, (i, j), relay)
+    return back, sent
+
+
+def white_power(
+    camera: PlenopticCamera, wavelength: float, distance: float, *, relay: bool = True, oversample: int = 1
+) -> np.ndarray:
+    """Return the power in each bin from a white scene, for an aligned lattice and if no two lenses interfere.
+
+    For a focused camera the bins of a lens overlap with those of a few others. Light from the rim of its micro-image,
+    which came from within the pupil through a part of the lens, returns as if through the lens's centre and misses the
+    pupil. So some bins get more light than others. All lenses are taken for the one beside the axis.
+    """
+    part = _around_axis(camera, 2)
+    count = tile_lenses(camera, [distance])
+    tile = Tile(part, wavelength, count, oversample)
+    lenses = lens_set(tile)
+    centre = rays.chief_detector_point(camera.mla_pitch / 2, camera.mla_distance, camera.detector_distance)
+    to_pupil = camera.mla_distance / camera.detector_distance
+    Px, Py = ((centre - part.pixel_coordinates(axis)) * to_pupil for axis in (0, 1))
+    image = PupilFraction(camera)(Px, Py[:, None])
+    batch = lenses.batch(np.array([lenses.find(0, 0)]))
+    libraries = backend()
+    fields = pupil_fields(libraries.arrays.asarray(np.sqrt(image)), tile, batch, relay=relay)
+    patch = libraries.to_host(object_patches(fields, tile, batch, distance)[0]).astype(np.float64)
+    everywhere = AlignedLenses(Tile(camera, wavelength, count, oversample))
+    comb = np.zeros([(count - 1) * oversample + 1 for count in everywhere.bins[::-1]])
+    comb[::oversample, ::oversample] = 1
+    return on_bins(libraries.arrays.asarray(convolve(comb, patch, "full")), everywhere)
+
+
+def _around_axis(camera: PlenopticCamera, lenses: int) -> PlenopticCamera:
+    """Return the camera with the pixels of so many lenses on each side of the axis, whether it has them or not."""
+    around = math.ceil(lenses * camera.micro_image_pitch / camera.pixel_size)
+    if around > MOST_PIXELS // 2:
+        raise InputError(
+            f"mla_pitch = {camera.mla_pitch:g}: a micro-image of {around // 2} pixels is too wide for waves"
+        )
+    columns, rows = (max(size, 2 * around) for size in camera.resolution)
+    return camera.replace(
+        resolution=(columns, rows),
+        detector_width=columns * camera.pixel_size,
+        crop_offset=(columns // 2 - around, rows // 2 - around),
+        crop_size=(2 * around, 2 * around),
+    )
+
+
+def _power(image: np.ndarray, lenses: LensSet, index: tuple[float, float], relay: bool) -> float:
+    """Power that one lens sends through the main lens."""
+    tile, arrays = lenses.tile, backend().arrays
+    batch = lenses.batch(np.array([lenses.find(*index)]))
+    field = pupil_fields(arrays.asarray(np.sqrt(image).astype(np.float32)), tile, batch, relay=relay)[0]
+    inside = (tile.camera.aperture_radius - np.hypot(tile.pupil, tile.pupil[:, None])) / tile.pupil_pitch
+    return float((abs(field) ** 2 * arrays.asarray(soft_edge(inside))).sum()) * tile.pupil_pitch**2

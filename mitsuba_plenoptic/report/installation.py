@@ -1,0 +1,107 @@
+"""What this machine has for rendering, and whether it suffices."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import subprocess
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+
+import drjit
+import mitsuba
+
+from ..runtime import llvm
+
+_PACKAGES = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy", "scipy", "OpenEXR")
+_CUPY = ("cupy-cuda12x", "cupy-cuda13x", "cupy")
+_MISSING = "not installed"
+
+
+@dataclass(frozen=True)
+class Installation:
+    """What was found.
+
+    Attributes
+    ----------
+    sections : dict
+        Titles, each with the names and findings below it.
+    problem : str or None
+        Why LLVM variants cannot be used.
+    ready : bool
+        Whether captures can be rendered.
+    """
+
+    sections: dict[str, list[tuple[str, str]]]
+    problem: str | None
+    ready: bool
+
+
+def inspect_installation() -> Installation:
+    """Look at versions, LLVM, the GPU and Mitsuba's variants."""
+    problem = llvm.problem()
+    cuda = bool(drjit.has_backend(drjit.JitBackend.CUDA))
+    python = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
+    sections = {
+        "Versions": [("python", python), *((name, _version(name)) for name in _PACKAGES)],
+        "LLVM": _llvm(),
+        "GPU": _gpu(cuda),
+        "Variants": [(name, _state(name, cuda, problem)) for name in mitsuba.variants() if "_ad_" in name],
+    }
+    return Installation(sections, problem, ready=cuda or not problem)
+
+
+def _state(variant: str, cuda: bool, problem: str | None) -> str:
+    """Say whether a variant works here, and how much of it a wave capture uses."""
+    if not cuda if variant.startswith("cuda") else problem:
+        return "not usable here"
+    if "polarized" in variant:
+        return "works here; wave captures are unpolarized"
+    return "works here"
+
+
+def _llvm() -> list[tuple[str, str]]:
+    found = [
+        f"{item.path}: {item.version_text}, "
+        + ("usable" if item.usable else f"too old, {llvm.MINIMUM} or newer is needed")
+        for item in llvm.candidates()
+    ]
+    named = os.environ.get(llvm.VARIABLE)
+    loaded = tuple(drjit.detail.llvm_version())
+    return [
+        *(("found", text) for text in found),
+        ("chosen", f"{llvm.VARIABLE}={named}" if named else "none, left to Dr.Jit"),
+        ("loaded", llvm.format_version(loaded) if loaded > (0,) else "none"),
+        ("threads", str(drjit.thread_count())),
+    ]
+
+
+def _gpu(cuda: bool) -> list[tuple[str, str]]:
+    cupy = next((found for name in _CUPY if (found := _version(name)) != _MISSING), None)
+    return [
+        ("device", _nvidia_device() or "no NVIDIA driver"),
+        ("CUDA", "usable" if cuda else "not usable"),
+        ("CuPy", cupy or f'{_MISSING}; for waves on CUDA: pip install "mitsuba-plenoptic[cuda]"'),
+    ]
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return _MISSING
+
+
+def _nvidia_device() -> str | None:
+    """Name and driver version of the first NVIDIA device, if its driver answers."""
+    if not shutil.which("nvidia-smi"):
+        return None
+    answer = subprocess.run(
+        ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    lines = answer.stdout.strip().splitlines() if answer.returncode == 0 else []
+    return lines[0].replace(", ", ", driver ") if lines else None

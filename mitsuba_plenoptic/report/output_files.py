@@ -1,0 +1,170 @@
+"""What the commands write: reconstructions, light fields and what comes from them, as OpenEXR or as pictures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from ..errors import InputError
+from ..io.exr import write_exr_parts
+from ..io.files import require_writable
+from ..lightfield.views import view_mosaic
+from ..reconstruction import Reconstruction, write_reconstruction
+from .images import write_png
+
+_SUFFIXES = (".exr", ".png")
+
+# How many times as large lines of an epipolar image and pixels of a small map are drawn.
+_ENLARGED = 4
+
+
+def require_picture_path(path: str | Path) -> Path:
+    """Check, before a long computation, that a file of a known kind can be written.
+
+    Raises
+    ------
+    InputError
+        If the suffix is neither .exr nor .png or the file cannot be written.
+    """
+    return require_writable(_require_suffix(path))
+
+
+def reconstruction_paths(path: str | Path, distances: Sequence[float]) -> list[Path]:
+    """Name a file for each distance, and check that all can be written.
+
+    One distance gives `path` itself, several give ``name_210.exr``, ``name_240.exr``.
+
+    Raises
+    ------
+    InputError
+        If the suffix is unknown, a distance is given twice or a file cannot be written.
+    """
+    path = _require_suffix(path)
+    if len(distances) == 1:
+        return [require_writable(path)]
+    names = [f"{path.stem}_{distance:.12g}{path.suffix}" for distance in distances]
+    for name, distance in zip(names, distances, strict=True):
+        if names.count(name) > 1:
+            raise InputError(f"distance = {distance:g}: it is given twice")
+    return [require_writable(path.with_name(name)) for name in names]
+
+
+def write_reconstructions(
+    paths: Sequence[Path], results: Sequence[Reconstruction], source: dict[str, Any] | None = None
+) -> None:
+    """Write each reconstruction into its file, as OpenEXR or as a picture by the suffix.
+
+    Pictures share one scale: the brightest bin of all is white.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files, as from `reconstruction_paths`.
+    results : sequence of Reconstruction
+        As many reconstructions.
+    source : dict, optional
+        Metadata of the capture, kept in the headers of OpenEXR files.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    peak = max(float(result.image.max()) for result in results)
+    for path, result in zip(paths, results, strict=True):
+        if path.suffix.lower() == ".png":
+            write_png(path, result.image, peak=peak)
+        else:
+            write_reconstruction(path, result, source)
+
+
+def write_views(path: str | Path, lf: xr.DataArray) -> None:
+    """Write the views of a light field: a part each named by its place on the pupil, or a mosaic as PNG."""
+    parts = {
+        f"v={float(lf.v[j]):.4g} u={float(lf.u[i]):.4g}": np.asarray(lf.values[j, i])
+        for j in range(lf.sizes["v"])
+        for i in range(lf.sizes["u"])
+    }
+    _write(path, "views", lf, parts, view_mosaic(lf), _peak(lf.values))
+
+
+def write_epipolar_image(path: str | Path, image: xr.DataArray) -> None:
+    """Write an epipolar image, as PNG enlarged."""
+    values = np.asarray(image.values)
+    _write(path, "epipolar image", image, {"epipolar": values}, _enlarged(values), _peak(values))
+
+
+def write_stack(path: str | Path, stack: xr.DataArray) -> None:
+    """Write a focal stack: a part each named by its distance, or the images side by side as PNG."""
+    parts = {f"{float(image.distance):.6g} mm": np.asarray(image.values) for image in stack}
+    _write(path, "focal stack", stack, parts, _tiled(list(parts.values())), _peak(stack.values))
+
+
+def write_depth(path: str | Path, found: xr.Dataset) -> None:
+    """Write a depth map: depth, disparity, confidence and the all-in-focus image as parts, or pictures as PNG.
+
+    The PNG shows, from left to right, the all-in-focus image, the depth from near (white) to far (black), and the
+    confidence.
+    """
+    parts = {name: np.asarray(found[name].values) for name in ("depth", "disparity", "confidence", "image")}
+    # Even steps of disparity are what the eye would see.
+    low, high = float(parts["disparity"].min()), float(parts["disparity"].max())
+    nearness = (high - parts["disparity"]) / ((high - low) or 1)
+    maps = [parts["image"] / _peak(parts["image"]), nearness, parts["confidence"]]
+    if parts["image"].ndim == 3:
+        maps = [entry if entry.ndim == 3 else np.repeat(entry[..., None], 3, axis=2) for entry in maps]
+    _write(path, "depth", found, parts, _enlarged(np.concatenate(maps, axis=1)), 1.0)
+
+
+def _write(
+    path: str | Path,
+    kind: str,
+    data: xr.DataArray | xr.Dataset,
+    parts: dict[str, np.ndarray],
+    picture: np.ndarray,
+    peak: float,
+) -> None:
+    """Write the parts with the coordinates and attributes of the data, or the picture, by the suffix.
+
+    Raises
+    ------
+    InputError
+        If the suffix is unknown or the file cannot be written.
+    """
+    path = require_picture_path(path)
+    if path.suffix.lower() == ".png":
+        write_png(path, picture, peak=peak)
+        return
+    coordinates = {str(name): values.values.tolist() for name, values in data.coords.items() if name != "weight"}
+    records = {name: json.loads(data.attrs[name]) for name in ("camera", "grid") if name in data.attrs}
+    write_exr_parts(path, parts, {"kind": kind, "coordinates": coordinates, **data.attrs, **records})
+
+
+def _enlarged(image: np.ndarray) -> np.ndarray:
+    return image.repeat(_ENLARGED, axis=0).repeat(_ENLARGED, axis=1)
+
+
+def _peak(values: np.ndarray) -> float:
+    """Value that a picture shows white: but for a thousandth of them, all are less bright."""
+    return float(np.quantile(values, 0.999)) or float(np.max(values)) or 1.0
+
+
+def _tiled(images: list[np.ndarray]) -> np.ndarray:
+    """Lay images of one size out in rows, as near to a square as can be; empty places stay black."""
+    columns = int(np.ceil(np.sqrt(len(images))))
+    empty = [np.zeros_like(images[0])] * (-len(images) % columns)
+    every = images + empty
+    rows = [np.concatenate(every[i : i + columns], axis=1) for i in range(0, len(every), columns)]
+    return np.concatenate(rows, axis=0)
+
+
+def _require_suffix(path: str | Path) -> Path:
+    path = Path(path)
+    if path.suffix.lower() not in _SUFFIXES:
+        raise InputError(f"{path}: give a name that ends in {' or '.join(_SUFFIXES)}")
+    return path

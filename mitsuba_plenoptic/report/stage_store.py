@@ -1,0 +1,211 @@
+"""Long computations in stages, each kept on disk and made again only when something it depends on has changed.
+
+A stage's key is a hash of its name, its settings, the keys of the stages before it and the software. Its file
+carries the key and appears whole or not at all, so that a run that was killed goes on where it stood.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import time
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ..errors import InputError
+from ..io.captures import Capture, read_capture, write_capture
+from ..io.checkpoints import SUFFIX, Checkpoint, Existing
+from ..io.exr import read_exr, write_exr
+from ..io.files import atomic_output
+from ..runtime.software import software as versions
+
+Value = TypeVar("Value")
+Progress = Callable[[int, int], None]
+
+
+def _ignore(*_: Any) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class StageOptions:
+    """How the progress of stages is reported, and what becomes of checkpoints.
+
+    Attributes
+    ----------
+    notify : callable
+        Called while a stage is computed, with its name, what is done and how much there is (0 of 0: it has begun).
+    finished : callable
+        Called when a stage is there, with its name, its seconds and whether it was there already.
+    resume : bool
+        Whether the checkpoint of another capture is refused, instead of being replaced.
+    """
+
+    notify: Callable[[str, int, int], None] = _ignore
+    finished: Callable[[str, float, bool], None] = _ignore
+    resume: bool = False
+
+
+class StageStore:
+    """A folder of finished stages.
+
+    Parameters
+    ----------
+    folder : path
+        Where the files lie; it is made with the first stage.
+    options : StageOptions, optional
+        How progress is reported. Default: not at all.
+    """
+
+    def __init__(self, folder: Path, options: StageOptions | None = None) -> None:
+        options = options or StageOptions()
+        self.folder = folder
+        self.seconds: dict[str, float] = {}
+        self.notify = options.notify
+        self._finished = options.finished
+        self._existing: Existing = "resume" if options.resume else "resume_if_same"
+        self._log = folder / "stages.json"
+        self._known = _read_json(self._log)
+
+    def capture(self, name: str, inputs: Any, make: Callable[[Progress, Checkpoint], Capture]) -> tuple[Capture, str]:
+        """Return a stage that is a capture, and its key; while it is under way it has a checkpoint."""
+
+        def write(path: Path, value: Capture, key: str) -> None:
+            stamped = {**value.metadata, "key": key}
+            write_capture(path, Capture(value.image, value.camera, value.wavelength, value.model, stamped))
+
+        def read(path: Path) -> tuple[Capture, str]:
+            value = read_capture(path)
+            return value, value.metadata["key"]
+
+        with Checkpoint(self.folder / f"{name}{SUFFIX}", self._existing) as checkpoint:
+            return self._get(name, ".exr", inputs, lambda progress: make(progress, checkpoint), write, read)
+
+    def image(
+        self, name: str, inputs: Any, make: Callable[[Progress], tuple[np.ndarray, dict[str, Any]]]
+    ) -> tuple[np.ndarray, str]:
+        """Return a stage that is an image, and its key; the facts about it go into the file's header."""
+
+        def write(path: Path, value: tuple[np.ndarray, dict[str, Any]], key: str) -> None:
+            write_exr(path, value[0], {**value[1], "key": key})
+
+        def read(path: Path) -> tuple[tuple[np.ndarray, dict[str, Any]], str]:
+            image, attributes = read_exr(path)
+            return (image, attributes), attributes["key"]
+
+        (image, _), key = self._get(name, ".exr", inputs, make, write, read)
+        return np.asarray(image, dtype=np.float32), key
+
+    def facts(self, name: str, inputs: Any, make: Callable[[Progress], dict[str, Any]]) -> dict[str, Any]:
+        """Return a stage that is a dictionary of plain JSON values."""
+
+        def write(path: Path, value: dict[str, Any], key: str) -> None:
+            write_json(path, {"key": key, "value": value})
+
+        def read(path: Path) -> tuple[dict[str, Any], str]:
+            content = json.loads(path.read_text())
+            return content["value"], content["key"]
+
+        return self._get(name, ".json", inputs, make, write, read)[0]
+
+    def _get(
+        self,
+        name: str,
+        suffix: str,
+        inputs: Any,
+        make: Callable[[Progress], Value],
+        write: Callable[[Path, Value, str], None],
+        read: Callable[[Path], tuple[Value, str]],
+    ) -> tuple[Value, str]:
+        key = _hash({"stage": name, "inputs": inputs, "software": software()})
+        path = self.folder / f"{name}{suffix}"
+        value = _read_kept(path, key, read)
+        was_there = value is not None
+        if value is None:
+            start = time.perf_counter()
+            self.notify(name, 0, 0)
+            value = make(lambda done, total: self.notify(name, done, total))
+            seconds = time.perf_counter() - start
+            self.folder.mkdir(parents=True, exist_ok=True)
+            write(path, value, key)
+            self._known[name] = {"key": key, "seconds": round(seconds, 3)}
+            write_json(self._log, self._known)
+        log = self._known.get(name, {})
+        self.seconds[name] = log.get("seconds", 0.0) if log.get("key") == key else 0.0
+        self._finished(name, self.seconds[name], was_there)
+        return value, key
+
+
+def scene_fingerprint(path: Path, parameters: Mapping[str, str]) -> str:
+    """Hash a scene file with its parameters and with the meshes, textures and scenes that it names."""
+    return _hash({"files": _content(path, dict(parameters)), "parameters": dict(parameters)})
+
+
+@cache
+def software() -> dict[str, str]:
+    """Return the versions that stages depend on, our own by the source text."""
+    reference = hashlib.sha256(Path(__file__).with_name("reference.py").read_bytes())
+    return {**versions(), "reference": reference.hexdigest()[:16]}
+
+
+def time_summary(seconds: dict[str, float]) -> str:
+    """Say how long the stages took together, and the longest one."""
+    total = sum(seconds.values())
+    longest = max(seconds, key=lambda name: seconds[name])
+    return f"{total:.0f} s, of which {seconds[longest]:.0f} s for {longest.replace('_', ' ')}"
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write JSON to read and to compare: indented, names sorted, whole or not at all."""
+    with atomic_output(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=1, sort_keys=True) + "\n")
+
+
+def _read_kept(path: Path, key: str, read: Callable[[Path], tuple[Value, str]]) -> Value | None:
+    """Read a stage if its file is whole and has the key."""
+    if not path.is_file():
+        return None
+    try:
+        value, found = read(path)
+    except (InputError, KeyError, ValueError, OSError):
+        return None
+    return value if found == key else None
+
+
+def _content(path: Path, parameters: dict[str, str]) -> list[tuple[str, str]]:
+    """List a scene's files by name and hash; where a name holds parameters, with their values."""
+    data = path.read_bytes()
+    found = [(path.name, hashlib.sha256(data).hexdigest())]
+    if path.suffix.lower() != ".xml":
+        return found
+    try:
+        root = ElementTree.fromstring(data)
+    except ElementTree.ParseError:
+        return found
+    values = {item.get("name", ""): item.get("value", "") for item in root.iter("default")} | parameters
+    names = [item.get("value", "") for item in root.iter("string") if item.get("name") == "filename"]
+    names += [item.get("filename", "") for item in root.iter("include")]
+    for name in names:
+        filled = re.sub(r"\$(\w+)", lambda match: values.get(match.group(1), match.group(0)), name)
+        if (path.parent / filled).is_file():
+            found += _content(path.parent / filled, values)
+    return found
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _hash(content: Any) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]

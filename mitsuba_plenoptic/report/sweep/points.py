@@ -1,0 +1,155 @@
+"""The points of a sweep: each one's capture and reconstructions, computed or taken from what is kept."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...camera import PlenopticCamera
+from ...capture.render import render_capture
+from ...capture.scene import load_scene, scene_path
+from ...errors import InputError, require_number
+from ...io.captures import Capture
+from ...reconstruction import METHODS, reconstruct
+from ...runtime.batches import BatchMap
+from ...runtime.variant import DEFAULT_VARIANT
+from ...thin_lens import image_distance
+from ..stage_store import Progress, StageStore, scene_fingerprint
+from .grid import DISTANCE, WAVELENGTH, Grid
+
+
+@dataclass(frozen=True)
+class SweepSettings:
+    """What all points of a sweep have in common.
+
+    Attributes
+    ----------
+    scene : str
+        A scene file or a built-in name.
+    parameters : mapping
+        Values for the scene's ``$name`` parameters that do not vary.
+    model : {"ray", "wave"}, optional
+        As for `render_capture`.
+    spp : int, optional
+        As for `render_capture`.
+    seed : int
+        As for `render_capture`.
+    radiators_per_lens : int, optional
+        Of wave captures.
+    method : str
+        Of the reconstructions.
+    variant : str
+        Mitsuba variant.
+    """
+
+    scene: str
+    parameters: Mapping[str, str] = field(default_factory=dict)
+    model: str | None = None
+    spp: int | None = None
+    seed: int = 0
+    radiators_per_lens: int | None = None
+    method: str = "ray"
+    variant: str = DEFAULT_VARIANT
+
+
+class Points:
+    """The points of a grid: captures, and of each the reconstructions."""
+
+    def __init__(self, settings: SweepSettings, grid: Grid, store: StageStore) -> None:
+        self.settings, self.store = settings, store
+        self.distances = grid.get(DISTANCE, ())
+        self.axes = {name: values for name, values in grid.items() if name != DISTANCE}
+        scene = settings.scene
+        self.path = Path(scene) if Path(scene).is_file() else scene_path(scene)
+
+    def __iter__(self) -> Iterator[dict[str, float]]:
+        for values in itertools.product(*self.axes.values()):
+            yield dict(zip(self.axes, values, strict=True))
+
+    def parameters(self, point: dict[str, float]) -> dict[str, str]:
+        """Values for the scene's parameters."""
+        varied = {name: _text(value) for name, value in point.items() if name != WAVELENGTH}
+        for name in varied:
+            if name in self.settings.parameters:
+                raise InputError(f"grid: {name} varies and is set by -D too")
+        return {**self.settings.parameters, **varied}
+
+    def check(self) -> None:
+        """Make every camera once, before the work, and see that they record images of one size."""
+        if self.settings.method not in METHODS:
+            raise InputError(f"method = {self.settings.method!r}: it must be one of {', '.join(METHODS)}")
+        for wavelength in self.axes.get(WAVELENGTH, ()):
+            require_number(WAVELENGTH, wavelength, positive=True)
+        sizes: dict[tuple[tuple[str, str], ...], tuple[int, ...]] = {}
+        for point in self:
+            parameters = self.parameters(point)
+            if (key := tuple(parameters.items())) in sizes:
+                continue
+            scene = self._load(parameters)
+            camera = PlenopticCamera.from_sensor(scene.sensors()[0])
+            sizes[key] = camera.shape + camera.bin_count * bool(self.distances)
+            for distance in self.distances:
+                image_distance(camera.focal_length, distance, name=DISTANCE)
+            first = next(iter(sizes.values()))
+            if sizes[key] != first:
+                changed = ", ".join(f"{name} = {value:g}" for name, value in point.items())
+                raise InputError(
+                    f"grid: with {changed} images have {_size(sizes[key])}, with the first values {_size(first)}: one "
+                    "dataset holds images of one size"
+                )
+
+    def compute(self, batch_map: BatchMap | None) -> Iterator[tuple[Capture, list[np.ndarray]]]:
+        """Yield each capture with its reconstructions, from the store where they are there."""
+        for point in self:
+            capture, key = self._capture(point, batch_map)
+            name = _name(point)
+            yield capture, [self._refocus(capture, key, name, distance) for distance in self.distances]
+
+    def _load(self, parameters: dict[str, str]) -> Any:
+        scene = load_scene(self.settings.scene, parameters=parameters)
+        if not scene.sensors():
+            raise InputError(f"{self.settings.scene}: it has no sensor; add one of type 'plenoptic'")
+        return scene
+
+    def _capture(self, point: dict[str, float], batch_map: BatchMap | None) -> tuple[Capture, str]:
+        settings, parameters = self.settings, self.parameters(point)
+        options: dict[str, Any] = {"model": settings.model, "spp": settings.spp, "seed": settings.seed}
+        if WAVELENGTH in point:
+            options["wavelength"] = point[WAVELENGTH]
+        if settings.radiators_per_lens is not None:
+            options["radiators_per_lens"] = settings.radiators_per_lens
+        inputs = {"scene": scene_fingerprint(self.path, parameters), "variant": settings.variant, **options}
+        return self.store.capture(
+            f"capture{_name(point)}",
+            inputs,
+            lambda progress, checkpoint: render_capture(
+                self._load(parameters), progress=progress, checkpoint=checkpoint, batch_map=batch_map, **options
+            ),
+        )
+
+    def _refocus(self, capture: Capture, key: str, name: str, distance: float) -> np.ndarray:
+        facts = {"distance": distance, "method": self.settings.method}
+
+        def make(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
+            result = reconstruct(capture, distance, method=self.settings.method, progress=progress)
+            return result.image, {"kind": "reconstruction", "camera": capture.camera.to_dict(), **facts}
+
+        return self.store.image(f"refocused{name},{DISTANCE}={_text(distance)}", {"capture": key, **facts}, make)[0]
+
+
+def _size(size: tuple[int, ...]) -> str:
+    rows, columns, *bins = size
+    return f"{columns} x {rows} pixels" + (f" and {bins[0]} x {bins[1]} bins" if bins else "")
+
+
+def _name(point: dict[str, float]) -> str:
+    return "".join(f",{name}={_text(value)}" for name, value in point.items())
+
+
+def _text(value: float) -> str:
+    return str(int(value)) if value == int(value) else repr(value)

@@ -1,0 +1,152 @@
+"""What the command says about a user's mistakes: one line, status 2, and nothing written."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from mitsuba_plenoptic.cli import main
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("nosuch", "nosuch"),
+        ("render", "scene"),
+        ("render letters", "output"),
+        ("render letters -o {out}.exr --nosuch", "--nosuch"),
+        ("render letters -o {out}.exr --spp many", "--spp"),
+        ("reconstruct {raw} -o {out}.exr", "--distance"),
+        ("reconstruct {raw} -o {out}.exr --distance far", "--distance"),
+        ("stack {raw} -o {out}.png", "--distance"),
+        ("expose {raw} -o {out}.exr", "--photons"),
+    ],
+)
+def test_usage_errors_point_to_the_help(line, words, raw, tmp_path, complaint):
+    said = complaint(*line.format(raw=raw, out=tmp_path / "out").split())
+    assert words in said and "--help)" in said
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("render nosuch -o {out}.exr", "letters"),
+        ("render letters -o {out}.exr --spp 0", "spp = 0"),
+        ("render letters -o {out}.exr --seed -1", "seed = -1"),
+        ("render letters -o {out}.exr --model magic", "model = 'magic'"),
+        ("render letters -o {out}.exr -D resolution", "-D NAME=VALUE"),
+        ("render letters -o {out}.exr -D resolutoin=64", "resolutoin"),
+        ("render letters -o {out}.exr -D resolution=-5", ""),
+        ("render raytrix -o {out}.exr -D resolution=1e3", ""),
+        ("render letters -o {out}.exr -D resolution=64 -D focal_length=-80", "focal_length = -80"),
+        ("render letters -o {out}.exr -D resolution=64 -D mla_pitch=nan", "mla_pitch = nan"),
+        ("render letters -o {out}.exr -D resolution=64 -D mla_pitch=wide", "wide"),
+        ("render letters -o {out}.exr --variant nosuch", "variant = 'nosuch'"),
+        ("render letters -o {out}.exr -D resolution=64 --variant scalar_rgb", "scalar_rgb"),
+        # The output is checked before the scene is looked at.
+        ("render nosuch -o {out}/raw.exr", "does not exist"),
+        ("render nosuch -o .", "OpenEXR"),
+        ("render nosuch -o {out}.png", "OpenEXR"),
+        ("render nosuch -o {out}", "OpenEXR"),
+        ("reconstruct {raw} -o {out}.exr --distance 80", "distance = 80: it must be greater than the focal length 80"),
+        ("reconstruct {raw} -o {out}.exr --distance -240", "distance = -240"),
+        ("reconstruct {raw} -o {out}.exr --distance nan", "distance = nan"),
+        ("reconstruct {raw} -o {out}.exr --distance inf", "distance = inf"),
+        ("reconstruct {raw} -o {out}.exr --distance 240 --distance 240", "given twice"),
+        ("reconstruct {raw} -o {out}.exr --distance 240 --method magic", "method = 'magic'"),
+        ("reconstruct {raw} -o {out}.exr --distance 240 --footprint magic", "footprint = 'magic'"),
+        ("reconstruct {raw} -o {out}.exr --distance 240 --variant magic", "variant = 'magic'"),
+        ("reconstruct {raw} -o {out}/out.exr --distance 240", "does not exist"),
+        ("reconstruct {raw} -o . --distance 240", ".png"),
+        ("reconstruct {raw} -o {out}.jpg --distance 240", ".png"),
+        ("reconstruct {raw} -o {out} --distance 240", ".png"),
+        ("info nosuch", "letters"),
+        ("info nosuch.exr", "there is no such file"),
+        ("info letters --wavelength -633", "wavelength = -633"),
+        ("info letters --wavelength nan", "wavelength = nan"),
+        ("views {raw} -o {out}.tif", ".png"),
+        ("views {raw} -o {out}.png --count 99", "count = 99"),
+        ("views nosuch.exr -o {out}.png", "nosuch.exr"),
+        ("views {raw} -o {out}.png --view-count 3", "views = 3"),
+        ("epi {raw} -o {out}.png --axis sideways", "axis = 'sideways'"),
+        ("stack {raw} -o {out}.png --distance 70", "focal length"),
+        ("stack {raw} -o {out}.png --distance 240 --method magic", "method = 'magic'"),
+        ("depth {raw} -o {out}.png --near 300 --far 200", "near"),
+        ("depth {raw} -o {out}.png --planes 1", "planes = 1"),
+        ("expose {raw} -o {out}.png --photons 5", ".exr"),
+        ("expose {raw} -o {out}.exr --photons -5", "photons = -5"),
+        ("expose {raw} -o {out}.exr --photons 5 --bits 40", "bits = 40"),
+        ("convert {raw} -o {out}.npz", "ends in"),
+        ("convert {raw} -o missing/out.mat", "does not exist"),
+        ("reproduce --preset huge -o {out}", "preset = 'huge': it must be one of quick, paper"),
+        ("reproduce -o {raw}", "the folder cannot be made"),
+        ("compare letters -o {out} --distance -1", "distance = -1: it must be greater than 0"),
+    ],
+)
+def test_mistakes(line, words, raw, tmp_path, complaint):
+    assert words in complaint(*line.format(raw=raw, out=tmp_path / "out").split())
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("sensor", "words"),
+    [
+        ('<float name="focal_lenght" value="80"/>', ("focal_lenght",)),
+        ('<string name="mla_pitch" value="wide"/>', ("mla_pitch = 'wide'", "must be a number", "line 3")),
+        ('<boolean name="mla_pitch" value="true"/>', ("mla_pitch = True", "must be a number")),
+        ('<float name="aperture_radius" value="-5"/>', ("aperture_radius = -5", "greater than 0")),
+        ('<float name="focus_distance" value="80"/>', ("focus_distance = 80", "focal length")),
+        ('<float name="near_clip" value="1"/>', ("near_clip",)),
+        ('<transform name="to_world"><scale value="2"/></transform>', ("to_world", "scale")),
+    ],
+)
+def test_wrong_scene_parameters(sensor, words, scene, tmp_path, complaint):
+    path = scene(sensor)
+    said = complaint("render", path, "-o", tmp_path / "raw.exr")
+    assert all(word in said for word in (path, *words))
+    assert [item.name for item in tmp_path.iterdir()] == ["scene.xml"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("<scene", "scene.xml"), ('<scene version="3.0.0"><sensor type="perspective"/></scene>', "plenoptic")],
+)
+def test_wrong_scene_files(text, words, tmp_path, complaint):
+    (tmp_path / "scene.xml").write_text(text)
+    assert words in complaint("render", tmp_path / "scene.xml", "-o", tmp_path / "raw.exr")
+
+
+@pytest.mark.skipif(hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write anywhere")
+def test_folder_without_permission(raw, tmp_path, complaint):
+    tmp_path.chmod(0o500)
+    assert "permission" in complaint("reconstruct", raw, "-o", tmp_path / "out.exr", "--distance", "240")
+
+
+@pytest.mark.parametrize("damage", ["missing", "empty", "text", "foreign", "truncated", "header", "reconstruction"])
+def test_damaged_captures(damage, raw, tmp_path, complaint):
+    path, content = tmp_path / "damaged.exr", raw.read_bytes()
+    parts = {"empty": b"", "text": b"not an image", "truncated": content[: len(content) // 2], "header": content[:200]}
+    if damage in parts:
+        path.write_bytes(parts[damage])
+    elif damage == "foreign":
+        pixels = {"Y": np.zeros((4, 4), dtype=np.float32)}
+        OpenEXR.File({"type": OpenEXR.scanlineimage}, pixels).write(str(path))
+    elif damage == "reconstruction":
+        assert main(["reconstruct", str(raw), "-o", str(path), "--distance", "240"]) == 0
+    before = list(tmp_path.iterdir())
+    assert str(path) in complaint("reconstruct", path, "-o", tmp_path / "out.exr", "--distance", "240")
+    assert str(path) in complaint("info", path)
+    assert list(tmp_path.iterdir()) == before
+
+
+def test_our_own_mistakes_keep_their_traceback(monkeypatch):
+    def broken(*_, **__):
+        raise RuntimeError("a bug")
+
+    monkeypatch.setattr("mitsuba_plenoptic.cli.inputs.load_scene", broken)
+    with pytest.raises(RuntimeError, match="a bug"):
+        main(["info", "letters"])
