@@ -50,7 +50,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=Path("out/wave_reconstruction_accuracy"))
     parser.add_argument("--capture", type=Path, help="a wave capture of the letters")
     parser.add_argument("--ray-capture", type=Path, help="a ray capture of the letters")
-    parser.add_argument("--referee-spp", type=int, default=4096, help="samples per pixel of the thin lens")
+    parser.add_argument("--reference-spp", type=int, default=4096, help="samples per pixel of the thin lens")
     parser.add_argument("--periods", type=int, nargs="*", default=[1, 2, 4, 8])
     parser.add_argument(
         "--limit-period", type=int, default=16, help="period at which no two lenses of a subset overlap"
@@ -66,7 +66,7 @@ def main() -> None:
         if arguments.capture
         else render_capture(scene, model="wave", wavelength=633.0),
     }
-    references = [thin_lens_image(scene, captures["wave"].camera, g, arguments.referee_spp) for g in DISTANCES]
+    references = [thin_lens_image(scene, captures["wave"].camera, g, arguments.reference_spp) for g in DISTANCES]
     table = _agreement(captures, references, arguments.output)
     interference = _interference(captures["wave"], arguments.periods, arguments.limit_period)
     (arguments.output / "wave_reconstruction_accuracy.json").write_text(
@@ -79,9 +79,9 @@ def main() -> None:
 
 def _agreement(captures: dict[str, Capture], references: list[np.ndarray], output: Path) -> list[dict[str, Any]]:
     rows, pictures = [], [np.concatenate(references, 1)]
-    for name, (kind, options) in METHODS.items():
+    for name, (source, options) in METHODS.items():
         start = time.perf_counter()
-        results = reconstruct(captures[kind], list(DISTANCES), **options)
+        results = reconstruct(captures[source], list(DISTANCES), **options)
         seconds = time.perf_counter() - start
         images = [result.image.astype(np.float64) for result in results]
         scale, scores = agreement(images, references)

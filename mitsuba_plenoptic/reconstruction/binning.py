@@ -17,7 +17,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from ..runtime.backend import array_module, backend_of
+from ..runtime.backend import array_module
 from ..runtime.limits import require_memory
 
 
@@ -67,12 +67,12 @@ def axis_bins(low: np.ndarray, high: np.ndarray, pupil: np.ndarray, count: int, 
     width = high - low
     spread = width > 1e-9
     reach = int(np.max(np.where(spread, np.ceil(high), first + 1) - first, initial=1))
-    # For every pixel of the axis and bin that it reaches: bin, overlap, share, weight and what is made of them.
+    # For every pixel of the axis and bin that it reaches: bin, overlap, fraction, weight and what is made of them.
     require_memory(64.0 * pixels.size * reach, f"{pixels.size} pixels of an axis, each spread over {reach} bins")
     bins = first[:, None] + np.arange(reach)
     overlap = np.minimum(high[:, None], bins + 1) - np.maximum(low[:, None], bins)
-    share = overlap.clip(min=0) / np.where(spread, width, 1)[:, None]
-    weight = np.where(spread[:, None], share, bins == first[:, None])
+    fraction = overlap.clip(min=0) / np.where(spread, width, 1)[:, None]
+    weight = np.where(spread[:, None], fraction, bins == first[:, None])
     keep = (weight > 1e-6) & (bins >= 0) & (bins < count)
     order = np.argsort(bins[keep], kind="stable")
     return AxisBins(
@@ -90,7 +90,7 @@ def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.
     Parameters
     ----------
     image : (rows, columns, channels) float32 array
-        The image; of CuPy if it lies on a CUDA device.
+        The image.
     x, y : AxisBins
         Bins of the columns and of the rows.
     radius : float
@@ -99,18 +99,16 @@ def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.
     Returns
     -------
     (y.count, x.count, channels) float32 array
-        Where the image is.
     """
-    types, arrays = array_module(), backend_of(image).arrays
+    types = array_module()
     _, columns, channels = image.shape
     if not (x.weight.size and y.weight.size):
         # No pixel meets a bin.
-        return arrays.zeros((y.count, x.count, channels), np.float32)
-    values = types.Float(arrays.ascontiguousarray(image).reshape(-1))
+        return np.zeros((y.count, x.count, channels), np.float32)
+    values = types.Float(np.ascontiguousarray(image).reshape(-1))
     by_row = _sum_columns(types, values, x, radius**2 - y.pupil**2, columns, channels)
     sums = _sum_rows(types, by_row, y, x.count * channels)
-    sums = sums.numpy() if isinstance(image, np.ndarray) else backend_of(sums).from_drjit(sums)
-    return sums.reshape(y.count, x.count, channels)
+    return np.asarray(sums.numpy()).reshape(y.count, x.count, channels)
 
 
 def _sum_columns(backend: Any, values: Any, bins: AxisBins, limit: np.ndarray, columns: int, channels: int) -> Any:

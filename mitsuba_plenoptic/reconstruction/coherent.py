@@ -28,12 +28,6 @@ it converge once more, to :math:`\sqrt{I}` itself in the plane that the microlen
 with :math:`1/a + 1/z = 1/f_2`: the micro-image, enlarged, where the main lens's image is. Where micro-images are smooth
 the light goes through a small part of the lens only, and what came from the rim of the pupil through the rim of a lens
 misses the pupil on its way back; images are divided by what a white scene gives.
-
-Partial coherence
------------------
-Light that passed different microlenses from different scene points never interferes, yet here the fields of all
-lenses do. Fields of lenses in subsets (every K-th column and row), each propagated coherently, whose intensities are
-added, interfere less; where the lenses of a subset are farther apart than their images are wide, not at all.
 """
 
 from __future__ import annotations

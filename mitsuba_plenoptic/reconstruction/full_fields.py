@@ -32,13 +32,7 @@ def reconstruct_subsets(
 ) -> list[np.ndarray]:
     """Propagate interleaved subsets of lenses coherently and add their intensities.
 
-    Parameters are those of `refocus_by_waves`, but for `interleave`, the period K of a subset along each axis; 1 is
-    one coherent field.
-
-    Returns
-    -------
-    list of (rows, columns) float64 arrays
-        Power in each bin, in pixel values times pixels.
+    See `waves.Power`; `interleave` is the period K of a subset along each axis, 1 is one coherent field.
     """
     columns, rows = (count * oversample for count in camera.bin_count)
     check_memory(8.0 * rows * columns * (len(distances) + 1), f"wave reconstruction on {columns} x {rows} bins")

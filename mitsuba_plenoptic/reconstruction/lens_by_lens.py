@@ -46,10 +46,7 @@ def reconstruct_lens_by_lens(
 ) -> list[np.ndarray]:
     """Propagate every lens alone and add the intensities: the limit of `reconstruct_subsets` for large periods.
 
-    Returns
-    -------
-    list of (rows, columns) float64 arrays
-        Power in each bin, in pixel values times pixels.
+    See `waves.Power`.
     """
     tile = Tile(camera, wavelength, tile_lenses(camera, distances), oversample)
     check_memory(tile.memory, "wave reconstruction lens by lens")

@@ -32,7 +32,7 @@ class Reconstruction:
     camera : PlenopticCamera
         The camera of the capture.
     guards : dict
-        Shares of the light that the guards of the physics found lost, by their names.
+        Fractions of the light that the guards of the physics found lost, by their names.
     """
 
     image: np.ndarray

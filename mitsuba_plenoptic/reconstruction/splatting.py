@@ -1,9 +1,9 @@
 r"""Pixels summed over bins on any lattice, and how much of a white scene each bin would get.
 
 A pixel p of the lens with centre c goes to the place u(c) of the bins, through the point P(c) of the pupil. Through
-another point c + d of its lens it goes to u(c) + a d, with the same a for all pixels of one kind of lens, so that its
+another point c + d of its lens it goes to u(c) + a d, with the same a for all pixels of one type of lens, so that its
 footprint is the lens's aperture, enlarged by a, or the pixel's own square where that is wider. Pixels are therefore
-first counted on a grid finer than the bins, one for each kind of lens; what such a sample gives to each of the bins
+first counted on a grid finer than the bins, one for each type of lens; what such a sample gives to each of the bins
 about it is then the same in every bin. Everything is summed in a fixed order, so that the result is the same bit for
 bit.
 """
@@ -59,14 +59,14 @@ def splat(
     white : (rows, columns) float64 array
         The same of a white capture.
     """
-    kinds = camera.mla_focal_lengths
-    fine, shares = 1, [np.ones((1, 1, 1, 1))] * len(kinds)
+    focal_lengths = camera.mla_focal_lengths
+    fine, footprints = 1, [np.ones((1, 1, 1, 1))] * len(focal_lengths)
     if footprint == "lens":
         fine = max(_LEAST, -(-_FINE // oversample))
         step = camera.mla_pitch / (oversample * fine)
-        shares = [_bin_shares(_footprint(camera, distance, f2, step), fine) for f2 in kinds]
+        footprints = [_in_bins(_footprint(camera, distance, f2, step), fine) for f2 in focal_lengths]
     # Pixels that land in bins beyond the border may still reach across it.
-    margin = max(share.shape[0] // 2 for share in shares)
+    margin = max(taps.shape[0] // 2 for taps in footprints)
     columns, rows = (count * oversample for count in camera.bin_count)
     across, down = columns + 2 * margin, rows + 2 * margin
     require_memory(
@@ -75,67 +75,67 @@ def splat(
         f"{columns} x {rows} bins with footprints of {2 * margin + 1} of them",
     )
 
-    place, kind, pixel, white = _landing(camera, distance, radius, oversample, fine, (down, across))
+    place, lens_type, pixel, white = _landing(camera, distance, radius, oversample, fine, (down, across))
     values = image.reshape(-1, image.shape[2])[pixel]
     total = np.zeros((image.shape[2] + 1, down + 2 * margin, across + 2 * margin))
-    for number, share in enumerate(shares):
-        mine = slice(None) if len(kinds) == 1 else np.flatnonzero(kind == number)
-        reach = share.shape[0] // 2
+    for number, taps in enumerate(footprints):
+        mine = slice(None) if len(footprints) == 1 else np.flatnonzero(lens_type == number)
+        reach = taps.shape[0] // 2
         for out, weights in zip(total, (*values.T, white), strict=True):
             samples = np.bincount(place[mine], weights=weights[mine], minlength=down * across * fine**2)
-            spread = _spread(samples.reshape(down, across, fine**2), share)
+            spread = _spread(samples.reshape(down, across, fine**2), taps)
             first = margin - reach
             out[first : first + spread.shape[0], first : first + spread.shape[1]] += spread
     total = total[:, 2 * margin : 2 * margin + rows, 2 * margin : 2 * margin + columns]
     return np.moveaxis(total[:-1], 0, -1), total[-1]
 
 
-def _spread(samples: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Give every fine sample's light to the bins around its own.
+def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:
+    """Spread the light of every fine sample over the bins around its own.
 
     Parameters
     ----------
     samples : (rows, columns, fine**2) float64 array
         Light in the fine samples of each bin.
-    share : (taps, taps, fine, fine) array
-        From `_bin_shares`.
+    footprint : (taps, taps, fine, fine) array
+        From `_in_bins`.
 
     Returns
     -------
     (rows + taps - 1, columns + taps - 1) float64 array
         Light of the bins, from `taps // 2` before the first.
     """
-    taps = share.shape[0]
-    share = share.reshape(taps, taps, -1)
+    taps = footprint.shape[0]
+    footprint = footprint.reshape(taps, taps, -1)
     rows, columns = samples.shape[0] + taps - 1, samples.shape[1] + taps - 1
     if taps <= _MOST_TAPS:
         spread = np.zeros((rows, columns))
         for y, x in np.ndindex(taps, taps):
-            spread[y : y + samples.shape[0], x : x + samples.shape[1]] += samples @ share[y, x]
+            spread[y : y + samples.shape[0], x : x + samples.shape[1]] += samples @ footprint[y, x]
         return spread
     shape = [scipy.fft.next_fast_len(size, real=True) for size in (rows, columns)]
     spectrum = sum(
-        scipy.fft.rfft2(samples[..., fine], shape) * scipy.fft.rfft2(share[..., fine], shape)
-        for fine in range(share.shape[2])
+        scipy.fft.rfft2(samples[..., fine], shape) * scipy.fft.rfft2(footprint[..., fine], shape)
+        for fine in range(footprint.shape[2])
     )
     return scipy.fft.irfft2(spectrum, shape)[:rows, :columns]
 
 
 def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float, step: float) -> np.ndarray:
-    """Draw what a pixel covers, its lens's view or its own square, whichever is wider: shares of its area, odd size."""
+    """Draw what a pixel covers, its lens's view or its own square, whichever is wider: odd size, the sum is 1."""
     scale, pixel = lens_footprint(camera, distance, mla_focal_length), pixel_footprint(camera, distance)
     if scale * camera.lattice.aperture_width >= pixel:
         return camera.lattice.aperture_image(step, scale)
     half = max(0, math.ceil((pixel / step - 1) / 2))
     require_memory(16.0 * (2 * half + 1.0) ** 2, f"footprint of {2 * half + 1:.3g} samples across")
-    share = np.ones(2 * half + 1)
+    side = np.ones(2 * half + 1)
     if half:
-        share[[0, -1]] = (pixel / step - (2 * half - 1)) / 2
-    return np.outer(share, share) / share.sum() ** 2
+        side[[0, -1]] = (pixel / step - (2 * half - 1)) / 2
+    return np.outer(side, side) / side.sum() ** 2
 
 
-def _bin_shares(blur: np.ndarray, fine: int) -> np.ndarray:
-    """Shares of the bins in a footprint that is centred in each of the fine samples of one of them.
+def _in_bins(blur: np.ndarray, fine: int) -> np.ndarray:
+    """Return what falls into each bin of a footprint that is centred in each of the fine samples of one of them.
 
     Parameters
     ----------
@@ -174,13 +174,13 @@ def _landing(
 
     Returns
     -------
-    place, kind, pixel : int arrays
-        Sample, counted bin by bin, kind of lens, and flat index of each pixel.
+    place, lens_type, pixel : int arrays
+        Sample, counted bin by bin, type of lens, and flat index of each pixel.
     white : float32 array
         What each pixel reads of a white scene.
     """
     lattice, columns = camera.lattice, camera.crop_size[0]
-    shares = [PupilFraction(camera, kind) for kind in range(len(camera.mla_focal_lengths))]
+    fractions = [PupilFraction(camera, number) for number in range(len(camera.mla_focal_lengths))]
     # All along the ray is linear in the pixel and the lens's centre.
     of_pixel = np.array(rays.follow_back(1.0, 0.0, 0.0, distance, camera))
     of_lens = np.array(rays.follow_back(0.0, 1.0, 1.0, distance, camera))
@@ -203,13 +203,13 @@ def _landing(
         )
         column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
         sample = np.floor((y - row) * fine).astype(np.int64) * fine + np.floor((x - column) * fine).astype(np.int64)
-        kind = lattice.lens_type(i, j).astype(np.int8) if len(shares) > 1 else np.zeros(lit.size, dtype=np.int8)
+        lens_type = lattice.lens_type(i, j).astype(np.int8) if len(fractions) > 1 else np.zeros(lit.size, np.int8)
         white = np.empty(lit.size, dtype=np.float32)
-        for number, share in enumerate(shares):
-            mine = kind == number
-            white[mine] = share(Px[mine], Py[mine])
+        for number, fraction in enumerate(fractions):
+            mine = lens_type == number
+            white[mine] = fraction(Px[mine], Py[mine])
         inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
         place = (row * shape[1] + column) * fine**2 + sample
-        found.append([values[inside] for values in (place, kind, lit + first * columns, white)])
-    place, kind, pixel, white = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return place, kind, pixel, white
+        found.append([values[inside] for values in (place, lens_type, lit + first * columns, white)])
+    place, lens_type, pixel, white = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return place, lens_type, pixel, white

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy  # which loads scipy.signal when it is first used: that takes long
 
 from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint
@@ -25,15 +26,7 @@ def over_lenses(
     none.
     """
     aperture = camera.lattice.aperture_image(camera.mla_pitch / (oversample * fine), scale)
-    spread = convolve(power, aperture, "same")
+    spread = np.asarray(scipy.signal.oaconvolve(power, aperture, mode="same"))
     rows, columns = (size // fine for size in power.shape)
     # the transform's rounding is not light
     return spread.reshape(rows, fine, columns, fine).sum((1, 3)).clip(min=0)
-
-
-def convolve(image: np.ndarray, kernel: np.ndarray, mode: str) -> np.ndarray:
-    """Convolve two images, as `scipy.signal.oaconvolve` does."""
-    # Its import takes long, which those who need none of it shall not wait for.
-    import scipy.signal
-
-    return np.asarray(scipy.signal.oaconvolve(image, kernel, mode=mode))

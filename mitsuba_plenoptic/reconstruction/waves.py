@@ -15,7 +15,7 @@ from .white import white_light
 
 
 class Power(Protocol):
-    """Propagates a channel of a capture back and returns the power in each bin, in pixel values times pixels."""
+    """A way back for one channel of a capture."""
 
     def __call__(
         self,
@@ -28,10 +28,29 @@ class Power(Protocol):
         oversample: int,
         progress: Callable[[float], None],
     ) -> list[np.ndarray]:
-        """Do it, for an image that is not negative and some distances, which share the way up to the main lens.
+        """Return the power in each bin of the object planes.
 
-        The camera's lenses are thin parabolic phase elements; `relay` tells whether the microlenses act in the MLA
-        plane.
+        Parameters
+        ----------
+        image : (rows, columns) float32 array
+            Not negative.
+        camera : PlenopticCamera
+            The camera, whose lenses are thin parabolic phase elements.
+        distances : sequence of floats
+            Object distances, which share the way up to the main lens.
+        wavelength : float
+            Wavelength in nanometres.
+        relay : bool
+            Whether the microlenses act in the MLA plane.
+        oversample : int
+            Bins per lens along each axis.
+        progress : callable
+            Called with the fraction of the work that is done.
+
+        Returns
+        -------
+        list of (rows, columns) float64 arrays
+            In pixel values times pixels.
         """
 
 

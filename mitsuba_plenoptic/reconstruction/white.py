@@ -6,6 +6,7 @@ import functools
 import math
 
 import numpy as np
+import scipy
 
 from ..bounds import MOST_PIXELS
 from ..camera import PlenopticCamera
@@ -20,7 +21,7 @@ from .lens_by_lens import object_patches, on_bins, pupil_fields
 from .lens_sets import AlignedLenses, LensSet, lens_set
 from .lens_tiles import Tile, tile_lenses
 from .radiance import at_least, pixels_per_bin, white_bins
-from .spread import convolve, lens_scale, over_lenses
+from .spread import lens_scale, over_lenses
 
 _THROUGHPUT_LENSES = 25
 
@@ -147,7 +148,7 @@ def white_power(
     everywhere = AlignedLenses(Tile(camera, wavelength, count, oversample))
     comb = np.zeros([(count - 1) * oversample + 1 for count in everywhere.bins[::-1]])
     comb[::oversample, ::oversample] = 1
-    return on_bins(libraries.arrays.asarray(convolve(comb, patch, "full")), everywhere)
+    return on_bins(libraries.arrays.asarray(scipy.signal.oaconvolve(comb, patch)), everywhere)
 
 
 def _around_axis(camera: PlenopticCamera, lenses: int) -> PlenopticCamera:

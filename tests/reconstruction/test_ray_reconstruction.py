@@ -9,6 +9,7 @@ import pytest
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct
 from mitsuba_plenoptic.reconstruction.binning import axis_bins, bin_image
+from mitsuba_plenoptic.reconstruction.methods import METHODS, method
 
 
 def by_single_rays(image, camera, distance):
@@ -143,3 +144,16 @@ def test_bad_arguments_are_refused(arguments, message):
     arguments = {"capture": np.ones((64, 64)), "distance": 240.0, "camera": camera} | arguments
     with pytest.raises(InputError, match=message):
         reconstruct(arguments.pop("capture"), arguments.pop("distance"), **arguments)
+
+
+def test_a_new_method_is_one_registered_function(monkeypatch):
+    monkeypatch.setitem(METHODS, "mean", None)
+
+    @method("mean", options=("footprint",), waves=False, memory=lambda shape, rows, columns: 0.0)
+    def mean(task, *, footprint):
+        return [np.full((*task.camera.bin_count[::-1], 1), task.image.mean() + g) for g in task.distances]
+
+    camera = PlenopticCamera(detector_width=0.128, resolution=(64, 64))
+    result = reconstruct(np.ones((64, 64)), 240.0, camera=camera, method="mean", footprint="point")
+    assert (result.image == 241).all() and result.image.shape == (2, 2)
+    assert result.options == {"footprint": "point", "oversample": 1}

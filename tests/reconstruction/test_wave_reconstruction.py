@@ -29,19 +29,20 @@ OTHER = PlenopticCamera(
     detector_width=1.2,
     resolution=(640, 560),
 )
-METHODS = [
-    {"method": "coherent"},
-    {"method": "partial", "interleave": 2},
-    {"method": "partial", "interleave": "auto"},
-]
+DISTANCES = [210.0, 240.0, 280.0]
+METHODS = {
+    "coherent": {"method": "coherent"},
+    "K2": {"method": "partial", "interleave": 2},
+    "auto": {"method": "partial", "interleave": "auto"},
+}
+
+cameras = pytest.mark.parametrize("camera", [SMALL, OTHER], ids=["paper", "other"])
+wave_methods = pytest.mark.parametrize("options", METHODS.values(), ids=METHODS.keys())
+all_methods = pytest.mark.parametrize("options", [{"method": "ray"}, *METHODS.values()], ids=["ray", *METHODS.keys()])
 
 
-def pixel_coordinates(camera):
-    columns, rows = camera.resolution
-    return (
-        (np.arange(columns) + 0.5 - columns / 2) * camera.pixel_size,
-        (np.arange(rows) + 0.5 - rows / 2) * camera.pixel_size,
-    )
+def refocus(image, distance, camera=SMALL, wavelength=WAVELENGTH, **options):
+    return reconstruct(image, distance, camera=camera, wavelength=wavelength, **options)
 
 
 def lens_of(p, camera):
@@ -52,7 +53,7 @@ def lens_of(p, camera):
 
 def micro_image(camera, i, j, radius=None):
     """White disc under lens (i, j), of the micro-image's size or smaller."""
-    px, py = pixel_coordinates(camera)
+    px, py = (camera.pixel_coordinates(axis) for axis in (0, 1))
     b, z = camera.mla_distance, camera.detector_distance
     cx, cy = (((k + 0.5) * camera.mla_pitch) * (b + z) / b for k in (i, j))
     radius = radius or camera.micro_image_diameter / 2
@@ -77,28 +78,26 @@ def centroid(image):
     return (image.sum(0, dtype=np.float64) @ x) / total, (image.sum(1, dtype=np.float64) @ y) / total
 
 
-@pytest.mark.parametrize("options", METHODS, ids=["coherent", "K2", "auto"])
-@pytest.mark.parametrize("distance", [210.0, 240.0, 280.0])
+@wave_methods
 @pytest.mark.parametrize(("column", "row"), [(512 + 16, 512 + 16), (300, 716)], ids=["axis", "off"])
-def test_a_lit_pixel_goes_where_geometry_says(options, distance, column, row):
+def test_a_lit_pixel_goes_where_geometry_says(options, column, row):
     image = np.zeros(SMALL.shape, np.float32)
     image[row, column] = 1
-    found = centroid(reconstruct(image, distance, camera=SMALL, wavelength=WAVELENGTH, **options).image)
-    px, py = pixel_coordinates(SMALL)
-    expected = bin_of_pixel(px[column], SMALL, distance), bin_of_pixel(py[row], SMALL, distance)
-    # Both pixels look through the inner half of the pupil, which keeps nearly all of their diffracted light.
-    np.testing.assert_allclose(found, expected, atol=0.1)
+    px, py = SMALL.pixel_coordinates(0)[column], SMALL.pixel_coordinates(1)[row]
+    for result in refocus(image, DISTANCES, **options):
+        expected = [bin_of_pixel(p, SMALL, result.distance) for p in (px, py)]
+        # Both pixels look through the inner half of the pupil, which keeps nearly all of their diffracted light.
+        np.testing.assert_allclose(centroid(result.image), expected, atol=0.1)
 
 
-@pytest.mark.parametrize("options", METHODS, ids=["coherent", "K2", "auto"])
+@wave_methods
 @pytest.mark.parametrize("lens", [(0, 0), (-7, 5), (8, -9)])
-@pytest.mark.parametrize("distance", [210.0, 240.0, 280.0])
-def test_a_lit_lens_goes_where_geometry_says(options, lens, distance):
-    image = reconstruct(micro_image(SMALL, *lens), distance, camera=SMALL, wavelength=WAVELENGTH, **options).image
-    np.testing.assert_allclose(centroid(image), [k + 0.5 for k in lens], atol=0.1)
+def test_a_lit_lens_goes_where_geometry_says(options, lens):
+    for result in refocus(micro_image(SMALL, *lens), DISTANCES, **options):
+        np.testing.assert_allclose(centroid(result.image), [k + 0.5 for k in lens], atol=0.1)
 
 
-@pytest.mark.parametrize("options", METHODS, ids=["coherent", "K2", "auto"])
+@wave_methods
 @pytest.mark.parametrize("middle", [(0, 0), (-9, 9)], ids=["axis", "off"])
 @pytest.mark.parametrize("offset", [(0, 0), (2, -2)])
 def test_a_pixel_under_every_lens_at_equal_offset_is_a_tilted_plane_wave(options, middle, offset):
@@ -108,32 +107,31 @@ def test_a_pixel_under_every_lens_at_equal_offset_is_a_tilted_plane_wave(options
     image = np.zeros(camera.shape, np.float32)
     columns, rows = (25 * (np.arange(m - 2, m + 3)) + 512 + o for m, o in zip(middle, offset, strict=True))
     image[np.ix_(rows, columns)] = 1
-    px, py = pixel_coordinates(camera)
-    for distance in (210.0, 240.0, 280.0):
-        found = centroid(reconstruct(image, distance, camera=camera, wavelength=WAVELENGTH, **options).image)
-        expected = [bin_of_pixel(p, camera, distance).mean() for p in (px[columns], py[rows])]
-        np.testing.assert_allclose(found, expected, atol=0.1)
+    px, py = (camera.pixel_coordinates(axis) for axis in (0, 1))
+    for result in refocus(image, DISTANCES, camera, **options):
+        expected = [bin_of_pixel(p, camera, result.distance).mean() for p in (px[columns], py[rows])]
+        np.testing.assert_allclose(centroid(result.image), expected, atol=0.1)
 
 
 @pytest.mark.parametrize(
     "options",
-    [{"method": "ray"}, {"method": "ray", "footprint": "point"}, *METHODS],
-    ids=lambda o: str(list(o.values())),
+    [{"method": "ray"}, {"method": "ray", "footprint": "point"}, *METHODS.values()],
+    ids=["ray", "point", *METHODS.keys()],
 )
 def test_forward_then_back_peaks_in_the_radiators_bin(options):
     rng = np.random.default_rng(7)
-    for distance, count in ((210.0, 7), (240.0, 6), (280.0, 7)):
-        for _ in range(count):
+    for distance in DISTANCES:
+        for _ in range(6):
             i, j = rng.integers(-9, 9, 2)
             u = np.array([i, j]) + 0.5 + rng.uniform(-0.25, 0.25, 2)
             X, Y = -u * SMALL.bin_size(distance)
             spread = point_spread_function(SMALL, (X, Y, distance), wavelength=WAVELENGTH)
-            image = reconstruct(spread, distance, camera=SMALL, wavelength=WAVELENGTH, **options).image
+            image = refocus(spread, distance, **options).image
             row, column = np.unravel_index(np.argmax(image), image.shape)
             assert (column - 16, row - 16) == (i, j)
 
 
-@pytest.mark.parametrize("camera", [SMALL, OTHER], ids=["paper", "other"])
+@cameras
 @pytest.mark.parametrize("interleave", [1, 2])
 def test_what_passes_the_pupil_lands_in_the_image(camera, interleave):
     image = np.zeros(camera.shape, np.float32)
@@ -150,23 +148,23 @@ def test_what_passes_the_pupil_lands_in_the_image(camera, interleave):
         assert total.sum() == pytest.approx(passed, rel=5e-3)
 
 
-@pytest.mark.parametrize("camera", [SMALL, OTHER], ids=["paper", "other"])
+@cameras
 def test_a_white_capture_reads_one(camera):
     columns, rows = camera.lens_count
-    px, py = pixel_coordinates(camera)
+    px, py = (camera.pixel_coordinates(axis) for axis in (0, 1))
     b, z = camera.mla_distance, camera.detector_distance
     dx, dy = (p - (lens_of(p, camera) + 0.5) * camera.mla_pitch * (b + z) / b for p in (px, py))
     inside = (camera.micro_image_diameter / 2 - np.hypot(dx, dy[:, None])) / camera.pixel_size
     white = np.clip(inside + 0.5, 0, 1)
     distances = [0.93 * camera.focus_distance, camera.focus_distance]
-    for options in METHODS:
-        for result in reconstruct(white, distances, camera=camera, wavelength=WAVELENGTH, **options):
+    for options in METHODS.values():
+        for result in refocus(white, distances, camera, **options):
             middle = result.image[rows // 3 : -(rows // 3), columns // 3 : -(columns // 3)]
             # Sharp micro-images are not what waves record: one wave of them interferes the most.
             assert middle.mean() == pytest.approx(1, abs=0.06 if options["method"] == "coherent" else 0.01)
 
 
-@pytest.mark.parametrize("camera", [SMALL, OTHER], ids=["paper", "other"])
+@cameras
 def test_single_lenses_are_full_fields_of_one_lens(camera):
     for lens, radius in (((0, 0), None), ((-9, 7), None), ((6, -8), 0.7 * camera.micro_image_diameter / 2)):
         image = micro_image(camera, *lens, radius)
@@ -194,37 +192,34 @@ def rms_distance(image, limit):
 
 
 def test_interference_falls_with_the_period():
-    options = {"camera": SMALL, "wavelength": WAVELENGTH, "method": "partial"}
     image = far_out_of_focus()
-    limit = reconstruct(image, 280.0, interleave="auto", **options).image
-    distances = [rms_distance(reconstruct(image, 280.0, interleave=k, **options).image, limit) for k in (1, 2, 4)]
+    auto, *others = (refocus(image, 280.0, method="partial", interleave=k).image for k in ("auto", 1, 2, 4))
+    distances = [rms_distance(other, auto) for other in others]
     assert distances == sorted(distances, reverse=True)
     assert distances[0] > 0.03
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("distance", [210.0, 240.0, 280.0])
+@pytest.mark.parametrize("distance", DISTANCES)
 def test_auto_is_the_limit_of_large_periods(distance):
-    options = {"camera": SMALL, "wavelength": WAVELENGTH, "method": "partial"}
     image = far_out_of_focus()
-    limit = reconstruct(image, distance, interleave=14, **options).image
-    assert rms_distance(reconstruct(image, distance, interleave="auto", **options).image, limit) <= 6e-3
+    limit, auto = (refocus(image, distance, method="partial", interleave=k).image for k in (14, "auto"))
+    assert rms_distance(auto, limit) <= 6e-3
 
 
 def test_a_period_of_one_is_coherent():
     image = np.random.default_rng(0).random(SMALL.shape, dtype=np.float32)
-    a = reconstruct(image, 230.0, camera=SMALL, wavelength=WAVELENGTH, method="coherent").image
-    b = reconstruct(image, 230.0, camera=SMALL, wavelength=WAVELENGTH, method="partial", interleave=1).image
+    a = refocus(image, 230.0, method="coherent").image
+    b = refocus(image, 230.0, method="partial", interleave=1).image
     assert np.array_equal(a, b)
 
 
-@pytest.mark.parametrize("options", METHODS, ids=["coherent", "K2", "auto"])
+@wave_methods
 def test_many_distances_share_the_way_and_change_little(options):
     image = np.zeros(SMALL.shape, np.float32)
     image[400:624, 400:624] = np.random.default_rng(0).random((224, 224))
-    together = reconstruct(image, [210.0, 280.0], camera=SMALL, wavelength=WAVELENGTH, **options)
-    for result in together:
-        alone = reconstruct(image, result.distance, camera=SMALL, wavelength=WAVELENGTH, **options).image
+    for result in refocus(image, [210.0, 280.0], **options):
+        alone = refocus(image, result.distance, **options).image
         assert np.linalg.norm(result.image - alone) <= 5e-3 * np.linalg.norm(alone)
 
 
@@ -232,37 +227,34 @@ def test_without_the_relay_planes_out_of_focus_stay_blurred():
     """A point at 280 mm, back at its distance: the literal reading of the paper spreads it widely."""
     X = -0.5 * SMALL.bin_size(280.0)
     spread = point_spread_function(SMALL, (X, X, 280.0), wavelength=WAVELENGTH)
-    options = {"camera": SMALL, "wavelength": WAVELENGTH, "method": "partial"}
-    with_relay, without = (reconstruct(spread, 280.0, relay=relay, **options).image for relay in (True, False))
+    with_relay, without = (refocus(spread, 280.0, method="partial", relay=relay).image for relay in (True, False))
     assert without.max() < 0.5 * with_relay.max()
 
 
-@pytest.mark.parametrize("options", [{"method": "ray"}, *METHODS], ids=["ray", "coherent", "K2", "auto"])
+@all_methods
 def test_finer_bins_add_up_to_the_coarse_ones(options):
     image = np.zeros(SMALL.shape, np.float32)
     image[400:624, 400:624] = np.random.default_rng(2).random((224, 224))
-    options = {"camera": SMALL, "wavelength": WAVELENGTH, **options}
-    coarse = reconstruct(image, 255.0, **options)
-    fine = reconstruct(image, 255.0, oversample=3, **options)
+    coarse, fine = (refocus(image, 255.0, oversample=count, **options) for count in (1, 3))
     assert fine.image.shape == (96, 96)
     assert fine.bin_size == pytest.approx(coarse.bin_size / 3)
     means = fine.image.reshape(32, 3, 32, 3).mean((1, 3))
     np.testing.assert_allclose(means, coarse.image, atol=2e-3 * coarse.image.max())
 
 
-@pytest.mark.parametrize("options", METHODS, ids=["coherent", "K2", "auto"])
+@wave_methods
 def test_a_crop_lands_on_the_full_grid_of_bins(options):
     image = np.zeros(SMALL.shape, np.float32)
     image[301:500, 207:420] = np.random.default_rng(3).random((199, 213))
     crop = SMALL.replace(crop_offset=(200, 290), crop_size=(240, 250))
-    whole = reconstruct(image, 220.0, camera=SMALL, wavelength=WAVELENGTH, **options).image
-    part = reconstruct(image[290:540, 200:440], 220.0, camera=crop, wavelength=WAVELENGTH, **options).image
+    whole = refocus(image, 220.0, **options).image
+    part = refocus(image[290:540, 200:440], 220.0, crop, **options).image
     np.testing.assert_allclose(part, whole, atol=1e-4 * whole.max())
 
 
-def test_a_dark_capture_is_dark():
-    for options in METHODS:
-        assert not reconstruct(np.zeros(SMALL.shape), 220.0, camera=SMALL, wavelength=500, **options).image.any()
+@wave_methods
+def test_a_dark_capture_is_dark(options):
+    assert not refocus(np.zeros(SMALL.shape), 220.0, **options).image.any()
 
 
 def test_each_channel_has_its_wavelength():
@@ -272,7 +264,7 @@ def test_each_channel_has_its_wavelength():
     result = reconstruct(Capture(image, camera, wavelengths, "wave"), 250.0, method="partial")
     assert result.options["wavelength"] == list(wavelengths)
     for channel, wavelength in enumerate(wavelengths):
-        single = reconstruct(image[..., channel], 250.0, camera=camera, method="partial", wavelength=wavelength)
+        single = refocus(image[..., channel], 250.0, camera, wavelength, method="partial")
         assert np.array_equal(result.image[..., channel], single.image)
 
 
@@ -289,18 +281,15 @@ def test_pixels_too_coarse_for_the_wave_are_subdivided():
     np.testing.assert_allclose(a, b, atol=1e-2 * b.max())
 
 
-def test_progress_ends_complete():
+@all_methods
+def test_progress_ends_complete(options):
     seen = []
-    image = np.ones((128, 128, 3), np.float32)
     camera = PlenopticCamera(detector_width=0.256, resolution=(128, 128))
-    for options in METHODS:
-        seen.clear()
-        reconstruct(
-            image, [230.0, 240.0], camera=camera, wavelength=600, progress=lambda *step: seen.append(step), **options
-        )
-        assert seen[0][0] == 0
-        assert seen[-1][0] == seen[-1][1]
-        assert seen == sorted(seen)
+    image = np.ones((128, 128, 3), np.float32)
+    refocus(image, [230.0, 240.0], camera, progress=lambda *step: seen.append(step), **options)
+    assert seen[0][0] == 0
+    assert seen[-1][0] == seen[-1][1]
+    assert seen == sorted(seen)
 
 
 def test_the_command_writes_method_and_camera_into_the_header(tmp_path, capfd):
@@ -324,7 +313,6 @@ def test_the_command_writes_method_and_camera_into_the_header(tmp_path, capfd):
         ({"wavelength": None}, "wavelength = None: a wave method needs one"),
         ({"wavelength": -5}, "wavelength = -5: it must be greater than 0"),
         ({"wavelength": (500, 600)}, "the capture has 1 channels"),
-        ({"distance": 80}, "distance = 80: it must be greater than the focal length 80"),
         (
             {"interleave": 0},
             "interleave = 0: it must be 'auto' or a whole number from 1 to 2, the lenses along an axis",
@@ -333,7 +321,6 @@ def test_the_command_writes_method_and_camera_into_the_header(tmp_path, capfd):
         ({"interleave": 1.5}, "interleave = 1.5: it must be 'auto' or a whole number"),
         ({"interleave": "all"}, "interleave = 'all': it must be 'auto' or a whole number"),
         ({"oversample": 0}, "oversample = 0: it must be at least 1"),
-        ({"camera": None}, "camera = None"),
         ({"capture": np.full((64, 64), -1.0)}, "4096 of its pixels are negative"),
         ({"capture": np.full((64, 64), np.inf)}, "4096 of its pixels are NaN or infinite"),
     ],
@@ -355,4 +342,28 @@ def test_bad_arguments_are_refused(arguments, message):
 def test_work_that_needs_too_much_memory_is_refused():
     camera = PlenopticCamera(detector_width=80, resolution=(2000, 2000))
     with pytest.raises(InputError, match="its wave reconstruction: it would need"):
-        reconstruct(np.ones(camera.shape), 240.0, camera=camera, wavelength=633, method="coherent")
+        refocus(np.ones(camera.shape), 240.0, camera, method="coherent")
+
+
+def test_single_lenses_do_not_need_the_memory_of_full_fields(monkeypatch):
+    image = far_out_of_focus()
+    monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", "0.03")
+    assert refocus(image, 150.0, method="partial", interleave="auto").image.any()
+    with pytest.raises(InputError, match="its wave reconstruction: it would need"):
+        refocus(image, 150.0, method="partial", interleave=2)
+
+
+@wave_methods
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"mla_pitch": 0.001, "mla_rotation": 71.67, "mla_aperture": "circle", "mla_fill": 0.51}, "less than a pixel"),
+        ({"aperture_radius": 0.05}, "aperture_radius = 0.05: its micro-images of 0.21 pixels light no pixel"),
+    ],
+    ids=["narrow lenses", "small micro-images"],
+)
+def test_a_camera_without_white_is_refused(options, change, message):
+    """No pixel belongs to the lens beside the axis, or none is lit: images would be divided by nothing."""
+    camera = PlenopticCamera(detector_width=0.128, resolution=(64, 64), **change)
+    with pytest.raises(InputError, match=message):
+        refocus(np.zeros(camera.shape), 240.0, camera, **options)
