@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..optics.sampling import check_memory
-from ..runtime.batches import BatchMap, Box, InTurn, Part, PartialSum
+from ..runtime.batches import BatchMap, Box, Part, PartialSum
 from .full_field import full_field
 from .patch_plan import Cost
 from .pupil_weights import PupilWeights
@@ -77,7 +77,7 @@ class FullFieldPlan:
         """Return for every point the image, (rows, columns, channels), weighted by its point spread."""
         one = np.ones(1, np.float32)
         batches = (self.batch(point, one) for point in range(len(self._points)))
-        spreads = (part.sums[0] for part in InTurn()(batches))
+        spreads = (part.sums[0] for part in batch_map(batches))
         return np.array([np.tensordot(psf, image, 2) for psf in spreads], np.float64).reshape(-1, image.shape[2])
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
