@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cProfile
 import pstats
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterable
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from mitsuba_plenoptic.capture.patch import PatchBatch
 from mitsuba_plenoptic.capture.recorder import Recorder
 from mitsuba_plenoptic.capture.sharing import find_patterns
 from mitsuba_plenoptic.capture.tile import Tile
-from mitsuba_plenoptic.runtime.batches import InTurn, add
+from mitsuba_plenoptic.runtime.batches import Batch, add
 from mitsuba_plenoptic.runtime.fft import fft
 from mitsuba_plenoptic.runtime.jobs import Job
 
@@ -52,8 +52,17 @@ def _rows() -> list[Row]:
 
 
 def _capture(radiators: Radiators, accuracy: float) -> None:
-    """Plan and sum on this thread, the only one that is profiled."""
-    radiators.operator(accuracy).forward(radiators.weights, job=Job(batch_map=InTurn()))
+    radiators.operator(accuracy).forward(radiators.weights, job=Job(batch_map=_ThisThread()))
+
+
+class _ThisThread:
+    """Computes batches where they are profiled."""
+
+    workers = threads = 1
+
+    def __call__(self, batches: Iterable[Batch]) -> Generator[Any, None, None]:
+        for batch in batches:
+            yield batch.prepare()()
 
 
 def _parts(what: str, profile: cProfile.Profile) -> list[Row]:
