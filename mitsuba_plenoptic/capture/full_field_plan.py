@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..optics.sampling import check_memory
-from ..runtime.batches import BatchMap, Box, InTurn, Part, PartialSum
+from ..runtime.batches import BatchMap, Box, Part, PartialSum
 from ..runtime.jobs import Job
 from .full_field import full_field
 from .patch_plan import Cost
@@ -78,7 +78,7 @@ class FullFieldPlan:
         """Return for every point the image weighted by its point spread; see `PatchPlan.gather`."""
         one, count = np.ones(1, np.float32), len(self._points)
         batches = (self.batch(point, one) for point in range(count))
-        spreads = (part.sums[0] for part in replace(job, batch_map=InTurn()).each(batches, [1] * count, done, total))
+        spreads = (part.sums[0] for part in job.each(batches, [1] * count, done, total))
         return np.array([np.tensordot(psf, image, 2) for psf in spreads], np.float64).reshape(-1, image.shape[2])
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
