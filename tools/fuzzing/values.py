@@ -1,62 +1,112 @@
-"""Values that break rules, and mutations of bytes."""
+"""Strategies for the parts of cases: texts of Python expressions that break rules, and calls made of them."""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
+from hypothesis import strategies as st
+from hypothesis.strategies import SearchStrategy
 
-NOT_NUMBERS: tuple[Any, ...] = (
-    "80", "", "nan", b"1", [], {}, [1.0, 2.0], (), {"a": 1}, object(), 1j, True, False, np.array([1.0, 2.0]),
-    np.True_, "\x1b[31m", "a\nb", "\u202e", "\ud800", "x" * 10_000,
+Code = SearchStrategy[str]
+
+SHORTEST, LONGEST = 1e-9, 1e9
+"""Lengths that the documentation allows."""
+
+# Lengths of a camera, as the paper has them.
+PAPER = {
+    "focal_length": 80.0,
+    "aperture_radius": 5.0,
+    "mla_distance": 120.0,
+    "mla_focal_length": 0.512,
+    "mla_pitch": 0.064,
+    "detector_distance": 0.512,
+    "detector_width": 0.128,
+}
+LENGTHS = st.sampled_from(sorted(PAPER))
+
+
+def is_number(text: str) -> bool:
+    """Whether Python takes a text for a number; command line and scene files then may."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def among(*codes: str) -> Code:
+    """One of several expressions."""
+    return st.sampled_from(codes)
+
+
+def code(values: SearchStrategy[Any]) -> Code:
+    """Expressions that give the values of a strategy."""
+    return values.map(ascii)
+
+
+def forbidden(calls: Code) -> Code:
+    """Cases that must be refused."""
+    return calls.map("forbidden({})".format)
+
+
+def call(function: str | Code, *values: Code, **named: Code) -> Code:
+    """Calls of a function."""
+    functions = st.just(function) if isinstance(function, str) else function
+    return st.tuples(functions, st.tuples(*values), st.fixed_dictionaries(named)).map(
+        lambda drawn: f"{drawn[0]}({', '.join([*drawn[1], *(f'{name}={value}' for name, value in drawn[2].items())])})"
+    )
+
+
+def one_wrong(function: str, right: Mapping[str, str], wrong: Mapping[str, Code]) -> Code:
+    """Calls of a function, one of whose arguments is forbidden."""
+
+    def with_wrong(name: str) -> Code:
+        return call(function, **{key: st.just(value) for key, value in right.items() if key != name}, **{name: wrong[name]})
+
+    return forbidden(st.sampled_from(sorted(wrong)).flatmap(with_wrong))
+
+
+# Python values.
+NOT_NUMBERS = (
+    among("'80'", "'nan'", "[]", "{}", "[1.0, 2.0]", "()", "{'a': 1}", "object()", "1j", "True", "np.True_", "np.ones(2)",
+          "'x' * 10_000")
+    | code(st.text(max_size=5))
+    | code(st.binary(max_size=3))
 )  # fmt: skip
-NOT_FINITE: tuple[Any, ...] = (math.nan, math.inf, -math.inf, np.float32("nan"), np.float64("inf"), 10**400, -(10**400))
-NOT_POSITIVE: tuple[Any, ...] = (0, -1, -0.0, 0.0, -1e-300, -80.5, np.int64(-3), -(10**30))
-NOT_WHOLE: tuple[Any, ...] = (0.5, 2.5, 1e-9, math.pi)
-TOO_SMALL: tuple[Any, ...] = (1e-300, 5e-324, 1e-10)
-TOO_LARGE: tuple[Any, ...] = (1e300, 1.7e308, 1e10, 10**20)
+NOT_FINITE = among("nan", "inf", "-inf", "np.float32('nan')", "np.float64('inf')", "10**400", "-(10**400)")
+NOT_POSITIVE = among("0", "0.0", "np.int64(-3)", "-(10**30)") | code(st.floats(max_value=-0.0, allow_infinity=False))
+NOT_WHOLE = among("0.5", "np.pi") | code(st.floats(1e-9, 1e9).filter(lambda number: not number.is_integer()))
+TOO_SMALL = code(st.floats(0, SHORTEST, exclude_min=True, exclude_max=True))
+TOO_LARGE = among("10**20") | code(st.floats(LONGEST, exclude_min=True, allow_infinity=False))
+NOT_LENGTHS = NOT_NUMBERS | NOT_FINITE | NOT_POSITIVE | TOO_LARGE
+NOT_COUNTS = NOT_NUMBERS | NOT_FINITE | NOT_POSITIVE | NOT_WHOLE | st.just("None")
+NOT_NAMES = among("None", "1", "[]", "nan", "'RAY'", "b'ray'") | code(st.text(max_size=5).map("x{}".format))
+WAVELENGTHS = code(st.floats(1, 1e6))
 
-# As texts of the command line and of XML.
-NOT_NUMBER_TEXTS = ("wide", "1,5", "0x10", "1e", "--", "1 2", "\u0663x", "nan nan", "1_0_", "\x1b[2J", "x" * 5000)
-NOT_FINITE_TEXTS = ("nan", "inf", "-inf", "1e999", "-1e999", "NaN", "infinity")
-NOT_POSITIVE_TEXTS = ("0", "-1", "-0.0", "-1e-30", "-80")
-OUT_OF_RANGE_TEXTS = ("1e300", "1e-300", "1e30", "1e-20")
+# Texts of the command line and of scene files.
+NOT_NUMBER_TEXTS = st.sampled_from(("wide", "1,5", "0x10", "1e", "--", "nan nan", "x" * 5000)) | st.text(
+    max_size=5
+).filter(lambda text: not is_number(text))
+NOT_FINITE_TEXTS = st.sampled_from(("nan", "inf", "-inf", "1e999", "-1e999", "NaN", "infinity"))
+NOT_POSITIVE_TEXTS = st.sampled_from(("0", "-0.0")) | st.floats(max_value=-1e-30, allow_infinity=False).map(repr)
+OUT_OF_RANGE_TEXTS = st.sampled_from(("1e300", "1e-300")) | st.floats(1e10, 1e30).map(repr)
+NUMBER_TEXTS = NOT_NUMBER_TEXTS | NOT_FINITE_TEXTS | NOT_POSITIVE_TEXTS
+LENGTH_TEXTS = NUMBER_TEXTS | OUT_OF_RANGE_TEXTS
+COUNT_TEXTS = NUMBER_TEXTS | st.sampled_from(("1.5", "9" * 30, "9" * 5000, "1e3", "99999999999"))
+NAME_TEXTS = st.sampled_from(("", "RAY", "\x1b[0m")) | st.text(max_size=5).map("x{}".format)
 
-
-def pick(random: np.random.Generator, values: Any) -> Any:
-    """Choose one of several."""
-    return values[int(random.integers(len(values)))]
-
-
-def mutate(random: np.random.Generator, data: bytes) -> tuple[bytes, str]:
-    """Damage bytes in one of many ways."""
-    edited = bytearray(data)
-    size = len(edited)
-    # Most of what matters is in the header.
-    place = int(random.integers(min(size, 2048) if random.random() < 0.7 else size))
-    way = pick(random, ("flips", "byte", "truncate", "remove", "insert", "repeat", "zero", "ones", "word", "swap"))
-    if way == "flips":
-        for _ in range(int(random.integers(1, 17))):
-            edited[int(random.integers(size))] ^= 1 << int(random.integers(8))
-    elif way == "byte":
-        edited[place] = int(random.integers(256))
-    elif way == "truncate":
-        del edited[int(random.integers(size)) :]
-    elif way == "remove":
-        del edited[place : place + int(random.integers(1, 64))]
-    elif way == "insert":
-        edited[place:place] = random.bytes(int(random.integers(1, 64)))
-    elif way == "repeat":
-        edited[place:place] = edited[place : place + int(random.integers(1, 4096))]
-    elif way in ("zero", "ones"):
-        count = min(int(random.integers(1, 64)), size - place)
-        edited[place : place + count] = bytes([0 if way == "zero" else 255]) * count
-    elif way == "word":
-        word = pick(random, (0, 1, 2**31 - 1, 2**31, 2**32 - 1, 2**30, 65536, 2**16 - 1))
-        edited[place : place + 4] = int(word).to_bytes(4, pick(random, ("little", "big")))
-    else:
-        other = int(random.integers(size))
-        a, b = edited[place : place + 16], edited[other : other + 16]
-        edited[place : place + len(a)], edited[other : other + len(b)] = b[: len(a)], a[: len(b)]
-    return bytes(edited), f"{way} at byte {place}"
+# Damage: at a place (most of what matters is at the beginning of a file), so many bytes are replaced with others.
+_WORDS = [(0).to_bytes(4, "little"), *(word.to_bytes(4, order) for word in (1, 65536, 2**30, 2**31 - 1, 2**31, 2**32 - 1)
+                                       for order in ("little", "big"))]  # fmt: skip
+_PLACES = st.integers(0, 2047) | st.integers(0, 2**20)
+EDITS = code(
+    st.lists(
+        st.tuples(_PLACES, st.just(1), st.binary(min_size=1, max_size=1))
+        | st.tuples(_PLACES, st.just(4), st.sampled_from(_WORDS))
+        | st.tuples(_PLACES, st.integers(0, 64), st.binary(max_size=64))
+        | st.tuples(_PLACES, st.just(2**30), st.just(b"")),
+        min_size=1,
+        max_size=4,
+    )
+)

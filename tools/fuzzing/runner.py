@@ -1,0 +1,206 @@
+"""Draws cases from strategies, has them evaluated in processes that may die or hang, and shrinks what is found."""
+
+from __future__ import annotations
+
+import multiprocessing
+import queue
+import random
+import signal
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+from hypothesis import Phase, Verbosity, find, settings
+from hypothesis.errors import NoSuchExample
+
+from .values import Code
+from .verdict import FINE, Verdict, serve
+
+SECONDS = 10.0
+"""Time that one case may take."""
+
+# A process that imports the package on a busy machine.
+_START = 120.0
+# The time and the number of evaluations that shrinking a finding may take.
+_SHRINKING = 30.0, 300
+
+
+class Kind(NamedTuple):
+    """A kind of input: its name, how many there are of it in proportion to others, and where cases come from."""
+
+    name: str
+    weight: int
+    cases: Code
+
+
+@dataclass
+class Finding:
+    """A case that should not end as it does, as small as it could be made."""
+
+    kind: str
+    case: str
+    outcome: str
+    details: str
+    count: int = 1
+
+
+@dataclass
+class Report:
+    """What became of all cases."""
+
+    seed: int
+    seconds: float = 0.0
+    counts: dict[str, Counter[str]] = field(default_factory=dict)
+    findings: list[Finding] = field(default_factory=list)
+    slowest: list[tuple[float, str]] = field(default_factory=list)
+
+
+class Worker:
+    """A process that evaluates cases one after the other, and is replaced when one of them ends it."""
+
+    def __init__(self, seconds: float = SECONDS) -> None:
+        self._seconds = seconds
+        self._log = tempfile.NamedTemporaryFile(prefix="fuzz-", suffix=".log")  # noqa: SIM115 (it lasts as long as this)
+        self._process: multiprocessing.process.BaseProcess | None = None
+
+    def judge(self, case: str) -> Verdict:
+        """Evaluate a case, and find out how the process ended if it did."""
+        process = self._process or self._start()
+        try:
+            self._connection.send(case)
+            # A second for what the process itself writes about where it was.
+            if self._connection.poll(self._seconds + 1):
+                verdict: Verdict = self._connection.recv()
+                return verdict
+            outcome, place = "too long", f"more than {self._seconds:g} s"
+        except (EOFError, OSError):
+            process.join()
+            code = process.exitcode or 0
+            outcome, place = "crash", signal.Signals(-code).name if code < 0 else f"status {code}"
+        self.close()
+        log = Path(self._log.name).read_text(errors="replace").partition("\nExtension modules:")[0]
+        return Verdict(outcome, f"{place}\n{log[-3000:]}".strip(), place)
+
+    def _start(self) -> multiprocessing.process.BaseProcess:
+        context = multiprocessing.get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(target=serve, args=(theirs, self._log.name, self._seconds), daemon=True)
+        self._process.start()
+        # Only the process itself keeps its end open, so that its death shows.
+        theirs.close()
+        try:
+            if self._connection.poll(_START):
+                self._connection.recv()
+                return self._process
+        except EOFError:
+            pass
+        raise RuntimeError(f"a process did not start:\n{Path(self._log.name).read_text(errors='replace')}")
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process:
+            self._process.kill()
+            self._process.join()
+            self._connection.close()
+            self._process = None
+
+
+def draw(kind: Kind, count: int, seed: int, condition: Callable[[str], bool]) -> str | None:
+    """Draw cases, the same ones for the same count and seed, until one meets a condition; return the smallest that does."""
+    chosen = settings(
+        max_examples=count,
+        phases=[Phase.generate, Phase.shrink],
+        database=None,
+        deadline=None,
+        verbosity=Verbosity.quiet,
+    )
+    try:
+        return find(kind.cases, condition, settings=chosen, random=random.Random(f"{seed} {kind.name}"))
+    except NoSuchExample:
+        return None
+
+
+def fuzz(
+    kinds: Sequence[Kind],
+    count: int,
+    seed: int,
+    *,
+    workers: int = 1,
+    seconds: float = SECONDS,
+    notify: Callable[[int], None] = lambda done: None,
+) -> Report:
+    """Evaluate cases of several kinds, and shrink those that are findings.
+
+    Parameters
+    ----------
+    kinds : sequence of Kind
+        What to draw from.
+    count : int
+        Number of cases in all; fewer where a kind has not so many.
+    seed : int
+        Draws others.
+    workers : int
+        Number of processes.
+    seconds : float
+        Time that one case may take.
+    notify : callable
+        Told how many cases are done.
+    """
+    report, start = Report(seed), time.perf_counter()
+    idle: queue.Queue[Worker] = queue.Queue()
+    everyone = [Worker(seconds) for _ in range(workers)]
+    for worker in everyone:
+        idle.put(worker)
+
+    def judge(case: str) -> tuple[Verdict, float]:
+        worker = idle.get()
+        begun = time.perf_counter()
+        try:
+            return worker.judge(case), time.perf_counter() - begun
+        finally:
+            idle.put(worker)
+
+    total = sum(kind.weight for kind in kinds)
+    numbers = {kind: -(-count * kind.weight // total) for kind in kinds}
+    with ThreadPoolExecutor(workers) as pool:
+        drawn: list[tuple[Kind, str, Future[tuple[Verdict, float]]]] = []
+        for kind, number in numbers.items():
+            draw(kind, number, seed, lambda case, kind=kind: drawn.append((kind, case, pool.submit(judge, case))) or False)
+        found: dict[tuple[Kind, str, str], Counter[str]] = {}
+        for done, (kind, case, future) in enumerate(drawn, 1):
+            verdict, taken = future.result()
+            report.counts.setdefault(kind.name, Counter())[verdict.outcome] += 1
+            report.slowest = sorted([*report.slowest, (taken, case)], reverse=True)[:20]
+            if verdict.outcome not in FINE:
+                found.setdefault((kind, verdict.outcome, verdict.place), Counter())[case] += 1
+            notify(done)
+        verdicts = {case: future.result()[0] for _, case, future in drawn}
+        for (kind, outcome, place), cases in found.items():
+            smallest = _shrink(kind, numbers[kind], seed, (outcome, place), everyone[0], verdicts) or min(cases, key=len)
+            report.findings.append(Finding(kind.name, smallest, outcome, verdicts[smallest].details, cases.total()))
+    for worker in everyone:
+        worker.close()
+    report.seconds = time.perf_counter() - start
+    return report
+
+
+def _shrink(
+    kind: Kind, count: int, seed: int, wanted: tuple[str, str], worker: Worker, verdicts: dict[str, Verdict]
+) -> str | None:
+    """Draw the cases again, up to the first with a finding, and make that one small; verdicts known are not asked again."""
+    seconds, evaluations = _SHRINKING
+    end, most = time.perf_counter() + seconds, len(verdicts) + evaluations
+
+    def condition(case: str) -> bool:
+        if case not in verdicts:
+            if time.perf_counter() > end or len(verdicts) > most:
+                return False
+            verdicts[case] = worker.judge(case)
+        return (verdicts[case].outcome, verdicts[case].place) == wanted
+
+    return draw(kind, count, seed, condition)
