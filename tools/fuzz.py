@@ -18,27 +18,9 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-from fuzzing import commands, files, objects
-from fuzzing.runner import Kind, Report, Worker, fuzz
+from fuzzing.cases import KINDS
+from fuzzing.runner import Report, Worker, fuzz
 from fuzzing.verdict import FINE
-
-KINDS = (
-    Kind("EXR: damaged bytes", 14, files.EXR_BYTES),
-    Kind("EXR: changed header", 12, files.EXR_HEADERS),
-    Kind("EXR: changed JSON", 10, files.EXR_JSON),
-    Kind("XML: damaged bytes", 8, files.XML_BYTES),
-    Kind("XML: forbidden value", 8, files.XML_VALUES),
-    Kind("XML: hostile", 6, files.XML_HOSTILE),
-    Kind("command line", 12, commands.CASES),
-    Kind("Python: camera", 12, objects.CAMERAS),
-    Kind("Python: array", 8, objects.ARRAYS),
-    Kind("Python: argument", 14, objects.ARGUMENTS),
-    Kind("Python: extreme camera", 4, objects.EXTREME_CAMERAS),
-    Kind("checkpoint", 5, files.CHECKPOINTS),
-    Kind("grid of a sweep", 5, files.GRIDS),
-    Kind("MAT, HDF5, PNG: damaged bytes", 8, files.LIGHT_FIELD_BYTES),
-    Kind("MAT, HDF5, PNG: lies", 8, files.LIGHT_FIELD_LIES),
-)
 
 
 def write_report(folder: Path, report: Report) -> str:

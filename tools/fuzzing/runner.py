@@ -18,7 +18,7 @@ from typing import NamedTuple
 from hypothesis import Phase, Verbosity, find, settings
 from hypothesis.errors import NoSuchExample
 
-from .values import Code
+from .parts import Code
 from .verdict import FINE, Verdict, serve
 
 SECONDS = 10.0
@@ -66,11 +66,10 @@ class Worker:
     def __init__(self, seconds: float = SECONDS) -> None:
         self._seconds = seconds
         self._log = tempfile.NamedTemporaryFile(prefix="fuzz-", suffix=".log")  # noqa: SIM115 (it lasts as long as this)
-        self._process: multiprocessing.process.BaseProcess | None = None
+        self._start()
 
     def judge(self, case: str) -> Verdict:
         """Evaluate a case, and find out how the process ended if it did."""
-        process = self._process or self._start()
         try:
             self._connection.send(case)
             # A second for what the process itself writes about where it was.
@@ -79,14 +78,15 @@ class Worker:
                 return verdict
             outcome, place = "too long", f"more than {self._seconds:g} s"
         except (EOFError, OSError):
-            process.join()
-            code = process.exitcode or 0
+            self._process.join()
+            code = self._process.exitcode or 0
             outcome, place = "crash", signal.Signals(-code).name if code < 0 else f"status {code}"
+        log = self._read_log().partition("\nExtension modules:")[0]
         self.close()
-        log = Path(self._log.name).read_text(errors="replace").partition("\nExtension modules:")[0]
+        self._start()
         return Verdict(outcome, f"{place}\n{log[-3000:]}".strip(), place)
 
-    def _start(self) -> multiprocessing.process.BaseProcess:
+    def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
         self._process = context.Process(target=serve, args=(theirs, self._log.name, self._seconds), daemon=True)
@@ -96,21 +96,22 @@ class Worker:
         try:
             if self._connection.poll(_START):
                 self._connection.recv()
-                return self._process
+                return
         except EOFError:
             pass
-        raise RuntimeError(f"a process did not start:\n{Path(self._log.name).read_text(errors='replace')}")
+        raise RuntimeError(f"a process did not start:\n{self._read_log()}")
+
+    def _read_log(self) -> str:
+        return Path(self._log.name).read_text(errors="replace")
 
     def close(self) -> None:
         """End the process."""
-        if self._process:
-            self._process.kill()
-            self._process.join()
-            self._connection.close()
-            self._process = None
+        self._process.kill()
+        self._process.join()
+        self._connection.close()
 
 
-def draw(kind: Kind, count: int, seed: int, condition: Callable[[str], bool]) -> str | None:
+def draw(kind: Kind, count: int, seed: int, condition: Callable[[str], object]) -> str | None:
     """Draw cases, the same ones for the same count and seed, until one meets a condition; return the smallest that does."""
     chosen = settings(
         max_examples=count,
@@ -153,7 +154,8 @@ def fuzz(
     """
     report, start = Report(seed), time.perf_counter()
     idle: queue.Queue[Worker] = queue.Queue()
-    everyone = [Worker(seconds) for _ in range(workers)]
+    with ThreadPoolExecutor(workers) as pool:
+        everyone = list(pool.map(Worker, [seconds] * workers))
     for worker in everyone:
         idle.put(worker)
 
@@ -167,22 +169,26 @@ def fuzz(
 
     total = sum(kind.weight for kind in kinds)
     numbers = {kind: -(-count * kind.weight // total) for kind in kinds}
+    drawn: list[tuple[Kind, str, Future[tuple[Verdict, float]]]] = []
     with ThreadPoolExecutor(workers) as pool:
-        drawn: list[tuple[Kind, str, Future[tuple[Verdict, float]]]] = []
         for kind, number in numbers.items():
-            draw(kind, number, seed, lambda case, kind=kind: drawn.append((kind, case, pool.submit(judge, case))) or False)
-        found: dict[tuple[Kind, str, str], Counter[str]] = {}
-        for done, (kind, case, future) in enumerate(drawn, 1):
-            verdict, taken = future.result()
-            report.counts.setdefault(kind.name, Counter())[verdict.outcome] += 1
-            report.slowest = sorted([*report.slowest, (taken, case)], reverse=True)[:20]
-            if verdict.outcome not in FINE:
-                found.setdefault((kind, verdict.outcome, verdict.place), Counter())[case] += 1
+            draw(kind, number, seed, lambda case, kind=kind: drawn.append((kind, case, pool.submit(judge, case))))
+        for done, (_, _, future) in enumerate(drawn, 1):
+            future.result()
             notify(done)
-        verdicts = {case: future.result()[0] for _, case, future in drawn}
-        for (kind, outcome, place), cases in found.items():
-            smallest = _shrink(kind, numbers[kind], seed, (outcome, place), everyone[0], verdicts) or min(cases, key=len)
-            report.findings.append(Finding(kind.name, smallest, outcome, verdicts[smallest].details, cases.total()))
+    report.slowest = sorted(((future.result()[1], case) for _, case, future in drawn), reverse=True)[:20]
+    verdicts = {case: future.result()[0] for _, case, future in drawn}
+    # Others may have kept a case waiting: once more, alone.
+    verdicts |= {case: worker.judge(case) for case, verdict in verdicts.items() if verdict.outcome == "too long"}
+    found: dict[tuple[Kind, str, str], list[str]] = {}
+    for kind, case, _ in drawn:
+        verdict = verdicts[case]
+        report.counts.setdefault(kind.name, Counter())[verdict.outcome] += 1
+        if verdict.outcome not in FINE:
+            found.setdefault((kind, verdict.outcome, verdict.place), []).append(case)
+    for (kind, outcome, place), cases in found.items():
+        smallest = _shrink(kind, numbers[kind], seed, (outcome, place), worker, verdicts) or min(cases, key=len)
+        report.findings.append(Finding(kind.name, smallest, outcome, verdicts[smallest].details, len(cases)))
     for worker in everyone:
         worker.close()
     report.seconds = time.perf_counter() - start

@@ -66,6 +66,7 @@ def serve(connection: Connection, log: str, seconds: float) -> None:
 
     names = {"nan": math.nan, "inf": math.inf, "os": os, **_public(workbench.mp), **_public(workbench.mp.lightfield),
              **_public(workbench.exchange), **vars(workbench)}  # fmt: skip
+    workbench.files()
     connection.send("ready")
     with tempfile.TemporaryDirectory() as root, contextlib.suppress(EOFError):
         while True:

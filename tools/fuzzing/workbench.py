@@ -9,16 +9,17 @@ import contextlib
 import io
 import itertools
 import json
+import math
 import re
-import struct
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from struct import pack
 from typing import Any
 from unittest import mock
+from xml.sax.saxutils import quoteattr
 
 import h5py
 import mitsuba as mi
@@ -71,8 +72,11 @@ end_header
 3 0 2 1
 """
 GRID = b"samples: [1, 2]\ndistance: [210.0, 2.8e2]\n"
-MATLAB_7 = b"MATLAB 7.3 MAT-file".ljust(124) + b"\0\2IM"
-LIGHT_FIELD_SHAPE = (2, 4, 4, 3, 3)
+GRID_MODEL = {"HSpacing": 16.0, "VSpacing": 16.0, "HOffset": 8.0, "VOffset": 8.0, "Rot": 0.0, "UMax": 4.0, "VMax": 4.0,
+              "FirstPosShiftRow": 5.0, "Orientation": "horz"}  # fmt: skip
+ONES = np.ones((3, 3, 4, 4, 2), np.uint8)
+SENSOR = '<float name="detector_width" value="0.128"/>'
+FILM = '<integer name="width" value="$resolution"/>'
 
 # Four lenses of sixteen pixels along each axis.
 CAMERA = PlenopticCamera(resolution=(64, 64), detector_width=0.256)
@@ -105,9 +109,21 @@ def image(**changes: Any) -> np.ndarray:
     return pixels
 
 
-def random_image(camera: PlenopticCamera) -> np.ndarray:
+def noise(camera: PlenopticCamera) -> np.ndarray:
     """Make what a camera might have recorded."""
     return np.random.default_rng(0).random(camera.shape, dtype=np.float32)
+
+
+def far(camera: PlenopticCamera, focal_lengths: float) -> float:
+    """Return a distance that the camera can be focused on, given in focal lengths."""
+    return max(min(focal_lengths * camera.focal_length, 1e9), math.nextafter(camera.focal_length, 2e9))
+
+
+def design(camera: PlenopticCamera, wavelength: str) -> list[Any]:
+    """Write a camera and read it, and print all that follows from it."""
+    assert PlenopticCamera.from_dict(json.loads(json.dumps(camera.to_dict()))) == camera
+    mp.write_capture("raw.exr", Capture(noise(camera), camera))
+    return [camera, command("info", "raw.exr", "--wavelength", wavelength)]
 
 
 def light_field(channels: int = 1) -> Any:
@@ -116,13 +132,15 @@ def light_field(channels: int = 1) -> Any:
 
 
 def command(*arguments: str) -> str:
-    """Run the command as a user does, and return what it prints.
+    """Run the command as a user does, beside the capture ``grey.exr``, and return what it prints.
 
     Raises
     ------
     InputError
         If it refuses: status 2, one line on standard error and no file left behind.
     """
+    if not Path("grey.exr").exists():
+        file("grey.exr")
     before = set(Path().iterdir())
     output, error = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(output), contextlib.redirect_stderr(error):
@@ -139,11 +157,11 @@ def command(*arguments: str) -> str:
 
 
 @cache
-def _files() -> dict[str, bytes]:
+def files() -> dict[str, bytes]:
     """Whole files by name, made through the command and the library."""
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        mp.write_capture("grey.exr", capture())
         mp.write_capture("colour.exr", capture(3))
+        mp.write_capture("grey.exr", capture())
         command("reconstruct", "grey.exr", "-o", "refocused.exr", "--distance", "240")
         command("views", "grey.exr", "-o", "views.exr", "--count", "2")
         plain = {"Y": np.ones((64, 64), np.float32)}
@@ -152,7 +170,7 @@ def _files() -> dict[str, bytes]:
             exchange.write_lftoolbox(f"{precision}.mat", light_field(3), precision=precision)
         exchange.write_mosaic("views.png", light_field(), layout="views")
         exchange.write_mosaic("lenses.eslf.png", light_field(3), layout="lenses")
-        hdf5("version7.mat", _write_version_7)
+        Path(hdf5(**_version_7())).rename("version7.mat")
         png("dots.png", 2, 2, data=b"\0\0\xff" * 2)
         Path("scene.xml").write_text(SCENE)
         Path("square.ply").write_bytes(PLY)
@@ -163,13 +181,13 @@ def _files() -> dict[str, bytes]:
 
 def file(name: str) -> str:
     """Put a whole file here."""
-    Path(name).write_bytes(_files()[name])
+    Path(name).write_bytes(files()[name])
     return name
 
 
 def damaged(name: str, edits: list[tuple[int, int, bytes]]) -> str:
     """Put a file here with some of its bytes replaced: place, number of bytes, and what comes there."""
-    Path(name).write_bytes(_spliced(_files()[name], edits))
+    Path(name).write_bytes(_spliced(files()[name], edits))
     return name
 
 
@@ -187,10 +205,10 @@ def _spliced(data: bytes, edits: list[tuple[int, int, bytes]]) -> bytes:
     return data
 
 
-def whole(capture: Capture) -> list[Any]:
-    """Use a capture that was read: refocus and decode it."""
-    f1 = capture.camera.focal_length
-    return [capture, mp.reconstruct(capture, min(3 * f1, 9e8) if f1 < 3e8 else 9.9e8), decode(capture)]
+def read(name: str) -> list[Any]:
+    """Read a capture, refocus and decode it."""
+    capture = mp.read_capture(name)
+    return [capture, mp.reconstruct(capture, far(capture.camera, 3)), decode(capture)]
 
 
 def _channels(name: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -198,21 +216,12 @@ def _channels(name: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     return opened.header(), {channel.name: channel.pixels for channel in opened.channels().values()}
 
 
-def relabelled(name: str, changes: dict[tuple[str, ...], Any] | str) -> str:
-    """Put a capture here whose JSON has other values, lacks those that are ``...``, or is another text altogether."""
+def relabelled(name: str, text: str | None = None, **facts: Any) -> str:
+    """Put a capture here whose JSON is another text, or has other values or lacks those that are ``...``."""
     header, channels = _channels(name)
-    if isinstance(changes, dict):
-        facts = json.loads(header["mitsuba_plenoptic"])
-        for path, value in changes.items():
-            place = facts
-            for key in path[:-1]:
-                place = place[key]
-            if value is ...:
-                del place[path[-1]]
-            else:
-                place[path[-1]] = value
-        changes = json.dumps(facts, default=repr, skipkeys=True)
-    OpenEXR.File({**header, "mitsuba_plenoptic": changes}, channels).write(name)
+    known = {key: value for key, value in (json.loads(header["mitsuba_plenoptic"]) | facts).items() if value is not ...}
+    header["mitsuba_plenoptic"] = json.dumps(known, default=repr, skipkeys=True) if text is None else text
+    OpenEXR.File(header, channels).write(name)
     return name
 
 
@@ -226,7 +235,7 @@ def poisoned(name: str, place: tuple[int, int], value: float) -> str:
 
 def lying(name: str, attribute: str, kind: str | None, data: bytes | None) -> str:
     """Put an OpenEXR file here, one of whose attributes has another type or value, or is missing if both are None."""
-    old = _files()[name]
+    old = files()[name]
     found = re.search(rb"(?s)(?<=\0)?" + attribute.encode() + rb"\0(\w+)\0(....)", old)
     assert found
     end = found.end() + int.from_bytes(found[2], "little")
@@ -234,9 +243,9 @@ def lying(name: str, attribute: str, kind: str | None, data: bytes | None) -> st
     entry = attribute.encode() + b"\0" + told + b"\0" + len(value).to_bytes(4, "little") + value
     new = old[: found.start()] + (b"" if kind is data is None else entry) + old[end:]
     # The offsets of the four chunks move along with the header's length.
-    offsets = np.frombuffer(old, "<u8", 4, _table(old))
+    offsets = np.frombuffer(old, "<i8", 4, _table(old))
     place = _table(old) + len(new) - len(old)
-    Path(name).write_bytes(new[:place] + (offsets + np.uint64(len(new) - len(old))).tobytes() + new[place + 32 :])
+    Path(name).write_bytes(new[:place] + (offsets + (len(new) - len(old))).tobytes() + new[place + 32 :])
     return name
 
 
@@ -251,68 +260,56 @@ def _table(data: bytes) -> int:
 
 def misplaced(name: str, place: int, new: bytes) -> str:
     """Put an OpenEXR file here with other bytes in its table of chunks, or in the first chunk behind it."""
-    place += _table(_files()[name])
+    place += _table(files()[name])
     return damaged(name, [(place, len(new), new)])
 
 
-def matlab(variables: dict[str, Any], *, compressed: bool = False) -> str:
+def channels(*names: str, kind: int = 2, every: int = 1) -> bytes:
+    """Pack a list of channels as OpenEXR does."""
+    return b"".join(name.encode() + b"\0" + pack("<4i", kind, 0, every, every) for name in names) + b"\0"
+
+
+def matlab(**variables: Any) -> str:
     """Put a MATLAB file of version 5 here."""
-    scipy.io.savemat("light.mat", variables, do_compression=compressed)
+    scipy.io.savemat("light.mat", variables, do_compression=True)
     return "light.mat"
 
 
-def matlab_claim(size: tuple[int, int, int, int], length: int, whole_length: int, compressed: bool) -> str:
-    """Put a MATLAB file here whose matrix claims dimensions and lengths that are not there."""
-    body = struct.pack("<IIII", 6, 8, 9, 0) + struct.pack("<II4i", 5, 16, *size)
-    body += struct.pack("<HH4sII", 1, 2, b"LF\0\0", 2, length) + b"x" * 16
-    matrix = struct.pack("<II", 14, whole_length) + body
-    if compressed:
-        packed = zlib.compress(matrix)
-        matrix = struct.pack("<II", 15, len(packed)) + packed
-    return holding("light.mat", b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM" + matrix)
+def hdf5(new: dict[str, Any] | None = None, **variables: Any) -> str:
+    """Put a MATLAB file of version 7.3 here, HDF5 after a text of 512 bytes, or one with a `new`, empty light field."""
+    with h5py.File("light.mat", "w", userblock_size=512) as opened:
+        if new:
+            opened.create_dataset("LF", dtype=np.uint8, **new)
+        for name, value in variables.items():
+            opened[name] = value
+    with Path("light.mat").open("r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\0\2IM")
+    return "light.mat"
 
 
-def hdf5(name: str, fill: Callable[[h5py.File], object]) -> str:
-    """Put a MATLAB file of version 7.3 here: HDF5 after a text of 512 bytes."""
-    with h5py.File(name, "w", userblock_size=512) as opened:
-        fill(opened)
-    with Path(name).open("r+b") as raw:
-        raw.write(MATLAB_7)
-    return name
-
-
-def _write_version_7(opened: h5py.File) -> None:
+def _version_7() -> dict[str, Any]:
     numbers = np.transpose((light_field(3).values * 65535).astype(np.uint16))
-    opened.create_dataset("LF", data=numbers, chunks=True, compression="gzip")
-    opened["MaxLum"] = np.ones((1, 1))
-    grid = opened.create_group("LensletGridModel")
-    numbers = {"HSpacing": 16, "VSpacing": 16, "HOffset": 8, "VOffset": 8, "Rot": 0, "UMax": 4, "VMax": 4}
-    for name, value in (numbers | {"FirstPosShiftRow": 5}).items():
-        grid[name] = np.full((1, 1), float(value))
-    grid["Orientation"] = np.array([[ord(c)] for c in "horz"], dtype=np.uint16)
+    grid = {
+        f"LensletGridModel/{name}": np.array([[value]]) for name, value in GRID_MODEL.items() if name != "Orientation"
+    }
+    grid["LensletGridModel/Orientation"] = np.array([[ord(c)] for c in "horz"], dtype=np.uint16)
+    return {"LF": numbers, "MaxLum": np.ones((1, 1)), **grid}
 
 
-def virtual(opened: h5py.File) -> None:
-    """Let a dataset take its numbers from another file."""
-    layout = h5py.VirtualLayout(LIGHT_FIELD_SHAPE, np.uint8)
-    layout[...] = h5py.VirtualSource("other.h5", "LF", LIGHT_FIELD_SHAPE)
-    opened.create_virtual_dataset("LF", layout)
+def open_views(name: str) -> Any:
+    """Open a picture of as many views as the light field has."""
+    return exchange.open_light_field(name, views=light_field().sizes["u"])
 
 
-def other_file(fill: Callable[[h5py.File], object]) -> Callable[[h5py.File], object]:
-    """Put a file here that another one may point at."""
-    with h5py.File("other.h5", "w") as other:
-        other["LF"] = np.ones(LIGHT_FIELD_SHAPE, np.uint8)
-    return fill
-
-
-def png(name: str, columns: int, rows: int, *, depth: int = 8, colour: int = 0, data: bytes = b"", text: int = 0) -> str:
+def png(
+    name: str, columns: int, rows: int, *, depth: int = 8, colour: int = 0, data: bytes = b"", text: int = 0
+) -> str:
     """Put a PNG picture here whose header claims a size, with compressed text of so many bytes."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        return pack(">I", len(data)) + kind + data + pack(">I", zlib.crc32(kind + data))
 
-    content = chunk(b"IHDR", struct.pack(">IIBBBBB", columns, rows, depth, colour, 0, 0, 0))
+    content = chunk(b"IHDR", pack(">IIBBBBB", columns, rows, depth, colour, 0, 0, 0))
     content += chunk(b"zTXt", b"a\0\0" + zlib.compress(b"\0" * text)) if text else b""
     content += chunk(b"IDAT", zlib.compress(data)) + chunk(b"IEND", b"")
     return holding(name, b"\x89PNG\r\n\x1a\n" + content)
@@ -324,10 +321,56 @@ def scene(*changes: tuple[str, str], beside: object = None) -> str:
     for old, new in changes:
         assert old in text, old
         text = text.replace(old, new, 1)
-    for name, content in {**_files(), "scene.xml": text}.items():
+    for name, content in {**files(), "scene.xml": text}.items():
         if name in ("square.ply", "dots.png", "scene.xml") and not Path(name).exists():
             holding(name, content)
     return "scene.xml"
+
+
+def element(kind: str, name: str, value: str) -> str:
+    """Write a parameter of a plugin."""
+    return f"<{kind} name={quoteattr(name)} value={quoteattr(value)}/>"
+
+
+def sensor(kind: str, name: str, value: str) -> tuple[str, str]:
+    """Set a parameter of the sensor."""
+    return SENSOR, element(kind, name, value) + (SENSOR if name != "detector_width" else "")
+
+
+def waves(kind: str, name: str, value: str) -> tuple[str, str]:
+    """Propagate light as waves, and set a parameter of that."""
+    return 'type="path"/>', f'type="plenoptic_wave">{element(kind, name, value)}</integrator>'
+
+
+def nested(tag: str, depth: int) -> str:
+    """Put elements into each other."""
+    return f'<{tag} type="twosided">' * depth + f"</{tag}>" * depth + "<emitter"
+
+
+def laughs(depth: int) -> str:
+    """Write a scene with entities that are ten times as long as the one before."""
+    entities = "".join(f'<!ENTITY l{i + 1} "{f"&l{i};" * 10}">' for i in range(depth))
+    return f'<!DOCTYPE scene [<!ENTITY l0 "ha">{entities}]>{SCENE.partition("?>")[2]}'.replace(
+        "square.ply", f"&l{depth};"
+    )
+
+
+def includes(targets: str) -> None:
+    """Put scenes here, each of which includes others; the last is empty."""
+    for level in range(12):
+        names = targets.format(level + 1).split() if level < 11 else []
+        lines = "".join(f'<include filename="{name}.xml"/>' for name in names)
+        holding(f"i{level}.xml", f'<scene version="3.0.0">{lines}</scene>')
+
+
+def growing(depth: int) -> str:
+    """Write YAML with lists that hold the one before ten times."""
+    return "x0: &x0 [1, 1]\n" + "".join(f"x{i + 1}: &x{i + 1} [{f'*x{i}, ' * 10}]\n" for i in range(depth))
+
+
+def sweep(*arguments: str) -> str:
+    """Run a sweep of the scene."""
+    return command("sweep", scene(), "-o", "out.nc", *arguments)
 
 
 def render(*changes: tuple[str, str], beside: object = None) -> Capture:
@@ -391,9 +434,9 @@ def resume(name: str) -> np.ndarray:
     return image
 
 
-def lying_checkpoint(changes: dict[str, Any]) -> str:
+def lying_checkpoint(**changes: Any) -> str:
     """Put a checkpoint here whose header has other values, or one number of whose arrays is another."""
-    with zipfile.ZipFile(io.BytesIO(_files()["stopped.checkpoint"])) as archive:
+    with zipfile.ZipFile(io.BytesIO(files()["stopped.checkpoint"])) as archive:
         members = {member: archive.read(member) for member in archive.namelist()}
     header = json.loads(members["header.json"])
     for name, value in changes.items():
