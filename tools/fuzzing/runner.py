@@ -112,7 +112,7 @@ class Worker:
 
 
 def draw(kind: Kind, count: int, seed: int, condition: Callable[[str], object]) -> str | None:
-    """Draw cases, the same ones for the same count and seed, until one meets a condition; return the smallest that does."""
+    """Draw cases, the same for the same count and seed, until one meets a condition; return the smallest that does."""
     chosen = settings(
         max_examples=count,
         phases=[Phase.generate, Phase.shrink],
@@ -198,7 +198,7 @@ def fuzz(
 def _shrink(
     kind: Kind, count: int, seed: int, wanted: tuple[str, str], worker: Worker, verdicts: dict[str, Verdict]
 ) -> str | None:
-    """Draw the cases again, up to the first with a finding, and make that one small; verdicts known are not asked again."""
+    """Draw the cases again, up to the first that ends as wanted, and make that one small."""
     seconds, evaluations = _SHRINKING
     end, most = time.perf_counter() + seconds, len(verdicts) + evaluations
 

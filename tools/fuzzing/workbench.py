@@ -82,6 +82,12 @@ FILM = '<integer name="width" value="$resolution"/>'
 CAMERA = PlenopticCamera(resolution=(64, 64), detector_width=0.256)
 SMALL_CAMERA = PlenopticCamera(resolution=(32, 32), detector_width=0.128)
 
+# Whole commands, to which one word more is added.
+RENDER = ("render", "white", "-o", "out.exr", "-Dresolution=256")
+REFOCUS = ("reconstruct", "grey.exr", "-o", "out.exr", "--distance=240")
+EXPOSE = ("expose", "grey.exr", "-o", "out.exr", "--photons=1000")
+COMPARE = ("compare", "letters", "-o", "out", "-Dresolution=256", "--distance=240", "--spp=1")
+
 
 class Accepted(Exception):  # noqa: N818 (the package made the error)
     """The package took what the documentation forbids."""
@@ -301,9 +307,7 @@ def open_views(name: str) -> Any:
     return exchange.open_light_field(name, views=light_field().sizes["u"])
 
 
-def png(
-    name: str, columns: int, rows: int, *, depth: int = 8, colour: int = 0, data: bytes = b"", text: int = 0
-) -> str:
+def png(name: str, columns: int, rows: int, depth: int = 8, colour: int = 0, data: bytes = b"", text: int = 0) -> str:
     """Put a PNG picture here whose header claims a size, with compressed text of so many bytes."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
