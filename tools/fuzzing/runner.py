@@ -19,10 +19,10 @@ from hypothesis import Phase, Verbosity, find, settings
 from hypothesis.errors import NoSuchExample
 
 from .parts import Code
-from .verdict import FINE, Verdict, serve
+from .verdict import FINE, PATIENCE, Verdict, serve
 
 SECONDS = 10.0
-"""Time that one case may take."""
+"""Processor time that one case may take."""
 
 # A process that imports the package on a busy machine.
 _START = 120.0
@@ -73,14 +73,16 @@ class Worker:
         try:
             self._connection.send(case)
             # A second for what the process itself writes about where it was.
-            if self._connection.poll(self._seconds + 1):
+            if self._connection.poll(PATIENCE * self._seconds + 1):
                 verdict: Verdict = self._connection.recv()
                 return verdict
-            outcome, place = "too long", f"more than {self._seconds:g} s"
+            outcome, place = "too long", "it does not come back"
         except (EOFError, OSError):
             self._process.join()
             code = self._process.exitcode or 0
             outcome, place = "crash", signal.Signals(-code).name if code < 0 else f"status {code}"
+            if code == -signal.SIGPROF:
+                outcome, place = "too long", f"more than {self._seconds:g} s of processor time"
         log = self._read_log().partition("\nExtension modules:")[0]
         self.close()
         self._start()
@@ -148,7 +150,7 @@ def fuzz(
     workers : int
         Number of processes.
     seconds : float
-        Time that one case may take.
+        Processor time that one case may take.
     notify : callable
         Told how many cases are done.
     """
@@ -178,8 +180,6 @@ def fuzz(
             notify(done)
     report.slowest = sorted(((future.result()[1], case) for _, case, future in drawn), reverse=True)[:20]
     verdicts = {case: future.result()[0] for _, case, future in drawn}
-    # Others may have kept a case waiting: once more, alone.
-    verdicts |= {case: worker.judge(case) for case, verdict in verdicts.items() if verdict.outcome == "too long"}
     found: dict[tuple[Kind, str, str], list[str]] = {}
     for kind, case, _ in drawn:
         verdict = verdicts[case]

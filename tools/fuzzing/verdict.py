@@ -9,6 +9,7 @@ import math
 import os
 import re
 import resource
+import signal
 import tempfile
 import traceback
 import warnings
@@ -18,6 +19,9 @@ from typing import Any, NamedTuple
 
 FINE = ("refused", "fine")
 """Outcomes that are no findings."""
+
+PATIENCE = 6
+"""How many times the processor time that a case may take it is waited for: other processes take time, too."""
 
 # The package is told that it may take little memory, so that what takes more than it said shows as a finding.
 _ENVIRONMENT = {
@@ -52,7 +56,8 @@ class Verdict(NamedTuple):
 def serve(connection: Connection, log: str, seconds: float) -> None:
     """Evaluate the cases that come over a connection, until it is closed.
 
-    Whatever native code prints, and where the process was when it died or took too long, goes to the file `log`.
+    Whatever native code prints, and where the process was when it died or had taken so many seconds of processor time,
+    goes to the file `log`.
     """
     os.environ.update(_ENVIRONMENT)
     resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_SPACE, _ADDRESS_SPACE))
@@ -61,6 +66,8 @@ def serve(connection: Connection, log: str, seconds: float) -> None:
     os.dup2(output, 1)
     os.dup2(output, 2)
     faulthandler.enable()
+    # Writes where the process is, and then lets the signal end it, whatever native code is at work.
+    faulthandler.register(signal.SIGPROF, chain=True)
     # Only here, since the package reads the environment when it is imported.
     from . import workbench
 
@@ -72,10 +79,12 @@ def serve(connection: Connection, log: str, seconds: float) -> None:
         while True:
             case = connection.recv()
             os.truncate(log, 0)
-            faulthandler.dump_traceback_later(seconds)
+            signal.setitimer(signal.ITIMER_PROF, seconds)
+            faulthandler.dump_traceback_later(PATIENCE * seconds)
             with tempfile.TemporaryDirectory(dir=root) as folder, contextlib.chdir(folder):
                 verdict = judge(case, names)
             faulthandler.cancel_dump_traceback_later()
+            signal.setitimer(signal.ITIMER_PROF, 0)
             connection.send(verdict)
 
 
