@@ -18,9 +18,8 @@ from mitsuba_plenoptic import Capture, Detector, InputError, PlenopticCamera, de
 from mitsuba_plenoptic.errors import printable, require_count, require_number
 
 SHORTEST, LONGEST = 1e-9, 1e9
-LENGTHS = st.sampled_from(
-    "focal_length aperture_radius mla_distance mla_focal_length mla_pitch detector_distance detector_width".split()
-)
+LENGTHS = st.sampled_from(["focal_length", "aperture_radius", "mla_distance", "mla_focal_length", "mla_pitch",
+                           "detector_distance", "detector_width"])  # fmt: skip
 CAMERA = PlenopticCamera(resolution=(32, 32), detector_width=0.128)
 IMAGE = np.linspace(0, 1, 32 * 32, dtype=np.float32).reshape(32, 32)
 
