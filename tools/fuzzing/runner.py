@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from hypothesis import Phase, Verbosity, find, settings
+from hypothesis import Phase, find, settings
 from hypothesis.errors import NoSuchExample
 
 from .parts import Code
@@ -113,17 +113,22 @@ class Worker:
         self._connection.close()
 
 
-def draw(kind: Kind, count: int, seed: int, condition: Callable[[str], object]) -> str | None:
-    """Draw cases, the same for the same count and seed, until one meets a condition; return the smallest that does."""
-    chosen = settings(
-        max_examples=count,
-        phases=[Phase.generate, Phase.shrink],
-        database=None,
-        deadline=None,
-        verbosity=Verbosity.quiet,
-    )
+def draw(kind: Kind, count: int, seed: int) -> dict[str, str]:
+    """Draw different cases, fewer where a kind has not so many; each with the seed of the round that it comes from."""
+    drawn: dict[str, str] = {}
+    for turn in range(count):
+        if len(drawn) < count:
+            round_seed = f"{seed} {kind.name} {turn}"
+            _search(kind, round_seed, lambda case, seed=round_seed: bool(drawn.setdefault(case, seed)) and False)
+    return dict(list(drawn.items())[:count])
+
+
+def _search(kind: Kind, seed: str, condition: Callable[[str], bool]) -> str | None:
+    """Draw a round of cases, the same for the same seed, until one meets a condition; return the smallest that does."""
+    # In a longer round Hypothesis goes on with variants of the cases that it has drawn, many of them nearly the same.
+    chosen = settings(max_examples=10, phases=[Phase.generate, Phase.shrink], database=None, deadline=None)
     try:
-        return find(kind.cases, condition, settings=chosen, random=random.Random(f"{seed} {kind.name}"))
+        return find(kind.cases, condition, settings=chosen, random=random.Random(seed))
     except NoSuchExample:
         return None
 
@@ -170,24 +175,25 @@ def fuzz(
             idle.put(worker)
 
     total = sum(kind.weight for kind in kinds)
-    numbers = {kind: -(-count * kind.weight // total) for kind in kinds}
-    drawn: list[tuple[Kind, str, Future[tuple[Verdict, float]]]] = []
+    drawn: list[tuple[Kind, str, str, Future[tuple[Verdict, float]]]] = []
     with ThreadPoolExecutor(workers) as pool:
-        for kind, number in numbers.items():
-            draw(kind, number, seed, lambda case, kind=kind: drawn.append((kind, case, pool.submit(judge, case))))
-        for done, (_, _, future) in enumerate(drawn, 1):
+        for kind in kinds:
+            cases = draw(kind, -(-count * kind.weight // total), seed)
+            drawn += [(kind, case, turn, pool.submit(judge, case)) for case, turn in cases.items()]
+        for done, (*_, future) in enumerate(drawn, 1):
             future.result()
             notify(done)
-    report.slowest = sorted(((future.result()[1], case) for _, case, future in drawn), reverse=True)[:20]
-    verdicts = {case: future.result()[0] for _, case, future in drawn}
-    found: dict[tuple[Kind, str, str], list[str]] = {}
-    for kind, case, _ in drawn:
-        verdict = verdicts[case]
-        report.counts.setdefault(kind.name, Counter())[verdict.outcome] += 1
-        if verdict.outcome not in FINE:
-            found.setdefault((kind, verdict.outcome, verdict.place), []).append(case)
+    report.slowest = sorted(((future.result()[1], case) for _, case, _, future in drawn), reverse=True)[:20]
+    verdicts = {case: future.result()[0] for _, case, _, future in drawn}
+    found: dict[tuple[Kind, str, str], list[tuple[str, str]]] = {}
+    for kind, case, turn, _ in drawn:
+        outcome, _, place = verdicts[case]
+        report.counts.setdefault(kind.name, Counter())[outcome] += 1
+        if outcome not in FINE:
+            found.setdefault((kind, outcome, place), []).append((case, turn))
     for (kind, outcome, place), cases in found.items():
-        smallest = _shrink(kind, numbers[kind], seed, (outcome, place), worker, verdicts) or min(cases, key=len)
+        first, turn = cases[0]
+        smallest = _shrink(kind, turn, (outcome, place), everyone[0], verdicts) or first
         report.findings.append(Finding(kind.name, smallest, outcome, verdicts[smallest].details, len(cases)))
     for worker in everyone:
         worker.close()
@@ -195,10 +201,8 @@ def fuzz(
     return report
 
 
-def _shrink(
-    kind: Kind, count: int, seed: int, wanted: tuple[str, str], worker: Worker, verdicts: dict[str, Verdict]
-) -> str | None:
-    """Draw the cases again, up to the first that ends as wanted, and make that one small."""
+def _shrink(kind: Kind, seed: str, wanted: tuple[str, str], worker: Worker, verdicts: dict[str, Verdict]) -> str | None:
+    """Draw a round again, up to the first case that ends as wanted, and make that one small."""
     seconds, evaluations = _SHRINKING
     end, most = time.perf_counter() + seconds, len(verdicts) + evaluations
 
@@ -209,4 +213,4 @@ def _shrink(
             verdicts[case] = worker.judge(case)
         return (verdicts[case].outcome, verdicts[case].place) == wanted
 
-    return draw(kind, count, seed, condition)
+    return _search(kind, seed, condition)
