@@ -29,6 +29,7 @@ llvm.choose()
 from . import design as design
 from . import plugins as plugins
 from .camera import PlenopticCamera
+from .capture.operator import CaptureOperator
 from .capture.point_spread import point_spread_function
 from .capture.render import render_capture
 from .capture.scene import load_scene, scene_path
@@ -37,7 +38,9 @@ from .errors import InputError
 from .io.captures import Capture, read_capture, write_capture
 from .io.checkpoints import Checkpoint
 from .optics.guards import PhysicsError, PhysicsWarning
+from .optics.spectrum import Spectrum
 from .runtime.cluster import Cluster
+from .runtime.jobs import Job
 
 if TYPE_CHECKING:
     from .lightfield import decode
@@ -50,14 +53,17 @@ __version__ = importlib.metadata.version("mitsuba-plenoptic")
 
 __all__ = [
     "Capture",
+    "CaptureOperator",
     "Checkpoint",
     "Cluster",
     "Detector",
     "InputError",
+    "Job",
     "PhysicsError",
     "PhysicsWarning",
     "PlenopticCamera",
     "Reconstruction",
+    "Spectrum",
     "decode",
     "expose",
     "load_scene",

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+import textwrap
 import warnings
+from pathlib import Path
 
 # Two test processes share the cores; Dr.Jit's own pool would start as many threads in each.
 os.environ.setdefault("DRJIT_NUM_THREADS", "1")
@@ -49,3 +53,21 @@ def camera_dict():
         }
 
     return make
+
+
+@pytest.fixture
+def python():
+    """Run code in a fresh process."""
+
+    def run(code, *arguments, **environment):
+        return subprocess.run(
+            [sys.executable, "-c", textwrap.dedent(code), *map(str, arguments)],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=120,
+            cwd=Path(__file__).parents[1],
+            env=os.environ | environment,
+        )
+
+    return run

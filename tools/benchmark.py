@@ -41,7 +41,11 @@ def main() -> None:
     sections = {
         "steps": lambda: steps.run(sizes, arguments.runs, arguments.memory),
         "gpu": lambda: gpu.run([size for size in sizes if size >= 1024], arguments.runs),
-        "point-spreads": lambda: [*point_spreads.bare(arguments.runs), *point_spreads.peers()],
+        "point-spreads": lambda: [
+            *point_spreads.bare(arguments.runs),
+            *point_spreads.adjoint(arguments.runs),
+            *point_spreads.peers(),
+        ],
         "sharing": lambda: (
             [row for scene in arguments.scene for row in point_spreads.whole(scene)]
             or [*point_spreads.sharing(), *point_spreads.estimates()]

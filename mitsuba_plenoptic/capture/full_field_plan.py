@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..optics.sampling import check_memory
-from ..runtime.batches import BatchMap, Box, InTurn, Part, PartialSum
+from ..runtime.batches import BatchMap, Box, Part, PartialSum
+from ..runtime.jobs import Job
 from .full_field import full_field
 from .patch_plan import Cost
 from .pupil_weights import PupilWeights
@@ -73,11 +74,11 @@ class FullFieldPlan:
         """The recorded pixels."""
         return _pixels(self._camera)
 
-    def gather(self, image: NDArray[np.float32], batch_map: BatchMap) -> NDArray[np.float64]:
-        """Return for every point the image, (rows, columns, channels), weighted by its point spread."""
-        one = np.ones(1, np.float32)
-        batches = (self.batch(point, one) for point in range(len(self._points)))
-        spreads = (part.sums[0] for part in InTurn()(batches))
+    def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
+        """Return for every point the image weighted by its point spread; see `PatchPlan.gather`."""
+        one, count = np.ones(1, np.float32), len(self._points)
+        batches = (self.batch(point, one) for point in range(count))
+        spreads = (part.sums[0] for part in job.each(batches, [1] * count, done, total))
         return np.array([np.tensordot(psf, image, 2) for psf in spreads], np.float64).reshape(-1, image.shape[2])
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:

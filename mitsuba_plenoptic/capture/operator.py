@@ -31,7 +31,7 @@ class Plan(Protocol):
     def sum(self, weights: NDArray[np.float64]) -> LongSum:
         """Return the sum of the point spreads with these weights, (n, channels), yet to be computed."""
 
-    def gather(self, image: NDArray[np.float32], batch_map: BatchMap) -> NDArray[np.float64]:
+    def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
         """Return for every point the image, (rows, columns, channels), weighted by its point spread."""
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
@@ -147,7 +147,7 @@ class CaptureOperator:
         image : array (rows, columns) or (rows, columns, channels)
             Of the recorded pixels.
         job : Job, optional
-            Who computes.
+            Who computes, and who is told of the progress.
 
         Returns
         -------
@@ -159,7 +159,10 @@ class CaptureOperator:
         InputError
             If the image has another shape or is not finite, or the work would need too much memory.
         """
-        pixels = np.asarray(image, np.float32)
+        try:
+            pixels = np.asarray(image, np.float32)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError("image: it must be numbers, (rows, columns) or (rows, columns, channels)") from None
         rows, columns = self.camera.shape
         if pixels.ndim not in (2, 3) or pixels.shape[:2] != (rows, columns) or not np.isfinite(pixels).all():
             raise InputError(
@@ -169,12 +172,13 @@ class CaptureOperator:
         wavelengths, matrix = self._mixing(channels.shape[2])
         if channels.shape[2] != len(matrix):
             raise InputError(f"image of shape {pixels.shape}: the spectrum has {len(matrix)} channels")
-        channels = channels @ matrix
-        batch_map = (job or Job()).batch_map
-        result = np.zeros((len(self.points), len(wavelengths)))
+        job, count = job or Job(), len(self.points)
+        result = np.zeros((count, len(wavelengths)))
         with guards.watch():
-            for wavelength, some in _groups(wavelengths):
-                result[:, some] = self._planned(wavelength, batch_map, len(some)).gather(channels[..., some], batch_map)
+            for number, (wavelength, some) in enumerate(_groups(wavelengths)):
+                plan = self._planned(wavelength, job.batch_map, len(some))
+                given = _mix(channels, matrix[:, some].T)
+                result[:, some] = plan.gather(given, job, number * count, self.sums * count)
         return result[:, 0] if pixels.ndim == 2 and len(wavelengths) == 1 else result
 
     def estimate(self, batch_map: BatchMap | None = None) -> Cost:
@@ -237,7 +241,7 @@ class CaptureOperator:
                 return self._planned(wavelength, batch_map, len(some)).sum(weights[:, some])
 
             def combine(sums: NDArray[np.float32], part: NDArray[np.float32] = matrix[:, some]) -> NDArray[np.float32]:
-                return np.asarray(sums @ part.T)
+                return _mix(sums, part)
 
             yield Task(len(self.points), plan, combine)
 
@@ -277,6 +281,11 @@ class CaptureOperator:
         if self._spectrum is not None and factors.shape[1] != wavelengths:
             raise InputError(f"weights of shape {factors.shape}: the spectrum has {wavelengths} wavelengths")
         return factors
+
+
+def _mix(image: NDArray[np.float32], matrix: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Mix the channels of an image, (rows, columns, channels), by a matrix (new channels, channels)."""
+    return image if np.array_equal(matrix, np.eye(len(matrix))) else np.asarray(image @ matrix.T)
 
 
 def _groups(wavelengths: tuple[float, ...]) -> Iterator[tuple[float, list[int]]]:

@@ -18,6 +18,7 @@ from ..optics.sampling import check_memory
 from ..runtime.backend import backend
 from ..runtime.batches import BatchMap, PartialSum
 from ..runtime.fft import resting_drjit
+from ..runtime.jobs import Job
 from .accuracy import band_for, wavefront_step
 from .grid import Grid, place
 from .patch_batches import Fields, Gather, Scatter
@@ -140,16 +141,17 @@ class PatchPlan:
     def scatter(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> Scatter:
         """Describe a chunk: its fields are scaled by their largest weights, and the weights relative to these.
 
-        Patterns without weight are left out.
+        Patterns without weight are left out, but not those whose weights cancel: a batch is never empty.
         """
         kept, amplitudes, copies = [], [], []
         for pattern in chunk:
             members = slice(self._first[pattern], self._last[pattern])
-            shifts, copy = np.unique(self._shifts[members], axis=0, return_inverse=True)
-            factors = np.zeros((len(shifts), weights.shape[1]))
-            np.add.at(factors, copy.reshape(-1), weights[self._order[members]])
-            largest = float(np.abs(factors).max())
-            if largest > 0:
+            given = weights[self._order[members]]
+            if given.any():
+                shifts, copy = np.unique(self._shifts[members], axis=0, return_inverse=True)
+                factors = np.zeros((len(shifts), weights.shape[1]))
+                np.add.at(factors, copy.reshape(-1), given)
+                largest = float(np.abs(factors).max()) or 1.0
                 kept.append(pattern)
                 amplitudes.append(largest**0.5)
                 copies.append(Copies(shifts, (factors / largest).astype(np.float32)))
@@ -187,8 +189,17 @@ class PatchPlan:
 
     # -- adjoint ---------------------------------------------------------------------------------------
 
-    def gather(self, image: NDArray[np.float32], batch_map: BatchMap) -> NDArray[np.float64]:
-        """Return for every radiator the image, (rows, columns, channels), weighted by its point spread.
+    def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
+        """Return for every radiator the image weighted by its point spread.
+
+        Parameters
+        ----------
+        image : float32 array (rows, columns, channels)
+            Of the recorded pixels.
+        job : Job
+            Who computes, and who is told of the progress.
+        done, total : int
+            The radiators that are done before, and those of the whole job.
 
         Returns
         -------
@@ -204,7 +215,9 @@ class PatchPlan:
             self._gather(chunk, [shifts for shifts, _ in some], samples)
             for chunk, some in zip(self._chunks, copies, strict=True)
         )
-        for chunk, some, products in zip(self._chunks, copies, batch_map(batches), strict=True):
+        members = [int((self._last - self._first)[chunk].sum()) for chunk in self._chunks]
+        results = job.each(batches, members, done + self._count - sum(members), total)
+        for chunk, some, products in zip(self._chunks, copies, results, strict=True):
             for pattern, (_, copy), product in zip(chunk, some, products, strict=True):
                 result[self._order[self._first[pattern] : self._last[pattern]]] = product[copy.reshape(-1)]
         return result

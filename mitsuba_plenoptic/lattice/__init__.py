@@ -6,13 +6,14 @@
 
 from typing import Any
 
+# Importing a lattice's file registers it.
+from . import hexagonal as hexagonal
+from . import square as square
 from .apertures import APERTURES
 from .base import LATTICES, Lattice, register
 from .generic import turn
-from .hexagonal import HexagonalLattice
-from .square import SquareLattice
 
-__all__ = ["APERTURES", "LATTICES", "HexagonalLattice", "Lattice", "SquareLattice", "make_lattice", "register", "turn"]
+__all__ = ["APERTURES", "LATTICES", "Lattice", "make_lattice", "register", "turn"]
 
 
 def make_lattice(name: str, pitches: tuple[Any, Any], **numbers: Any) -> Lattice:

@@ -202,9 +202,9 @@ def lens_types(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
 def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9) -> tuple[np.ndarray, bool]:
     """Turn two lattice vectors into the steps along and across the rows, rows nearest to level.
 
-    Rows and what stands across them are at right angles: of the shortest two vectors a and b of a rectangular lattice
-    these are, and of a hexagonal one, stretched or not, a diagonal of the rhombus of a and b or a itself is a row of
-    which every second is shifted. Of a hexagonal lattice that is not stretched all three ways are the same.
+    Rows and the direction across them are at right angles. With a and b the two shortest vectors, they are along a
+    and b in a rectangular lattice. In a hexagonal one, stretched or not, they are along a + b and a - b, or along a and
+    across it, and every second row is shifted; if it is not stretched, there are three such pairs.
 
     Parameters
     ----------

@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import Any
 
 import drjit as dr
+import numpy as np
 
 from ..camera import PlenopticCamera
 from ..thin_lens import defocus_factor
@@ -83,11 +84,15 @@ def follow_back(
 
 def slopes_to_cosines(tx: Any, ty: Any) -> tuple[Any, Any]:
     """Turn slopes into direction cosines, t / sqrt(1 + tx^2 + ty^2)."""
-    scale = dr.rsqrt(1 + tx * tx + ty * ty)
+    scale = _rsqrt(1 + tx * tx + ty * ty)
     return tx * scale, ty * scale
 
 
 def cosines_to_slopes(sx: Any, sy: Any) -> tuple[Any, Any]:
     """Turn direction cosines into slopes, s / sqrt(1 - sx^2 - sy^2)."""
-    scale = dr.rsqrt(1 - sx * sx - sy * sy)
+    scale = _rsqrt(1 - sx * sx - sy * sy)
     return sx * scale, sy * scale
+
+
+def _rsqrt(value: Any) -> Any:
+    return dr.rsqrt(value) if dr.is_array_v(value) else 1 / np.sqrt(value)

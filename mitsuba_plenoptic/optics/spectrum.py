@@ -35,7 +35,10 @@ class Spectrum:
         if not self.wavelengths:
             raise InputError("spectrum: it must have a wavelength")
         object.__setattr__(self, "wavelengths", tuple(require_wavelength(value) for value in self.wavelengths))
-        matrix = np.array(self.responses, np.float64)
+        try:
+            matrix = np.array(self.responses, np.float64)
+        except (TypeError, ValueError):
+            raise InputError("spectrum: responses must be numbers, as many for every channel") from None
         if matrix.ndim != 2 or matrix.shape[1] != len(self.wavelengths) or not np.isfinite(matrix).all():
             raise InputError(
                 f"spectrum: responses of shape {matrix.shape}: every channel must have a finite one to each of "

@@ -1,8 +1,8 @@
-"""Sums in batches: parts in plain arrays that any thread, process or machine can compute, added in a fixed order.
+"""Work in batches of plain arrays that any thread, process or machine can compute, used in a fixed order.
 
-The parts of a sum are the same whoever computes them and however many do, and they are added one after another in
-the order of their batches. So the bits of the sum depend on the inputs alone, and a sum that was stopped after some
-batch and is continued from there has the bits of one that was not.
+The result of a batch is the same whoever computes it. The parts of a sum are added one after another in the order of
+their batches, so its bits depend on the inputs alone, and a sum that was stopped after some batch and is continued from
+there has the bits of one that was not.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Part:
 
 
 class Batch(Protocol):
-    """A part of a sum that is still to be computed. Holds plain arrays and can be pickled."""
+    """A part of some work that is still to be done. Holds plain arrays and can be pickled."""
 
     @property
     def samples(self) -> int:
@@ -65,7 +65,7 @@ class Batch(Protocol):
 class BatchMap(Protocol):
     """Computes batches and yields their results in the order of the batches.
 
-    It must take the batches as it needs them and keep few parts waiting, so that memory does not grow with the sum.
+    It must take the batches as it needs them and keep few results waiting, so that memory does not grow with the work.
     """
 
     @property
@@ -105,7 +105,7 @@ class Threads:
     Parameters
     ----------
     count : int, optional
-        Default: all cores this process may use, or one to give a CUDA device its work.
+        Default: all cores that this process may use. A CUDA device takes its work from one.
     """
 
     def __init__(self, count: int | None = None) -> None:
@@ -121,17 +121,6 @@ class Threads:
                     yield pending.popleft().result()
             while pending:
                 yield pending.popleft().result()
-
-
-class InTurn:
-    """Computes batches one after another, each on all the threads that it likes to use."""
-
-    workers = threads = 1
-
-    def __call__(self, batches: Iterable[Batch]) -> Generator[Any, None, None]:
-        """Compute the batches."""
-        for batch in batches:
-            yield batch.prepare()()
 
 
 def add(part: Part, box: Box, sums: NDArray[np.float32]) -> None:

@@ -1,7 +1,7 @@
-"""Incoherent sums on the worker processes of a Dask cluster: on this machine, or on others.
+"""Batches on the worker processes of a Dask cluster: on this machine, or on others.
 
-Only arrays travel: the radiators of a batch and the camera to a worker, the sum of their point spreads back. Which
-worker does what has no influence on the bits; but different processors may round differently.
+Only arrays travel: the radiators of a batch and the camera to a worker, and its result back. Which worker does what
+has no influence on the bits; but different processors may round differently.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..errors import InputError, require_count
-from .batches import Batch, Part
+from .batches import Batch
 from .software import software
 from .variant import set_variant
 
@@ -35,7 +35,7 @@ _lock = threading.Lock()
 
 
 class Cluster:
-    """Workers that compute the batches of incoherent sums, in the form that `render_capture` takes as `batch_map`.
+    """Workers that compute the batches of wave captures, in the form that `render_capture` takes as `batch_map`.
 
     A context: entered, it starts local processes or connects to a scheduler; left, it ends what it has started. What
     a worker that dies was doing is done again by another. Workers run what the scheduler sends them, so both belong
@@ -109,8 +109,8 @@ class Cluster:
     def _name(self) -> str:
         return f"scheduler {self._scheduler}" if self._scheduler else f"workers = {self._count}"
 
-    def __call__(self, batches: Iterable[Batch]) -> Generator[Part, None, None]:
-        """Compute batches on the workers and yield their parts in order."""
+    def __call__(self, batches: Iterable[Batch]) -> Generator[Any, None, None]:
+        """Compute batches on the workers and yield their results in order."""
         ahead = _AHEAD * self.workers
         pending: deque[Any] = deque()
         try:
@@ -118,30 +118,29 @@ class Cluster:
                 # The arrays are a part of the task, so that it can be done again when a worker has died.
                 pending.append(self._client.submit(_compute, group, mi.variant(), software(), pure=False))
                 if len(pending) >= ahead:
-                    yield from self._result(pending.popleft())
+                    yield from self._results(pending.popleft())
             while pending:
-                yield from self._result(pending.popleft())
+                yield from self._results(pending.popleft())
         finally:
             with contextlib.suppress(Exception):
                 self._client.cancel(list(pending), force=True)
 
-    def _result(self, future: Any) -> list[Part]:
+    def _results(self, future: Any) -> list[Any]:
         from distributed import KilledWorker
 
         try:
-            parts: list[Part] = future.result()
+            return list(future.result())
         except KilledWorker:
             raise InputError(
                 f"{self._name}: the same part of the sum ended several workers; they may have too little memory"
             ) from None
         except (CancelledError, OSError) as error:
             raise InputError(f"{self._name}: the connection was lost: {_line(error)}") from None
-        return parts
 
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep Dask from telling, with tracebacks, of what our own errors tell."""
+    """Keep Dask from logging tracebacks of what our own errors say."""
     logger = logging.getLogger("distributed.client")
     level = logger.level
     logger.setLevel(logging.CRITICAL + 1)
@@ -165,18 +164,18 @@ def _groups(batches: Iterable[Batch]) -> Iterator[list[Batch]]:
         yield group
 
 
-def _compute(batches: list[Batch], variant: str | None, versions: dict[str, str]) -> list[Part]:
+def _compute(batches: list[Batch], variant: str | None, versions: dict[str, str]) -> list[Any]:
     """Compute batches, on a worker."""
     _check_software(software(), versions, "a worker")
-    parts = []
+    results = []
     for batch in batches:
         # Dr.Jit's part is done by one thread at a time, where a worker has several.
         with _lock:
             set_variant(variant)
             dr.set_thread_count(1)
             work = batch.prepare()
-        parts.append(work())
-    return parts
+        results.append(work())
+    return results
 
 
 def _check_software(there: dict[str, str], here: dict[str, str], worker: str) -> None:

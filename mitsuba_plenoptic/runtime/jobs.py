@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -143,18 +143,35 @@ class Job:
                 f"checkpoint: {start.batches} batches of shape {start.sums.shape}: this sum has {len(work.items)} of "
                 f"shape {shape}"
             )
-        done = before + task.items - int(work.items[start.batches :].sum())
-        self._report(done, items)
+        left = work.items[start.batches :].tolist()
         total = replace(start, sums=work.arrays.asarray(start.sums))
-        with contextlib.closing(self.batch_map(work.batches(start.batches))) as parts:
-            for index, part in enumerate(parts, start.batches):
-                add(part, work.box, total.sums)
-                total = PartialSum(index + 1, total.sums, total.arrived + float(part.sums.sum(dtype=np.float64)))
-                if self.keeper:
-                    self.keeper.save(replace(state, partial=total))
-                done += int(work.items[index])
-                self._report(done, items)
+        parts = self.each(work.batches(start.batches), left, before + task.items - sum(left), items)
+        for part in parts:
+            add(part, work.box, total.sums)
+            arrived = total.arrived + float(part.sums.sum(dtype=np.float64))
+            total = PartialSum(total.batches + 1, total.sums, arrived)
+            if self.keeper:
+                self.keeper.save(replace(state, partial=total))
         return work.image(total)
+
+    def each(self, batches: Iterable[Batch], items: Sequence[int], done: int, total: int) -> Iterator[Any]:
+        """Compute batches of so many items each, and yield their results in order.
+
+        Parameters
+        ----------
+        batches : iterable of Batch
+            The batches.
+        items : sequence of int
+            How many items each of them stands for.
+        done, total : int
+            The items that are done before, and those of the whole job.
+        """
+        self._report(done, total)
+        with contextlib.closing(self.batch_map(batches)) as results:
+            for count, result in zip(items, results, strict=True):
+                yield result
+                done += int(count)
+                self._report(done, total)
 
     def _report(self, done: int, items: int) -> None:
         if self.progress:

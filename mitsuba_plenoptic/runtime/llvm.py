@@ -55,7 +55,7 @@ def format_version(version: tuple[int, ...]) -> str:
 
 
 def library(path: str | Path) -> Library:
-    """Tell the version of a library from its name, or else from the folder that it lies in."""
+    """Describe a library by its name, or else by the folder that it lies in."""
     real = Path(path).resolve()
     name = _NAME.fullmatch(real.name)
     digits = (name["stem"] or name["suffix"]) if name else None
@@ -65,7 +65,7 @@ def library(path: str | Path) -> Library:
 
 
 def candidates() -> list[Library]:
-    """List the LLVM libraries on this machine, the newest first and each once."""
+    """Return the LLVM libraries on this machine, the newest first and each once."""
     found: dict[Path, Library] = {}
     for folder in _folders():
         for path in sorted(folder.glob("libLLVM*")):
@@ -79,15 +79,12 @@ def choose() -> None:
 
     A choice of the user's stays, and after Dr.Jit has loaded there is nothing left to choose.
     """
-    if "drjit" in sys.modules or os.environ.get(VARIABLE):
-        return
-    best = next((item for item in candidates() if item.usable), None)
-    if best is not None:
+    if "drjit" not in sys.modules and not os.environ.get(VARIABLE) and (best := _newest_usable(candidates())):
         os.environ[VARIABLE] = str(best.path)
 
 
 def problem() -> str | None:
-    """Tell in one sentence why the LLVM that Dr.Jit has loaded is unusable and what to do, if it is.
+    """Return why the LLVM that Dr.Jit has loaded is unusable and what to do, in one sentence; None if it is usable.
 
     Nothing is compiled, since that is what aborts the process.
     """
@@ -110,8 +107,7 @@ def require() -> None:
     """
     from ..errors import InputError
 
-    sentence = problem()
-    if sentence is not None:
+    if sentence := problem():
         raise InputError(sentence)
 
 
@@ -125,49 +121,49 @@ def explain(loaded: str | None, named: str | None, found: list[Library]) -> str:
     named : str, optional
         The value of ``DRJIT_LIBLLVM_PATH``.
     found : list of Library
-        What `candidates` gives.
+        What `candidates` returns.
     """
-    best = next((item for item in found if item.usable), None)
+    need = f"but the llvm variants need LLVM {MINIMUM} or newer"
     if named and not Path(named).is_file():
         fault = f"{VARIABLE} = {named!r}: there is no such file"
     elif named:
         # The name helps where Dr.Jit refused to load the file at all.
-        by_name = library(named).version
-        what = loaded or (format_version(by_name) if by_name else "not an LLVM library that loads")
-        fault = f"{VARIABLE} = {named!r}: it is {what}, but the llvm variants need LLVM {MINIMUM} or newer"
+        version = library(named).version
+        what = loaded or (format_version(version) if version else "not an LLVM library that loads")
+        fault = f"{VARIABLE} = {named!r}: it is {what}, {need}"
     elif loaded:
-        fault = f"Dr.Jit loaded {loaded}, but the llvm variants need LLVM {MINIMUM} or newer"
+        fault = f"Dr.Jit loaded {loaded}, {need}"
     else:
         fault = f"no LLVM {MINIMUM} or newer was found, which the llvm variants need"
-    if best is None:
-        command = install_command()
-        remedy = f"run: {command}" if command else "install one with your package manager"
-    elif named:
-        return f"{fault}; unset the variable, and {best.path} is used"
-    else:
-        remedy = f"import mitsuba_plenoptic before drjit and mitsuba, or set {VARIABLE}={best.path}"
-    return f"{fault}; unset the variable and {remedy}" if named else f"{fault}; {remedy}"
+    if best := _newest_usable(found):
+        return f"{fault}; " + (
+            f"unset the variable, and {best.path} is used"
+            if named
+            else f"import mitsuba_plenoptic before drjit and mitsuba, or set {VARIABLE}={best.path}"
+        )
+    command = install_command()
+    remedy = f"run: {command}" if command else "install one with your package manager"
+    return f"{fault}; {'unset the variable and ' if named else ''}{remedy}"
 
 
 def install_command() -> str | None:
-    """Give the one command that installs a usable LLVM here, or None where no known package manager is."""
+    """Return the one command that installs a usable LLVM here, or None where no known package manager is."""
     if shutil.which("apt-get"):
         sudo = "" if os.geteuid() == 0 else "sudo "
         if package := newest_apt_package():
             return f"{sudo}apt-get install -y {package}"
         # Fresh systems have no list of packages yet; this one is in Debian 12 and Ubuntu 24.04.
         return f"{sudo}apt-get update && {sudo}apt-get install -y libllvm19"
-    if shutil.which("brew"):
-        return "brew install llvm"
-    if shutil.which("dnf"):
-        return "sudo dnf install llvm-libs"
-    if shutil.which("pacman"):
-        return "sudo pacman -S llvm-libs"
-    return None
+    others = {
+        "brew": "brew install llvm",
+        "dnf": "sudo dnf install llvm-libs",
+        "pacman": "sudo pacman -S llvm-libs",
+    }
+    return next((command for program, command in others.items() if shutil.which(program)), None)
 
 
 def newest_apt_package() -> str | None:
-    """Name the newest usable ``libllvmNN`` that apt knows of."""
+    """Return the newest usable ``libllvmNN`` that apt knows of."""
     listing = subprocess.run(
         ["apt-cache", "search", "--names-only", "^libllvm[0-9]+(t64)?$"],
         capture_output=True,
@@ -179,8 +175,12 @@ def newest_apt_package() -> str | None:
     return max(usable)[1] if usable else None
 
 
+def _newest_usable(found: list[Library]) -> Library | None:
+    return next((item for item in found if item.usable), None)
+
+
 def _folders() -> Iterator[Path]:
-    """Folders in which package managers put LLVM."""
+    """Yield the folders in which package managers put LLVM."""
     root = Path("/")
     # Only this machine's own architecture: Debian's multiarch puts foreign ones beside it.
     yield root / "usr/lib" / f"{platform.machine()}-linux-gnu"

@@ -21,8 +21,9 @@ from mitsuba_plenoptic import (
     render_capture,
     write_capture,
 )
-from mitsuba_plenoptic.capture import full_field, incoherent
-from mitsuba_plenoptic.capture.patch import Band
+from mitsuba_plenoptic.capture import full_field, patch_plan
+from mitsuba_plenoptic.capture.grid import Band
+from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.exr import read_exr
 from mitsuba_plenoptic.optics import guards
@@ -98,7 +99,7 @@ class TestPointSpreads:
 
     @pytest.mark.parametrize("cone, width, outcome", [(1.0, 25, "warned"), (0.5, 60, "refused")])
     def test_a_patch_with_a_narrow_band(self, monkeypatch, cone, width, outcome):
-        monkeypatch.setattr(incoherent, "band_for", lambda accuracy, count: Band(cone, width))
+        monkeypatch.setattr(patch_plan, "band_for", lambda accuracy, count: Band(cone, width))
         if outcome == "refused":
             with pytest.raises(PhysicsError, match="lost by the patches"):
                 point_spread_function(self.CAMERA, self.PLACE, wavelength=WAVELENGTH)
@@ -108,13 +109,18 @@ class TestPointSpreads:
         # the detector holds all of the patch
         assert float(str(caught[0].message).split("%")[0]) == pytest.approx(100 * (1 - psf.sum()), abs=0.05)
 
-    def test_the_loss_does_not_depend_on_where_masks_are_shut(self):
-        """Radiators that see nothing of the pupil send nothing, and that is no loss."""
-        masks = np.ones((2, 4, 4), bool)
-        masks[1] = False
+    def test_what_is_hidden_from_the_pupil_is_no_loss(self):
+        """Radiators that see nothing of the pupil send nothing."""
+        weights = np.ones((2, 4, 4), bool)
+        weights[1] = False
         with guards.watch() as shares:
-            incoherent.incoherent_sum(self.CAMERA, [self.PLACE] * 2, [1, 1], wavelength=633, pupil_masks=masks)
+            CaptureOperator(self.CAMERA, [self.PLACE] * 2, wavelength=633, pupil_weights=weights).forward([1, 1])
         assert 0 < shares["patch_loss"] < 0.02
+
+    def test_no_loss_is_told_of_weights_that_cancel(self):
+        with guards.watch() as shares:
+            CaptureOperator(self.CAMERA, [self.PLACE] * 2, wavelength=633).forward([1, -1])
+        assert "patch_loss" not in shares
 
     def test_a_full_field_on_a_coarse_grid(self, monkeypatch):
         monkeypatch.setattr(full_field, "_KEPT_ORDERS", 0.3)

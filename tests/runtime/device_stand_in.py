@@ -15,8 +15,8 @@ from mitsuba_plenoptic.runtime.backend import Backend
 _dr_numpy = dr.ArrayBase.numpy
 
 _FUNCTIONS = (
-    "add", "ascontiguousarray", "copyto", "einsum", "empty", "eye", "moveaxis", "multiply", "ones", "repeat", "sqrt",
-    "square", "tensordot", "where", "zeros",
+    "add", "ascontiguousarray", "copyto", "einsum", "empty", "eye", "moveaxis", "multiply", "ones", "pad", "repeat",
+    "sqrt", "square", "stack", "tensordot", "where", "zeros",
 )  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import os
 import pickle
@@ -12,18 +13,19 @@ import time
 
 import numpy as np
 import pytest
-from mitsuba_plenoptic.capture.incoherent import estimate_cost, incoherent_sum
+from wave_cases import capture, scattered, small_camera
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, render_capture
+from mitsuba_plenoptic import InputError, load_scene, render_capture
+from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.report.sweep import SweepSettings, sweep
 from mitsuba_plenoptic.runtime import cluster as distributed
-from mitsuba_plenoptic.runtime.batches import PartialSum
 from mitsuba_plenoptic.runtime.cluster import Cluster
+from mitsuba_plenoptic.runtime.jobs import Job
 
 pytest.importorskip("distributed")
 
-SMALL = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
+SMALL = small_camera()
 
 # The command, with a checkpoint after every batch and batches one by one.
 COMMAND = """
@@ -48,39 +50,45 @@ def tiny_groups(monkeypatch):
     monkeypatch.setattr(distributed, "_GROUP_SAMPLES", 1)
 
 
+class Keeper:
+    """Calls a function at every snapshot, and lets a job go on from one."""
+
+    def __init__(self, save, start=None):
+        self.save, self.start = save, start
+
+    def begin(self, shape, **facts):
+        return self.start
+
+
 def radiators(count, seed=0):
-    rng = np.random.default_rng(seed)
-    g = rng.uniform(205, 275, count)
-    image = rng.uniform(-0.2, 0.2, (count, 2))
-    return np.column_stack([-image * g[:, None] / SMALL.mla_distance, g]), rng.uniform(0, 1, count)
+    return scattered(count, distances=(205, 275)), np.random.default_rng(seed).uniform(0, 1, count)
 
 
-@pytest.mark.parametrize("method", ["patch", "full_field"])
-def test_two_processes_give_the_bits_of_one(cluster, tiny_groups, method):
-    positions, weights = radiators(25 if method == "patch" else 2)
-    options = {"wavelength": 633, "method": method}
+@pytest.mark.parametrize(("method", "count"), [("patch", 25), ("full_field", 2)])
+def test_two_processes_give_the_bits_of_one(cluster, tiny_groups, method, count):
+    positions, weights = radiators(count)
+    operator = CaptureOperator(SMALL, positions, wavelength=633, method=method)
     calls = []
-    alone = incoherent_sum(SMALL, positions, weights, **options)
-    shared = incoherent_sum(
-        SMALL, positions, weights, **options, batch_map=cluster, progress=lambda *call: calls.append(call)
-    )
+    alone = operator.forward(weights)
+    shared = operator.forward(weights, job=Job(lambda *call: calls.append(call), cluster))
     np.testing.assert_array_equal(shared, alone)
-    assert calls[-1] == (len(positions), len(positions))
+    assert calls[-1] == (count, count)
+    np.testing.assert_array_equal(operator.adjoint(alone, job=Job(batch_map=cluster)), operator.adjoint(alone))
 
 
 def test_a_worker_that_is_killed_costs_no_bit(cluster, tiny_groups):
     positions, weights = radiators(60)
-    alone = incoherent_sum(SMALL, positions, weights, wavelength=633)
+    alone = capture(SMALL, positions, weights)
     processes = set(cluster._client.run(os.getpid).values())
     assert len(processes) == 2
     done = []
 
-    def kill_one(state):
-        done.append(state.batches)
+    def kill_one(snapshot):
+        done.append(snapshot.partial.batches)
         if len(done) == 3:
             os.kill(min(processes), signal.SIGKILL)
 
-    shared = incoherent_sum(SMALL, positions, weights, wavelength=633, batch_map=cluster, keep=kill_one)
+    shared = capture(SMALL, positions, weights, job=Job(batch_map=cluster, keeper=Keeper(kill_one)))
     np.testing.assert_array_equal(shared, alone)
     # It was in the midst of the work, not at its end, that the worker died.
     assert len(done) > 10
@@ -90,17 +98,10 @@ def test_a_worker_that_is_killed_costs_no_bit(cluster, tiny_groups):
 
 def test_a_sum_that_was_stopped_goes_on_elsewhere(cluster, tiny_groups):
     positions, weights = radiators(20)
-    states = []
-    alone = incoherent_sum(
-        SMALL,
-        positions,
-        weights,
-        wavelength=633,
-        keep=lambda state: states.append(PartialSum(state.batches, state.sums.copy())),
-    )
-    shared = incoherent_sum(
-        SMALL, positions, weights, wavelength=633, batch_map=cluster, start=states[len(states) // 2]
-    )
+    kept = []
+    alone = capture(SMALL, positions, weights, job=Job(keeper=Keeper(lambda state: kept.append(copy.deepcopy(state)))))
+    keeper = Keeper(lambda state: None, kept[len(kept) // 2])
+    shared = capture(SMALL, positions, weights, job=Job(batch_map=cluster, keeper=keeper))
     np.testing.assert_array_equal(shared, alone)
 
 
@@ -139,14 +140,8 @@ def test_no_more_batches_are_under_way_than_keep_the_workers_busy(cluster, tiny_
 
             return call(watch())
 
-    incoherent_sum(
-        SMALL,
-        positions,
-        weights,
-        wavelength=633,
-        batch_map=Watched(),
-        keep=lambda state: behind.append(len(made) - state.batches),
-    )
+    keeper = Keeper(lambda state: behind.append(len(made) - state.partial.batches))
+    capture(SMALL, positions, weights, job=Job(batch_map=Watched(), keeper=keeper))
     assert len(made) > 15
     assert max(behind) <= distributed._AHEAD * 2
     assert max(made) < 2**20
@@ -155,14 +150,14 @@ def test_no_more_batches_are_under_way_than_keep_the_workers_busy(cluster, tiny_
 def test_the_estimate_counts_workers(cluster):
     positions, _ = radiators(30)
     assert cluster.workers == 2
-    assert estimate_cost(SMALL, positions, wavelength=633, batch_map=cluster).patterns == 30
+    assert CaptureOperator(SMALL, positions, wavelength=633).estimate(cluster).patterns == 30
 
 
 def test_a_mistake_in_a_batch_is_told_as_such(cluster, monkeypatch):
     positions, weights = radiators(3)
     monkeypatch.setattr(distributed, "software", lambda: {"mitsuba_plenoptic": "0123"})
     with pytest.raises(InputError, match=r"^a worker: its mitsuba_plenoptic is \w+, here it is 0123"):
-        incoherent_sum(SMALL, positions, weights, wavelength=633, batch_map=cluster)
+        capture(SMALL, positions, weights, job=Job(batch_map=cluster))
 
 
 def test_a_scheduler_at_an_address(cluster, tmp_path):

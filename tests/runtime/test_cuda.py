@@ -1,6 +1,8 @@
 """The route through CUDA: with a stand-in for CuPy, so that every line of it runs anywhere; and on a device."""
 
-import importlib
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 import device_stand_in
@@ -8,15 +10,17 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from mitsuba_plenoptic.capture.incoherent import estimate_cost, incoherent_sum
+from wave_cases import capture
 
 from mitsuba_plenoptic import PlenopticCamera, point_spread_function, reconstruct
+from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.capture.point_spread import point_fields
 from mitsuba_plenoptic.errors import InputError
-from mitsuba_plenoptic.io import checkpoints as checkpoint
+from mitsuba_plenoptic.io.checkpoints import Checkpoint
 from mitsuba_plenoptic.optics.free_space import propagate
 from mitsuba_plenoptic.reconstruction.white import white_throughput
 from mitsuba_plenoptic.runtime import backend as _backend
+from mitsuba_plenoptic.runtime.jobs import Job
 
 # The inputs are random: the field fills its window, and the captures have light beside the micro-images.
 pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")
@@ -25,6 +29,7 @@ CAMERA = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
 SMALL = PlenopticCamera(detector_width=0.256, resolution=(128, 128), aperture_radius=1.5)
 SIDE = 2048
 """Numbers that may leave the device before the end: the sums of a grid's rows, by which the physics is guarded."""
+TURNED = CAMERA.replace(mla_lattice="hexagonal", mla_rotation=7.0)
 COARSE = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
 _random = np.random.default_rng(0)
 CAPTURE = _random.random(CAMERA.shape, dtype=np.float32)
@@ -33,7 +38,7 @@ _waves[:26, :35], _waves[-25:, -34:] = _random.standard_normal((26, 35)), _rando
 FIELD = np.fft.ifft2(_waves).astype(np.complex64)
 POSITIONS = np.column_stack([_random.uniform(-0.4, 0.4, (20, 2)), _random.uniform(210, 275, 20)])
 WEIGHTS = _random.random((20, 2))
-MASKS = _random.random((20, 8, 8)) > 0.3
+PUPILS = np.maximum(_random.random((20, 8, 8)) - 0.3, 0)
 
 
 def fields():
@@ -42,18 +47,17 @@ def fields():
 
 
 def refocused(camera=CAMERA, **options):
-    capture = CAPTURE if camera is CAMERA else CAPTURE[::2, ::2]
-    results = reconstruct(capture, [225.0, 240.0], camera=camera, wavelength=633, **options)
+    image = CAPTURE if camera is CAMERA else CAPTURE[::2, ::2]
+    results = reconstruct(image, [225.0, 240.0], camera=camera, wavelength=633, **options)
     return [result.image for result in results]
 
 
 WORKS = {
     "step": lambda: [propagate(FIELD, 4e-3, 5.0, 633)],
-    "sum of all": lambda: [incoherent_sum(CAMERA, POSITIONS, WEIGHTS, wavelength=633, accuracy=0)],
-    "sum of patterns": lambda: [
-        incoherent_sum(CAMERA, POSITIONS, WEIGHTS, wavelength=633, accuracy=0.05, pupil_masks=MASKS)
-    ],
-    "referee": lambda: [point_spread_function(SMALL, POSITIONS[0], wavelength=633, method="full_field")],
+    "sum of all": lambda: [capture(CAMERA, POSITIONS, WEIGHTS, accuracy=0)],
+    "sum of patterns": lambda: [capture(CAMERA, POSITIONS, WEIGHTS - 0.5, accuracy=0.05, pupil_weights=PUPILS)],
+    "sum on a turned array": lambda: [capture(TURNED, POSITIONS, WEIGHTS)],
+    "full field": lambda: [point_spread_function(SMALL, POSITIONS[0], wavelength=633, method="full_field")],
     "fields": fields,
     "rays": lambda: refocused(method="ray"),
     "coherent": lambda: refocused(method="coherent"),
@@ -61,6 +65,11 @@ WORKS = {
     "partially coherent": lambda: refocused(method="partial"),
     "lens by lens": lambda: refocused(method="partial", interleave="auto"),
 }
+ADJOINTS = {
+    "adjoint": lambda: [CaptureOperator(CAMERA, POSITIONS, wavelength=633, pupil_weights=PUPILS).adjoint(CAPTURE)],
+    "adjoint on a turned array": lambda: [CaptureOperator(TURNED, POSITIONS, wavelength=633).adjoint(CAPTURE)],
+}
+"""They hand parts of the image to their batches through the host."""
 
 
 @pytest.fixture
@@ -81,8 +90,9 @@ def device(monkeypatch):
     white_throughput.cache_clear()
 
 
-@pytest.mark.parametrize("work", WORKS.values(), ids=WORKS)
-def test_the_device_computes_the_same_and_only_what_is_finished_leaves_it(work, request):
+@pytest.mark.parametrize("name", [*WORKS, *ADJOINTS])
+def test_the_device_computes_the_same_and_only_what_is_finished_leaves_it(name, request):
+    work = (WORKS | ADJOINTS)[name]
     expected = work()
     device = request.getfixturevalue("device")
     for ours, theirs in zip(work(), expected, strict=True):
@@ -90,7 +100,7 @@ def test_the_device_computes_the_same_and_only_what_is_finished_leaves_it(work, 
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5 * np.abs(theirs).max())
     finished = sum(array.size for array in expected)
     sizes = [int(np.prod(shape)) for shape in device.to_host]
-    assert sum(size for size in sizes if size > SIDE) <= 1.5 * finished
+    assert name in ADJOINTS or sum(size for size in sizes if size > SIDE) <= 1.5 * finished
 
 
 def test_a_field_on_the_device_stays_there(device):
@@ -100,39 +110,45 @@ def test_a_field_on_the_device_stays_there(device):
     np.testing.assert_array_equal(device.backend.to_host(moved), propagate(FIELD, 4e-3, 5.0, 633))
 
 
-def test_a_sum_goes_on_from_a_checkpoint(device, tmp_path):
+def test_a_sum_goes_on_from_a_checkpoint(device, tmp_path, monkeypatch):
     """Written from the device's memory, and taken back into it."""
-    path = tmp_path / "checkpoint"
+    monkeypatch.setattr("mitsuba_plenoptic.io.checkpoints.INTERVAL", 0.0)
+    whole = capture(CAMERA, POSITIONS, WEIGHTS)
 
-    def keep(state):
-        if state.batches == 1:
-            checkpoint._write(path, {}, checkpoint.Snapshot(0, np.zeros((1, 1, 1), np.float32), state))
+    class StoppedError(Exception):
+        pass
 
-    options = {"wavelength": 633, "accuracy": 0}
-    whole = incoherent_sum(CAMERA, POSITIONS, WEIGHTS, keep=keep, **options)
-    start = checkpoint._read(path, {}, (1, 1, 1)).partial
-    assert start.batches == 1 and type(start.sums) is np.ndarray
-    np.testing.assert_array_equal(incoherent_sum(CAMERA, POSITIONS, WEIGHTS, start=start, **options), whole)
+    class Stopping(Checkpoint):
+        def save(self, snapshot):
+            super().save(snapshot)
+            raise StoppedError
+
+    path = tmp_path / "raw.checkpoint"
+    with pytest.raises(StoppedError), Stopping(path) as keeper:
+        capture(CAMERA, POSITIONS, WEIGHTS, job=Job(keeper=keeper))
+    calls = []
+    with Checkpoint(path, "resume") as keeper:
+        resumed = capture(CAMERA, POSITIONS, WEIGHTS, job=Job(lambda *call: calls.append(call), keeper=keeper))
+    assert calls[0][0] > 0
+    np.testing.assert_array_equal(resumed, whole)
 
 
 def test_the_estimate_waits_for_the_device(device, monkeypatch):
     waits = []
     monkeypatch.setattr(_backend.Backend, "synchronize", lambda self: waits.append(self))
-    cost = estimate_cost(CAMERA, POSITIONS, wavelength=633)
+    cost = CaptureOperator(CAMERA, POSITIONS, wavelength=633).estimate()
     assert cost.seconds > 0 and waits == [device.backend] * len(waits) and len(waits) >= 2
 
 
-def test_the_benchmark_of_the_device_runs(device, monkeypatch):
-    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "tools")
-    gpu = importlib.import_module("benchmarks.gpu")
-    monkeypatch.setattr(gpu, "DISTANCE", 0.1)
-    expected = {128: propagate(gpu.beam(128), gpu.PITCH, gpu.DISTANCE, gpu.WAVELENGTH)}
-    rows = gpu.steps(expected, 1, copied=1000)
-    rows += gpu.letters({"resolution": "64", "detector_width": "0.128"}, 1)
-    assert len(rows) == 8 and all(row.ours > 0 for row in rows)
-    if not dr.has_backend(dr.JitBackend.CUDA):
-        (row,) = gpu.run([1024], 1)
-        assert "no CUDA device here" in row.note and gpu.COMMAND in row.note
+def test_the_benchmark_of_the_device_runs_or_says_that_there_is_none(tmp_path):
+    tool = Path(__file__).parents[2] / "tools" / "benchmark.py"
+    words = ["--only", "gpu", "--size", "1024", "--runs", "1", "--output", tmp_path]
+    subprocess.run([sys.executable, tool, *words], check=True, stdout=subprocess.DEVNULL)
+    rows = json.loads((tmp_path / "benchmark.json").read_text())["rows"]["gpu"]
+    if dr.has_backend(dr.JitBackend.CUDA):
+        assert len(rows) == 8 and all(row["ours"] > 0 for row in rows)
+    else:
+        assert len(rows) == 1 and "no CUDA device here" in rows[0]["note"]
 
 
 def test_without_cupy_waves_on_cuda_are_refused_with_the_remedy(monkeypatch):
@@ -160,7 +176,7 @@ needs_device = pytest.mark.skipif(not dr.has_backend(dr.JitBackend.CUDA), reason
 
 
 @needs_device
-@pytest.mark.parametrize("work", WORKS.values(), ids=WORKS)
+@pytest.mark.parametrize("work", (WORKS | ADJOINTS).values(), ids=WORKS | ADJOINTS)
 def test_cuda_agrees_with_the_processor(work):
     pytest.importorskip("cupy")
     expected = work()

@@ -2,36 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import textwrap
 import threading
-from pathlib import Path
 
 import drjit as dr
 import numpy as np
 import pytest
 
 from mitsuba_plenoptic.runtime.fft import resting_drjit
-
-ROOT = Path(__file__).parents[2]
-
-
-def python(code, *arguments, **environment):
-    """Run code in a process of its own and give what it prints."""
-    result = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(code), *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-        cwd=ROOT,
-        env=os.environ | environment,
-    )
-    assert result.returncode == 0, result.stderr
-    return result.stdout
-
 
 # Everything that makes an image: both captures of a scene with several lamps, all reconstructions, and noise.
 IMAGES = """
@@ -51,7 +29,7 @@ def images(seed):
 """
 
 
-def test_the_same_bits_on_any_number_of_threads_and_in_any_process(tmp_path):
+def test_the_same_bits_on_any_number_of_threads_and_in_any_process(python, tmp_path):
     """Only images by single lenses follow the threads of the BLAS, and only in their last bits."""
     code = IMAGES + (
         "\nimport sys, drjit as dr, mitsuba as mi\n"
@@ -60,7 +38,8 @@ def test_the_same_bits_on_any_number_of_threads_and_in_any_process(tmp_path):
         "np.savez(sys.argv[1], **dict(images(3)))\n"
     )
     for threads in (1, 2):
-        python(code, tmp_path / f"{threads}.npz", threads, OPENBLAS_NUM_THREADS=str(threads))
+        result = python(code, tmp_path / f"{threads}.npz", threads, OPENBLAS_NUM_THREADS=str(threads))
+        assert result.returncode == 0, result.stderr
     one, two = (np.load(tmp_path / f"{threads}.npz") for threads in (1, 2))
     assert len(one.files) == 7
     for name in one.files:
@@ -71,7 +50,7 @@ def test_the_same_bits_on_any_number_of_threads_and_in_any_process(tmp_path):
         assert one[name].max() > 0
 
 
-def test_two_threads_at_once():
+def test_two_threads_at_once(python):
     """Captures and reconstructions of both, interleaved, have the bits that they have alone."""
     code = (
         IMAGES
@@ -91,7 +70,8 @@ different = not np.array_equal(alone[0]["by rays"], alone[1]["by rays"])
 print(same, different, dr.thread_count())
 """
     )
-    assert python(code) == "True True 2\n"
+    result = python(code)
+    assert result.stdout == "True True 2\n", result.stderr
 
 
 def test_the_thread_count_is_restored_by_the_last_of_overlapping_rests():
@@ -117,7 +97,7 @@ def test_the_thread_count_is_restored_by_the_last_of_overlapping_rests():
         dr.set_thread_count(before)
 
 
-def test_two_variants_in_one_process():
+def test_two_variants_in_one_process(python):
     """Back and forth; a scene of the other variant, and a variant that cannot work, get a sentence."""
     code = """
     import mitsuba_plenoptic as mp, mitsuba as mi
@@ -140,7 +120,7 @@ def test_two_variants_in_one_process():
         print(str(error).partition(": ")[2])
     """
     rule = "it must be a mitsuba.Scene of the active variant"
-    lines = python(code).splitlines()
+    lines = python(code).stdout.splitlines()
     assert lines[0] == "True"
     assert all(f"{rule} {name}," in line for line, name in zip(lines[1:3], ("llvm_ad_rgb", "scalar_rgb"), strict=True))
     assert lines[3] == "plenoptic: variant scalar_rgb: this plugin needs an llvm_ad_* or cuda_ad_* variant"
@@ -156,41 +136,41 @@ def test_two_variants_in_one_process():
         "mi.set_variant('llvm_ad_mono')",
     ],
 )
-def test_imports_in_any_order(prologue):
+def test_imports_in_any_order(prologue, python):
     code = f"{prologue}; print(mi.load_dict({{'type': 'plenoptic'}}).camera.f_number, mi.variant())"
-    assert python(code).endswith("8.0 llvm_ad_mono\n")
+    result = python(code)
+    assert result.stdout.endswith("8.0 llvm_ad_mono\n"), result.stderr
 
 
-def test_a_spawned_process_works_and_a_forked_one_says_why_it_cannot(tmp_path):
+def test_a_spawned_process_works_and_a_forked_one_says_why_it_cannot(python, tmp_path):
     """Threads do not survive a fork: without the check the child waits for ever."""
-    script = tmp_path / "script.py"
-    script.write_text(
-        textwrap.dedent("""
-        import multiprocessing, sys
-        import mitsuba_plenoptic as mp
+    script = """
+    import multiprocessing
+    import mitsuba_plenoptic as mp
 
-        def render(queue):
-            try:
-                parameters = {"detector_width": "0.128", "resolution": "64"}
-                queue.put(float(mp.render_capture(mp.load_scene("letters", parameters=parameters), spp=1).image.sum()))
-            except mp.InputError as error:
-                queue.put(str(error))
+    def render(queue):
+        try:
+            scene = mp.load_scene("letters", parameters={"detector_width": "0.128", "resolution": "64"})
+            queue.put(float(mp.render_capture(scene, spp=1).image.sum()))
+        except mp.InputError as error:
+            queue.put(str(error))
 
-        if __name__ == "__main__":
-            # before Dr.Jit is at work a fork does no harm
-            for way, first in (("fork", False), ("spawn", True), ("fork", True)):
-                context = multiprocessing.get_context(way)
-                queue = context.SimpleQueue()
-                if first:
-                    render(queue)
-                    print(queue.get())
-                process = context.Process(target=render, args=(queue,))
-                process.start()
+    if __name__ == "__main__":
+        # before Dr.Jit is at work a fork does no harm
+        for way, first in (("fork", False), ("spawn", True), ("fork", True)):
+            context = multiprocessing.get_context(way)
+            queue = context.SimpleQueue()
+            if first:
+                render(queue)
                 print(queue.get())
-                process.join()
-        """)
-    )
-    result = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=120, check=True)
+            process = context.Process(target=render, args=(queue,))
+            process.start()
+            print(queue.get())
+            process.join()
+    """
+    # A spawned process imports the program, which must be a file.
+    (tmp_path / "script.py").write_text(textwrap.dedent(script))
+    result = python("import runpy, sys; runpy.run_path(sys.argv[1], run_name='__main__')", tmp_path / "script.py")
     early, parent, spawned, again, forked = result.stdout.splitlines()
     assert early == parent == spawned == again
     assert "get_context('spawn')" in forked

@@ -18,9 +18,11 @@ import numpy as np
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.capture.accuracy import DEFAULT_ACCURACY
-from mitsuba_plenoptic.capture.incoherent import incoherent_sum
+from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.optics.free_space import propagate
+from mitsuba_plenoptic.runtime.batches import Threads
 from mitsuba_plenoptic.runtime.fft import worker_count
+from mitsuba_plenoptic.runtime.jobs import Job
 
 from .steps import beam
 from .table import Row, on_cores, peak_memory
@@ -202,17 +204,16 @@ def _positions(count: int) -> np.ndarray:
     return np.column_stack([-image * 280.0 / _CAMERA.mla_distance, np.full(len(image), 280.0)])
 
 
-def _sum(count: int, accuracy: float, threads: int = 1) -> float:
-    positions, few = _positions(count), _positions(64)
+def _add(positions: np.ndarray, accuracy: float, threads: int) -> None:
+    operator = CaptureOperator(_CAMERA, positions, wavelength=_WAVELENGTH, accuracy=accuracy)
+    operator.forward(np.ones(len(positions)), job=Job(batch_map=Threads(threads)))
 
-    def add(points: np.ndarray) -> None:
-        incoherent_sum(
-            _CAMERA, points, np.ones(len(points)), wavelength=_WAVELENGTH, accuracy=accuracy, threads=threads
-        )
 
-    add(few)  # compiles the kernels
+def _sum(count: int, accuracy: float) -> float:
+    positions = _positions(count)
+    _add(_positions(64), accuracy, 1)  # compiles the kernels
     start = time.process_time()
-    add(positions)
+    _add(positions, accuracy, 1)
     return time.process_time() - start
 
 
@@ -232,12 +233,5 @@ def _reconstruct(count: int, method: str, runs: int) -> float:
 
 
 def _threaded(runs: int) -> float:
-    positions = _positions(128)
-    threads = worker_count()
-    return _seconds(
-        lambda: incoherent_sum(
-            _CAMERA, positions, np.ones(len(positions)), wavelength=_WAVELENGTH, accuracy=0, threads=threads
-        ),
-        runs,
-        time.perf_counter,
-    )
+    positions, threads = _positions(128), worker_count()
+    return _seconds(lambda: _add(positions, 0, threads), runs, time.perf_counter)

@@ -1,12 +1,14 @@
-"""Point spreads against bare FFTs and other libraries, and sums with shared point spreads against sums without."""
+"""Point spreads against bare FFTs and other libraries, sums that share them against sums that do not, and adjoints."""
 
 from __future__ import annotations
 
 import contextlib
 import importlib
 import io
+import itertools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import mitsuba as mi
@@ -15,11 +17,14 @@ import scipy.fft
 
 from mitsuba_plenoptic import PlenopticCamera, load_scene
 from mitsuba_plenoptic.capture.accuracy import DEFAULT_ACCURACY
-from mitsuba_plenoptic.capture.incoherent import _add_up, _PatchSum, estimate_cost, incoherent_sum
-from mitsuba_plenoptic.capture.patch import PatchBatch, Workspace, _blocks
+from mitsuba_plenoptic.capture.operator import CaptureOperator
+from mitsuba_plenoptic.capture.patch import PatchBatch, Workspace
+from mitsuba_plenoptic.capture.patch_plan import PatchPlan
+from mitsuba_plenoptic.capture.pupil_weights import PupilWeights
 from mitsuba_plenoptic.capture.radiators import find_radiators, sample_pairs
 from mitsuba_plenoptic.runtime.batches import Threads
 from mitsuba_plenoptic.runtime.fft import resting_drjit
+from mitsuba_plenoptic.runtime.jobs import Job
 
 from .table import Row, side_by_side
 
@@ -36,46 +41,67 @@ _PARTS = (
 SCENES = {"letters": {}, "still_life": _STILL_LIFE}
 
 
-def radiators(scene_name: str, parameters: dict[str, str]) -> tuple[Any, ...]:
-    """Find the radiators of a scene: camera, positions, weights and masks."""
-    scene = load_scene(scene_name, parameters=parameters)
-    sensor = scene.sensors()[0]
-    camera = PlenopticCamera.from_sensor(sensor)
-    found = find_radiators(
-        scene, sensor, mi.load_dict({"type": "path"}), camera, sample_pairs(8, np.zeros(4)),
-        spp=4, seed=1, wavelength=None, occlusion=True,
-    )  # fmt: skip
-    return camera, found.positions, found.radiance[:, 0] / found.share, found.masks
+@dataclass(frozen=True)
+class Radiators:
+    """Radiators of a scene before a camera, their weights and what they see of the pupil."""
+
+    camera: PlenopticCamera
+    positions: np.ndarray
+    weights: np.ndarray
+    pupil_weights: PupilWeights | None
+
+    @classmethod
+    def of(cls, scene_name: str, parameters: dict[str, str]) -> Radiators:
+        """Find them."""
+        scene = load_scene(scene_name, parameters=parameters)
+        sensor = scene.sensors()[0]
+        camera = PlenopticCamera.from_sensor(sensor)
+        found = find_radiators(
+            scene, sensor, mi.load_dict({"type": "path"}), camera, sample_pairs(8, np.zeros(4)),
+            spp=4, seed=1, wavelength=None, occlusion=True,
+        )  # fmt: skip
+        return cls(camera, found.positions, found.radiance[:, 0] / found.fraction, found.pupil_weights)
+
+    def take(self, which: Any) -> Radiators:
+        """Return some of them."""
+        pupil_weights = self.pupil_weights and self.pupil_weights.take(which)
+        return Radiators(self.camera, self.positions[which], self.weights[which], pupil_weights)
+
+    def operator(self, accuracy: float = DEFAULT_ACCURACY) -> CaptureOperator:
+        """Return the operator of their capture, with nothing planned yet."""
+        return CaptureOperator(
+            self.camera, self.positions, wavelength=WAVELENGTH, accuracy=accuracy, pupil_weights=self.pupil_weights
+        )
+
+    def __str__(self) -> str:
+        columns, rows = self.camera.resolution
+        return f"{columns} x {rows}, {len(self.positions)} radiators"
 
 
 def sharing() -> list[Row]:
     """Compare sums of the default accuracy with sums in which nothing is shared: speed and error on parts of scenes."""
     rows = []
     for name, scene, parameters, centre, across in _PARTS:
-        camera, positions, weights, masks = radiators(scene, parameters)
+        radiators = Radiators.of(scene, parameters)
+        camera, positions = radiators.camera, radiators.positions
         image = -positions[:, :2] * (camera.mla_distance / positions[:, 2:])
-        part = (np.abs(image - centre) < across / 2 * camera.mla_pitch).all(1)
-        what = f"{name}: {part.sum()} radiators on {across} x {across} lenses"
-        rows.append(
-            _compare_accuracies(what, camera, positions[part], weights[part], None if masks is None else masks[part])
-        )
+        part = radiators.take(np.flatnonzero((np.abs(image - centre) < across / 2 * camera.mla_pitch).all(1)))
+        what = f"{name}: {len(part.positions)} radiators on {across} x {across} lenses"
+        rows.append(_compare_accuracies(what, part))
     return rows
 
 
 def whole(scene: str) -> list[Row]:
     """Compare the sums of a whole capture: minutes by the default accuracy, far more with nothing shared."""
-    camera, positions, weights, masks = radiators(scene, SCENES[scene])
-    what = f"{scene}, {camera.resolution[0]} x {camera.resolution[1]}, all {len(positions)} radiators"
-    return [_compare_accuracies(what, camera, positions, weights, masks)]
+    radiators = Radiators.of(scene, SCENES[scene])
+    return [_compare_accuracies(f"{scene}, {radiators}, all of them", radiators)]
 
 
-def _compare_accuracies(
-    what: str, camera: PlenopticCamera, positions: np.ndarray, weights: np.ndarray, masks: np.ndarray | None
-) -> Row:
+def _compare_accuracies(what: str, radiators: Radiators) -> Row:
     results = []
     for accuracy in (DEFAULT_ACCURACY, 0.0):
         start, busy = time.perf_counter(), time.process_time()
-        image = incoherent_sum(camera, positions, weights, wavelength=WAVELENGTH, accuracy=accuracy, pupil_masks=masks)
+        image = radiators.operator(accuracy).forward(radiators.weights)
         results.append((image, time.perf_counter() - start, time.process_time() - busy))
     (image, ours, busy), (exact, theirs, exact_busy) = results
     error = np.linalg.norm(image - exact) / np.linalg.norm(exact)
@@ -89,16 +115,37 @@ def estimates() -> list[Row]:
     """Estimate whole captures of the default accuracy and those in which nothing is shared, from a part of each."""
     rows = []
     for name, parameters in SCENES.items():
-        camera, positions, _, masks = radiators(name, parameters)
-        ours, exact = (
-            estimate_cost(camera, positions, wavelength=WAVELENGTH, accuracy=accuracy, pupil_masks=masks)
-            for accuracy in (DEFAULT_ACCURACY, 0.0)
-        )
+        radiators = Radiators.of(name, parameters)
+        ours, exact = (radiators.operator(accuracy).estimate() for accuracy in (DEFAULT_ACCURACY, 0.0))
         rows.append(
             Row(
-                f"{name}, {camera.resolution[0]} x {camera.resolution[1]}, {len(positions)} radiators: estimate", "s",
+                f"{name}, {radiators}: estimate", "s",
                 ours.seconds, "accuracy = 0", exact.seconds, exact.seconds / ours.seconds,
                 note=f"{ours.patterns} point spreads for {exact.patterns}",
+            )
+        )  # fmt: skip
+    return rows
+
+
+def adjoint(runs: int) -> list[Row]:
+    """Compare the adjoint with the sum, both planned beforehand, of the default accuracy and with nothing shared."""
+    letters = Radiators.of("letters", {"resolution": "512", "detector_width": "1.024"})
+    rows = []
+    for radiators, accuracy in ((letters, DEFAULT_ACCURACY), (letters.take(slice(None, None, 20)), 0.0)):
+        operator = radiators.operator(accuracy)
+        image = operator.forward(radiators.weights)
+        timings = side_by_side(
+            {
+                "adjoint": lambda operator=operator, image=image: operator.adjoint(image),
+                "forward": lambda operator=operator, weights=radiators.weights: operator.forward(weights),
+            },
+            runs,
+        )
+        ours, theirs = timings["adjoint"], timings["forward"]
+        rows.append(
+            Row(
+                f"adjoint, letters, {radiators}, accuracy {accuracy:g}", "s", ours.seconds, "forward", theirs.seconds,
+                1 / theirs.ratio, 1 / theirs.cpu_ratio, "adjoint over forward",
             )
         )  # fmt: skip
     return rows
@@ -112,11 +159,13 @@ def bare(runs: int) -> list[Row]:
     for g in (210.0, 240.0, 280.0):
         image = rng.uniform(-0.2, 0.2, (count, 2))
         positions = np.column_stack([-image * g / camera.mla_distance, np.full(count, g)])
-        work = _PatchSum(camera, positions, np.ones((count, 1)), None, WAVELENGTH, 0.0)
-        batch = work._batch(work.chunks[0]).fields()
+        weights = np.ones((count, 1))
+        first = next(PatchPlan(camera, positions, None, WAVELENGTH, 0.0).sum(weights).batches(0))
+        batch = first.fields.make(first.amplitudes)
+        operator = CaptureOperator(camera, positions, wavelength=WAVELENGTH, accuracy=0)
         works = {
             "FFTs": _transforms(batch, count),
-            "ours": lambda work=work: _add_up(work, Threads(1), None, None, None),
+            "ours": lambda operator=operator, weights=weights: operator.forward(weights, job=Job(batch_map=Threads(1))),
         }
         with resting_drjit():
             timings = side_by_side(works, runs)
@@ -139,16 +188,20 @@ def _transforms(batch: PatchBatch, count: int) -> Callable[[], None]:
     def transform(field: np.ndarray, axis: int) -> None:
         scipy.fft.ifft(field, axis=axis, overwrite_x=True, norm="forward", workers=1)
 
+    def blocks(length: int) -> Iterator[slice]:
+        parts = max(1, round(n * length / batch.sizes.block))
+        return (slice(*pair) for pair in itertools.pairwise(n * part // parts for part in range(parts + 1)))
+
     def run() -> None:
         for _ in range(-(-count // batch.together)):
             transform(work.rows, 2)
             transform(work.rows, 2)
-            for block in _blocks(n, m, batch.sizes.block):
+            for block in blocks(m):
                 columns = work.columns[:, : block.stop - block.start]
                 transform(columns, 2)
                 transform(columns, 2)
                 transform(columns[..., :n], 2)
-            for block in _blocks(n, n, batch.sizes.block):
+            for block in blocks(n):
                 transform(work.field[..., block], 1)
 
     return run
@@ -159,7 +212,7 @@ def peers() -> list[Row]:
     camera = PlenopticCamera()
     positions = np.column_stack([np.linspace(-2, 2, 64), np.linspace(2, -2, 64), np.full(64, 280.0)])
     start = time.perf_counter()
-    incoherent_sum(camera, positions, np.ones(64), wavelength=WAVELENGTH, accuracy=0)
+    CaptureOperator(camera, positions, wavelength=WAVELENGTH, accuracy=0).forward(np.ones(64))
     ours = 64 / (time.perf_counter() - start)
     rows = []
     for against, work in (

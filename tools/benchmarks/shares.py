@@ -4,22 +4,31 @@ from __future__ import annotations
 
 import cProfile
 import pstats
+from collections.abc import Callable, Generator, Iterable
 from typing import Any
 
-from mitsuba_plenoptic.capture import incoherent, patch
-from mitsuba_plenoptic.capture.accuracy import DEFAULT_ACCURACY
-from mitsuba_plenoptic.runtime import batches, fft
+import numpy as np
 
-from .point_spreads import WAVELENGTH, radiators
+from mitsuba_plenoptic.capture.accuracy import DEFAULT_ACCURACY
+from mitsuba_plenoptic.capture.patch import PatchBatch
+from mitsuba_plenoptic.capture.recorder import Recorder
+from mitsuba_plenoptic.capture.sharing import find_patterns
+from mitsuba_plenoptic.capture.tile import Tile
+from mitsuba_plenoptic.runtime.batches import Batch, add
+from mitsuba_plenoptic.runtime.fft import fft
+from mitsuba_plenoptic.runtime.jobs import Job
+
+from .point_spreads import Radiators
 from .table import Row, on_cores
 
-_KINDS: dict[str, Any] = {
-    "Fourier transforms": fft.fft,
-    "squares, added to tiles": patch.Tile.add,
-    "pupils, curvatures, transfer functions (Dr.Jit)": patch.PatchBatch.__init__,
-    "finding shared patterns": incoherent.find_patterns,
-    "tiles, added to the image": batches.add,
-    "integrals over pixels": incoherent.integrate_pixels,
+# A function's time, less that of another which it calls.
+_KINDS: dict[str, tuple[Callable[..., Any], ...]] = {
+    "Fourier transforms": (fft,),
+    "squares, added to tiles": (Tile.sum, PatchBatch.to_detector),
+    "pupils, curvatures, transfer functions (Dr.Jit)": (PatchBatch.__init__,),
+    "finding shared patterns": (find_patterns,),
+    "tiles, added to the image": (add,),
+    "integrals over pixels": (Recorder.record,),
 }
 _PARAMETERS = {"resolution": "512", "detector_width": "1.024"}
 _EVERY = 20
@@ -32,31 +41,41 @@ def run() -> list[Row]:
 
 
 def _rows() -> list[Row]:
-    camera, positions, weights, masks = radiators("letters", _PARAMETERS)
+    letters = Radiators.of("letters", _PARAMETERS)
     rows = []
-    for accuracy, which in ((DEFAULT_ACCURACY, slice(None)), (0.0, slice(None, None, _EVERY))):
-
-        def add(which: slice, accuracy: float = accuracy) -> None:
-            incoherent.incoherent_sum(
-                camera, positions[which], weights[which], wavelength=WAVELENGTH, accuracy=accuracy,
-                pupil_masks=None if masks is None else masks[which], batch_map=batches.InTurn(),
-            )  # fmt: skip
-
-        add(slice(None, None, len(positions) // 64))  # compiles the kernels
+    for accuracy, radiators in ((DEFAULT_ACCURACY, letters), (0.0, letters.take(np.s_[::_EVERY]))):
+        _capture(letters.take(np.s_[:: len(letters.positions) // 64]), accuracy)  # compiles the kernels
         profile = cProfile.Profile()
-        profile.runcall(add, which)
-        rows += _shares(f"letters, 512 x 512, {len(positions[which])} radiators, accuracy {accuracy:g}", profile)
+        profile.runcall(_capture, radiators, accuracy)
+        rows += _parts(f"letters, {radiators}, accuracy {accuracy:g}", profile)
     return rows
 
 
-def _shares(what: str, profile: cProfile.Profile) -> list[Row]:
+def _capture(radiators: Radiators, accuracy: float) -> None:
+    radiators.operator(accuracy).forward(radiators.weights, job=Job(batch_map=_ThisThread()))
+
+
+class _ThisThread:
+    """Computes batches where they are profiled."""
+
+    workers = threads = 1
+
+    def __call__(self, batches: Iterable[Batch]) -> Generator[Any, None, None]:
+        for batch in batches:
+            yield batch.prepare()()
+
+
+def _parts(what: str, profile: cProfile.Profile) -> list[Row]:
     statistics: Any = pstats.Stats(profile)
-    total, spent = statistics.total_tt, {}
-    for name, function in _KINDS.items():
+
+    def seconds(function: Callable[..., Any]) -> float:
         code = function.__code__
         key = (code.co_filename, code.co_firstlineno, code.co_name)
-        spent[name] = statistics.stats[key][3] if key in statistics.stats else 0.0
+        return float(statistics.stats[key][3]) if key in statistics.stats else 0.0
+
+    total = statistics.total_tt
+    spent = {name: seconds(outer) - sum(map(seconds, inner)) for name, (outer, *inner) in _KINDS.items()}
     spent["the rest: products, turned blocks, the order of work"] = total - sum(spent.values())
     return [
-        Row(f"{what}: {name}", "s", s, "the whole sum", total, s / total, note="share") for name, s in spent.items()
+        Row(f"{what}: {name}", "s", s, "the whole sum", total, s / total, note="fraction") for name, s in spent.items()
     ]

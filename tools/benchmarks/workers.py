@@ -1,14 +1,14 @@
-"""Incoherent sums on two worker processes against one process."""
+"""Sums of point spreads on two worker processes against one process."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from mitsuba_plenoptic.capture.incoherent import incoherent_sum
 from mitsuba_plenoptic.runtime.batches import BatchMap, Threads
 from mitsuba_plenoptic.runtime.cluster import Cluster
+from mitsuba_plenoptic.runtime.jobs import Job
 
-from .point_spreads import WAVELENGTH, radiators
+from .point_spreads import Radiators
 from .table import Row, side_by_side
 
 _PARAMETERS = {"resolution": "1024", "detector_width": "2.048", "letter_scale": "0.125"}
@@ -17,13 +17,11 @@ _WORKERS = 2
 
 def run(runs: int) -> list[Row]:
     """Sum the letters at an eighth of their size on one thread, on two, and on two processes of one thread each."""
-    camera, positions, weights, masks = radiators("letters", _PARAMETERS)
+    radiators = Radiators.of("letters", _PARAMETERS)
     images = {}
 
     def add(name: str, batch_map: BatchMap) -> None:
-        images[name] = incoherent_sum(
-            camera, positions, weights, wavelength=WAVELENGTH, pupil_masks=masks, batch_map=batch_map
-        )
+        images[name] = radiators.operator().forward(radiators.weights, job=Job(batch_map=batch_map))
 
     with Cluster(workers=_WORKERS) as cluster:
         timings = side_by_side(
@@ -35,10 +33,10 @@ def run(runs: int) -> list[Row]:
             runs,
         )
     same = all(np.array_equal(image, images["thread"]) for image in images.values())
-    note = f"{len(positions)} radiators; the bits are {'the same' if same else 'NOT the same'}"
+    note = f"the bits are {'the same' if same else 'NOT the same'}"
     return [
         Row(
-            f"letters, {camera.resolution[0]} x {camera.resolution[1]}, sum on {_WORKERS} processes", "s",
+            f"letters, {radiators}, sum on {_WORKERS} processes", "s",
             timings["processes"].seconds, against, timings[name].seconds, timings[name].ratio, None, note,
         )
         for name, against in (("thread", "one process, one thread"), ("threads", f"one process, {_WORKERS} threads"))

@@ -1,0 +1,109 @@
+"""Refocusing through microlens arrays of every kind: back to where the light came from, with its energy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from wave_cases import LATTICES, WAVELENGTH, capture, error, scattered, small_camera
+
+from mitsuba_plenoptic import PlenopticCamera, reconstruct
+from mitsuba_plenoptic.capture.point_spread import point_spread_function
+from mitsuba_plenoptic.reconstruction.full_fields import reconstruct_subsets
+from mitsuba_plenoptic.reconstruction.lens_by_lens import reconstruct_lens_by_lens
+from mitsuba_plenoptic.reconstruction.spread import over_lenses
+from mitsuba_plenoptic.reconstruction.white import white_throughput
+
+SMALL = small_camera(12)
+WAVES = [
+    {"method": "coherent"},
+    {"method": "partial", "interleave": 2},
+    {"method": "partial", "interleave": "auto"},
+]
+
+
+def white_capture(camera):
+    """Sharp discs about the true centres."""
+    b, z = camera.mla_distance, camera.detector_distance
+    px, py = camera.pixel_coordinates(0)[None, :], camera.pixel_coordinates(1)[:, None]
+    cx, cy = camera.lattice.centre(*camera.lattice.cell(px * b / (b + z), py * b / (b + z)))
+    distance = np.hypot(px - cx * (b + z) / b, py - cy * (b + z) / b)
+    return np.clip((camera.micro_image_diameter / 2 - distance) / camera.pixel_size + 0.5, 0, 1).astype(np.float32)
+
+
+def test_routes_of_two_axes_and_of_one_agree():
+    """A quarter of a turn changes nothing on a square lattice but the way that its fields take."""
+    camera = SMALL.replace(mla_rotation=90.0)
+    image = np.maximum(capture(SMALL, scattered(5), np.ones(5)), 0)
+    for interleave in (1, 2):
+        one, two = (reconstruct_subsets(image, c, [230.0], WAVELENGTH, interleave=interleave) for c in (SMALL, camera))
+        assert error(two[0], one[0]) < 2e-3
+    one, two = (reconstruct_lens_by_lens(image, c, [230.0], WAVELENGTH) for c in (SMALL, camera))
+    assert error(two[0], one[0]) < 2e-3
+    assert white_throughput(camera, WAVELENGTH) == pytest.approx(white_throughput(SMALL, WAVELENGTH), abs=0.01)
+
+
+@pytest.mark.parametrize("lattice", LATTICES.values(), ids=LATTICES)
+def test_single_lenses_are_full_fields_of_one_lens(lattice):
+    camera = SMALL.replace(**lattice)
+    px, py = (camera.pixel_coordinates(axis) for axis in (0, 1))
+    i, j = camera.lattice.cell(0.09, -0.12)
+    cx, cy = camera.lattice.centre(i, j)
+    image = (np.hypot(px - cx, py[:, None] - cy) < 0.016).astype(np.float32)
+    for distance in (225.0, 240.0):
+        full, single = (
+            over_lenses(route(image, camera, [distance], WAVELENGTH, oversample=9)[0], camera, 1, 9)
+            for route in (reconstruct_subsets, reconstruct_lens_by_lens)
+        )
+        assert single.sum() == pytest.approx(full.sum(), rel=0.01)
+        assert error(single, full) < 0.02
+
+
+@pytest.mark.parametrize(
+    "name", ["hexagonal", *(pytest.param(name, marks=pytest.mark.slow) for name in ("turned", "circles", "gaps"))]
+)
+def test_a_white_capture_reads_one(name):
+    camera = PlenopticCamera(detector_width=1.28, resolution=(640, 640), **LATTICES[name])
+    white = white_capture(camera)
+    for options in WAVES:
+        for result in reconstruct(white, [228.0, 240.0], camera=camera, wavelength=WAVELENGTH, **options):
+            middle = result.image[5:-5, 5:-5]
+            # Sharp micro-images are not what waves record: one wave of them interferes the most.
+            assert middle.mean() == pytest.approx(1, abs=0.02 if options["method"] == "coherent" else 0.01)
+            assert middle.std() < 0.03
+
+
+@pytest.mark.parametrize("options", [{"method": "ray"}, *WAVES], ids=lambda o: str(list(o.values())))
+@pytest.mark.parametrize("name", ["hexagonal", "three focal lengths", pytest.param("turned", marks=pytest.mark.slow)])
+def test_forward_then_back_lands_where_the_point_is(name, options):
+    camera = SMALL.replace(**LATTICES[name])
+    for (x, y), distance in (((0.13, -0.08), 228.0), ((-0.1, 0.12), 240.0)):
+        # in focus a lens is the finest that can be told
+        cx, cy = camera.lattice.centre(*camera.lattice.cell(x, y))
+        position = (-cx * distance / camera.mla_distance, -cy * distance / camera.mla_distance, distance)
+        spread = point_spread_function(camera, position, wavelength=WAVELENGTH)
+        image = reconstruct(spread, distance, camera=camera, wavelength=WAVELENGTH, **options).image
+        row, column = np.unravel_index(image.argmax(), image.shape)
+        near = image[row - 1 : row + 2, column - 1 : column + 2].astype(float)
+        near -= min(near.min(), 0.2 * near.max())
+        rows, columns = np.mgrid[row - 1 : row + 2, column - 1 : column + 2] + 0.5 - 6
+        assert (near * columns).sum() / near.sum() == pytest.approx(cx / camera.mla_pitch, abs=0.25)
+        assert (near * rows).sum() / near.sum() == pytest.approx(cy / camera.mla_pitch, abs=0.25)
+
+
+def test_one_subset_is_the_coherent_field():
+    camera = SMALL.replace(**LATTICES["hexagonal"])
+    image = white_capture(camera)
+    coherent, partial = (
+        reconstruct(image, 235.0, camera=camera, wavelength=WAVELENGTH, **options).image
+        for options in ({"method": "coherent"}, {"method": "partial", "interleave": 1})
+    )
+    assert np.array_equal(coherent, partial)
+
+
+def test_far_subsets_are_the_limit_of_single_lenses():
+    """On a hexagonal lattice, with the subsets taken along its own vectors."""
+    camera = SMALL.replace(**LATTICES["hexagonal"])
+    image = np.maximum(capture(camera, scattered(5), np.ones(5)), 0)
+    images = [reconstruct_subsets(image, camera, [235.0], WAVELENGTH, interleave=period)[0] for period in (1, 4)]
+    limit = reconstruct_lens_by_lens(image, camera, [235.0], WAVELENGTH)[0]
+    assert error(images[1], limit) < 0.02 < error(images[0], limit)

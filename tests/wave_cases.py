@@ -1,0 +1,63 @@
+"""What tests of waves share: small cameras of many kinds, points before them, and how far two images are apart."""
+
+import numpy as np
+
+from mitsuba_plenoptic.camera import PlenopticCamera
+from mitsuba_plenoptic.capture.operator import CaptureOperator
+
+WAVELENGTH = 633.0
+
+LATTICES = {
+    "hexagonal": {"mla_lattice": "hexagonal"},
+    "turned": {"mla_rotation": 7.0, "mla_offset": (0.01, -0.02)},
+    "circles": {"mla_lattice": "hexagonal", "mla_rotation": 11.0, "mla_aperture": "circle", "mla_fill": 0.95},
+    "gaps": {"mla_fill": 0.8},
+    "rectangular": {"mla_pitch": (0.064, 0.05)},
+    "stretched": {"mla_lattice": "hexagonal", "mla_pitch": (0.056, 0.07), "mla_rotation": 4.0},
+    "three focal lengths": {
+        "mla_lattice": "hexagonal", "mla_focal_length": (0.44, 0.512, 0.6), "mla_offset": (0.013, 0.0)
+    },
+}  # fmt: skip
+"""Microlens arrays beside the square one."""
+
+CAMERAS = {
+    "square": {},
+    "hexagonal, turned": {"mla_lattice": "hexagonal", "mla_rotation": 7.0, "mla_offset": (0.01, -0.02)},
+    "rectangular": {"mla_pitch": (0.064, 0.05), "mla_offset": (0.0, 0.013)},
+    "focused": {"mla_distance": 112.0, "detector_distance": 0.6},
+    "turned, cropped": {
+        "mla_rotation": -13.0, "mla_fill": 0.9, "detector_distance": 0.48,
+        "crop_offset": (40, 60), "crop_size": (150, 101),
+    },
+}  # fmt: skip
+"""Cameras that differ from the small one in all that the operator depends on."""
+
+
+def small_camera(lenses=8, **parameters):
+    """Return the paper's camera with so many lenses across."""
+    return PlenopticCamera(detector_width=0.064 * lenses, resolution=(32 * lenses,) * 2, **parameters)
+
+
+def scattered(count, seed=0, distances=(225.0, 255.0), image=0.2):
+    """Return scene points with their images anywhere within a distance from the axis."""
+    rng = np.random.default_rng(seed)
+    g = rng.uniform(*distances, count)
+    return np.column_stack([rng.uniform(-image, image, (count, 2)) * -g[:, None] / 120.0, g])
+
+
+def in_every_lens(camera, lenses, distance, per_lens=1, offset=0.0):
+    """Return scene points at the same places of neighbouring lenses, by steps along the vectors of the lattice."""
+    steps = (np.arange(lenses * per_lens) + 0.5) / per_lens - lenses / 2 + offset
+    i, j = (index.ravel() for index in np.meshgrid(steps, steps))
+    place = np.array(camera.lattice.centre(0.0, 0.0)) + np.stack([i, j], -1) @ np.array(camera.lattice.basis)
+    return np.column_stack([place * -distance / camera.mla_distance, np.full(len(place), distance)])
+
+
+def capture(camera, points, weights, *, wavelength=WAVELENGTH, job=None, **options):
+    """Sum point spreads."""
+    return CaptureOperator(camera, points, wavelength=wavelength, **options).forward(weights, job=job)
+
+
+def error(image, reference):
+    """Return the relative difference, in the L2 norm."""
+    return np.linalg.norm(image - reference) / np.linalg.norm(reference)
