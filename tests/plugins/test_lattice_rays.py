@@ -373,6 +373,6 @@ def test_footprints_spread_by_transforms_as_bin_by_bin(monkeypatch):
     image = np.random.default_rng(0).random(camera.shape, dtype=np.float32)
     images = []
     for most in (0, 100):
-        monkeypatch.setattr("mitsuba_plenoptic.reconstruction._splatting._MOST_TAPS", most)
+        monkeypatch.setattr("mitsuba_plenoptic.reconstruction.splatting._MOST_TAPS", most)
         images.append(reconstruct(image, 225.0, camera=camera, oversample=3).image)
     np.testing.assert_allclose(images[0], images[1], rtol=1e-5)
