@@ -55,7 +55,7 @@ from fuzzing.runner import Kind, fuzz
 planted, single = json.loads(sys.argv[1])
 kinds = [Kind(case, 30, st.integers(0, 1000).map(lambda n, case=case: case.format(n=n))) for case in planted]
 kinds += [Kind(case, 1, st.just(case)) for case in single]
-write_report(Path(sys.argv[2]), fuzz(kinds, 30 * len(planted) + len(single), 0, seconds=1))
+write_report(Path(sys.argv[2]), fuzz(kinds, 30 * len(planted) + len(single), 0, seconds=6))
 """
 
 
