@@ -33,7 +33,7 @@ def white_capture(camera):
 def test_routes_of_two_axes_and_of_one_agree():
     """A quarter of a turn changes nothing on a square lattice but the way that its fields take."""
     camera = SMALL.replace(mla_rotation=90.0)
-    image = np.maximum(capture(SMALL, scattered(5), np.ones(5)), 0)
+    image = np.maximum(capture(SMALL, scattered(5, image=0.25), np.ones(5)), 0)
     for interleave in (1, 2):
         one, two = (reconstruct_subsets(image, c, [230.0], WAVELENGTH, interleave=interleave) for c in (SMALL, camera))
         assert error(two[0], one[0]) < 2e-3
@@ -55,7 +55,7 @@ def test_single_lenses_are_full_fields_of_one_lens(lattice):
             for route in (reconstruct_subsets, reconstruct_lens_by_lens)
         )
         assert single.sum() == pytest.approx(full.sum(), rel=0.01)
-        assert error(single, full) < 0.02
+        assert error(single, full) < 0.025
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_one_subset_is_the_coherent_field():
 def test_far_subsets_are_the_limit_of_single_lenses():
     """On a hexagonal lattice, with the subsets taken along its own vectors."""
     camera = SMALL.replace(**LATTICES["hexagonal"])
-    image = np.maximum(capture(camera, scattered(5), np.ones(5)), 0)
+    image = np.maximum(capture(camera, scattered(5, image=0.25), np.ones(5)), 0)
     images = [reconstruct_subsets(image, camera, [235.0], WAVELENGTH, interleave=period)[0] for period in (1, 4)]
     limit = reconstruct_lens_by_lens(image, camera, [235.0], WAVELENGTH)[0]
     assert error(images[1], limit) < 0.02 < error(images[0], limit)
