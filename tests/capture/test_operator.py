@@ -80,11 +80,14 @@ def test_threads_do_not_change_a_bit():
     assert np.array_equal(images[0], images[2])
 
 
-def test_progress_counts_every_radiator_at_every_wavelength():
+@pytest.mark.parametrize("work", ["forward", "adjoint"])
+def test_progress_counts_every_radiator_at_every_wavelength(work):
     calls = []
     positions = np.concatenate([scattered(10), [(50.0, 0.0, 240.0)]])
     operator = CaptureOperator(SMALL, positions, spectrum=Spectrum.lines(633, 532))
-    operator.forward(np.ones(11), job=Job(progress=lambda *call: calls.append(call)))
+    given = np.ones(11) if work == "forward" else np.ones((*SMALL.shape, 2))
+    getattr(operator, work)(given, job=Job(progress=lambda *call: calls.append(call)))
+    # The one out of sight is done before the others.
     assert calls[0] == (1, 22)
     assert calls[-1] == (22, 22)
     assert calls == sorted(calls)
