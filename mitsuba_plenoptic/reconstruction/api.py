@@ -15,7 +15,7 @@ from ..optics import guards
 from ..runtime.backend import one_at_a_time
 from ..runtime.limits import largest_fitting, require_memory
 from ..thin_lens import image_distance
-from .methods import METHODS, Method, Task
+from .methods import METHODS, Task
 from .result import Reconstruction
 
 FOOTPRINTS = ("lens", "point")
@@ -127,7 +127,7 @@ def reconstruct(
     if chosen.waves:
         camera.require_resolved()
         _require_positive(image)
-    _require_memory(chosen, camera, distances, oversample, image.shape)
+    _require_memory(camera, distances, oversample, image.shape)
     wavelengths = _wavelengths(capture, wavelength, image.shape[2]) if chosen.waves else []
 
     def report(done: float) -> None:
@@ -154,15 +154,16 @@ def reconstruct(
 
 
 def _require_memory(
-    method: Method, camera: PlenopticCamera, distances: Sequence[float], oversample: int, shape: tuple[int, ...]
+    camera: PlenopticCamera, distances: Sequence[float], oversample: int, shape: tuple[int, ...]
 ) -> None:
     """Refuse images too large, before anything is allocated."""
     columns, rows = camera.bin_count
+    height, _, channels = shape
 
     def memory(oversample: int) -> float:
-        bins = float(columns * oversample) * (rows * oversample)
-        work = method.memory(shape, rows * oversample, columns * oversample)
-        return 4 * shape[2] * bins * (len(distances) + 1) + work
+        across, down = float(columns * oversample), float(rows * oversample)
+        # By rays one axis is binned before the other; by waves powers are summed in double precision.
+        return 4 * channels * across * (down * (len(distances) + 1) + height) + 12 * across * down
 
     def fitting(limit: float) -> str | None:
         largest = largest_fitting(memory, limit, oversample)

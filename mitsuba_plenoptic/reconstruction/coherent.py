@@ -36,10 +36,10 @@ import numpy as np
 
 from .full_fields import reconstruct_subsets
 from .methods import Task, method
-from .waves import memory, refocus_by_waves
+from .waves import refocus_by_waves
 
 
-@method("coherent", options=("relay",), waves=True, memory=memory)
+@method("coherent", options=("relay",), waves=True)
 def refocus(task: Task, *, relay: bool) -> list[np.ndarray]:
     """Follow the light back as one coherent wave."""
     return refocus_by_waves(task, reconstruct_subsets, relay=relay)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -57,25 +56,22 @@ class Method:
         The options of `reconstruct` that it takes.
     waves : bool
         Whether it needs wavelengths, and pixels that are not negative.
-    memory : callable
-        From shape of the image, number of bins down and across to the bytes of its work, beside the images.
     """
 
     name: str
     refocus: Refocus
     options: tuple[str, ...]
     waves: bool
-    memory: Callable[[tuple[int, ...], int, int], float]
 
 
 METHODS: dict[str, Method] = {}
 
 
-def method(name: str, **properties: Any) -> Callable[[Refocus], Refocus]:
-    """Register a function as a method; `properties` are those of `Method`."""
+def method(name: str, *, options: tuple[str, ...], waves: bool) -> Callable[[Refocus], Refocus]:
+    """Register a function as a `Method`."""
 
     def register(refocus: Refocus) -> Refocus:
-        METHODS[name] = Method(name, refocus, **properties)
+        METHODS[name] = Method(name, refocus, options, waves)
         return refocus
 
     return register

@@ -21,13 +21,13 @@ from .grids import plan
 from .lens_by_lens import reconstruct_lens_by_lens
 from .lens_tiles import Tile, tile_lenses
 from .methods import Task, method
-from .waves import memory, refocus_by_waves
+from .waves import refocus_by_waves
 
 _APART = 2
 """Bins between the geometric images of two lenses that do not interfere, for diffraction."""
 
 
-@method("partial", options=("interleave", "relay"), waves=True, memory=memory)
+@method("partial", options=("interleave", "relay"), waves=True)
 def refocus(task: Task, *, interleave: int | str, relay: bool) -> list[np.ndarray]:
     """Follow the light back as one wave for each subset of lenses, or for each lens."""
     if isinstance(interleave, str):

@@ -17,12 +17,7 @@ from .splatting import splat
 _MOST_VALUES = 2**32 - 1
 
 
-def _memory(shape: tuple[int, ...], rows: int, columns: int) -> float:
-    # One axis is binned before the other.
-    return 4.0 * shape[2] * columns * (rows + shape[0])
-
-
-@method("ray", options=("footprint",), waves=False, memory=_memory)
+@method("ray", options=("footprint",), waves=False)
 def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
     r"""Follow one ray a pixel back to the object plane and add the pixel's value to the bin it meets.
 

@@ -54,11 +54,6 @@ class Power(Protocol):
         """
 
 
-def memory(shape: tuple[int, ...], rows: int, columns: int) -> float:
-    """Bytes of the work on bins: powers are summed in double precision."""
-    return 12.0 * rows * columns
-
-
 def refocus_by_waves(task: Task, power: Power, *, relay: bool) -> list[np.ndarray]:
     """Refocus every channel.
 

@@ -69,22 +69,6 @@ def test_footprint_version_is_the_mean_of_rays_through_the_whole_lens():
     assert np.count_nonzero(expected) >= 2
 
 
-def test_a_lit_pixel_goes_where_geometry_says():
-    camera = PlenopticCamera(detector_width=2.048, resolution=(1024, 1024))
-    for column, row in ((512 + 16, 512 + 16), (300 + 5, 700 - 3)):
-        image = np.zeros(camera.shape)
-        image[row, column] = 1
-        for distance in (210.0, 240.0, 280.0):
-            total = reconstruct(image, distance, camera=camera).image
-            bins = np.arange(32) + 0.5 - 16
-            found = [(total.sum(axis) * bins).sum() / total.sum() for axis in (0, 1)]
-            p = (np.array([column, row]) + 0.5 - 512) * 0.002
-            c = (np.floor(p * 120 / 120.512 / 0.064) + 0.5) * 0.064
-            P = c + 120 * (c - p) / 0.512
-            expected = (c - P * camera.defocus(distance)) / 0.064
-            np.testing.assert_allclose(found, expected, atol=0.05)
-
-
 def test_energy_of_what_passes_the_pupil_is_kept():
     camera = PlenopticCamera(detector_width=1.024, resolution=(512, 512))
     image = np.zeros(camera.shape, dtype=np.float32)
@@ -149,7 +133,7 @@ def test_bad_arguments_are_refused(arguments, message):
 def test_a_new_method_is_one_registered_function(monkeypatch):
     monkeypatch.setitem(METHODS, "mean", None)
 
-    @method("mean", options=("footprint",), waves=False, memory=lambda shape, rows, columns: 0.0)
+    @method("mean", options=("footprint",), waves=False)
     def mean(task, *, footprint):
         return [np.full((*task.camera.bin_count[::-1], 1), task.image.mean() + g) for g in task.distances]
 

@@ -78,7 +78,7 @@ def centroid(image):
     return (image.sum(0, dtype=np.float64) @ x) / total, (image.sum(1, dtype=np.float64) @ y) / total
 
 
-@wave_methods
+@all_methods
 @pytest.mark.parametrize(("column", "row"), [(512 + 16, 512 + 16), (300, 716)], ids=["axis", "off"])
 def test_a_lit_pixel_goes_where_geometry_says(options, column, row):
     image = np.zeros(SMALL.shape, np.float32)

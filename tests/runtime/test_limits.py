@@ -99,7 +99,7 @@ def test_the_estimate_of_rays_is_that_of_what_is_allocated(camera):
         (lambda image, camera: reconstruct(image, 240.0, camera=camera, oversample=10**6), "oversample = "),
         (
             lambda image, camera: reconstruct(
-                image, 240.0, camera=camera.replace(detector_width=80), method="coherent", wavelength=633
+                image, 240.0, camera=camera.replace(detector_width=80, mla_pitch=2.5), method="coherent", wavelength=633
             ),
             "wave reconstruction: it would need",
         ),
