@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -145,16 +145,17 @@ class Job:
             )
         left = work.items[start.batches :].tolist()
         total = replace(start, sums=work.arrays.asarray(start.sums))
-        parts = self.each(work.batches(start.batches), left, before + task.items - sum(left), items)
-        for part in parts:
-            add(part, work.box, total.sums)
-            arrived = total.arrived + float(part.sums.sum(dtype=np.float64))
-            total = PartialSum(total.batches + 1, total.sums, arrived)
-            if self.keeper:
-                self.keeper.save(replace(state, partial=total))
+        batches, done = work.batches(start.batches), before + task.items - sum(left)
+        with contextlib.closing(self.each(batches, left, done, items)) as parts:
+            for part in parts:
+                add(part, work.box, total.sums)
+                arrived = total.arrived + float(part.sums.sum(dtype=np.float64))
+                total = PartialSum(total.batches + 1, total.sums, arrived)
+                if self.keeper:
+                    self.keeper.save(replace(state, partial=total))
         return work.image(total)
 
-    def each(self, batches: Iterable[Batch], items: Sequence[int], done: int, total: int) -> Iterator[Any]:
+    def each(self, batches: Iterable[Batch], items: Sequence[int], done: int, total: int) -> Generator[Any, None, None]:
         """Compute batches of so many items each, and yield their results in order.
 
         Parameters

@@ -1,5 +1,7 @@
 """The capture operator: linear, with an adjoint, the same for any number of threads, true to single point spreads."""
 
+import contextlib
+
 import numpy as np
 import pytest
 from scipy.sparse.linalg import lsqr
@@ -78,14 +80,51 @@ def test_threads_do_not_change_a_bit():
     assert np.array_equal(images[0], images[2])
 
 
-def test_progress_counts_every_radiator_at_every_wavelength():
+@pytest.mark.parametrize("work", ["forward", "adjoint"])
+def test_progress_counts_every_radiator_at_every_wavelength(work):
     calls = []
     positions = np.concatenate([scattered(10), [(50.0, 0.0, 240.0)]])
     operator = CaptureOperator(SMALL, positions, spectrum=Spectrum.lines(633, 532))
-    operator.forward(np.ones(11), job=Job(progress=lambda *call: calls.append(call)))
+    given = np.ones(11) if work == "forward" else np.ones((*SMALL.shape, 2))
+    getattr(operator, work)(given, job=Job(progress=lambda *call: calls.append(call)))
+    # The one out of sight is done before the others.
     assert calls[0] == (1, 22)
     assert calls[-1] == (22, 22)
     assert calls == sorted(calls)
+
+
+def test_a_job_that_fails_leaves_nothing_under_way():
+    """Threads would go on, and Dr.Jit's own would keep resting, as long as anyone holds the exception."""
+    closed = []
+
+    class Watched(Threads):
+        def __call__(self, batches):
+            with contextlib.closing(super().__call__(batches)) as results:
+                try:
+                    yield from results
+                finally:
+                    closed.append(True)
+
+    class Failing:
+        def begin(self, shape, **facts):
+            pass
+
+        def save(self, snapshot):
+            raise OSError
+
+    def fail(done, total):
+        if done:
+            raise OSError
+
+    operator = CaptureOperator(SMALL, scattered(100), wavelength=WAVELENGTH)
+    for work, job in (
+        (lambda job: operator.forward(np.ones(100), job=job), Job(batch_map=Watched(), keeper=Failing())),
+        (lambda job: operator.forward(np.ones(100), job=job), Job(fail, Watched())),
+        (lambda job: operator.adjoint(np.ones(SMALL.shape), job=job), Job(fail, Watched())),
+    ):
+        with pytest.raises(OSError) as caught:
+            work(job)
+        assert closed.pop() and caught.tb
 
 
 # -- linear, with an adjoint -------------------------------------------------------------------------
