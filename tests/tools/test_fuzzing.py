@@ -55,13 +55,13 @@ from fuzzing.runner import Kind, fuzz
 planted, single = json.loads(sys.argv[1])
 kinds = [Kind(case, 30, st.integers(0, 1000).map(lambda n, case=case: case.format(n=n))) for case in planted]
 kinds += [Kind(case, 1, st.just(case)) for case in single]
-write_report(Path(sys.argv[2]), fuzz(kinds, 30 * len(planted) + len(single), 0, seconds=6))
+write_report(Path(sys.argv[2]), fuzz(kinds, 30 * len(planted) + len(single), 0, seconds=3))
 """
 
 
 def run(*arguments):
     return subprocess.run(
-        [sys.executable, *map(str, arguments)], capture_output=True, text=True, cwd=TOOLS, timeout=120, check=False
+        [sys.executable, *map(str, arguments)], capture_output=True, text=True, cwd=TOOLS, timeout=240, check=False
     )
 
 
