@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..errors import InputError, shown
+from ..io.checkpoints import digest
 from ..optics import guards
 from ..optics.sampling import check_positions
 from ..optics.spectrum import Spectrum
@@ -135,7 +136,7 @@ class CaptureOperator:
         job = job or Job()
         with guards.watch():
             shape, items = (*self.camera.shape, len(matrix)), self.sums * len(self.points)
-            image = job.run(self.tasks(factors, job.batch_map), shape, items)
+            image = job.run(self.tasks(factors, job.batch_map), shape, items, lambda: self._facts(factors))
         return image[..., 0] if np.ndim(weights) == 1 and len(matrix) == 1 else image
 
     @one_at_a_time
@@ -263,6 +264,18 @@ class CaptureOperator:
         if self._spectrum is None:
             return (cast(float, self._wavelength),) * columns, np.eye(columns, dtype=np.float32)
         return self._spectrum.wavelengths, self._spectrum.matrix()
+
+    def _facts(self, factors: NDArray[np.float64]) -> dict[str, Any]:
+        """Return by what a sum is known as the same."""
+        pupils = self._pupil_weights
+        arrays = [None, None] if pupils is None else [pupils.table, pupils.index]
+        return {
+            "camera": self.camera.to_dict(),
+            "spectrum": self._wavelength if self._spectrum is None else asdict(self._spectrum),
+            "method": self._method,
+            "accuracy": self._accuracy,
+            "points_digest": digest(self.points, factors, *arrays),
+        }
 
     def _check(self, weights: Any) -> NDArray[np.float64]:
         """Return weights as (n, channels)."""
