@@ -118,7 +118,7 @@ PARTS: dict[str, Code] = {
     "camera": _cameras(),
     "length": st.sampled_from(sorted(_LENGTHS)),
     "far": st.floats(-9, 9).map(lambda power: f"far(c, {1 + math.exp(power)})"),
-    "nm": _code(st.floats(1, 1e6)),
+    "nm": _code(st.floats(0, 6).map(lambda power: 10**power)),
     "few": _code(st.integers(1, 4)),
     "value": _code(st.floats(-1e30, 1e30)),
     "pixel": _code(st.tuples(st.integers(0, 63), st.integers(0, 63))),
