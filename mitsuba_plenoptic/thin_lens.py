@@ -25,8 +25,10 @@ def defocus_factor(distance: Any, mla_distance: Any, focal_length: Any) -> Any:
 def conjugate_distance(focal_length: float, distance: float) -> float:
     """Return the distance of the plane that a thin lens images to one at `distance`, :math:`1/x + 1/d = 1/f`.
 
-    Infinite for the focal plane, negative for planes within it.
+    Infinite for the focal plane, negative for planes within it, zero for the lens's own plane.
     """
+    if distance == 0:
+        return 0.0
     power = vergence(focal_length, distance)
     return math.inf if power == 0 else 1 / power
 

@@ -82,6 +82,8 @@ class TestCameras:
     def test_a_length_is_taken_exactly_if_the_documentation_allows_it(self, name, value):
         if value is None and name in ("mla_distance", "detector_distance"):
             return
+        if isinstance(value, (list, tuple)) and name in ("mla_focal_length", "mla_pitch"):
+            return  # of these a camera may have several
         if isinstance(value, (int, float)) and not isinstance(value, bool) and SHORTEST <= value <= LONGEST:
             assert getattr(PlenopticCamera(**{name: value}), name) == value
         else:
