@@ -136,7 +136,7 @@ class CaptureOperator:
         job = job or Job()
         with guards.watch():
             shape, items = (*self.camera.shape, len(matrix)), self.sums * len(self.points)
-            image = job.run(self.tasks(factors, job.batch_map), shape, items, lambda: self._facts(factors))
+            image = job.run(self.tasks(factors, job), shape, items, lambda: self._facts(factors))
         return image[..., 0] if np.ndim(weights) == 1 and len(matrix) == 1 else image
 
     @one_at_a_time
@@ -177,13 +177,18 @@ class CaptureOperator:
         result = np.zeros((count, len(wavelengths)))
         with guards.watch():
             for number, (wavelength, some) in enumerate(_groups(wavelengths)):
-                plan = self._planned(wavelength, job.batch_map, len(some))
+                plan = self._planned(wavelength, job, len(some))
                 given = _mix(channels, matrix[:, some].T)
                 result[:, some] = plan.gather(given, job, number * count, self.sums * count)
         return result[:, 0] if pixels.ndim == 2 and len(wavelengths) == 1 else result
 
-    def estimate(self, batch_map: BatchMap | None = None) -> Cost:
+    def estimate(self, job: Job | None = None) -> Cost:
         """Estimate what `forward` takes, by doing a little of it at the first wavelength.
+
+        Parameters
+        ----------
+        job : Job, optional
+            Who would compute.
 
         Raises
         ------
@@ -193,7 +198,7 @@ class CaptureOperator:
             If too much of the light would be lost.
         """
         wavelength = self._mixing(1)[0][0]
-        cost = self._plan(wavelength).cost(batch_map or Job().batch_map)
+        cost = self._plan(wavelength).cost((job or Job()).workers)
         return replace(
             cost,
             radiators=cost.radiators * self.sums,
@@ -233,13 +238,13 @@ class CaptureOperator:
         """Sums of point spreads that make an image: one for each distinct wavelength."""
         return 1 if self._spectrum is None else len(set(self._spectrum.wavelengths))
 
-    def tasks(self, weights: NDArray[np.float64], batch_map: BatchMap) -> Iterator[Task]:
+    def tasks(self, weights: NDArray[np.float64], job: Job) -> Iterator[Task]:
         """Yield the sum at each distinct wavelength, for weights (n, channels or wavelengths)."""
         wavelengths, matrix = self._mixing(weights.shape[1])
         for wavelength, some in _groups(wavelengths):
 
             def plan(wavelength: float = wavelength, some: list[int] = some) -> LongSum:
-                return self._planned(wavelength, batch_map, len(some)).sum(weights[:, some])
+                return self._planned(wavelength, job, len(some)).sum(weights[:, some])
 
             def combine(sums: NDArray[np.float32], part: NDArray[np.float32] = matrix[:, some]) -> NDArray[np.float32]:
                 return _mix(sums, part)
@@ -253,10 +258,10 @@ class CaptureOperator:
             self._plans[wavelength] = make(self.camera, self.points, self._pupil_weights, wavelength, self._accuracy)
         return self._plans[wavelength]
 
-    def _planned(self, wavelength: float, batch_map: BatchMap, channels: int) -> Plan:
+    def _planned(self, wavelength: float, job: Job, channels: int) -> Plan:
         """Return the plan of a wavelength, or refuse what it takes."""
         plan = self._plan(wavelength)
-        plan.check_memory(batch_map, channels)
+        plan.check_memory(job.workers, channels)
         return plan
 
     def _mixing(self, columns: int) -> tuple[tuple[float, ...], NDArray[np.float32]]:

@@ -15,7 +15,7 @@ from ..io.captures import MODELS, Capture
 from ..io.checkpoints import Checkpoint
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
-from ..runtime.batches import BatchMap, Threads
+from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job
 from ..runtime.limits import largest_fitting, require_memory
 from .scene import mitsuba_sentence
@@ -104,7 +104,7 @@ def render_capture(
         else:
             if checkpoint:
                 checkpoint.run = {**metadata, "camera": camera.to_dict()}
-            integrator.job = Job(progress, batch_map or Threads(), checkpoint)
+            integrator.job = Job(progress, batch_map, checkpoint)
             image = np.array(integrator.render(scene, sensor, seed=seed, spp=spp))
     metadata["guards"] = fractions
     if image.shape[2] == 1:

@@ -213,7 +213,7 @@ def make_class() -> type:
 
         def _estimate(self, operator: CaptureOperator) -> None:
             """Report what is to come, or refuse it if memory would not do."""
-            cost = operator.estimate(self.job.batch_map)
+            cost = operator.estimate(self.job)
             _log.info(
                 "%d radiators, %d point spreads, about %.0f s and %.1f GiB",
                 cost.radiators * self.passes,
@@ -227,7 +227,7 @@ def make_class() -> type:
             for radiators in sets:
                 operator = operators.pop(0)
                 weights = self._scale(operator.camera) * radiators.radiance / radiators.fraction[:, None]
-                yield from operator.tasks(weights, self.job.batch_map)
+                yield from operator.tasks(weights, self.job)
 
         def _scale(self, camera: PlenopticCamera) -> float:
             """Return the weight of a radiator of radiance 1 that lands wholly in the sampled lenses."""

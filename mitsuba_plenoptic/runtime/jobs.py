@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -95,8 +95,13 @@ class Job:
     """
 
     progress: Progress | None = None
-    batch_map: BatchMap = field(default_factory=lambda: Threads())
+    batch_map: BatchMap | None = None
     keeper: Keeper | None = None
+
+    @property
+    def workers(self) -> BatchMap:
+        """Who computes the batches: the given ones, or threads of this process."""
+        return self.batch_map or Threads()
 
     def run(
         self, tasks: Iterable[Task], shape: tuple[int, int, int], items: int, facts: Callable[[], dict[str, Any]] = dict
@@ -168,7 +173,7 @@ class Job:
             The items that are done before, and those of the whole job.
         """
         self._report(done, total)
-        with contextlib.closing(self.batch_map(batches)) as results:
+        with contextlib.closing(self.workers(batches)) as results:
             for count, result in zip(items, results, strict=True):
                 yield result
                 done += int(count)

@@ -150,7 +150,7 @@ def test_no_more_batches_are_under_way_than_keep_the_workers_busy(cluster, tiny_
 def test_the_estimate_counts_workers(cluster):
     positions, _ = radiators(30)
     assert cluster.workers == 2
-    assert CaptureOperator(SMALL, positions, wavelength=633).estimate(cluster).patterns == 30
+    assert CaptureOperator(SMALL, positions, wavelength=633).estimate(Job(batch_map=cluster)).patterns == 30
 
 
 def test_a_mistake_in_a_batch_is_told_as_such(cluster, monkeypatch):
