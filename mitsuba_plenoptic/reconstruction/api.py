@@ -114,7 +114,7 @@ def reconstruct(
     """
     capture = _as_capture(capture, camera)
     camera = capture.camera
-    if method not in METHODS:
+    if not isinstance(method, str) or method not in METHODS:
         raise InputError(f"method = {shown(method)}: it must be one of {', '.join(METHODS)}")
     chosen = METHODS[method]
     if footprint not in FOOTPRINTS:

@@ -15,7 +15,7 @@ from ..runtime.backend import backend
 from ..runtime.fft import Field, resting_drjit
 from .binning import axis_bins
 from .elements import converging, through_lens, through_microlenses
-from .grids import AxisStep, Plan, Step, Window, object_extent, plan, require_plan_memory
+from .grids import AxisStep, Plan, Step, Window, object_extent, plan, require_feasible
 from .steps import Rows, Workspace, propagate
 
 
@@ -41,7 +41,7 @@ def reconstruct_subsets(
     lit = lit_window(image, camera)
     if lit is not None:
         grids = plan(camera, wavelength, distances, lit)
-        require_plan_memory(grids, camera, wavelength, distances, lit)
+        require_feasible(grids, camera, wavelength, distances, lit)
         fields = FullFields(image, camera, wavelength, grids, lit, interleave=interleave, relay=relay)
         passed = 0.0
         for done, subset in enumerate(np.ndindex(interleave, interleave)):

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..errors import InputError
 from ..optics import rays
 from ..optics.microlenses import bend
 from ..optics.phase import in_millimetres
@@ -32,6 +33,12 @@ Window = tuple[Span, Span]
 
 GUARD = 1.05
 """Directions held over those that geometry needs, for the light that edges diffract."""
+
+_MOST_TRANSFORMED = 2**33
+"""Samples that one field's transforms go through, at most: some 25 times those of 4096 x 4096 pixels of the paper.
+
+More takes minutes, for distances so near the focal length, or so large, that their windows are mostly dark.
+"""
 
 OBJECT_MARGIN = 6.0
 """Bins around the geometric image in which light is kept: the pupil's edge diffracts half a percent beyond three."""
@@ -187,10 +194,10 @@ def plan(camera: PlenopticCamera, wavelength: float, distances: Sequence[float],
     return Plan(subsamples, Step(x1, y1), Step(x2, y2), tuple(Step(x, y) for x, y in zip(xs, ys, strict=True)))
 
 
-def require_plan_memory(
+def require_feasible(
     made: Plan, camera: PlenopticCamera, wavelength: float, distances: Sequence[float], lit: Window
 ) -> None:
-    """Refuse a plan that needs more than 4 GiB, and say how many lit pixels would fit.
+    """Refuse a plan that needs more than 4 GiB, and say how many lit pixels would fit; or one of too much work.
 
     Raises
     ------
@@ -207,7 +214,12 @@ def require_plan_memory(
         count = largest_fitting(memory, limit, min(end - first for first, end in lit))
         return f"a window of {count} x {count} lit pixels" if count else None
 
-    check_memory(made.memory, f"camera with {made.subsamples} field samples a pixel; its wave reconstruction", fitting)
+    what = f"camera with {made.subsamples} field samples a pixel; its wave reconstruction"
+    check_memory(made.memory, what, fitting)
+    if made.transformed > _MOST_TRANSFORMED:
+        raise InputError(
+            f"{what}: {made.transformed:.2g} samples would be transformed, at most {_MOST_TRANSFORMED:.2g} are"
+        )
 
 
 def _axis_steps(
