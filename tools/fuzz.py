@@ -2,7 +2,7 @@
 
 An input must be refused in one line (`InputError`, or status 2 of the command), or, where it breaks no rule, give a
 finite result of the right shape. Anything else is a finding: another exception, a process that dies or takes more than
-ten seconds, numbers that are not finite, and a value that the documentation forbids but the package takes.
+forty seconds, numbers that are not finite, and a value that the documentation forbids but the package takes.
 
     python tools/fuzz.py -o fuzz --count 10000
     python tools/fuzz.py --replay "forbidden(Detector(bits=17))"

@@ -138,7 +138,7 @@ PARTS: dict[str, Code] = {
     "too_bright": _code(st.floats(1.01e30, 3e38) | st.floats(-3e38, -1.01e30)),
     # Texts of the command line and of scene files.
     "word_text": _code(st.text(max_size=5).filter(lambda text: not _is_number(text)))
-    | _among(("wide", "1,5", "0x10", "1e", "--", "nan nan", "x" * 5000)),
+    | _among(("wide", "1,5,2,3", "0x10", "1e", "--", "nan nan", "x" * 5000)),
     "infinite_text": _among(("nan", "inf", "-inf", "1e999", "-1e999", "NaN", "infinity")),
     "low_text": _among(("0", "-0.0")) | _code(st.floats(max_value=-1e-30, allow_infinity=False).map(repr)),
     "high_text": _among(("1e300",)) | _code(st.floats(1e10, 1e30).map(repr)),

@@ -21,7 +21,7 @@ from hypothesis.errors import NoSuchExample
 from .parts import Code
 from .verdict import FINE, PATIENCE, Verdict, serve
 
-SECONDS = 10.0
+SECONDS = 40.0
 """Processor time that one case may take."""
 
 # A process that imports the package on a busy machine.
