@@ -61,6 +61,21 @@ def resting_drjit() -> Iterator[None]:
                 dr.set_thread_count(_busy_threads)
 
 
+@contextmanager
+def busy_drjit() -> Iterator[None]:
+    """Give Dr.Jit its own threads back for a while, inside `resting_drjit`."""
+    with _rest:
+        resting = _resting > 0
+        if resting:
+            dr.set_thread_count(_busy_threads)
+    try:
+        yield
+    finally:
+        with _rest:
+            if resting and _resting > 0:
+                dr.set_thread_count(1)
+
+
 def fft(
     field: Field, *, axis: int, inverse: bool = False, norm: str | None = None, workers: int | None = None
 ) -> Field:

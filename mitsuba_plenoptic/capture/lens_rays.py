@@ -1,0 +1,221 @@
+r"""What is out of focus, at the price of rays: one ray from each detector point through the centre of each lens.
+
+Out of focus, a scene point sends light through one microlens into a spot around the place where its ray through the
+centre of that lens meets the detector. Spots are sums of a few kernels (see `bank`), so that the capture is
+
+.. math:: I = \sum_r k_r * \left[ c_r(P, v) \, L \right]
+
+with the radiance L that the ray from a detector point through a lens's centre finds in the scene, the point P where it
+passes the pupil, and the vergence v of the image of what it meets. Each ray brings its own radiance: nothing need be
+known of how a scene point shines over the pupil, nor of what hides it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, Protocol
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..optics import rays
+from ..optics.main_lens import ThinLens
+from ..runtime.batches import Box, Part, PartialSum
+from ..runtime.fft import busy_drjit
+from .bank import Convolution, LensBank, near_weight
+
+_BAND_BYTES = 2**27
+"""Memory of the images of one band of detector rows."""
+
+_LANES = 2**21
+"""Rays that are traced at once."""
+
+_JITTER = (0.7548776662466927, 0.5698402909980532)
+"""Steps of the R2 sequence (Roberts 2018) from sample to sample of a bin."""
+
+
+class Sight(Protocol):
+    """Finds the light along rays from the pupil into the scene."""
+
+    def look(self, pupil: tuple[Any, Any], slope: tuple[Any, Any], seed: int) -> tuple[list[Any], Any]:
+        """Return the radiance, channel by channel, and the distance g of where the light comes from."""
+
+
+class LensRaySum:
+    """The part of a capture that a kernel bank records, band of detector rows by band; a `runtime.jobs.LongSum`.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera; its recorded window may be a crop.
+    sight : Sight
+        Finds the light along rays.
+    banks : sequence of sequence of LensBank
+        For each channel, for each lens type.
+    spp : int
+        Rays to each detector bin and lens.
+    seed : int
+        Of the random numbers.
+    """
+
+    arrays = np
+
+    def __init__(
+        self, camera: PlenopticCamera, sight: Sight, banks: Sequence[Sequence[LensBank]], *, spp: int, seed: int
+    ) -> None:
+        self._camera, self._sight, self._banks, self._spp, self._seed = camera, sight, banks, spp, seed
+        self._flat = [bank for of_channel in banks for bank in of_channel]
+        self.channels = len(banks)
+        self._pitch = self._flat[0].pitch
+        self._parts = round(camera.pixel_size / self._pitch)
+        columns, rows = (size * self._parts for size in camera.crop_size)
+        self.box = Box(0, 0, columns, rows)
+        # Bins beyond the window send light into it.
+        margin = max(bank.margin for bank in self._flat)
+        self._bins = Box(-margin, -margin, columns + 2 * margin, rows + 2 * margin)
+        ranks = sum(bank.rank for bank in self._flat)
+        self._band = max(1, min(self._bins.rows, _BAND_BYTES // (4 * ranks * self._bins.columns)))
+        # The aberrations of the parabolic phase that waves pass displace the spots.
+        self._lens = ThinLens(camera.focal_length, camera.aperture_radius, camera.mla_distance, "parabolic")
+        count = math.ceil(self._bins.rows / self._band)
+        self.items = np.diff(np.linspace(0, self._bins.rows * self._bins.columns, count + 1).astype(np.int64))
+
+    def batches(self, first: int) -> Iterator[Band]:
+        """Trace the rays of the bands from one on, and yield what is left to do."""
+        margin = -self._bins.left
+        for band in range(first, len(self.items)):
+            top = band * self._band
+            rows = min(self._band, self._bins.rows - top)
+            box = Box(self._bins.left, self._bins.top + top, self._bins.columns, rows)
+            lit = Box(box.left - margin, box.top - margin, box.columns + 2 * margin, box.rows + 2 * margin)
+            convolutions = [bank.convolution((lit.rows, lit.columns)) for bank in self._flat]
+            # The threads that compute the batches have put Dr.Jit's own to rest.
+            with busy_drjit():
+                images = self._trace(box, band)
+            yield Band(lit, images, convolutions, self.channels)
+
+    def image(self, total: PartialSum) -> NDArray[np.float32]:
+        """Add up the bins of each pixel."""
+        parts, (columns, rows) = self._parts, self._camera.crop_size
+        sums = np.asarray(total.sums).reshape(self.channels, rows, parts, columns, parts).sum((2, 4))
+        return np.ascontiguousarray(np.moveaxis(sums, 0, -1))
+
+    @cached_property
+    def _candidates(self) -> NDArray[np.int64]:
+        """Lenses that can light a detector bin, in steps from that of its chief ray."""
+        camera = self._camera
+        scale = camera.detector_distance / (camera.mla_distance + camera.detector_distance)
+        return camera.lattice.neighbours(self._widest * scale)
+
+    @cached_property
+    def _widest(self) -> float:
+        """Distance from the axis in the pupil beyond which no ray counts."""
+        return max(bank.widest for bank in self._flat)
+
+    def _trace(self, box: Box, band: int) -> list[NDArray[np.float32]]:
+        """Trace the rays of a band; return images (rank, rows, columns) for each bank, with margins."""
+        images = [np.zeros((bank.rank, box.rows * box.columns), np.float32) for bank in self._flat]
+        step = max(1, _LANES // self._spp)
+        seeds = np.random.SeedSequence([self._seed, band])
+        for steps in self._candidates:
+            for start in range(0, box.rows * box.columns, 2 * _LANES):
+                bins = dr.arange(mi.UInt32, start, min(start + 2 * _LANES, box.rows * box.columns))
+                Px, Py = self._pupil_points(box, bins, steps, mi.Point2f(0.5))[0]
+                lit = dr.compress(Px * Px + Py * Py < self._widest**2)
+                for first in range(0, dr.width(lit), step):
+                    chosen = dr.gather(mi.UInt32, bins, lit[first : first + step])
+                    self._add(images, box, chosen, steps, int(seeds.spawn(1)[0].generate_state(1)[0]))
+        margin = -2 * self._bins.left
+        around = ((0, 0), (margin, margin), (margin, margin))
+        return [np.pad(image.reshape(-1, box.rows, box.columns), around) for image in images]
+
+    def _pupil_points(
+        self, box: Box, bins: Any, steps: NDArray[np.int64], jitter: Any = None
+    ) -> tuple[tuple[Any, Any], tuple[Any, Any], Any]:
+        """Return where rays through the centre of a lens near the bins' own pass the pupil; slopes; lens types."""
+        camera, lattice = self._camera, self._camera.lattice
+        b, z = camera.mla_distance, camera.detector_distance
+        row = bins // box.columns
+        middle = [
+            (mi.Float(mi.Int32(index) + low) + 0.5) * self._pitch
+            + (camera.crop_offset[axis] - 0.5 * camera.resolution[axis]) * camera.pixel_size
+            for axis, index, low in ((0, bins - row * box.columns, box.left), (1, row, box.top))
+        ]
+        i, j = lattice.cell(*(rays.chief_point(p, b, z) for p in middle))
+        i, j = i + int(steps[0]), j + int(steps[1])
+        centre = lattice.centre(i, j)
+        place = middle if jitter is None else [p + (jitter[axis] - 0.5) * self._pitch for axis, p in enumerate(middle)]
+        slope = tuple((c - p) / z for c, p in zip(centre, place, strict=True))
+        (Px, Py, _), slope, _ = self._lens.trace(centre, slope)
+        return (Px, Py), slope, lattice.lens_type(i, j) if len(self._banks[0]) > 1 else None
+
+    def _add(
+        self, images: list[NDArray[np.float32]], box: Box, bins: Any, steps: NDArray[np.int64], seed: int
+    ) -> None:
+        """Trace the rays of some bins through one of the lenses near them, and add them to the images."""
+        lane = dr.arange(mi.UInt32, dr.width(bins) * self._spp)
+        own, sample = dr.gather(mi.UInt32, bins, lane // self._spp), mi.Float(lane % self._spp)
+        # Every bin has a shift of its own, so that neighbours are not jittered alike.
+        jitter = mi.Point2f(
+            *(sample * step + mi.sample_tea_float32(own, mi.UInt32(seed ^ axis)) for axis, step in enumerate(_JITTER))
+        )
+        pupil, slope, lens_type = self._pupil_points(box, own, steps, jitter - dr.floor(jitter))
+        radiance, distance = self._sight.look(pupil, slope, seed)
+        vergence = self._lens.vergence(distance)
+        weight = (1 - near_weight(self._camera, vergence)) / self._spp
+        sums = []
+        for light, banks in zip(radiance, self._banks, strict=True):
+            for number, bank in enumerate(banks):
+                kept = weight * light if lens_type is None else dr.select(lens_type == number, weight * light, 0)
+                coefficients = bank.coefficients(*pupil, vergence)
+                sums.append([dr.block_sum(coefficient * kept, self._spp) for coefficient in coefficients])
+        dr.eval(sums)
+        places = bins.numpy()
+        for image, of_bank in zip(images, sums, strict=True):
+            for rank, added in enumerate(of_bank):
+                image[rank, places] += added.numpy()
+
+
+@dataclass(frozen=True)
+class Band:
+    """The images of a band of detector bins, to be convolved with the kernels; zero around their margins.
+
+    Attributes
+    ----------
+    box : Box
+        The bins that the band lights.
+    images : list of float32 arrays (rank, rows, columns)
+        For each bank, with the margins that its convolution asks for.
+    convolutions : list of Convolution
+        As many.
+    channels : int
+        Each has as many banks.
+    """
+
+    box: Box
+    images: list[NDArray[np.float32]]
+    convolutions: list[Convolution]
+    channels: int
+
+    @property
+    def samples(self) -> int:
+        """Samples of all images."""
+        return sum(image.size for image in self.images)
+
+    def prepare(self) -> Callable[[], Part]:
+        """Return the function that convolves the images, and adds them up."""
+        return partial(_convolve, self)
+
+
+def _convolve(band: Band) -> Part:
+    sums = np.zeros((band.channels, band.box.rows, band.box.columns), np.float32)
+    types = len(band.images) // band.channels
+    for number, (images, convolution) in enumerate(zip(band.images, band.convolutions, strict=True)):
+        sums[number // types] += convolution.forward(images)
+    return Part(band.box, sums)
