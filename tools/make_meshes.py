@@ -38,9 +38,7 @@ Array = NDArray[np.float64]
 LETTER_HEIGHT = 4.0
 
 
-# ------------------------------------------------------------------------------------------------------------
-# Files
-# ------------------------------------------------------------------------------------------------------------
+# -- Files ---------------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -102,9 +100,7 @@ def write_png(path: Path, indices: NDArray[np.uint8], palette: Sequence[Colour])
     )
 
 
-# ------------------------------------------------------------------------------------------------------------
-# Flat figures, in picture coordinates
-# ------------------------------------------------------------------------------------------------------------
+# -- Flat figures, in picture coordinates --------------------------------------------------------------
 
 
 def flat_mesh(pieces: Iterable[Piece]) -> Mesh:
@@ -263,9 +259,7 @@ def slanted_square(side: float, degrees: float) -> list[Piece]:
     return [[(c * u - s * v, s * u + c * v) for u, v in rectangle(-h, h, -h, h)]]
 
 
-# ------------------------------------------------------------------------------------------------------------
-# Solid objects of the still life
-# ------------------------------------------------------------------------------------------------------------
+# -- Solid objects of the still life -------------------------------------------------------------------
 
 
 def grid_faces(rows: int, columns: int, *, wrap_rows: bool = False, wrap_columns: bool = False) -> NDArray[np.int64]:
@@ -413,9 +407,7 @@ def solid_lambda(height: float, depth: float) -> Mesh:
     return Mesh(vertices, np.vstack([front.faces, front.faces[:, ::-1] + count, sides.faces + 2 * count]))
 
 
-# ------------------------------------------------------------------------------------------------------------
-# Textures
-# ------------------------------------------------------------------------------------------------------------
+# -- Textures ------------------------------------------------------------------------------------------
 
 
 def ramp(dark: Colour, light: Colour) -> list[Colour]:
@@ -485,9 +477,6 @@ def stripes(u: Array, v: Array) -> Array:
     """Twisted stripes and two plain caps, for a glazed ball (u around, v from pole to pole)."""
     swirl = u * 8 + 1.4 * np.sin(2 * math.pi * (v - 0.5))
     return np.where((swirl % 1 < 0.5) | (v < 0.1) | (v > 0.9), 1.0, 0.0)
-
-
-# ------------------------------------------------------------------------------------------------------------
 
 
 def write_all(directory: Path) -> list[Path]:

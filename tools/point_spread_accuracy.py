@@ -55,19 +55,15 @@ def _scene_point(camera: PlenopticCamera, x: float, y: float, g: float) -> tuple
 def cases() -> list[Case]:
     """Axis, mid-field and corner at three distances, random points, and a second camera."""
     places = {"axis": (0.0, 0.0), "mid-field": (2.0, -1.7), "corner": (-3.6, 3.6)}
-    found = [
-        Case(f"{name} {g:g}", PAPER, _scene_point(PAPER, *place, g), 633.0)
-        for g in (210.0, 240.0, 280.0)
-        for name, place in places.items()
-    ]
+    points = [(f"{name} {g:g}", PAPER, *place, g) for g in (210.0, 240.0, 280.0) for name, place in places.items()]
     rng = np.random.default_rng(7)
-    for number in range(5):
-        x, y = rng.uniform(-3.7, 3.7, 2)
-        point = _scene_point(PAPER, x, y, rng.uniform(200, 300))
-        found.append(Case(f"random {number + 1}", PAPER, point, 633.0))
+    points += [(f"random {i + 1}", PAPER, *rng.uniform(-3.7, 3.7, 2), rng.uniform(200, 300)) for i in range(5)]
     for name, x, y, g in (("axis", 0, 0, 175), ("mid-field", 1.1, -0.9, 150), ("corner", -2.1, 2.1, 200)):
-        found.append(Case(f"second camera, {name} {g}", SECOND, _scene_point(SECOND, x, y, g), 532.0))
-    return found
+        points.append((f"second camera, {name} {g}", SECOND, x, y, g))
+    return [
+        Case(name, camera, _scene_point(camera, x, y, g), 633.0 if camera is PAPER else 532.0)
+        for name, camera, x, y, g in points
+    ]
 
 
 def convergence() -> list[Case]:

@@ -56,10 +56,7 @@ def command(resolution: int, spp: int) -> list[Row]:
         gib, seconds = on_cores(worker_count(), _run_command, words)
     size = resolution**2 * 4 / 2**30
     what = f"`render letters --spp {spp}`, {resolution} x {resolution}"
-    return [
-        Row(what, "GiB", gib, "the capture's own size", size, gib / size),
-        Row(what, "s", seconds),
-    ]
+    return [Row(what, "GiB", gib, "the capture's own size", size, gib / size), Row(what, "s", seconds)]
 
 
 def _run_command(words: list[str]) -> tuple[float, float]:
