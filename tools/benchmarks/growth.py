@@ -36,47 +36,29 @@ _Point = tuple[float, float, float]
 """Seconds, the peak of memory, and its peak before the work, both in GiB."""
 
 
-def run(sizes: list[int], runs: int) -> list[Row]:
+def run(sizes: list[int], runs: int) -> Iterator[Row]:
     """Fit every growth."""
-    return [*_detector(sorted({512, *sizes}), runs), *_radiators(), *_passes(), *_distances(runs), *_threads(runs)]
-
-
-def _detector(sizes: list[int], runs: int) -> Iterator[Row]:
-    reconstructed = [size for size in sizes if size <= _LARGEST_FIELD]
-    for what, work, some, expected in (
-        ("the angular-spectrum step", _step, sizes, "2 over log N"),
-        ("the ray capture, 1 sample a pixel,", _ray_capture, sizes, "2"),
+    sizes = sorted({512, *sizes})
+    fields = [size for size in sizes if size <= _LARGEST_FIELD]
+    shared = f"the wave capture, accuracy {DEFAULT_ACCURACY:g}, with radiators"
+    # The work, what it is given beside the count, and the exponents of time and memory that theory expects.
+    for what, counts, work, given, time_expected, memory_expected in (
+        ("the angular-spectrum step with pixels across", sizes, _step, (runs,), "2 over log N", "at most 2"),
+        ("the ray capture, 1 sample a pixel, with pixels across", sizes, _ray_capture, (runs,), "2", "at most 2"),
         # At the main lens its windows are as wide as the pupil, however small the detector.
-        ("the coherent reconstruction", _coherent, reconstructed, "at most 2 over log N"),
-    ):
-        points = [_point(1, work, size, runs) for size in some]
-        beyond = [(seconds, memory - before, before) for seconds, memory, before in points]
-        yield from _rows(f"{what} with pixels across", some, beyond, expected, "at most 2")
-
-
-def _radiators() -> Iterator[Row]:
-    for accuracy, counts, expected in (
-        (0.0, (128, 512, 2048), "1"),
-        (DEFAULT_ACCURACY, (2048, 8192, 32768), "at most 1"),
-    ):
-        points = [_point(1, _sum, count, accuracy) for count in counts]
-        yield from _rows(f"the wave capture, accuracy {accuracy:g}, with radiators", counts, points, expected, "0")
-
-
-def _passes() -> Iterator[Row]:
-    counts = (1, 2, 4, 8)
-    points = [_point(1, _wave_capture, count) for count in counts]
-    yield from _rows("the whole wave capture with passes", counts, points, "1", "0")
-
-
-def _distances(runs: int) -> Iterator[Row]:
-    counts = (2, 4, 8)
-    for method in ("ray", "coherent"):
-        points = [_point(1, _reconstruct, count, method, runs) for count in counts]
-        yield from _rows(f"the {method} reconstruction with distances", counts, points, "at most 1", "at most 1")
-
-
-def _threads(runs: int) -> Iterator[Row]:
+        ("the coherent reconstruction with pixels across", fields, _coherent, (runs,),
+         "at most 2 over log N", "at most 2"),
+        ("the wave capture, accuracy 0, with radiators", (128, 512, 2048), _sum, (0.0,), "1", "0"),
+        (shared, (2048, 8192, 32768), _sum, (DEFAULT_ACCURACY,), "at most 1", "0"),
+        ("the whole wave capture with passes", (1, 2, 4, 8), _wave_capture, (), "1", "0"),
+        ("the ray reconstruction with distances", (2, 4, 8), _reconstruct, ("ray", runs), "at most 1", "at most 1"),
+        ("the coherent reconstruction with distances", (2, 4, 8), _reconstruct, ("coherent", runs),
+         "at most 1", "at most 1"),
+    ):  # fmt: skip
+        points = [_point(1, work, count, *given) for count in counts]
+        if "pixels across" in what:
+            points = [(seconds, memory - before, before) for seconds, memory, before in points]
+        yield from _rows(what, counts, points, time_expected, memory_expected)
     if worker_count() > 1:
         counts = (1, worker_count())
         points = [_point(count, _threaded, runs) for count in counts]
