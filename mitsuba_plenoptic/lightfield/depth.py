@@ -10,8 +10,8 @@ import xarray as xr
 
 from ..errors import InputError, require_count, require_number
 from ..runtime.limits import require_memory
-from .geometry import depth_range, disparity, distance_of, require_light_field, view_steps
-from .refocus import channel_planes, shift_and_add, shifted
+from .geometry import channel_planes, depth_range, disparity, distance_of, require_light_field, view_steps
+from .refocus import shift_and_add, shifted
 
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window.
 _WINDOW = 1.0

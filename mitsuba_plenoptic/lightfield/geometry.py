@@ -165,6 +165,12 @@ def view_steps(lf: xr.DataArray, axis: str) -> np.ndarray:
     return -coordinate / camera_of(lf).pupil_step if lf.attrs.get("camera") else coordinate
 
 
+def channel_planes(lf: xr.DataArray) -> list[np.ndarray]:
+    """Return the values (v, u, t, s) of each channel."""
+    values = np.asarray(lf.values)
+    return [values] if values.ndim == 4 else list(np.moveaxis(values, 4, 0))
+
+
 def depth_range(lf: xr.DataArray) -> tuple[float, float]:
     """Nearest and farthest distance at which a point moves by at most one lens from view to view.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import xarray as xr
@@ -10,8 +10,8 @@ import xarray as xr
 from ..errors import InputError, require_choice, require_number
 from ..runtime.limits import require_memory
 from .fourier import FourierRefocuser
+from .geometry import channel_planes, require_light_field, view_steps
 from .geometry import disparity as disparity_at
-from .geometry import require_light_field, view_steps
 from .views import as_view
 
 METHODS = ("shift", "fourier")
@@ -129,15 +129,6 @@ def focal_stack(
         progress(len(disparities), len(disparities))
     stack = xr.concat(planes, dim="distance")
     return stack.assign_coords(distance=("distance", distances, {"units": "mm"}))
-
-
-def channel_planes(lf: xr.DataArray) -> Iterator[np.ndarray]:
-    """Yield the values (v, u, t, s) of each channel."""
-    values = np.asarray(lf.values)
-    if values.ndim == 4:
-        yield values
-    else:
-        yield from (values[..., channel] for channel in range(values.shape[4]))
 
 
 def shifted(values: np.ndarray, shift: float, axis: int) -> np.ndarray:
