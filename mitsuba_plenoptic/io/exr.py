@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
-import os
-import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +13,7 @@ import OpenEXR
 
 from ..errors import InputError
 from ..runtime.limits import require_memory
-from .files import atomic_output, require_file
+from .files import atomic_output, native_output_dropped, require_file
 
 ATTRIBUTE = "mitsuba_plenoptic"
 
@@ -29,8 +25,6 @@ _LOSSLESS = (
     OpenEXR.ZIP_COMPRESSION,
     OpenEXR.PIZ_COMPRESSION,
 )
-
-_one_at_a_time = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -174,7 +168,7 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, dict[str, Any]]:
         # The library's arrays of all parts, and ours.
         needed = sum(part.size for part in parts) + 4 * part.columns * part.rows * len(names)
         require_memory(needed, f"{path}: {part.columns} x {part.rows} pixels of {len(part.channels)} channels")
-        with _quiet(), OpenEXR.File(str(path), separate_channels=True) as file:
+        with native_output_dropped(), OpenEXR.File(str(path), separate_channels=True) as file:
             if len(file.parts) < len(parts):
                 raise ValueError("its pixels are damaged or incomplete")
             found = file.channels()
@@ -197,7 +191,7 @@ def read_parts(path: Path) -> list[Part]:
         If the file is no OpenEXR file, or its header is damaged.
     """
     try:
-        with _quiet(), OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
+        with native_output_dropped(), OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
             return [_part(part.header) for part in file.parts]
     except Exception as error:
         raise _damaged(path, error) from None
@@ -222,19 +216,3 @@ def _image_channels(part: Part) -> tuple[str, ...]:
         if set("YRGB").intersection(part.channels) == set(names):
             return names
     raise ValueError(f"it has the channels {', '.join(part.channels)} instead of Y or R, G, B")
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Hide what OpenEXR prints about damaged files, to Python's output and to the process's standard error.
-
-    The exceptions say it again.
-    """
-    with _one_at_a_time, Path(os.devnull).open("wb") as nowhere, contextlib.redirect_stdout(io.StringIO()):
-        kept = os.dup(2)
-        os.dup2(nowhere.fileno(), 2)
-        try:
-            yield
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)

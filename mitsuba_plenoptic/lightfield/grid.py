@@ -96,7 +96,7 @@ class LensGrid:
 
 
 def _spacing(value: Any) -> float:
-    return require_number("spacing", require_number("spacing", value, positive=True), minimum=1e-3, maximum=1e6)
+    return require_number("spacing", value, positive=True, minimum=1e-3, maximum=1e6)
 
 
 def _offset(value: Any) -> float:

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...errors import InputError
-from ...io.files import atomic_output, require_file
+from ...io.files import atomic_output, native_output_dropped, require_file
 from ...runtime.limits import require_memory
 
 # Bytes of a pixel while it is read: up to four channels of 16 bits, and these and three of them in single precision.
@@ -40,7 +40,8 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
     try:
         columns, rows = _size(path)
         require_memory(float(_PIXEL_BYTES) * columns * rows, f"{path}: {columns} x {rows} pixels")
-        bitmap = mi.Bitmap(str(path))
+        with native_output_dropped():
+            bitmap = mi.Bitmap(str(path))
         bitmap.set_srgb_gamma(not linear)
         grey = bitmap.pixel_format() in (mi.Bitmap.PixelFormat.Y, mi.Bitmap.PixelFormat.YA)
         kind = mi.Bitmap.PixelFormat.Y if grey else mi.Bitmap.PixelFormat.RGB
