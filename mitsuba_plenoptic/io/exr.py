@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import OpenEXR
@@ -27,32 +26,14 @@ _LOSSLESS = (
 )
 
 
-@dataclass(frozen=True)
-class Part:
-    """What the header of one part of an OpenEXR file says.
+class Part(NamedTuple):
+    """What the header of one part of an OpenEXR file says: its data window, its channels, and all attributes."""
 
-    Attributes
-    ----------
-    origin : (column, row)
-        First pixel of its data window.
-    columns, rows : int
-        Size of its data window.
-    channels : tuple of str
-        Their names.
-    header : dict
-        All its attributes, as OpenEXR gives them.
-    """
-
-    origin: tuple[int, int]
+    origin: tuple[int, int]  # column and row
     columns: int
     rows: int
     channels: tuple[str, ...]
     header: dict[str, Any]
-
-    @property
-    def size(self) -> int:
-        """Bytes of its pixels, at most: no type of pixel takes more than four bytes a channel."""
-        return 4 * self.columns * self.rows * len(self.channels)
 
 
 def write_exr(
@@ -85,22 +66,7 @@ def write_exr(
 
 
 def write_exr_parts(path: str | Path, parts: Mapping[str, np.ndarray], attributes: dict[str, Any]) -> None:
-    """Write several images as the parts of one OpenEXR file.
-
-    Parameters
-    ----------
-    path : path
-        File to write.
-    parts : mapping of names to (rows, columns[, 3]) arrays
-        Written as float32, as channel Y or R, G, B.
-    attributes : dict
-        Written as JSON into the header attribute ``mitsuba_plenoptic`` of the first part.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
+    """Write several images as the parts of one OpenEXR file, each as by `write_exr`; the first has the attributes."""
     # All parts of a file must share one display window.
     columns, rows = (max(image.shape[axis] for image in parts.values()) for axis in (1, 0))
     _write(path, parts, attributes, (0, 0), (columns, rows))
@@ -165,9 +131,11 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, dict[str, Any]]:
         attributes = json.loads(text)
         if not isinstance(attributes, dict):
             raise ValueError(f"attribute '{ATTRIBUTE}' is not a JSON object")
-        # The library's arrays of all parts, and ours.
-        needed = sum(part.size for part in parts) + 4 * part.columns * part.rows * len(names)
-        require_memory(needed, f"{path}: {part.columns} x {part.rows} pixels of {len(part.channels)} channels")
+        # The library's arrays of all parts, of at most four bytes a pixel and channel, and ours.
+        samples = sum(one.columns * one.rows * len(one.channels) for one in parts) + part.columns * part.rows * len(
+            names
+        )
+        require_memory(4 * samples, f"{path}: {part.columns} x {part.rows} pixels of {len(part.channels)} channels")
         with native_output_dropped(), OpenEXR.File(str(path), separate_channels=True) as file:
             if len(file.parts) < len(parts):
                 raise ValueError("its pixels are damaged or incomplete")
