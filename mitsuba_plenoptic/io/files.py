@@ -68,13 +68,7 @@ def _path(path: str | Path) -> Path:
 
 @contextlib.contextmanager
 def atomic_output(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary name beside `path` that replaces it once it is written whole, or goes.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
+    """Yield a temporary name beside a writable `path` that replaces it once it is written whole, or goes."""
     path = require_writable(path)
     with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
         # The suffix stays, because writers choose the format by it.

@@ -143,9 +143,7 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     if "mono" not in settings.variant:
         raise InputError(f"variant = {settings.variant!r}: a comparison is made in one colour; use a mono variant")
     set_variant(settings.variant)
-    scene = load_scene(settings.scene, parameters=settings.parameters)
-    if not scene.sensors():
-        raise InputError(f"{settings.scene}: it has no sensor; add one of type 'plenoptic'")
+    scene = load_with_sensor(settings.scene, settings.parameters)
     sensor = scene.sensors()[0]
     PlenopticCamera.from_sensor(sensor)
     # The wave capture's lenses are thin parabolic phases: their geometric twin leaves diffraction as the difference.
@@ -216,6 +214,14 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
         boxes=_boxes(scene),
         seconds=store.seconds,
     )
+
+
+def load_with_sensor(name: str, parameters: Mapping[str, str]) -> Any:
+    """Load a scene and refuse one without a sensor."""
+    scene = load_scene(name, parameters=parameters)
+    if not scene.sensors():
+        raise InputError(f"{name}: it has no sensor; add one of type 'plenoptic'")
+    return scene
 
 
 def open_store(output: Path, stages: StageOptions | None) -> StageStore:

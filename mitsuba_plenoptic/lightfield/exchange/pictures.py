@@ -65,20 +65,7 @@ def _size(path: Path) -> tuple[int, int]:
 
 
 def write_picture(path: str | Path, image: np.ndarray) -> None:
-    """Write linear values from 0 to 1 as a PNG of 16 bits a channel in sRGB encoding.
-
-    Parameters
-    ----------
-    path : path
-        File to write; an existing one is replaced only by a complete one.
-    image : (rows, columns[, 3]) array
-        What lies outside 0 to 1 is clipped.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
+    """Write linear values (rows, columns[, 3]), clipped to 0 to 1, as a PNG of 16 bits a channel in sRGB encoding."""
     bitmap = mi.Bitmap(np.ascontiguousarray(np.clip(image, 0, 1), dtype=np.float32))
     encoded = bitmap.convert(bitmap.pixel_format(), mi.Struct.Type.UInt16, srgb_gamma=True)
     with atomic_output(path) as temporary:

@@ -11,14 +11,13 @@ import numpy as np
 
 from ...camera import PlenopticCamera
 from ...capture.render import render_capture
-from ...capture.scene import load_scene
 from ...errors import InputError, require_choice, require_number
 from ...io.captures import Capture
 from ...reconstruction import METHODS
 from ...runtime.batches import BatchMap
 from ...runtime.variant import DEFAULT_VARIANT
 from ...thin_lens import image_distance
-from ..experiment import refocused
+from ..experiment import load_with_sensor, refocused
 from ..stage_store import StageStore, scene_fingerprint
 from .grid import DISTANCE, WAVELENGTH, Grid
 
@@ -87,7 +86,7 @@ class Points:
             parameters = self.parameters(point)
             if (key := tuple(parameters.items())) in sizes:
                 continue
-            scene = self._load(parameters)
+            scene = load_with_sensor(self.settings.scene, parameters)
             camera = PlenopticCamera.from_sensor(scene.sensors()[0])
             sizes[key] = camera.shape + camera.bin_count * bool(self.distances)
             for distance in self.distances:
@@ -108,12 +107,6 @@ class Points:
             names = {distance: f"refocused{_name({**point, DISTANCE: distance})}" for distance in self.distances}
             yield capture, [refocused(self.store, name, capture, key, at, method) for at, name in names.items()]
 
-    def _load(self, parameters: dict[str, str]) -> Any:
-        scene = load_scene(self.settings.scene, parameters=parameters)
-        if not scene.sensors():
-            raise InputError(f"{self.settings.scene}: it has no sensor; add one of type 'plenoptic'")
-        return scene
-
     def _capture(self, point: dict[str, float], batch_map: BatchMap | None) -> tuple[Capture, str]:
         settings, parameters = self.settings, self.parameters(point)
         options: dict[str, Any] = {"model": settings.model, "spp": settings.spp, "seed": settings.seed}
@@ -126,7 +119,11 @@ class Points:
             f"capture{_name(point)}",
             inputs,
             lambda progress, checkpoint: render_capture(
-                self._load(parameters), progress=progress, checkpoint=checkpoint, batch_map=batch_map, **options
+                load_with_sensor(settings.scene, parameters),
+                progress=progress,
+                checkpoint=checkpoint,
+                batch_map=batch_map,
+                **options,
             ),
         )
 
