@@ -42,19 +42,7 @@ def require_length(name: str, value: Any, *, finite: bool = True) -> float:
 
 
 def require_lengths(name: str, value: Any, counts: Collection[int], rule: str) -> tuple[float, ...]:
-    """Return one length or several as a tuple.
-
-    Parameters
-    ----------
-    name : str
-        What messages call them.
-    value : number or sequence of numbers
-        What the user gave.
-    counts : collection of int
-        How many there may be.
-    rule : str
-        The same in words.
-    """
+    """Return one length or several as a tuple; `counts` has the numbers of them that there may be, `rule` the words."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     lengths = tuple(require_length(name, number) for number in (value if isinstance(value, (tuple, list)) else [value]))

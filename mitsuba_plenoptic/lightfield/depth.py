@@ -110,14 +110,7 @@ def depth_map(
 
 
 def view_variance(lf: xr.DataArray, slope: float) -> np.ndarray:
-    """Variance over the views, moved so that points of one disparity coincide.
-
-    Parameters
-    ----------
-    lf : xarray.DataArray
-        A light field, (v, u, t, s[, c]).
-    slope : float
-        Disparity in lenses per view.
+    """Variance over the views, moved so that points of one disparity, in lenses per view, coincide.
 
     Returns
     -------

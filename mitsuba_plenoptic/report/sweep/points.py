@@ -32,11 +32,7 @@ class SweepSettings:
         A scene file or a built-in name.
     parameters : mapping
         Values for the scene's ``$name`` parameters that do not vary.
-    model : {"ray", "wave"}, optional
-        As for `render_capture`.
-    spp : int, optional
-        As for `render_capture`.
-    seed : int
+    model, spp, seed
         As for `render_capture`.
     radiators_per_lens : int, optional
         Of wave captures.
