@@ -1,4 +1,4 @@
-"""Bounds of a camera's numbers, and the checks that refuse what is beyond them."""
+"""Bounds of a camera's numbers, and the checks that refuse what is beyond them, with an `InputError`."""
 
 from __future__ import annotations
 
@@ -32,48 +32,17 @@ MOST_STRETCH = 10.0
 
 
 def require_wavelength(value: Any, name: str = "wavelength") -> float:
-    """Return a wavelength in nanometres as a float.
-
-    Raises
-    ------
-    InputError
-        If it is not a number from 1 to 1e6.
-    """
-    number = require_number(name, value, positive=True)
-    return require_number(name, number, minimum=WAVELENGTHS[0], maximum=WAVELENGTHS[1])
+    """Return a wavelength in nanometres, from 1 to 1e6, as a float."""
+    return require_number(name, value, positive=True, minimum=WAVELENGTHS[0], maximum=WAVELENGTHS[1])
 
 
 def require_length(name: str, value: Any, *, finite: bool = True) -> float:
-    """Return a length in scene units as a float.
-
-    Raises
-    ------
-    InputError
-        If it is not a number from 1e-9 to 1e9, nor infinite where that is allowed.
-    """
-    number = require_number(name, value, positive=True, finite=finite)
-    return require_number(name, number, minimum=SHORTEST, maximum=LONGEST, finite=finite)
+    """Return a length in scene units, from 1e-9 to 1e9 or infinite where that is allowed, as a float."""
+    return require_number(name, value, positive=True, minimum=SHORTEST, maximum=LONGEST, finite=finite)
 
 
 def require_lengths(name: str, value: Any, counts: Collection[int], rule: str) -> tuple[float, ...]:
-    """Return one length or several as a tuple.
-
-    Parameters
-    ----------
-    name : str
-        What messages call them.
-    value : number or sequence of numbers
-        What the user gave.
-    counts : collection of int
-        How many there may be.
-    rule : str
-        The same in words.
-
-    Raises
-    ------
-    InputError
-        If there are more or fewer, or one is not a length.
-    """
+    """Return one length or several as a tuple; `counts` has the numbers of them that there may be, `rule` the words."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     lengths = tuple(require_length(name, number) for number in (value if isinstance(value, (tuple, list)) else [value]))
@@ -83,13 +52,7 @@ def require_lengths(name: str, value: Any, counts: Collection[int], rule: str) -
 
 
 def require_pixels(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
-    """Return a pair of numbers of pixels.
-
-    Raises
-    ------
-    InputError
-        If it is not a pair of whole numbers from `minimum` to 1048576.
-    """
+    """Return a pair of numbers of pixels, whole ones from `minimum` to 1048576."""
     columns, rows = (
         require_count(name, count, minimum=minimum, maximum=MOST_PIXELS)
         for count in require_pair(name, value, "(columns, rows)")
@@ -98,26 +61,7 @@ def require_pixels(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
 
 
 def require_place(name: str, value: Any) -> tuple[float, float]:
-    """Return a place in the plane of the microlenses.
-
-    Raises
-    ------
-    InputError
-        If it is not a pair of numbers, or one is beyond 1e9.
-    """
+    """Return a place in the plane of the microlenses, a pair of numbers within 1e9 of the axis."""
     pair = require_pair(name, value, "(x, y)")
     x, y = (require_number(name, number, minimum=-LONGEST, maximum=LONGEST) for number in pair)
     return x, y
-
-
-def require_choice(name: str, value: Any, choices: Collection[str]) -> str:
-    """Return a word that is one of some.
-
-    Raises
-    ------
-    InputError
-        If it is not.
-    """
-    if not isinstance(value, str) or value not in choices:
-        raise InputError(f"{name} = {shown(value)}: it must be one of {', '.join(choices)}")
-    return value

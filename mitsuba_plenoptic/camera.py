@@ -16,13 +16,12 @@ from .bounds import (
     FULL_TURN,
     LEAST_FILL,
     MOST_STRETCH,
-    require_choice,
     require_length,
     require_lengths,
     require_pixels,
     require_place,
 )
-from .errors import InputError, require_number, shown
+from .errors import InputError, require_choice, require_number, shown
 from .lattice import APERTURES, LATTICES, Lattice, make_lattice
 from .presets import PRESETS
 from .thin_lens import conjugate_distance, defocus_factor, image_distance

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -105,7 +105,7 @@ class Detector:
 
 
 def _positive(name: str, value: Any, maximum: float = _LARGEST) -> float:
-    return require_number(name, require_number(name, value, positive=True), minimum=_SMALLEST, maximum=maximum)
+    return require_number(name, value, positive=True, minimum=_SMALLEST, maximum=maximum)
 
 
 def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 0) -> Capture:
@@ -151,6 +151,4 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
         electrons = (numbers.astype(np.float64) - detector.black_level) / detector.gain - detector.dark_electrons
         result[start : start + rows] = electrons / (detector.quantum_efficiency * photons)
     exposure = {**asdict(detector), "photons": photons, "seed": seed}
-    return Capture(
-        result, capture.camera, capture.wavelength, capture.model, {**capture.metadata, "exposure": exposure}
-    )
+    return replace(capture, image=result, metadata={**capture.metadata, "exposure": exposure})

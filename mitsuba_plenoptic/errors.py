@@ -1,4 +1,8 @@
-"""The one exception for a user's mistake, and the checks of plain numbers that raise it."""
+"""The one exception for a user's mistake, and the checks that raise it.
+
+Every ``require_...`` returns what it was given, as the type that it should be, or raises an `InputError` that names the
+thing, its value and the rule.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +73,7 @@ def require_number(
     positive: bool = False,
     finite: bool = True,
 ) -> float:
-    """Return `value` as a float, or say in one line what is wrong with it.
+    """Return `value` as a float.
 
     Parameters
     ----------
@@ -83,11 +87,6 @@ def require_number(
         Whether the number must be greater than zero.
     finite : bool
         Whether infinity is refused. NaN always is.
-
-    Raises
-    ------
-    InputError
-        If the value is not a number or breaks a rule.
     """
     if isinstance(value, (bool, np.bool_, str, bytes, bytearray)) or value is None:
         raise InputError(f"{name} = {shown(value)}: it must be a number")
@@ -109,26 +108,14 @@ def require_number(
 
 
 def require_choice(name: str, value: Any, choices: Collection[str]) -> str:
-    """Return `value` if it is one of the choices, or say in one line which there are.
-
-    Raises
-    ------
-    InputError
-        If it is none of them.
-    """
+    """Return a word that is one of the choices."""
     if not isinstance(value, str) or value not in choices:
         raise InputError(f"{name} = {shown(value)}: it must be one of {', '.join(choices)}")
     return value
 
 
 def require_pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:
-    """Return the two entries of a pair, to be checked by whom they are for.
-
-    Raises
-    ------
-    InputError
-        If it has not two.
-    """
+    """Return the two entries of a pair, to be checked by whom they are for."""
     try:
         first, second = value
     except (TypeError, ValueError):
@@ -137,13 +124,7 @@ def require_pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:
 
 
 def require_count(name: str, value: Any, *, minimum: int = 1, maximum: int | None = None) -> int:
-    """Return `value` as an int within bounds, or say in one line what is wrong with it.
-
-    Raises
-    ------
-    InputError
-        If the value is not a whole number or out of bounds.
-    """
+    """Return a whole number within bounds as an int."""
     number = require_number(name, value)
     if number != int(number):
         raise InputError(f"{name} = {shown(value)}: it must be a whole number")

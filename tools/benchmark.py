@@ -69,7 +69,7 @@ def main() -> None:
     texts, results = [", ".join(f"{name} {value}" for name, value in machine.items()) + "\n"], {}
     for name in arguments.only or sections:
         start = time.perf_counter()
-        rows = sections[name]()
+        rows = list(sections[name]())
         texts.append(f"## {name}\n\n{markdown(rows)}")
         results[name] = [dataclasses.asdict(row) for row in rows]
         print(f"{texts[-1]}({time.perf_counter() - start:.0f} s)\n", flush=True)

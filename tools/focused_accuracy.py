@@ -11,20 +11,16 @@ a cycle per lens.
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
-from pathlib import Path
-from typing import Any
 
-import mitsuba as mi
+import accuracy
 import numpy as np
 from scipy.ndimage import map_coordinates
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.design import effective_resolution, suitable_oversample
 from mitsuba_plenoptic.report.images import write_png
-from mitsuba_plenoptic.report.reference import agreement, thin_lens_image
+from mitsuba_plenoptic.report.reference import thin_lens_image
 from mitsuba_plenoptic.report.slanted_edge import square_sharpness
 
 DISTANCE = 240.0
@@ -39,18 +35,30 @@ BARS, BARS_SIZE = (0.0, 0.0), 4.2
 # Modulation at which a detail counts as resolved.
 LIMIT = 0.1
 
+AGREEMENT = {
+    "camera": "{camera}",
+    "scene": "{scene}",
+    "bins per lens": "{bins_per_lens}",
+    "PSNR (dB)": "{psnr_db:.1f}",
+    "correlation": "{correlation:.4f}",
+    "scale": "{scale:.3f}",
+}
+RESOLUTION = {
+    "camera": "{camera}",
+    "capture": "{model}",
+    f"star resolved to {LIMIT:.0%} (lp/mm)": "{resolved_lp_per_mm:.1f}",
+    "samples per lens": "{resolved_samples_per_lens:.1f}",
+    "expected": "{expected_samples_per_lens:.1f}",
+    "MTF50 (lp/mm)": "{mtf50_lp_per_mm:.1f}",
+    "edge width (um)": "{edge_width_um:.0f}",
+}
+
 
 def main() -> None:
     """Render, refocus, compare, and write the tables as Markdown and JSON with a picture beside them."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--output", type=Path, default=Path("out/focused_accuracy"))
-    parser.add_argument("--spp", type=int, default=64, help="samples per detector pixel")
-    parser.add_argument("--reference-spp", type=int, default=1024, help="samples per pixel of the thin lens")
+    parser = accuracy.options("focused_accuracy", __doc__, spp=64, reference_spp=1024)
     parser.add_argument("--wave", action="store_true", help="captures by waves, too")
-    arguments = parser.parse_args()
-    arguments.output.mkdir(parents=True, exist_ok=True)
-    mi.set_variant("llvm_ad_mono")
-
+    arguments = accuracy.start(parser)
     against, resolved, tiles = [], [], []
     for name, scene_name in CAMERAS.items():
         chart = load_scene(scene_name)
@@ -63,20 +71,10 @@ def main() -> None:
             for oversample in sorted({1, finest}):
                 reference = thin_lens_image(scene, camera, DISTANCE, arguments.reference_spp // oversample, oversample)
                 image = reconstruct(taken, DISTANCE, oversample=oversample).image.astype(np.float64)
-                scale, ((psnr, correlation),) = agreement([image], [reference])
-                against.append(
-                    {
-                        "camera": name,
-                        "scene": subject,
-                        "bins_per_lens": oversample,
-                        "psnr_db": round(psnr, 2),
-                        "correlation": round(correlation, 5),
-                        "scale": round(scale, 4),
-                    }
-                )
-                difference = 0.5 * reference.max() + (scale * image - reference)
-                tile = np.concatenate([scale * image, reference, difference], 1)
-                write_png(arguments.output / f"{subject}_{name}_{oversample}.png", tile, peak=float(reference.max()))
+                scale, (score,) = accuracy.scores([image], [reference])
+                against.append({"camera": name, "scene": subject, "bins_per_lens": oversample, **score})
+                picture = arguments.output / f"{subject}_{name}_{oversample}.png"
+                accuracy.write_comparison(picture, scale * image, reference)
         captures = {"ray": capture}
         if arguments.wave:
             captures["wave"] = render_capture(chart, model="wave", spp=1, wavelength=WAVELENGTH)
@@ -86,7 +84,8 @@ def main() -> None:
             tiles.append(image)
 
     write_png(arguments.output / "bars.png", np.concatenate(tiles, 1), peak=1.0)
-    _write(arguments.output, against, resolved)
+    tables = accuracy.markdown(AGREEMENT, against), accuracy.markdown(RESOLUTION, resolved)
+    accuracy.finish(arguments, {"referee": against, "resolution": resolved}, *tables)
 
 
 def _parameters(camera: PlenopticCamera) -> dict[str, str]:
@@ -95,7 +94,7 @@ def _parameters(camera: PlenopticCamera) -> dict[str, str]:
     return {name: str(getattr(camera, name)) for name in names}
 
 
-def _resolution(capture: Capture, oversample: int) -> tuple[dict[str, Any], np.ndarray]:
+def _resolution(capture: Capture, oversample: int) -> tuple[accuracy.Row, np.ndarray]:
     """Measure the finest detail of the chart; give its bars as a picture, too."""
     camera = capture.camera
     result = reconstruct(capture, DISTANCE, oversample=oversample)
@@ -140,30 +139,6 @@ def _resolved_frequency(image: np.ndarray, row: float, column: float, bin_size: 
             break
         last = STAR_CYCLES / (2 * math.pi * radius)
     return last
-
-
-def _write(folder: Path, against: list[dict[str, Any]], resolved: list[dict[str, Any]]) -> None:
-    (folder / "focused_accuracy.json").write_text(json.dumps({"referee": against, "resolution": resolved}, indent=1))
-    lines = ["| camera | scene | bins per lens | PSNR (dB) | correlation | scale |", "|---|---|---|---|---|---|"]
-    lines += [
-        f"| {r['camera']} | {r['scene']} | {r['bins_per_lens']} | {r['psnr_db']:.1f} | {r['correlation']:.4f} "
-        f"| {r['scale']:.3f} |"
-        for r in against
-    ]
-    lines += [
-        "",
-        f"| camera | capture | star resolved to {LIMIT:.0%} (lp/mm) | samples per lens | expected | MTF50 (lp/mm) "
-        "| edge width (um) |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    lines += [
-        f"| {r['camera']} | {r['model']} | {r['resolved_lp_per_mm']:.1f} | {r['resolved_samples_per_lens']:.1f} "
-        f"| {r['expected_samples_per_lens']:.1f} | {r['mtf50_lp_per_mm']:.1f} | {r['edge_width_um']:.0f} |"
-        for r in resolved
-    ]
-    table = "\n".join(lines) + "\n"
-    (folder / "focused_accuracy.md").write_text(table)
-    print(table)
 
 
 if __name__ == "__main__":

@@ -9,10 +9,7 @@ from the white capture alone is from the model; and refocused letters against Mi
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-
-import mitsuba as mi
+import accuracy
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -25,11 +22,7 @@ from mitsuba_plenoptic.report.reference import agreement, thin_lens_image
 LATTICES = {
     "square": {},
     "square, turned by 0.3 degrees, moved": {"mla_rotation": "0.3", "mla_offset": "0.021, -0.008"},
-    "square, turned by 13 degrees, discs of 0.8": {
-        "mla_rotation": "13",
-        "mla_aperture": "circle",
-        "mla_fill": "0.8",
-    },
+    "square, turned by 13 degrees, discs of 0.8": {"mla_rotation": "13", "mla_aperture": "circle", "mla_fill": "0.8"},
     "hexagonal": {"mla_lattice": "hexagonal"},
     "hexagonal, turned by 0.3 degrees, discs": {
         "mla_lattice": "hexagonal",
@@ -49,26 +42,24 @@ LATTICES = {
     },
 }
 DISTANCES = (210.0, 240.0, 280.0)
+COLUMNS = {
+    "lattice": "{lattice}",
+    "lenses": "{lenses}",
+    "centres, largest error (px)": "{largest:.3f}",
+    "RMS (px)": "{rms:.3f}",
+    "white mean / closed form": "{white_mean:.4f}",
+    "estimated grid, RMS (px)": "{estimated:.4f}",
+    "refocused at 210, 240, 280 mm (dB)": "{psnr_db[0]:.1f}, {psnr_db[1]:.1f}, {psnr_db[2]:.1f}",
+}
 
 # Half the side of the square about a centre over which its centroid is taken; the micro-images are 21.4 pixels wide.
 _HALF = 13
 
 
 def main() -> None:
-    """Render, measure, and write the table as Markdown with pictures of the corners beside it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--output", type=Path, default=Path("out/lattice_accuracy"))
-    parser.add_argument("--spp", type=int, default=64, help="samples per detector pixel")
-    parser.add_argument("--reference-spp", type=int, default=1024, help="samples per pixel of the thin lens")
-    arguments = parser.parse_args()
-    arguments.output.mkdir(parents=True, exist_ok=True)
-    mi.set_variant("llvm_ad_mono")
-
-    lines = [
-        "| lattice | lenses | centres, largest error (px) | RMS (px) | white mean / closed form "
-        "| estimated grid, RMS (px) | refocused at 210, 240, 280 mm (dB) |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    """Render, measure, and write the table as Markdown and JSON with pictures of the corners beside it."""
+    arguments = accuracy.start(accuracy.options("lattice_accuracy", __doc__, spp=64, reference_spp=1024))
+    rows: list[accuracy.Row] = []
     references: list[np.ndarray] = []
     for number, (name, parameters) in enumerate(LATTICES.items()):
         white = render_capture(load_scene("white", parameters=parameters), spp=arguments.spp)
@@ -81,23 +72,23 @@ def main() -> None:
 
         scene = load_scene("letters", parameters=parameters)
         capture = render_capture(scene, spp=arguments.spp)
-        references = references or [
-            thin_lens_image(scene, capture.camera, g, arguments.reference_spp) for g in DISTANCES
-        ]
+        if not references:
+            references = [thin_lens_image(scene, capture.camera, g, arguments.reference_spp) for g in DISTANCES]
         images = [result.image.astype(np.float64) for result in reconstruct(capture, DISTANCES)]
-        _, scores = agreement(images, references)
-
-        lines.append(
-            f"| {name} | {len(centres)} | {error.max():.3f} | {np.sqrt(np.mean(error**2)):.3f} "
-            f"| {mean(white) / design.white_mean(white.camera):.4f} | {np.sqrt(np.mean(estimated**2)):.4f} "
-            f"| {', '.join(f'{psnr:.1f}' for psnr, _ in scores)} |"
-        )
-        print(lines[-1], flush=True)
+        row = {
+            "lattice": name,
+            "lenses": len(centres),
+            "largest": error.max(),
+            "rms": np.sqrt(np.mean(error**2)),
+            "white_mean": mean(white) / design.white_mean(white.camera),
+            "estimated": np.sqrt(np.mean(estimated**2)),
+            "psnr_db": [psnr for psnr, _ in agreement(images, references)[1]],
+        }
+        rows.append(row)
+        print(accuracy.markdown(COLUMNS, rows).splitlines()[-1], flush=True)
         write_png(arguments.output / f"white_{number}.png", white.image[-256:, -256:], peak=1.0)
         write_png(arguments.output / f"letters_{number}.png", np.concatenate(images, axis=1), peak=1.0)
-    table = "\n".join(lines) + "\n"
-    (arguments.output / "lattice_accuracy.md").write_text(table)
-    print(table)
+    accuracy.finish(arguments, rows, accuracy.markdown(COLUMNS, rows))
 
 
 def centroids(image: np.ndarray, centres: np.ndarray) -> np.ndarray:

@@ -1,17 +1,14 @@
 """Measure how far the point spreads by patches are from the full field, and the full field from its own limit.
 
-Writes ``point_spread_accuracy.md`` and ``.json`` to the folder that ``--output`` names.
+python tools/point_spread_accuracy.py --output out
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
+import accuracy
 import numpy as np
 
 from mitsuba_plenoptic.camera import PlenopticCamera
@@ -23,6 +20,20 @@ SECOND = PlenopticCamera(
     focal_length=50, aperture_radius=4, mla_distance=70, mla_focal_length=0.4, mla_pitch=0.05,
     detector_width=5, resolution=(2000, 2000),
 )  # fmt: skip
+
+PATCH = {
+    "point": "{name}",
+    "position (mm)": "({position[0]:.2f}, {position[1]:.2f}, {position[2]:.1f})",
+    "patch - full field": "{error:.2%}",
+    "power, full field": "{power:.4f}",
+    "power, patch": "{patch_power:.4f}",
+}
+FULL_FIELD = {
+    "point": "{name}",
+    "grid halved": "{finer:.3%}",
+    "window grown by 1.4": "{wider:.3%}",
+    "patch - full field": "{error:.3%}",
+}
 
 
 @dataclass(frozen=True)
@@ -44,19 +55,15 @@ def _scene_point(camera: PlenopticCamera, x: float, y: float, g: float) -> tuple
 def cases() -> list[Case]:
     """Axis, mid-field and corner at three distances, random points, and a second camera."""
     places = {"axis": (0.0, 0.0), "mid-field": (2.0, -1.7), "corner": (-3.6, 3.6)}
-    found = [
-        Case(f"{name} {g:g}", PAPER, _scene_point(PAPER, *place, g), 633.0)
-        for g in (210.0, 240.0, 280.0)
-        for name, place in places.items()
-    ]
+    points = [(f"{name} {g:g}", PAPER, *place, g) for g in (210.0, 240.0, 280.0) for name, place in places.items()]
     rng = np.random.default_rng(7)
-    for number in range(5):
-        x, y = rng.uniform(-3.7, 3.7, 2)
-        point = _scene_point(PAPER, x, y, rng.uniform(200, 300))
-        found.append(Case(f"random {number + 1}", PAPER, point, 633.0))
+    points += [(f"random {i + 1}", PAPER, *rng.uniform(-3.7, 3.7, 2), rng.uniform(200, 300)) for i in range(5)]
     for name, x, y, g in (("axis", 0, 0, 175), ("mid-field", 1.1, -0.9, 150), ("corner", -2.1, 2.1, 200)):
-        found.append(Case(f"second camera, {name} {g}", SECOND, _scene_point(SECOND, x, y, g), 532.0))
-    return found
+        points.append((f"second camera, {name} {g}", SECOND, x, y, g))
+    return [
+        Case(name, camera, _scene_point(camera, x, y, g), 633.0 if camera is PAPER else 532.0)
+        for name, camera, x, y, g in points
+    ]
 
 
 def convergence() -> list[Case]:
@@ -79,13 +86,13 @@ def _difference(image: np.ndarray, reference: np.ndarray) -> float:
     return float(np.linalg.norm(image - reference) / np.linalg.norm(reference))
 
 
-def measure(case: Case) -> dict[str, Any]:
+def measure(case: Case) -> accuracy.Row:
     """Relative L2 of the patch against the full field over all recorded pixels, and the time of each."""
     start = time.perf_counter()
     full = point_spread_function(case.camera, case.position, wavelength=case.wavelength, method="full_field")
     middle = time.perf_counter()
     patch = point_spread_function(case.camera, case.position, wavelength=case.wavelength)
-    result: dict[str, Any] = {
+    result: accuracy.Row = {
         "name": case.name,
         "position": case.position,
         "error": _difference(patch, full),
@@ -102,49 +109,19 @@ def measure(case: Case) -> dict[str, Any]:
     return result
 
 
-def _table(head: list[str], rows: list[list[str]]) -> list[str]:
-    lines = [head, ["---"] * len(head), *rows]
-    return ["| " + " | ".join(line) + " |" for line in lines]
-
-
 def main() -> None:
     """Measure all cases and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--output", type=Path, required=True, help="folder for the tables")
-    output = parser.parse_args().output
-    output.mkdir(parents=True, exist_ok=True)
-    results = {
-        "patch": [measure(case) for case in cases()],
-        "full_field": [measure(case) for case in convergence()],
-    }
-
-    lines = [
-        "# Accuracy of point spreads",
-        "",
-        "Relative L2 of pixel integrals over the recorded detector.",
-        "",
-    ]
-    lines += _table(
-        ["point", "position (mm)", "patch - full field", "power, full field", "power, patch"],
-        [
-            [
-                row["name"], "({:.2f}, {:.2f}, {:.1f})".format(*row["position"]), f"{100 * row['error']:.2f} %",
-                f"{row['power']:.4f}", f"{row['patch_power']:.4f}",
-            ]
-            for row in results["patch"]
-        ],
-    )  # fmt: skip
-    lines += ["", "## Convergence of the full field", ""]
-    lines += _table(
-        ["point", "grid halved", "window grown by 1.4", "patch - full field"],
-        [
-            [row["name"], *(f"{100 * row[key]:.3f} %" for key in ("finer", "wider", "error"))]
-            for row in results["full_field"]
-        ],
+    arguments = accuracy.start(accuracy.options("point_spread_accuracy", __doc__))
+    results = {"patch": [measure(case) for case in cases()], "full_field": [measure(case) for case in convergence()]}
+    accuracy.finish(
+        arguments,
+        results,
+        "# Accuracy of point spreads\n",
+        "Relative L2 of pixel integrals over the recorded detector.\n",
+        accuracy.markdown(PATCH, results["patch"]),
+        "## Convergence of the full field\n",
+        accuracy.markdown(FULL_FIELD, results["full_field"]),
     )
-    (output / "point_spread_accuracy.md").write_text("\n".join(lines) + "\n")
-    (output / "point_spread_accuracy.json").write_text(json.dumps(results, indent=1) + "\n")
-    print("\n".join(lines))
 
 
 if __name__ == "__main__":

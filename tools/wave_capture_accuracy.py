@@ -8,44 +8,40 @@ paths per radiator bring and cost in the still life.
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from pathlib import Path
-from typing import Any
 
-import mitsuba as mi
+import accuracy
 import numpy as np
 import scipy.ndimage
 
 from mitsuba_plenoptic import load_scene, read_capture, reconstruct, render_capture, write_capture
 
-Row = dict[str, Any]
-
 # A window of 32 x 32 lenses with the paper's pixels.
 CROP = {"resolution": "1024", "detector_width": "2.048"}
 DISTANCES = (210.0, 240.0, 280.0)
+COLUMNS = {"what": "{what}", "value": "{value:.4g}", "limit": "{limit}", "s": "{seconds}"}
 
 
-def energy(name: str, parameters: dict[str, str], keep: Path | None = None) -> Row:
+def energy(name: str, parameters: dict[str, str], keep: Path | None = None) -> accuracy.Row:
     """Sum of the wave capture over that of the ray capture."""
     scene = load_scene(name, parameters=parameters)
     by_rays = render_capture(scene, spp=64)
-    if keep is not None and keep.is_file():
+    seconds = None
+    if keep and keep.is_file():
         by_waves = read_capture(keep)
-        seconds = None
     else:
         start = time.perf_counter()
         by_waves = render_capture(scene, model="wave")
         seconds = time.perf_counter() - start
-        if keep is not None:
+        if keep:
             write_capture(keep, by_waves)
     ratio = by_waves.image.sum(dtype=np.float64) / by_rays.image.sum(dtype=np.float64)
     where = f"{parameters['resolution']} x {parameters['resolution']}" if parameters else "4096 x 4096"
     return {"what": f"energy, wave / ray, {name}, {where}", "value": ratio, "limit": "1 +- 0.02", "seconds": seconds}
 
 
-def letter_noise(capture_path: Path) -> list[Row]:
+def letter_noise(capture_path: Path) -> list[accuracy.Row]:
     """Compare refocused letters with those of four times as many radiators, where the image is smooth."""
     capture = read_capture(capture_path)
     finer = render_capture(load_scene("letters"), model="wave", radiators_per_lens=16)
@@ -54,14 +50,12 @@ def letter_noise(capture_path: Path) -> list[Row]:
         low, high = scipy.ndimage.minimum_filter(fine.image, 3), scipy.ndimage.maximum_filter(fine.image, 3)
         inside = (low > 0.3 * fine.image.max()) & (high < 1.1 * low)
         noise = float((coarse.image - fine.image)[inside].std() / fine.image[inside].mean())
-        rows.append(
-            {"what": f"noise inside the letters at {coarse.distance:g} mm ({inside.sum()} bins), %",
-             "value": 100 * noise, "limit": "1"}
-        )  # fmt: skip
+        what = f"noise inside the letters at {coarse.distance:g} mm ({inside.sum()} bins), %"
+        rows.append({"what": what, "value": 100 * noise, "limit": "1"})
     return rows
 
 
-def path_noise(parameters: dict[str, str]) -> list[Row]:
+def path_noise(parameters: dict[str, str]) -> list[accuracy.Row]:
     """Compare the still life's noise and time with 4 and with 16 light paths for each of 4 x 4 radiators a lens."""
     scene = load_scene("still_life", parameters=parameters)
     noise, seconds = [], []
@@ -73,38 +67,25 @@ def path_noise(parameters: dict[str, str]) -> list[Row]:
             pair.append(reconstruct(capture, 240.0).image)
             seconds.append(time.perf_counter() - start)
         noise.append(float((pair[0] - pair[1])[2:-2, 2:-2].std() / np.sqrt(2) / np.mean(pair)))
+    longer = sum(seconds[2:]) / sum(seconds[:2])
     return [
         {"what": "still life, noise with 16 paths over that with 4", "value": noise[1] / noise[0], "limit": "0.5"},
-        {"what": "still life, time with 16 paths over that with 4", "value": sum(seconds[2:]) / sum(seconds[:2]),
-         "limit": "1.1"},
-    ]  # fmt: skip
+        {"what": "still life, time with 16 paths over that with 4", "value": longer, "limit": "1.1"},
+    ]
 
 
 def main() -> None:
     """Run all and write the table as Markdown and JSON; the letters' captures are kept and used again."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--output", type=Path, default=Path("out/wave_capture_accuracy"))
-    arguments = parser.parse_args()
-    arguments.output.mkdir(parents=True, exist_ok=True)
-    mi.set_variant("llvm_ad_mono")
+    arguments = accuracy.start(accuracy.options("wave_capture_accuracy", __doc__))
     letters = arguments.output / "letters_wave.exr"
     rows = [
         energy("letters", {}, keep=letters),
-        energy("letters", {**CROP}),
-        energy("white", {**CROP}),
-        energy("still_life", {**CROP}),
+        *(energy(name, CROP) for name in ("letters", "white", "still_life")),
         *letter_noise(letters),
         *path_noise({"resolution": "512", "detector_width": "1.024"}),
     ]
-    (arguments.output / "wave_capture_accuracy.json").write_text(json.dumps(rows, indent=1))
-    lines = ["| what | value | limit | s |", "|---|---|---|---|"]
-    for row in rows:
-        value = "" if row["value"] is None else f"{row['value']:.4g}"
-        seconds = "" if row.get("seconds") is None else f"{row['seconds']:.1f}"
-        lines.append(f"| {row['what']} | {value} | {row['limit']} | {seconds} |")
-    table = "\n".join(lines) + "\n"
-    (arguments.output / "wave_capture_accuracy.md").write_text(table)
-    print(table)
+    shown = [{**row, "seconds": f"{row['seconds']:.1f}" if row.get("seconds") else ""} for row in rows]
+    accuracy.finish(arguments, rows, accuracy.markdown(COLUMNS, shown))
 
 
 if __name__ == "__main__":

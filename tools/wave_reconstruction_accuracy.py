@@ -15,14 +15,12 @@ focus; that limit is made with full fields at a period at which no two lenses of
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import time
 from pathlib import Path
 from typing import Any
 
-import mitsuba as mi
+import accuracy
 import numpy as np
 
 from mitsuba_plenoptic import Capture, load_scene, read_capture, reconstruct, render_capture
@@ -42,42 +40,48 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "auto of wave capture": ("wave", {"method": "partial", "interleave": "auto"}),
     "K = 2 without relay": ("wave", {"method": "partial", "interleave": 2, "relay": False}),
 }
+COLUMNS = {
+    "method": "{method}",
+    "g (mm)": "{distance:g}",
+    "PSNR (dB)": "{psnr_db:.1f}",
+    "limit (dB)": "{psnr_limit_db:.1f}",
+    "correlation": "{correlation:.4f}",
+    "scale": "{scale:.3f}",
+    "best shift": "{best_shift}",
+    "s, all distances": "{seconds_for_all_distances:.1f}",
+}
 
 
 def main() -> None:
     """Refocus, compare, and write the tables as Markdown and JSON with the picture beside them."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--output", type=Path, default=Path("out/wave_reconstruction_accuracy"))
+    parser = accuracy.options("wave_reconstruction_accuracy", __doc__, reference_spp=4096)
     parser.add_argument("--capture", type=Path, help="a wave capture of the letters")
     parser.add_argument("--ray-capture", type=Path, help="a ray capture of the letters")
-    parser.add_argument("--reference-spp", type=int, default=4096, help="samples per pixel of the thin lens")
     parser.add_argument("--periods", type=int, nargs="*", default=[1, 2, 4, 8])
-    parser.add_argument(
-        "--limit-period", type=int, default=16, help="period at which no two lenses of a subset overlap"
-    )
-    arguments = parser.parse_args()
-    arguments.output.mkdir(parents=True, exist_ok=True)
-    mi.set_variant("llvm_ad_mono")
+    parser.add_argument("--limit-period", type=int, default=16, help="at which no two lenses of a subset overlap")
+    arguments = accuracy.start(parser)
 
     scene = load_scene("letters")
+    ray, wave = arguments.ray_capture, arguments.capture
     captures = {
-        "ray": read_capture(arguments.ray_capture) if arguments.ray_capture else render_capture(scene, spp=64),
-        "wave": read_capture(arguments.capture)
-        if arguments.capture
-        else render_capture(scene, model="wave", wavelength=633.0),
+        "ray": read_capture(ray) if ray else render_capture(scene, spp=64),
+        "wave": read_capture(wave) if wave else render_capture(scene, model="wave", wavelength=633.0),
     }
     references = [thin_lens_image(scene, captures["wave"].camera, g, arguments.reference_spp) for g in DISTANCES]
     table = _agreement(captures, references, arguments.output)
     interference = _interference(captures["wave"], arguments.periods, arguments.limit_period)
-    (arguments.output / "wave_reconstruction_accuracy.json").write_text(
-        json.dumps({"agreement": table, "interference": interference}, indent=1)
+    percent = {"K": "{interleave}", **{place: f"{{{place}:.2f}}" for place in list(interference[0])[1:]}}
+    limit = f"the limit without interference (full fields, K = {arguments.limit_period})"
+    accuracy.finish(
+        arguments,
+        {"agreement": table, "interference": interference},
+        accuracy.markdown(COLUMNS, table),
+        f"RMS distance from {limit} over the mean, in %:\n",
+        accuracy.markdown(percent, interference),
     )
-    text = _markdown(table, interference, arguments.limit_period)
-    (arguments.output / "wave_reconstruction_accuracy.md").write_text(text)
-    print(text)
 
 
-def _agreement(captures: dict[str, Capture], references: list[np.ndarray], output: Path) -> list[dict[str, Any]]:
+def _agreement(captures: dict[str, Capture], references: list[np.ndarray], output: Path) -> list[accuracy.Row]:
     rows, pictures = [], [np.concatenate(references, 1)]
     for name, (source, options) in METHODS.items():
         start = time.perf_counter()
@@ -110,7 +114,7 @@ def _psnr_limit(correlation: float, reference: np.ndarray) -> float:
     return float(10 * math.log10(reference.max() ** 2 / left))
 
 
-def _interference(capture: Capture, periods: list[int], limit_period: int) -> list[dict[str, Any]]:
+def _interference(capture: Capture, periods: list[int], limit_period: int) -> list[accuracy.Row]:
     def images(interleave: int | str) -> list[np.ndarray]:
         results = reconstruct(capture, list(DISTANCES), method="partial", interleave=interleave)
         return [result.image.astype(np.float64) for result in results]
@@ -118,7 +122,7 @@ def _interference(capture: Capture, periods: list[int], limit_period: int) -> li
     limits = images(limit_period)
     rows = []
     for interleave in (*periods, "auto"):
-        row: dict[str, Any] = {"interleave": interleave}
+        row: accuracy.Row = {"interleave": interleave}
         for g, image, limit in zip(DISTANCES, images(interleave), limits, strict=True):
             for letter, (own, _) in LETTERS.items():
                 if own != g:
@@ -139,28 +143,6 @@ def _letter_bins(capture: Capture, limit: np.ndarray, letter: str) -> np.ndarray
 
 def _distance(image: np.ndarray, limit: np.ndarray, bins: np.ndarray) -> float:
     return float(100 * math.sqrt(np.mean((image - limit)[bins] ** 2)) / limit[bins].mean())
-
-
-def _markdown(table: list[dict[str, Any]], interference: list[dict[str, Any]], limit_period: int) -> str:
-    lines = [
-        "| method | g (mm) | PSNR (dB) | limit (dB) | correlation | scale | best shift | s, all distances |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    lines += [
-        f"| {r['method']} | {r['distance']:g} | {r['psnr_db']:.1f} | {r['psnr_limit_db']:.1f} "
-        f"| {r['correlation']:.4f} | {r['scale']:.3f} | {r['best_shift']} | {r['seconds_for_all_distances']:.1f} |"
-        for r in table
-    ]
-    places = list(interference[0])[1:]
-    lines += [
-        "",
-        f"RMS distance from the limit without interference (full fields, K = {limit_period}) over the mean, in %:",
-        "",
-        f"| K | {' | '.join(places)} |",
-        "|---|" + "---|" * len(places),
-    ]
-    lines += [f"| {row['interleave']} | {' | '.join(f'{row[p]:.2f}' for p in places)} |" for row in interference]
-    return "\n".join(lines) + "\n"
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ Writes results.json, table.md and study.png.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import time
@@ -55,19 +56,16 @@ def main() -> None:
     mi.set_variant("llvm_ad_mono")
 
     rows: list[dict[str, Any]] = []
-    for f_number in F_NUMBERS:
-        for pitch in PITCHES:
-            for focus in ("in focus", "out of focus"):
-                start = time.perf_counter()
-                found = study(f_number, pitch, focus)
-                rows += found
-                half = next(row for row in found if row["binning"] == 2)
-                print(
-                    f"f/{f_number:g}, pitch {1e3 * pitch:g} um, {focus}: Fresnel number {half['fresnel']:.2f}, rays "
-                    f"{half['rays']:.3f}, convolved {half['convolved']:.3f} "
-                    f"({time.perf_counter() - start:.1f} s)",
-                    flush=True,
-                )
+    for f_number, pitch, focus in itertools.product(F_NUMBERS, PITCHES, ("in focus", "out of focus")):
+        start = time.perf_counter()
+        found = study(f_number, pitch, focus)
+        rows += found
+        half = next(row for row in found if row["binning"] == 2)
+        print(
+            f"f/{f_number:g}, pitch {1e3 * pitch:g} um, {focus}: Fresnel number {half['fresnel']:.2f}, rays "
+            f"{half['rays']:.3f}, convolved {half['convolved']:.3f} ({time.perf_counter() - start:.1f} s)",
+            flush=True,
+        )
     (arguments.output / "results.json").write_text(json.dumps(rows, indent=1) + "\n")
     (arguments.output / "table.md").write_text(table(rows))
     plot(arguments.output / "study.png", rows)
@@ -81,71 +79,51 @@ def study(f_number: float, pitch: float, focus: str) -> list[dict[str, Any]]:
     # The blur of an object at distance g has the diameter D1 (1 + b/g - b/f1) on the microlenses.
     defocus = 0.0 if focus == "in focus" else BLUR * pitch / diameter
     distance = MLA_DISTANCE / (MLA_DISTANCE / FOCAL_LENGTH - 1 + defocus)
-    scene = star(f_number, pitch, diameter, distance, LENSES * pixels)
-    camera = scene.sensors()[0].camera
+    camera = PlenopticCamera(
+        focal_length=FOCAL_LENGTH, aperture_radius=diameter / 2, mla_distance=MLA_DISTANCE,
+        mla_focal_length=f_number * pitch, mla_pitch=pitch, detector_width=LENSES * pitch,
+        resolution=(LENSES * pixels, LENSES * pixels), lens_model="parabolic",
+    )  # fmt: skip
+    scene = star(camera, distance)
     rays = [render_capture(scene, model="ray", spp=128, seed=seed).image.astype(np.float64) for seed in (0, 1)]
     # Radiators as close as the main lens's own spot on the microlenses.
     radiators = min(16, max(4, math.ceil(pitch / (WAVELENGTH * 1e-6 * design.image_f_number(camera)))))
-    wave = render_capture(scene, model="wave", wavelength=WAVELENGTH, radiators_per_lens=radiators, spp=1).image.astype(
-        np.float64
-    )
+    by_waves = render_capture(scene, model="wave", wavelength=WAVELENGTH, radiators_per_lens=radiators, spp=1)
+    wave = by_waves.image.astype(np.float64)
     convolved = [diffract(image, camera) for image in rays]
-    rows = []
-    for binning in BINNING:
-        if LENSES * pixels % binning:
-            continue
-        rows.append(
-            {
-                "f_number": f_number,
-                "pitch": pitch,
-                "focus": focus,
-                "fresnel": design.mla_fresnel_number(camera, WAVELENGTH),
-                "pixel": camera.pixel_size * binning,
-                "pixel_over_spot": camera.pixel_size * binning / spot,
-                "binning": binning,
-                "radiators_per_lens": radiators,
-                "rays": difference(rays, wave, binning),
-                "convolved": difference(convolved, wave, binning),
-                "energy": float(rays[0].sum() / wave.sum()),
-            }
-        )
-    return rows
+    return [
+        {
+            "f_number": f_number,
+            "pitch": pitch,
+            "focus": focus,
+            "fresnel": design.mla_fresnel_number(camera, WAVELENGTH),
+            "pixel": camera.pixel_size * binning,
+            "pixel_over_spot": camera.pixel_size * binning / spot,
+            "binning": binning,
+            "radiators_per_lens": radiators,
+            "rays": difference(rays, wave, binning),
+            "convolved": difference(convolved, wave, binning),
+            "energy": float(rays[0].sum() / wave.sum()),
+        }
+        for binning in BINNING
+        if LENSES * pixels % binning == 0
+    ]
 
 
-def star(f_number: float, pitch: float, diameter: float, distance: float, resolution: int) -> Any:
+def star(camera: PlenopticCamera, distance: float) -> Any:
     """Build a Siemens star that fills four fifths of the field."""
-    width = LENSES * pitch * distance / MLA_DISTANCE
     mesh_width = 4.0
-    size = 0.8 * width / mesh_width
-    transform = mi.ScalarTransform4f().translate([0, 0, distance]).scale([size, size, 1])
+    size = 0.8 * camera.detector_width * distance / MLA_DISTANCE / mesh_width
     return mi.load_dict(
         {
             "type": "scene",
             "integrator": {"type": "path", "max_depth": 1},
-            "camera": {
-                "type": "plenoptic",
-                "focal_length": FOCAL_LENGTH,
-                "aperture_radius": diameter / 2,
-                "mla_distance": MLA_DISTANCE,
-                "mla_focal_length": f_number * pitch,
-                "mla_pitch": pitch,
-                "detector_width": LENSES * pitch,
-                "lens_model": "parabolic",
-                "film": {
-                    "type": "hdrfilm",
-                    "width": resolution,
-                    "height": resolution,
-                    "rfilter": {"type": "box"},
-                    "pixel_format": "luminance",
-                    "component_format": "float32",
-                },
-                "sampler": {"type": "independent", "sample_count": 128},
-            },
+            "camera": camera.to_sensor(),
             "star": {
                 "type": "ply",
                 "filename": str(scene_path("chart").parent / "meshes" / "star.ply"),
                 "face_normals": True,
-                "to_world": transform,
+                "to_world": mi.ScalarTransform4f().translate([0, 0, distance]).scale([size, size, 1]),
                 "bsdf": {"type": "diffuse", "reflectance": {"type": "spectrum", "value": 0.0}},
                 "emitter": {"type": "area", "radiance": {"type": "spectrum", "value": 1.0}},
             },
@@ -202,20 +180,18 @@ def plot(path: Path, rows: list[dict[str, Any]]) -> None:
     left, right = figure.subplots(1, 2, width_ratios=[1.15, 1])
     colours = {"in focus": "#b3541e", "out of focus": "#2a5fa5"}
     markers = dict(zip(F_NUMBERS, ("o", "s", "^"), strict=True))
-    for focus, colour in colours.items():
-        chosen = [row for row in rows if row["focus"] == focus and row["binning"] == 2]
-        for method, face in (("rays", colour), ("convolved", "white")):
-            for f_number, marker in markers.items():
-                points = [row for row in chosen if row["f_number"] == f_number]
-                left.plot(
-                    [row["fresnel"] for row in points],
-                    [100 * row[method] for row in points],
-                    marker,
-                    color=colour,
-                    markerfacecolor=face,
-                    markersize=7,
-                    label=f"{focus}, {'rays' if method == 'rays' else 'rays with sinc²'}" if marker == "o" else None,
-                )
+    names = {"rays": "rays", "convolved": "rays with sinc²"}
+    for focus, method in itertools.product(colours, names):
+        look = {"color": colours[focus], "markerfacecolor": colours[focus] if method == "rays" else "white"}
+        label = f"{focus}, {names[method]}"
+        chosen = [row for row in rows if row["focus"] == focus]
+        for f_number, marker in markers.items():
+            points = [row for row in chosen if row["f_number"] == f_number and row["binning"] == 2]
+            x, y = [row["fresnel"] for row in points], [100 * row[method] for row in points]
+            left.plot(x, y, marker, markersize=7, label=label if marker == "o" else None, **look)
+        line = [row for row in chosen if row["f_number"] == 8 and row["pitch"] == 0.064]
+        x, y = [row["pixel_over_spot"] for row in line], [100 * row[method] for row in line]
+        right.plot(x, y, "o-" if method == "rays" else "o--", label=label, **look)
     left.set(xscale="log", yscale="log", xlabel="Fresnel number of a microlens, $(D_2/2)^2 / \\lambda z$")
     left.set_ylabel("difference from the wave capture (%)")
     left.set_title("Pixels of half the spot's half width", loc="left", size=10)
@@ -223,19 +199,6 @@ def plot(path: Path, rows: list[dict[str, Any]]) -> None:
         left.plot([], [], marker, color="#777777", label=f"microlens f/{f_number:g}")
     left.legend(fontsize=8, frameon=False)
 
-    papers = [row for row in rows if row["f_number"] == 8 and row["pitch"] == 0.064]
-    for focus, colour in colours.items():
-        line = [row for row in papers if row["focus"] == focus]
-        sizes = [row["pixel_over_spot"] for row in line]
-        right.plot(sizes, [100 * row["rays"] for row in line], "o-", color=colour, label=f"{focus}, rays")
-        right.plot(
-            sizes,
-            [100 * row["convolved"] for row in line],
-            "o--",
-            color=colour,
-            markerfacecolor="white",
-            label=f"{focus}, rays with sinc²",
-        )
     right.set(xscale="log", yscale="log", xlabel="pixel over the spot's half width, $p D_2 / \\lambda z$")
     right.set_title("The paper's microlenses: f/8, 64 µm", loc="left", size=10)
     right.legend(fontsize=8, frameon=False)

@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from ..io.files import require_writable
-from ..lightfield.exchange import save_light_field
-from .inputs import load_light_field
+from ..lightfield.exchange import open_light_field, save_light_field
 from .options import LightFieldSource, Linear, ViewCount, White, output_option
 
 
@@ -38,6 +37,6 @@ def convert(
       mitsuba-plenoptic convert lytro.eslf.png --view-count 14 -o lf.mat
     """
     require_writable(output)
-    lf = load_light_field(source, white, view_count, linear)
+    lf = open_light_field(source, white=white, views=view_count, linear=linear)
     save_light_field(output, lf)
     typer.echo(f"{output}: {lf.sizes['u']} x {lf.sizes['v']} views of {lf.sizes['s']} x {lf.sizes['t']} pixels")

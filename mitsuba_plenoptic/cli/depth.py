@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from ..lightfield import depth_map
+from ..lightfield.exchange import open_light_field
 from ..report.output_files import require_picture_path, write_depth
-from .inputs import load_light_field
 from .options import LightFieldSource, Linear, ViewCount, White, number, output_option
 from .terminal import progress_bar
 
@@ -46,7 +46,7 @@ def depth(
       mitsuba-plenoptic depth raw.exr -o depth.exr --near 195 --far 310
     """
     require_picture_path(output)
-    lf = load_light_field(source, white, view_count, linear)
+    lf = open_light_field(source, white=white, views=view_count, linear=linear)
     with progress_bar("Comparing views") as progress:
         found = depth_map(lf, near, far, planes=planes, progress=progress)
     write_depth(output, found)

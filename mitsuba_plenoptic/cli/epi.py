@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from ..lightfield import epipolar_image
+from ..lightfield.exchange import open_light_field
 from ..lightfield.views import AXES
 from ..report.output_files import require_picture_path, write_epipolar_image
-from .inputs import load_light_field
 from .options import LightFieldSource, Linear, ViewCount, White, number, output_option
 
 
@@ -41,7 +41,9 @@ def epi(
       mitsuba-plenoptic epi raw.exr -o epi.png --at 2.5
     """
     require_picture_path(output)
-    image = epipolar_image(load_light_field(source, white, view_count, linear), axis, at=at, through=through)
+    image = epipolar_image(
+        open_light_field(source, white=white, views=view_count, linear=linear), axis, at=at, through=through
+    )
     write_epipolar_image(output, image)
     rows, columns = image.shape[:2]
     typer.echo(f"{output}: {rows} views of {columns} pixels")

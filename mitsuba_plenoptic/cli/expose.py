@@ -8,8 +8,8 @@ import typer
 
 from ..detector import Detector
 from ..detector import expose as record
-from ..io.captures import write_capture
-from .inputs import load_capture, require_capture_output
+from ..io.captures import read_capture, write_capture
+from .inputs import require_capture_output
 from .options import CaptureFile, CaptureOutput, number
 
 
@@ -51,6 +51,6 @@ def expose(
         gain=gain,
         black_level=black_level,
     )
-    write_capture(output, record(load_capture(capture), detector, photons=photons, seed=seed))
+    write_capture(output, record(read_capture(capture), detector, photons=photons, seed=seed))
     electrons = detector.quantum_efficiency * photons
     typer.echo(f"{output}: {electrons:.4g} electrons in a pixel of value 1; a full well is {full_well:g}")

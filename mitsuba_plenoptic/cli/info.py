@@ -14,10 +14,10 @@ from rich.table import Table
 from ..bounds import require_wavelength
 from ..design import design_warnings
 from ..errors import printable
-from ..io.captures import Capture
+from ..io.captures import Capture, read_capture
 from ..presets import PRESETS
 from ..report.design_sheet import Row, design_sheet
-from .inputs import load_camera, load_capture, parse_definitions
+from .inputs import load_camera, parse_definitions
 from .options import Definitions, number
 
 
@@ -49,7 +49,7 @@ def info(
     if wavelength is not None:
         wavelength = require_wavelength(wavelength)
     parameters = parse_definitions(define)
-    capture = load_capture(source) if source.lower().endswith(".exr") else None
+    capture = read_capture(source) if source.lower().endswith(".exr") else None
     camera = capture.camera if capture else load_camera(source, parameters)
     if capture and wavelength is None and isinstance(capture.wavelength, float):
         wavelength = capture.wavelength

@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from .. import reconstruction
+from ..io.captures import read_capture
 from ..report.output_files import reconstruction_paths, write_reconstructions
 from ..runtime.variant import set_variant
-from .inputs import load_capture
 from .options import CaptureFile, Distances, Variant, number, output_option
 from .terminal import progress_bar
 
@@ -75,7 +75,7 @@ def reconstruct(
       mitsuba-plenoptic reconstruct raw.exr -o out.png --method partial --distance 280
     """
     paths = reconstruction_paths(output, distance)
-    recorded = load_capture(capture)
+    recorded = read_capture(capture)
     set_variant(variant)
     with progress_bar("Refocusing") as progress:
         results = reconstruction.reconstruct(

@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from ..lightfield import focal_stack
+from ..lightfield.exchange import open_light_field
 from ..lightfield.refocus import METHODS
 from ..report.output_files import require_picture_path, write_stack
-from .inputs import load_light_field
 from .options import Distances, LightFieldSource, Linear, ViewCount, White, output_option
 from .terminal import progress_bar
 
@@ -40,7 +40,7 @@ def stack(
       mitsuba-plenoptic stack raw.exr -o stack.png --distance 210 --distance 240 --distance 280
     """
     require_picture_path(output)
-    lf = load_light_field(source, white, view_count, linear)
+    lf = open_light_field(source, white=white, views=view_count, linear=linear)
     with progress_bar("Refocusing") as progress:
         images = focal_stack(lf, distance, method=method, progress=progress)
     write_stack(output, images)

@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from ..lightfield import pick_views
+from ..lightfield.exchange import open_light_field
 from ..report.output_files import require_picture_path, write_views
-from .inputs import load_light_field
 from .options import LightFieldSource, Linear, ViewCount, White, number, output_option
 
 
@@ -39,7 +39,7 @@ def views(
       mitsuba-plenoptic views raw.exr -o centre.png --count 1
     """
     require_picture_path(output)
-    lf = load_light_field(source, white, view_count, linear)
+    lf = open_light_field(source, white=white, views=view_count, linear=linear)
     if count is not None:
         lf = pick_views(lf, count)
     write_views(output, lf)

@@ -2,6 +2,8 @@
 
 `focus` tells what the microlenses are focused on, and how sharply the camera sees at which distance; `micro_images`
 tells how large the micro-images are, by rays and with diffraction, and which lenses light a pixel.
+
+A wavelength is in nanometres; where it may be left out, diffraction then is, too.
 """
 
 from .focus import (

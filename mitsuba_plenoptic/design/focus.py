@@ -69,8 +69,13 @@ def best_distances(camera: PlenopticCamera) -> tuple[float, ...]:
     For an unfocused one, `PlenopticCamera.focus_distance`. Where there is no such plane it is
     infinite or negative.
     """
+    return tuple(conjugate_distance(camera.focal_length, image) for image in best_images(camera))
+
+
+def best_images(camera: PlenopticCamera) -> tuple[float, ...]:
+    """Distance behind the main lens of what each type of microlens is to see: the MLA's for an unfocused one."""
     return tuple(
-        conjugate_distance(camera.focal_length, camera.mla_distance - (0 if focus == "unfocused" else a))
+        camera.mla_distance - (0 if focus == "unfocused" else a)
         for focus, a in zip(focus_types(camera), mla_object_distances(camera), strict=True)
     )
 
@@ -151,21 +156,11 @@ def effective_resolution(
 ) -> EffectiveResolution:
     """Return the finest detail that is told apart at an object distance.
 
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    distance : float
-        Object distance, beyond the focal length.
-    wavelength : float, optional
-        Wavelength in nanometres; without it diffraction is left out.
-
     Raises
     ------
     InputError
-        If the distance or the wavelength is out of range.
+        If the distance is not beyond the focal length, or the wavelength is out of range.
     """
-    # refuses what is not beyond the focal length
     image_distance(camera.focal_length, require_number("distance", distance))
     spot = pixel_footprint(camera, distance) * _finest(camera, wavelength) / camera.pixel_size
     lens = min(lens_footprint(camera, distance, f2) for f2 in camera.mla_focal_lengths) * camera.lattice.aperture_width
@@ -210,13 +205,6 @@ def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> li
     For an unfocused type that is `refocus_range`. For another, its blur on the detector,
     :math:`w |1/v - 1/v_0|`, is at most a pixel, or the spot of diffraction if that is wider, and every point is seen by
     two lenses at least (`lenses_across` of 1).
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float, optional
-        Wavelength in nanometres; without it diffraction is left out.
 
     Returns
     -------

@@ -36,22 +36,12 @@ def spot_radius(camera: PlenopticCamera, wavelength: float) -> float:
 
     :math:`\lambda z / w` for a rectangular aperture, w its narrower side; :math:`1.22\, \lambda z / d` for a disc of
     diameter d; for a hexagon that of the disc of its area.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
     """
     return wavelength * 1e-6 * camera.detector_distance / camera.lattice.diffraction_width
 
 
 def direction_count(camera: PlenopticCamera, wavelength: float | None = None) -> float:
-    """Directions told apart across a micro-image: its diameter over a pixel or the spot, whichever is larger.
-
-    Without a wavelength diffraction is left out.
-    """
+    """Directions told apart across a micro-image: its diameter over a pixel or the spot, whichever is larger."""
     spot = 0.0 if wavelength is None else spot_radius(camera, wavelength)
     return camera.micro_image_diameter / max(camera.pixel_size, spot)
 

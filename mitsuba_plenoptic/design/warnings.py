@@ -5,20 +5,12 @@ from __future__ import annotations
 import math
 
 from ..camera import PlenopticCamera
-from .focus import best_distances, focus_type, focus_types, lenses_across, mla_object_distances
+from .focus import best_distances, best_images, focus_type, lenses_across
 from .micro_images import crosstalk_lenses, direction_count, micro_image_distance, mla_fresnel_number, spot_radius
 
 
 def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
-    """Say in one sentence each what is poor about a design.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float, optional
-        Wavelength in nanometres; without it diffraction is not judged.
-    """
+    """Say in one sentence each what is poor about a design."""
     found = []
     diameter, pitch = camera.micro_image_diameter, micro_image_distance(camera)
     # The stop for which the micro-images just touch.
@@ -38,7 +30,7 @@ def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) ->
             "micro-images overlap at their rims, which a lens that is in focus on the object blurs: light of "
             "neighbouring lenses mixes there; stop the main lens down, or narrow the lenses (mla_fill)"
         )
-    image = max(camera.mla_distance - _focus_on_image(camera, lens) for lens in range(len(focus_types(camera))))
+    image = max(best_images(camera))
     if image < camera.focal_length:
         found.append(
             f"no object plane is in focus: the microlenses see a plane {image:.4g} mm behind the main lens, "
@@ -59,11 +51,6 @@ def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) ->
         if fresnel < 1:
             found.append(f"the microlenses hardly focus: their Fresnel number is {fresnel:.2g}")
     return found
-
-
-def _focus_on_image(camera: PlenopticCamera, lens: int) -> float:
-    """Distance before the MLA of what a type of lens is to see: 0 if unfocused, as the MLA itself is in focus then."""
-    return 0.0 if focus_types(camera)[lens] == "unfocused" else mla_object_distances(camera)[lens]
 
 
 def _coverage_warnings(camera: PlenopticCamera) -> list[str]:

@@ -54,8 +54,6 @@ class Capture:
         if not isinstance(self.camera, PlenopticCamera):
             raise InputError(f"camera = {shown(self.camera)}: it must be a PlenopticCamera")
         image = as_array("image", self.image)
-        if image.dtype.kind not in "fiu":
-            raise InputError(f"image of type {image.dtype}: it must hold real numbers")
         if image.ndim not in (2, 3) or image.shape[:2] != self.camera.shape:
             raise InputError(
                 f"image of shape {image.shape}: the camera records {self.camera.shape[0]} rows and "
@@ -78,27 +76,18 @@ class Capture:
 
 
 def as_array(name: str, values: Any) -> np.ndarray:
-    """Return the array of something that should be one.
-
-    Raises
-    ------
-    InputError
-        If it has no regular shape.
-    """
+    """Return the array of something that should be one, of regular shape and of real numbers."""
     try:
-        return np.asarray(values)
+        array = np.asarray(values)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name}: it must be an array: {error}") from None
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"{name} of type {array.dtype}: it must hold real numbers")
+    return array
 
 
 def require_pixels(name: str, image: np.ndarray) -> None:
-    """Refuse an image with a pixel that is not finite or whose magnitude is above `BRIGHTEST`.
-
-    Raises
-    ------
-    InputError
-        With their number and the place of the first.
-    """
+    """Refuse an image with pixels that are not finite or of a magnitude above `BRIGHTEST`: how many, and the first."""
     # The largest and the smallest value show every NaN too, and cost far less than a test of each.
     if image.size == 0 or max(float(image.max()), -float(image.min())) <= BRIGHTEST:
         return

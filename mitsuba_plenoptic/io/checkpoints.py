@@ -162,13 +162,7 @@ def _write(path: Path, run: dict[str, Any], snapshot: Snapshot) -> None:
 
 
 def _read(path: Path, run: dict[str, Any], shape: tuple[int, ...]) -> Snapshot:
-    """Read the checkpoint of a run.
-
-    Raises
-    ------
-    InputError
-        If it is of another run, or damaged.
-    """
+    """Read the checkpoint of a run, and refuse that of another run or a damaged one."""
     try:
         with np.load(path, allow_pickle=False) as archive:
             header = json.loads(str(archive["header"]))

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
-import os
-import threading
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import OpenEXR
 
 from ..errors import InputError
 from ..runtime.limits import require_memory
-from .files import atomic_output, require_file
+from .files import atomic_output, native_output_dropped, require_file
 
 ATTRIBUTE = "mitsuba_plenoptic"
 
@@ -30,35 +25,15 @@ _LOSSLESS = (
     OpenEXR.PIZ_COMPRESSION,
 )
 
-_one_at_a_time = threading.Lock()
 
+class Part(NamedTuple):
+    """What the header of one part of an OpenEXR file says: its data window, its channels, and all attributes."""
 
-@dataclass(frozen=True)
-class Part:
-    """What the header of one part of an OpenEXR file says.
-
-    Attributes
-    ----------
-    origin : (column, row)
-        First pixel of its data window.
-    columns, rows : int
-        Size of its data window.
-    channels : tuple of str
-        Their names.
-    header : dict
-        All its attributes, as OpenEXR gives them.
-    """
-
-    origin: tuple[int, int]
+    origin: tuple[int, int]  # column and row
     columns: int
     rows: int
     channels: tuple[str, ...]
     header: dict[str, Any]
-
-    @property
-    def size(self) -> int:
-        """Bytes of its pixels, at most: no type of pixel takes more than four bytes a channel."""
-        return 4 * self.columns * self.rows * len(self.channels)
 
 
 def write_exr(
@@ -91,22 +66,7 @@ def write_exr(
 
 
 def write_exr_parts(path: str | Path, parts: Mapping[str, np.ndarray], attributes: dict[str, Any]) -> None:
-    """Write several images as the parts of one OpenEXR file.
-
-    Parameters
-    ----------
-    path : path
-        File to write.
-    parts : mapping of names to (rows, columns[, 3]) arrays
-        Written as float32, as channel Y or R, G, B.
-    attributes : dict
-        Written as JSON into the header attribute ``mitsuba_plenoptic`` of the first part.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
+    """Write several images as the parts of one OpenEXR file, each as by `write_exr`; the first has the attributes."""
     # All parts of a file must share one display window.
     columns, rows = (max(image.shape[axis] for image in parts.values()) for axis in (1, 0))
     _write(path, parts, attributes, (0, 0), (columns, rows))
@@ -171,10 +131,12 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, dict[str, Any]]:
         attributes = json.loads(text)
         if not isinstance(attributes, dict):
             raise ValueError(f"attribute '{ATTRIBUTE}' is not a JSON object")
-        # The library's arrays of all parts, and ours.
-        needed = sum(part.size for part in parts) + 4 * part.columns * part.rows * len(names)
-        require_memory(needed, f"{path}: {part.columns} x {part.rows} pixels of {len(part.channels)} channels")
-        with _quiet(), OpenEXR.File(str(path), separate_channels=True) as file:
+        # The library's arrays of all parts, of at most four bytes a pixel and channel, and ours.
+        samples = sum(one.columns * one.rows * len(one.channels) for one in parts) + part.columns * part.rows * len(
+            names
+        )
+        require_memory(4 * samples, f"{path}: {part.columns} x {part.rows} pixels of {len(part.channels)} channels")
+        with native_output_dropped(), OpenEXR.File(str(path), separate_channels=True) as file:
             if len(file.parts) < len(parts):
                 raise ValueError("its pixels are damaged or incomplete")
             found = file.channels()
@@ -197,7 +159,7 @@ def read_parts(path: Path) -> list[Part]:
         If the file is no OpenEXR file, or its header is damaged.
     """
     try:
-        with _quiet(), OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
+        with native_output_dropped(), OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
             return [_part(part.header) for part in file.parts]
     except Exception as error:
         raise _damaged(path, error) from None
@@ -222,19 +184,3 @@ def _image_channels(part: Part) -> tuple[str, ...]:
         if set("YRGB").intersection(part.channels) == set(names):
             return names
     raise ValueError(f"it has the channels {', '.join(part.channels)} instead of Y or R, G, B")
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Hide what OpenEXR prints about damaged files, to Python's output and to the process's standard error.
-
-    The exceptions say it again.
-    """
-    with _one_at_a_time, Path(os.devnull).open("wb") as nowhere, contextlib.redirect_stdout(io.StringIO()):
-        kept = os.dup(2)
-        os.dup2(nowhere.fileno(), 2)
-        try:
-            yield
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)

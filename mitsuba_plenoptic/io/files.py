@@ -1,16 +1,20 @@
-"""Writing files so that nothing half-written is left and nothing finished is lost."""
+"""Files: read without noise, and written so that nothing half-written is left and nothing finished is lost."""
 
 from __future__ import annotations
 
 import contextlib
 import glob
+import io
 import os
 import shutil
 import tempfile
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 from ..errors import InputError, shown
+
+_one_at_a_time = threading.Lock()
 
 
 def require_writable(path: str | Path) -> Path:
@@ -64,13 +68,7 @@ def _path(path: str | Path) -> Path:
 
 @contextlib.contextmanager
 def atomic_output(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary name beside `path` that replaces it once it is written whole, or goes.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
+    """Yield a temporary name beside a writable `path` that replaces it once it is written whole, or goes."""
     path = require_writable(path)
     with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
         # The suffix stays, because writers choose the format by it.
@@ -84,3 +82,21 @@ def remove_leftovers(path: str | Path) -> None:
     path = Path(path)
     for folder in path.parent.glob(f".{glob.escape(path.name)}.*"):
         shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def native_output_dropped() -> Iterator[None]:
+    """Drop what libraries in C++ print about damaged files, to Python's output and to the process's own.
+
+    Their exceptions say it again.
+    """
+    with _one_at_a_time, Path(os.devnull).open("wb") as nowhere, contextlib.redirect_stdout(io.StringIO()):
+        kept = [(number, os.dup(number)) for number in (1, 2)]
+        try:
+            for number, _ in kept:
+                os.dup2(nowhere.fileno(), number)
+            yield
+        finally:
+            for number, copy in kept:
+                os.dup2(copy, number)
+                os.close(copy)

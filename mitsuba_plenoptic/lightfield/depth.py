@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import scipy
 import xarray as xr
 
 from ..errors import InputError, require_count, require_number
+from ..runtime.jobs import Progress, counted
 from ..runtime.limits import require_memory
-from .geometry import depth_range, disparity, distance_of, require_light_field, view_steps
-from .refocus import channel_planes, shift_and_add, shifted
+from .geometry import channel_planes, depth_range, disparity, distance_of, require_light_field, view_steps
+from .refocus import shift_and_add, shifted
 
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window.
 _WINDOW = 1.0
@@ -30,7 +29,7 @@ def depth_map(
     far: float | None = None,
     *,
     planes: int = 64,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> xr.Dataset:
     r"""Estimate the depth that every bin of the central view sees.
 
@@ -83,14 +82,10 @@ def depth_map(
     slopes = np.linspace(disparity(lf, near), disparity(lf, far), planes)
     cost = np.empty((planes, *lf.shape[2:4]), dtype=np.float32)
     image = np.empty((planes, *lf.shape[2:]), dtype=np.float32)
-    for index, slope in enumerate(slopes):
-        if progress:
-            progress(index, planes)
+    for index, slope in enumerate(counted(slopes, progress)):
         parts = scipy.ndimage.gaussian_filter(view_variance(lf, slope), (0, _WINDOW, _WINDOW), mode="nearest")
         cost[index] = np.minimum(parts[0], _HALF * parts[1:].min(axis=0))
         image[index] = shift_and_add(lf, slope).values
-    if progress:
-        progress(planes, planes)
 
     best = cost.argmin(axis=0)
     place = best + _vertex(cost, best)
@@ -115,14 +110,7 @@ def depth_map(
 
 
 def view_variance(lf: xr.DataArray, slope: float) -> np.ndarray:
-    """Variance over the views, moved so that points of one disparity coincide.
-
-    Parameters
-    ----------
-    lf : xarray.DataArray
-        A light field, (v, u, t, s[, c]).
-    slope : float
-        Disparity in lenses per view.
+    """Variance over the views, moved so that points of one disparity, in lenses per view, coincide.
 
     Returns
     -------

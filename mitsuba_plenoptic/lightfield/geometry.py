@@ -36,7 +36,7 @@ CHANNELS = ("R", "G", "B")
 
 def light_field(
     values: np.ndarray,
-    weight: np.ndarray,
+    weight: np.ndarray | None = None,
     camera: PlenopticCamera | None = None,
     bins: LensGrid | None = None,
     lenses: LensGrid | None = None,
@@ -47,8 +47,9 @@ def light_field(
     ----------
     values : (v, u, t, s[, 3]) float32 array
         Radiance; 0 where `weight` is 0.
-    weight : (v, u, t, s) float32 array
-        Fraction of the sample that sees through the pupil, 0 to 1.
+    weight : (v, u, t, s) float32 array, optional
+        Fraction of the sample that sees through the pupil, 0 to 1. Default: 0 in views that are black throughout, as
+        those beyond the pupil are, and 1 in the others.
     camera : PlenopticCamera, optional
         The camera, for physical coordinates.
     bins : LensGrid, optional
@@ -69,6 +70,9 @@ def light_field(
         If a value is NaN, infinite or above 1e30 in magnitude, or a weight is not from 0 to 1.
     """
     require_pixels("light field", values)
+    if weight is None:
+        seen = values.any(axis=tuple(range(2, values.ndim)), keepdims=True)
+        weight = np.broadcast_to(seen.reshape(*seen.shape[:4]), values.shape[:4]).astype(np.float32)
     # Written so that NaN is refused.
     if weight.size and not (weight.min() >= 0 and weight.max() <= 1):
         raise InputError("light field: a weight is not from 0 to 1")
@@ -163,6 +167,12 @@ def view_steps(lf: xr.DataArray, axis: str) -> np.ndarray:
     """Return the place of each view along ``u`` or ``v`` in views from the pupil's centre, rising with the index."""
     coordinate = np.asarray(lf[axis].values, dtype=np.float64)
     return -coordinate / camera_of(lf).pupil_step if lf.attrs.get("camera") else coordinate
+
+
+def channel_planes(lf: xr.DataArray) -> list[np.ndarray]:
+    """Return the values (v, u, t, s) of each channel."""
+    values = np.asarray(lf.values)
+    return [values] if values.ndim == 4 else list(np.moveaxis(values, 4, 0))
 
 
 def depth_range(lf: xr.DataArray) -> tuple[float, float]:

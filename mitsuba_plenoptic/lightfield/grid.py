@@ -96,7 +96,7 @@ class LensGrid:
 
 
 def _spacing(value: Any) -> float:
-    return require_number("spacing", require_number("spacing", value, positive=True), minimum=1e-3, maximum=1e6)
+    return require_number("spacing", value, positive=True, minimum=1e-3, maximum=1e6)
 
 
 def _offset(value: Any) -> float:
@@ -180,16 +180,7 @@ def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:
 def lens_types(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
     """Return the type of the lens of each micro-image: the index of its focal length.
 
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    centres : (..., 2) array
-        Columns and rows on the recorded image, of the model or of its estimate.
-
-    Returns
-    -------
-    (...) int array
+    The centres, (..., 2) columns and rows on the recorded image, are those of the model or of its estimate.
     """
     if len(camera.mla_focal_lengths) == 1:
         return np.zeros(centres.shape[:-1], dtype=np.int64)

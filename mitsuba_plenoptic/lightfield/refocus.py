@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import xarray as xr
 
 from ..errors import InputError, require_choice, require_number
+from ..runtime.jobs import Progress, counted
 from ..runtime.limits import require_memory
 from .fourier import FourierRefocuser
+from .geometry import channel_planes, require_light_field, view_steps
 from .geometry import disparity as disparity_at
-from .geometry import require_light_field, view_steps
 from .views import as_view
 
 METHODS = ("shift", "fourier")
@@ -83,7 +84,7 @@ def focal_stack(
     distances: Sequence[float],
     *,
     method: str = "shift",
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> xr.DataArray:
     """Refocus a light field to several distances.
 
@@ -120,24 +121,8 @@ def focal_stack(
     images = 8.0 * lf.sizes["t"] * lf.sizes["s"] * lf.sizes.get("c", 1)
     # Views are moved in copies.
     require_memory(6.0 * lf.size + 2 * images * len(disparities), f"focal stack of {len(disparities)} distances")
-    planes = []
-    for done, value in enumerate(disparities):
-        if progress:
-            progress(done, len(disparities))
-        planes.append(refocus_at(value))
-    if progress:
-        progress(len(disparities), len(disparities))
-    stack = xr.concat(planes, dim="distance")
+    stack = xr.concat([refocus_at(value) for value in counted(disparities, progress)], dim="distance")
     return stack.assign_coords(distance=("distance", distances, {"units": "mm"}))
-
-
-def channel_planes(lf: xr.DataArray) -> Iterator[np.ndarray]:
-    """Yield the values (v, u, t, s) of each channel."""
-    values = np.asarray(lf.values)
-    if values.ndim == 4:
-        yield values
-    else:
-        yield from (values[..., channel] for channel in range(values.shape[4]))
 
 
 def shifted(values: np.ndarray, shift: float, axis: int) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from .experiment import Experiment
@@ -41,26 +41,13 @@ class Claim:
     verdict: str
     remark: str
 
-    def to_dict(self) -> dict[str, str]:
-        """Return the claim by names."""
-        return asdict(self)
-
 
 def check_claims(
     experiment: Experiment, numbers: dict[str, Any], seconds: dict[str, float], near: str, far: str
 ) -> list[Claim]:
-    """Compute the verdicts.
+    """Compute the verdicts from the letters, what `measure` gave of them, and seconds on one core by method.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The letters.
-    numbers : dict
-        What `measure` gave.
-    seconds : dict
-        Seconds on one core by method.
-    near, far : str
-        Ids of the nearest letter and of the farthest; each is out of focus where the other is sharp.
+    Near and far are the ids of the nearest letter and of the farthest; each is out of focus where the other is sharp.
     """
     first, last = experiment.settings.distances[0], experiment.settings.distances[-1]
     blurred = [

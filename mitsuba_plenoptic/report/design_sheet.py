@@ -26,15 +26,7 @@ _Line = tuple[str, str, str, str]
 
 
 def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> list[Row]:
-    """List a camera's parameters and derived quantities.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float, optional
-        Wavelength in nanometres; without it what follows from diffraction is left out.
-    """
+    """List a camera's parameters and derived quantities; without a wavelength not those of diffraction."""
     groups = {
         "Main lens": _main_lens(camera),
         "Microlenses": _microlenses(camera),

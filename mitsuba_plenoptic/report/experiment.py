@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..capture.render import render_capture
-from ..capture.scene import load_scene, scene_path
+from ..capture.scene import load_scene
 from ..errors import InputError
 from ..io.captures import Capture
 from ..reconstruction import Reconstruction, reconstruct
@@ -86,10 +86,6 @@ class Settings:
     truth_spp: int = 1024
     variant: str = DEFAULT_VARIANT
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the settings as plain JSON values."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
 class Experiment:
@@ -147,9 +143,7 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     if "mono" not in settings.variant:
         raise InputError(f"variant = {settings.variant!r}: a comparison is made in one colour; use a mono variant")
     set_variant(settings.variant)
-    scene = load_scene(settings.scene, parameters=settings.parameters)
-    if not scene.sensors():
-        raise InputError(f"{settings.scene}: it has no sensor; add one of type 'plenoptic'")
+    scene = load_with_sensor(settings.scene, settings.parameters)
     sensor = scene.sensors()[0]
     PlenopticCamera.from_sensor(sensor)
     # The wave capture's lenses are thin parabolic phases: their geometric twin leaves diffraction as the difference.
@@ -158,9 +152,8 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     if camera.is_cropped:
         raise InputError(f"{settings.scene}: a comparison needs the full detector; remove the film's crop window")
 
-    path = Path(settings.scene) if Path(settings.scene).is_file() else scene_path(settings.scene)
     base = {
-        "scene": scene_fingerprint(path, settings.parameters),
+        "scene": scene_fingerprint(settings.scene, settings.parameters),
         "variant": settings.variant,
         "lens_model": sensor.lens_model,
     }
@@ -206,7 +199,8 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     for method in METHODS:
         wanted = distances if method.name in SLIDER_METHODS else settings.distances
         for distance in wanted:
-            images[method.name, distance] = _refocus(store, *sources[method.source], method, distance)
+            name = f"{method.name}_{distance:g}"
+            images[method.name, distance] = refocused(store, name, *sources[method.source], distance, method.options)
     return Experiment(
         settings=settings,
         camera=camera,
@@ -220,6 +214,14 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
         boxes=_boxes(scene),
         seconds=store.seconds,
     )
+
+
+def load_with_sensor(name: str, parameters: Mapping[str, str]) -> Any:
+    """Load a scene and refuse one without a sensor."""
+    scene = load_scene(name, parameters=parameters)
+    if not scene.sensors():
+        raise InputError(f"{name}: it has no sensor; add one of type 'plenoptic'")
+    return scene
 
 
 def open_store(output: Path, stages: StageOptions | None) -> StageStore:
@@ -236,21 +238,24 @@ def open_store(output: Path, stages: StageOptions | None) -> StageStore:
     return StageStore(output / "data", stages)
 
 
-def _refocus(store: StageStore, capture: Capture, key: str, method: Method, distance: float) -> np.ndarray:
+def refocused(
+    store: StageStore, name: str, capture: Capture, key: str, distance: float, options: Mapping[str, Any]
+) -> np.ndarray:
+    """Return the reconstruction of a capture with some key, by options of `reconstruct`, as a stage."""
+
     def make(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
-        result: Reconstruction = reconstruct(capture, distance, progress=progress, **method.options)
-        facts = {"distance": distance, "bin_size": result.bin_size, "method": method.name, **method.options}
+        result: Reconstruction = reconstruct(capture, distance, progress=progress, **options)
+        facts = {"distance": distance, "bin_size": result.bin_size, **options}
         return result.image, {"kind": "reconstruction", "camera": capture.camera.to_dict(), **facts}
 
-    inputs = {"capture": key, "distance": distance, **method.options}
-    return store.image(f"{method.name}_{distance:g}", inputs, make)[0]
+    return store.image(name, {"capture": key, "distance": distance, **options}, make)[0]
 
 
 def _grey(capture: Capture) -> Capture:
     """Keep one channel of a film that records colours of which a mono variant has one."""
     if capture.image.ndim == 2:
         return capture
-    return Capture(capture.image[..., 1], capture.camera, capture.wavelength, capture.model, capture.metadata)
+    return replace(capture, image=capture.image[..., 1])
 
 
 def _boxes(scene: Any) -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -18,14 +18,7 @@ from .images import shrink
 def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> None:
     """Draw the paper's figure 2: the object and, by waves, the detector image, with micro-images close up.
 
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    experiment : Experiment
-        Where the images come from.
-    letters : mapping
-        Titles by the id of three shapes.
+    These are of three shapes, given with titles by their ids.
     """
     camera, wave = experiment.camera, experiment.wave.image
     window = lit_window([experiment.pinhole, *experiment.truths.values()])

@@ -11,28 +11,16 @@ from ..io.files import atomic_output
 
 
 def write_png(path: str | Path, image: np.ndarray, *, peak: float | None = None) -> None:
-    """Write a linear image as an 8-bit PNG in sRGB encoding.
-
-    Parameters
-    ----------
-    path : path
-        File to write; an existing one is replaced only by a complete one.
-    image : (rows, columns[, 3]) array
-        Linear values. Negative ones and those that are not numbers become black.
-    peak : float, optional
-        Value that becomes white. Default: the image's maximum.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
+    """Write a linear image as an 8-bit PNG, encoded by `to_bytes`; a file is replaced only by a complete one."""
     with atomic_output(path) as temporary:
         Image.fromarray(to_bytes(image, peak)).save(temporary, format="PNG")
 
 
 def to_bytes(image: np.ndarray, peak: float | None = None) -> np.ndarray:
-    """Encode a linear image in 8 bits, sRGB; see `write_png` for the parameters."""
+    """Encode a linear image (rows, columns[, 3]) in 8 bits, sRGB.
+
+    `peak`, by default the image's maximum, becomes white, and what is negative or not a number becomes black.
+    """
     values = np.nan_to_num(np.asarray(image, dtype=np.float32), nan=0.0, posinf=0.0, neginf=0.0)
     if peak is None:
         peak = float(values.max())

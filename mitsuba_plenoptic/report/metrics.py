@@ -78,19 +78,9 @@ def lit_region(limit: np.ndarray, fraction: float = 0.1) -> np.ndarray:
 
 
 def shape_window(camera: PlenopticCamera, low: np.ndarray, high: np.ndarray) -> tuple[slice, slice] | None:
-    """Find the bins (rows, columns) that hold a box in the scene, seen from the centre of the main lens.
+    """Find the bins (rows, columns) that hold a box in the scene, seen from the centre of the main lens; None if none.
 
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    low, high : (x, y, z)
-        Corners of the box in the camera's frame. Its depth is taken as that of its middle.
-
-    Returns
-    -------
-    (slice, slice) or None
-        None if nothing of it is in view.
+    Its corners (x, y, z) are given in the camera's frame, and its depth is taken as that of its middle.
     """
     z = (low[2] + high[2]) / 2
     spans = []

@@ -1,4 +1,7 @@
-"""What the commands write: reconstructions, light fields and what comes from them, as OpenEXR or as pictures."""
+"""What the commands write: reconstructions, light fields and what comes from them, as OpenEXR or as pictures.
+
+Names of unknown kinds and files that cannot be written are refused with an `InputError`.
+"""
 
 from __future__ import annotations
 
@@ -24,25 +27,14 @@ _ENLARGED = 4
 
 
 def require_picture_path(path: str | Path) -> Path:
-    """Check, before a long computation, that a file of a known kind can be written.
-
-    Raises
-    ------
-    InputError
-        If the suffix is neither .exr nor .png or the file cannot be written.
-    """
+    """Check, before a long computation, that a file ends in .exr or .png and can be written."""
     return require_writable(_require_suffix(path))
 
 
 def reconstruction_paths(path: str | Path, distances: Sequence[float]) -> list[Path]:
     """Name a file for each distance, and check that all can be written.
 
-    One distance gives `path` itself, several give ``name_210.exr``, ``name_240.exr``.
-
-    Raises
-    ------
-    InputError
-        If the suffix is unknown, a distance is given twice or a file cannot be written.
+    One distance gives `path` itself, several give ``name_210.exr``, ``name_240.exr``; none may be given twice.
     """
     path = _require_suffix(path)
     if len(distances) == 1:
@@ -59,21 +51,8 @@ def write_reconstructions(
 ) -> None:
     """Write each reconstruction into its file, as OpenEXR or as a picture by the suffix.
 
-    Pictures share one scale: the brightest bin of all is white.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Files, as from `reconstruction_paths`.
-    results : sequence of Reconstruction
-        As many reconstructions.
-    source : dict, optional
-        Metadata of the capture, kept in the headers of OpenEXR files.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
+    Pictures share one scale: the brightest bin of all is white. OpenEXR files keep in their headers the metadata of
+    the capture, `source`.
     """
     peak = max(float(result.image.max()) for result in results)
     for path, result in zip(paths, results, strict=True):
@@ -129,13 +108,7 @@ def _write(
     picture: np.ndarray,
     peak: float,
 ) -> None:
-    """Write the parts with the coordinates and attributes of the data, or the picture, by the suffix.
-
-    Raises
-    ------
-    InputError
-        If the suffix is unknown or the file cannot be written.
-    """
+    """Write the parts with the coordinates and attributes of the data, or the picture, by the suffix."""
     path = require_picture_path(path)
     if path.suffix.lower() == ".png":
         write_png(path, picture, peak=peak)

@@ -1,4 +1,7 @@
-"""Images by Mitsuba's own cameras, the independent reference of refocused images."""
+"""Images by Mitsuba's own cameras, the independent reference of refocused images.
+
+They are taken of a scene whose first sensor is the plenoptic camera, with `spp` samples per pixel.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
+from .metrics import common_scale, image_metrics
 
 _RAYS_PER_PASS = 2**24
 
@@ -17,22 +21,7 @@ _RAYS_PER_PASS = 2**24
 def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: int, oversample: int = 1) -> np.ndarray:
     """Render what a thin lens of the camera's aperture sees when focused at `distance`, one pixel a bin.
 
-    Parameters
-    ----------
-    scene : mitsuba.Scene
-        A scene whose first sensor is the plenoptic camera.
-    camera : PlenopticCamera
-        That camera.
-    distance : float
-        Distance in focus.
-    spp : int
-        Samples per pixel.
-    oversample : int
-        Bins per lens along each axis.
-
-    Returns
-    -------
-    (rows, columns) float64 array
+    There are `oversample` bins per lens along each axis.
     """
     lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": distance}
     columns, rows = camera.bin_count
@@ -40,23 +29,7 @@ def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: i
 
 
 def pinhole_image(scene: Any, camera: PlenopticCamera, columns: int, spp: int) -> np.ndarray:
-    """Render the camera's field of view from the centre of its main lens, everything sharp.
-
-    Parameters
-    ----------
-    scene : mitsuba.Scene
-        A scene whose first sensor is the plenoptic camera.
-    camera : PlenopticCamera
-        That camera.
-    columns : int
-        Width of the picture.
-    spp : int
-        Samples per pixel.
-
-    Returns
-    -------
-    (rows, columns) float64 array
-    """
+    """Render the camera's field of view from the centre of its main lens, so many columns wide, everything sharp."""
     rows = round(columns * camera.bin_count[1] / camera.bin_count[0])
     return _photograph(scene, camera, {"type": "perspective"}, (columns, rows), spp)
 
@@ -103,18 +76,10 @@ def best_shift(image: np.ndarray, reference: np.ndarray) -> tuple[int, int]:
 def agreement(
     images: Sequence[np.ndarray], references: Sequence[np.ndarray]
 ) -> tuple[float, list[tuple[float, float]]]:
-    """One least-squares scale for all images, then PSNR (peak: the reference's maximum) and correlation of each.
-
-    Returns
-    -------
-    scale : float
-    scores : list of (PSNR in dB, correlation)
-    """
-    pairs = list(zip(images, references, strict=True))
-    scale = sum((a * b).sum() for a, b in pairs) / sum((a * a).sum() for a, _ in pairs)
-    scores = []
-    for image, reference in pairs:
-        mean_square = np.mean((scale * image - reference) ** 2)
-        psnr = 10 * math.log10(reference.max() ** 2 / mean_square)
-        scores.append((psnr, float(np.corrcoef(image.ravel(), reference.ravel())[0, 1])))
-    return float(scale), scores
+    """Return the `common_scale` of images, and then the PSNR in dB and the correlation of each with its reference."""
+    scale = common_scale(images, references)
+    scores = [
+        (image_metrics(scale * image, reference).psnr, float(np.corrcoef(image.ravel(), reference.ravel())[0, 1]))
+        for image, reference in zip(images, references, strict=True)
+    ]
+    return scale, scores

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError
+from ..errors import require_choice
 from .claims import check_claims, timing_table
 from .experiment import Settings, open_store, run_experiment
 from .figures import draw_comparison, figure_2, figure_4
@@ -52,26 +52,17 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
 
     Parameters
     ----------
-    output : Path
-        Folder to write into; what is in it already and valid is kept.
+    output, stages
+        As for `report.compare.compare`, which returns the same, too.
     preset : {"quick", "paper"}
         A smaller detector and smaller letters, or the paper's.
-    stages : StageOptions, optional
-        How progress is reported, and what becomes of checkpoints.
-
-    Returns
-    -------
-    dict
-        What ``results.json`` holds.
 
     Raises
     ------
     InputError
         If the preset is unknown or the folder cannot be written.
     """
-    if preset not in PRESETS:
-        raise InputError(f"preset = {preset!r}: it must be one of {', '.join(PRESETS)}")
-    settings = PRESETS[preset]
+    settings = PRESETS[require_choice("preset", preset, PRESETS)]
     store = open_store(output, stages)
     experiment = run_experiment(settings, store)
     numbers = measure(experiment)

@@ -12,13 +12,14 @@ import re
 import time
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
+from ..capture.scene import scene_path
 from ..errors import InputError
 from ..io.captures import Capture, read_capture, write_capture
 from ..io.checkpoints import SUFFIX, Checkpoint, Existing
@@ -78,8 +79,7 @@ class StageStore:
         """Return a stage that is a capture, and its key; while it is under way it has a checkpoint."""
 
         def write(path: Path, value: Capture, key: str) -> None:
-            stamped = {**value.metadata, "key": key}
-            write_capture(path, Capture(value.image, value.camera, value.wavelength, value.model, stamped))
+            write_capture(path, replace(value, metadata={**value.metadata, "key": key}))
 
         def read(path: Path) -> tuple[Capture, str]:
             value = read_capture(path)
@@ -143,8 +143,9 @@ class StageStore:
         return value, key
 
 
-def scene_fingerprint(path: Path, parameters: Mapping[str, str]) -> str:
-    """Hash a scene file with its parameters and with the meshes, textures and scenes that it names."""
+def scene_fingerprint(scene: str | Path, parameters: Mapping[str, str]) -> str:
+    """Hash a scene file, or a built-in one, with its parameters and with the meshes, textures and scenes it names."""
+    path = Path(scene) if Path(scene).is_file() else scene_path(str(scene))
     return _hash({"files": _content(path, dict(parameters)), "parameters": dict(parameters)})
 
 

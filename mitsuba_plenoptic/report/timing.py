@@ -21,22 +21,10 @@ _REPEATS = 3
 
 
 def seconds_on_one_core(capture: Path, distance: float) -> dict[str, float]:
-    """Time the reconstruction of a capture by each method on one processor core.
+    """Time the reconstruction of a capture's file at a distance on one processor core: seconds by method.
 
     What counts is processor time, which does not grow with what else the machine does, and of several runs the
     shortest, in which kernels are compiled. Where the system allows it (Linux does), the process is held to one core.
-
-    Parameters
-    ----------
-    capture : Path
-        A capture's file.
-    distance : float
-        Distance to refocus to.
-
-    Returns
-    -------
-    dict
-        Seconds by method.
 
     Raises
     ------

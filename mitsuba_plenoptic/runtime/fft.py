@@ -103,22 +103,7 @@ def fft(
 
 
 def fft2(field: Field, *, inverse: bool = False, workers: int | None = None) -> Field:
-    """Transform a field over its last two axes, in place where the library can.
-
-    Parameters
-    ----------
-    field : complex64 array (..., rows, columns)
-        Overwritten.
-    inverse : bool
-        Whether to transform with a positive exponent and divide by the number of samples.
-    workers : int, optional
-        Threads. Default: all cores this process may use.
-
-    Returns
-    -------
-    complex64 array (..., rows, columns)
-        Zero frequency first.
-    """
+    """Transform a field (..., rows, columns) over its last two axes, as `fft` does over one."""
     return _transform("ifft2" if inverse else "fft2", field, workers)
 
 
@@ -140,20 +125,9 @@ def _transform(name: str, field: Any, workers: int | None, **options: Any) -> An
 
 
 def fft2_packed(packed: Any, shape: tuple[int, ...], *, inverse: bool = False) -> Any:
-    """Transform a field held in a flat Dr.Jit array of 64-bit words (see `pack`).
+    """Transform a field of rows and columns in a flat Dr.Jit array of 64-bit words (see `pack`).
 
-    Parameters
-    ----------
-    packed : UInt64 array of Dr.Jit, size rows * columns
-        Its memory may be overwritten.
-    shape : (int, int)
-        Rows and columns.
-    inverse : bool
-        As for `fft2`.
-
-    Returns
-    -------
-    UInt64 array of the same type
+    The result is an array of the same type; the memory of the given one may be overwritten.
     """
     words = type(packed)
     field = as_field(packed, shape)

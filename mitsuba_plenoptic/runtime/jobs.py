@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,18 @@ from .batches import Batch, BatchMap, Box, PartialSum, Threads, add
 
 Progress = Callable[[int, int], None]
 """Called with the items done and their number."""
+
+Item = TypeVar("Item")
+
+
+def counted(items: Collection[Item], progress: Progress | None) -> Iterator[Item]:
+    """Yield items, and report before each of them, and at the end, how many are done."""
+    for done, item in enumerate(items):
+        if progress:
+            progress(done, len(items))
+        yield item
+    if progress:
+        progress(len(items), len(items))
 
 
 class LongSum(Protocol):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import drjit as dr
@@ -44,11 +44,11 @@ def _moved(field: Any) -> Any:
     return propagate(field, PITCH, DISTANCE, WAVELENGTH, overwrite=True)
 
 
-def steps(expected: dict[int, np.ndarray], runs: int, copied: int = _COPIED) -> list[Row]:
+def steps(expected: dict[int, np.ndarray], runs: int, copied: int = _COPIED) -> Iterator[Row]:
     """Compare the step with the bare pair of transforms, and what it takes on the device with its memory traffic."""
     libraries = backend()
     speed = _copy_speed(libraries, copied)
-    rows = [Row("memory of the device: a copy, read and written", "GB/s", speed / 1e9)]
+    yield Row("memory of the device: a copy, read and written", "GB/s", speed / 1e9)
     for size, answer in expected.items():
         fields = {name: libraries.arrays.asarray(beam(size)) for name in (_PAIR, "ours")}
 
@@ -65,25 +65,16 @@ def steps(expected: dict[int, np.ndarray], runs: int, copied: int = _COPIED) -> 
         mine, bare = timings["ours"].seconds, timings[_PAIR].seconds
         what = f"angular-spectrum step, {size} x {size}, CUDA"
         note = f"ours over the pair; differs from the processor's by {difference:.0e}"
-        rows.append(Row(what, "ms", 1e3 * mine, f"{_PAIR}, CuPy", 1e3 * bare, mine / bare, note=note))
+        yield Row(what, "ms", 1e3 * mine, f"{_PAIR}, CuPy", 1e3 * bare, mine / bare, note=note)
         kernels = _on_device(libraries, pair) + _kernels(libraries, ours)
         limit = _BYTES_PER_SAMPLE * size**2 / speed
         note = "without the host's share; ours over the limit"
-        rows.append(
-            Row(
-                f"{what}, kernels",
-                "ms",
-                1e3 * kernels,
-                "its traffic as a copy",
-                1e3 * limit,
-                kernels / limit,
-                note=note,
-            )
+        yield Row(
+            f"{what}, kernels", "ms", 1e3 * kernels, "its traffic as a copy", 1e3 * limit, kernels / limit, note=note
         )
-    return rows
 
 
-def letters(parameters: dict[str, str], runs: int) -> list[Row]:
+def letters(parameters: dict[str, str], runs: int) -> Iterator[Row]:
     """Time whole captures of the letters, by rays and by waves, and their reconstructions."""
     libraries = backend()
     scene = load_scene("letters", parameters=parameters)
@@ -95,10 +86,8 @@ def letters(parameters: dict[str, str], runs: int) -> list[Row]:
     works: dict[str, Callable[[], object]] = {model: lambda model=model: render(model) for model in ("ray", "wave")}
     timings = side_by_side({name: _waited(libraries, work) for name, work in works.items()}, runs)
     size = " x ".join(map(str, captures["wave"].camera.resolution))
-    rows = [
-        Row(f"`render letters --model {model} --spp 16`, {size}, CUDA", "s", timings[model].seconds)
-        for model in ("ray", "wave")
-    ]
+    for model, timing in timings.items():
+        yield Row(f"`render letters --model {model} --spp 16`, {size}, CUDA", "s", timing.seconds)
     capture = captures["wave"]
     methods: dict[str, dict[str, Any]] = {
         "ray, point version": {"footprint": "point"},
@@ -113,8 +102,7 @@ def letters(parameters: dict[str, str], runs: int) -> list[Row]:
     for name, timing in timings.items():
         paper = PAPER_SECONDS[name]
         what = f"{name}, letters, {size}, CUDA"
-        rows.append(Row(what, "s", timing.seconds, "the paper", paper, paper / timing.seconds, note="times faster"))
-    return rows
+        yield Row(what, "s", timing.seconds, "the paper", paper, paper / timing.seconds, note="times faster")
 
 
 def _waited(libraries: Backend, work: Callable[[], object]) -> Callable[[], None]:

@@ -7,11 +7,9 @@ slope of a straight line through the logarithms.
 
 from __future__ import annotations
 
-import dataclasses
-import math
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -34,75 +32,37 @@ _CAMERA = PlenopticCamera(detector_width=2.048, resolution=(1024, 1024))
 _LARGEST_FIELD = 4096
 """Pixels across the largest detector whose coherent reconstruction is within the memory that one may take."""
 
+_Point = tuple[float, float, float]
+"""Seconds, the peak of memory, and its peak before the work, both in GiB."""
 
-def run(sizes: list[int], runs: int) -> list[Row]:
+
+def run(sizes: list[int], runs: int) -> Iterator[Row]:
     """Fit every growth."""
     sizes = sorted({512, *sizes})
-    return [*_detector(sizes, runs), *_radiators(), *_passes(), *_distances(runs), *_threads(runs)]
-
-
-def _detector(sizes: list[int], runs: int) -> list[Row]:
-    reconstructed = [size for size in sizes if size <= _LARGEST_FIELD]
-    rows = []
-    for what, work, some, expected in (
-        ("the angular-spectrum step", _step, sizes, "2 over log N"),
-        ("the ray capture, 1 sample a pixel,", _ray_capture, sizes, "2"),
+    fields = [size for size in sizes if size <= _LARGEST_FIELD]
+    shared = f"the wave capture, accuracy {DEFAULT_ACCURACY:g}, with radiators"
+    # The work, what it is given beside the count, and the exponents of time and memory that theory expects.
+    for what, counts, work, given, time_expected, memory_expected in (
+        ("the angular-spectrum step with pixels across", sizes, _step, (runs,), "2 over log N", "at most 2"),
+        ("the ray capture, 1 sample a pixel, with pixels across", sizes, _ray_capture, (runs,), "2", "at most 2"),
         # At the main lens its windows are as wide as the pupil, however small the detector.
-        ("the coherent reconstruction", _coherent, reconstructed, "at most 2 over log N"),
-    ):
-        points = [_point(1, work, size, runs) for size in some]
-        beyond = [_Point(point.seconds, point.memory - point.before) for point in points]
-        divisors = [math.log(size) if "log" in expected else 1.0 for size in some]
-        rows += _rows(f"{what} with pixels across", some, beyond, expected, "at most 2", divisors)
-    return rows
-
-
-_SHARED = (2048, 8192, 32768)
-
-
-def _radiators() -> list[Row]:
-    rows = []
-    for accuracy, counts, time_expected in ((0.0, (128, 512, 2048), "1"), (DEFAULT_ACCURACY, _SHARED, "at most 1")):
-        points = [_point(1, _sum, count, accuracy) for count in counts]
-        what = f"the wave capture, accuracy {accuracy:g}, with radiators"
-        rows += _rows(what, counts, points, time_expected, "0")
-    return rows
-
-
-def _passes() -> list[Row]:
-    counts = (1, 2, 4, 8)
-    points = [_point(1, _wave_capture, count) for count in counts]
-    return _rows("the whole wave capture with passes", counts, points, "1", "0")
-
-
-def _distances(runs: int) -> list[Row]:
-    counts = (2, 4, 8)
-    return [
-        row
-        for method in ("ray", "coherent")
-        for row in _rows(
-            f"the {method} reconstruction with distances",
-            counts,
-            [_point(1, _reconstruct, count, method, runs) for count in counts],
-            "at most 1",
-            "at most 1",
-        )
-    ]
-
-
-def _threads(runs: int) -> list[Row]:
-    counts = sorted({1, worker_count()})
-    if len(counts) < 2:
-        return []
-    points = [_point(count, _threaded, runs) for count in counts]
-    return _rows("the wave capture with threads", counts, points, "-1", "at most 1", unit="s")
-
-
-@dataclasses.dataclass(frozen=True)
-class _Point:
-    seconds: float
-    memory: float
-    before: float = 0.0
+        ("the coherent reconstruction with pixels across", fields, _coherent, (runs,),
+         "at most 2 over log N", "at most 2"),
+        ("the wave capture, accuracy 0, with radiators", (128, 512, 2048), _sum, (0.0,), "1", "0"),
+        (shared, (2048, 8192, 32768), _sum, (DEFAULT_ACCURACY,), "at most 1", "0"),
+        ("the whole wave capture with passes", (1, 2, 4, 8), _wave_capture, (), "1", "0"),
+        ("the ray reconstruction with distances", (2, 4, 8), _reconstruct, ("ray", runs), "at most 1", "at most 1"),
+        ("the coherent reconstruction with distances", (2, 4, 8), _reconstruct, ("coherent", runs),
+         "at most 1", "at most 1"),
+    ):  # fmt: skip
+        points = [_point(1, work, count, *given) for count in counts]
+        if "pixels across" in what:
+            points = [(seconds, memory - before, before) for seconds, memory, before in points]
+        yield from _rows(what, counts, points, time_expected, memory_expected)
+    if worker_count() > 1:
+        counts = (1, worker_count())
+        points = [_point(count, _threaded, runs) for count in counts]
+        yield from _rows("the wave capture with threads", counts, points, "-1", "at most 1", unit="s")
 
 
 def _rows(
@@ -111,52 +71,32 @@ def _rows(
     points: Sequence[_Point],
     time_expected: str,
     memory_expected: str,
-    divisors: Sequence[float] | None = None,
     unit: str = "CPU s",
-) -> list[Row]:
-    seconds = [point.seconds for point in points]
-    over = [second / divisor for second, divisor in zip(seconds, divisors or [1.0] * len(seconds), strict=True)]
-    memory = [point.memory for point in points]
-    return [
-        _row(f"time of {what}", unit, counts, seconds, time_expected, _exponent(counts, over)),
-        _row(f"peak memory of {what}", "GiB", counts, memory, memory_expected, _exponent(counts, memory)),
-    ]
-
-
-def _row(
-    what: str, unit: str, counts: Sequence[int], values: Sequence[float], expected: str, exponent: float | None
-) -> Row:
-    listed = ", ".join(f"{count}: {value:.3g}" for count, value in zip(counts, values, strict=True))
-    points = tuple(zip(map(float, counts), values, strict=True))
-    return Row(
-        f"growth of the {what}",
-        "exponent",
-        exponent,
-        f"expected: {expected}",
-        note=f"{unit} at {listed}",
-        points=points,
-    )
-
-
-def _exponent(counts: Sequence[int], values: Sequence[float]) -> float | None:
-    if len(counts) < 2:
-        return None
-    return float(np.polyfit(np.log(counts), np.log(values), 1)[0])
+) -> Iterator[Row]:
+    """Fit time and memory; what is expected "over log N" is divided by that beforehand."""
+    for name, measure, expected, values in (
+        ("time", unit, time_expected, [point[0] for point in points]),
+        ("peak memory", "GiB", memory_expected, [point[1] for point in points]),
+    ):
+        divisors = np.log(counts) if "log" in expected else np.ones(len(counts))
+        exponent = None
+        if len(counts) > 1:
+            exponent = float(np.polyfit(np.log(counts), np.log(values / divisors), 1)[0])
+        listed = ", ".join(f"{count}: {value:.3g}" for count, value in zip(counts, values, strict=True))
+        yield Row(
+            f"growth of the {name} of {what}", "exponent", exponent, f"expected: {expected}",
+            note=f"{measure} at {listed}", points=tuple(zip(map(float, counts), values, strict=True)),
+        )  # fmt: skip
 
 
 def _point(cores: int, work: Callable[..., float], *arguments: Any) -> _Point:
-    """Measure seconds and peak memory of some work in a process of its own."""
-    return _Point(*(row.ours or math.nan for row in on_cores(cores, _measured, work, *arguments)))
+    """Measure some work in a process of its own."""
+    return on_cores(cores, _measured, work, *arguments)
 
 
-def _measured(work: Callable[..., float], *arguments: Any) -> list[Row]:
-    before = peak_memory()
-    seconds = work(*arguments)
-    return [
-        Row("time", "s", seconds),
-        Row("peak memory", "GiB", peak_memory()),
-        Row("peak memory before the work", "GiB", before),
-    ]
+def _measured(work: Callable[..., float], *arguments: Any) -> _Point:
+    before, seconds = peak_memory(), work(*arguments)
+    return seconds, peak_memory(), before
 
 
 def _seconds(work: Callable[[], object], runs: int, clock: Callable[[], float] = time.process_time) -> float:
@@ -184,13 +124,12 @@ def _ray_capture(size: int, runs: int) -> float:
     return _seconds(lambda: render_capture(scene, spp=1), runs)
 
 
-def _camera(size: int) -> PlenopticCamera:
-    return PlenopticCamera(detector_width=size * _PIXEL, resolution=(size, size))
+def _noise(camera: PlenopticCamera) -> Capture:
+    return Capture(np.random.default_rng(0).random(camera.shape, dtype=np.float32), camera)
 
 
 def _coherent(size: int, runs: int) -> float:
-    camera = _camera(size)
-    capture = Capture(np.random.default_rng(0).random(camera.shape, dtype=np.float32), camera)
+    capture = _noise(PlenopticCamera(detector_width=size * _PIXEL, resolution=(size, size)))
     return _seconds(lambda: reconstruct(capture, 280.0, method="coherent", wavelength=_WAVELENGTH), runs)
 
 
@@ -227,7 +166,7 @@ def _wave_capture(passes: int) -> float:
 
 
 def _reconstruct(count: int, method: str, runs: int) -> float:
-    capture = Capture(np.random.default_rng(0).random(_CAMERA.shape, dtype=np.float32), _CAMERA)
+    capture = _noise(_CAMERA)
     distances = list(np.linspace(210, 280, count))
     return _seconds(lambda: reconstruct(capture, distances, method=method, wavelength=_WAVELENGTH), runs)
 

@@ -78,23 +78,21 @@ class Radiators:
         return f"{columns} x {rows}, {len(self.positions)} radiators"
 
 
-def sharing() -> list[Row]:
+def sharing() -> Iterator[Row]:
     """Compare sums of the default accuracy with sums in which nothing is shared: speed and error on parts of scenes."""
-    rows = []
     for name, scene, parameters, centre, across in _PARTS:
         radiators = Radiators.of(scene, parameters)
         camera, positions = radiators.camera, radiators.positions
         image = -positions[:, :2] * (camera.mla_distance / positions[:, 2:])
         part = radiators.take(np.flatnonzero((np.abs(image - centre) < across / 2 * camera.mla_pitch).all(1)))
         what = f"{name}: {len(part.positions)} radiators on {across} x {across} lenses"
-        rows.append(_compare_accuracies(what, part))
-    return rows
+        yield _compare_accuracies(what, part)
 
 
-def whole(scene: str) -> list[Row]:
+def whole(scene: str) -> Iterator[Row]:
     """Compare the sums of a whole capture: minutes by the default accuracy, far more with nothing shared."""
     radiators = Radiators.of(scene, SCENES[scene])
-    return [_compare_accuracies(f"{scene}, {radiators}, all of them", radiators)]
+    yield _compare_accuracies(f"{scene}, {radiators}, all of them", radiators)
 
 
 def _compare_accuracies(what: str, radiators: Radiators) -> Row:
@@ -111,26 +109,21 @@ def _compare_accuracies(what: str, radiators: Radiators) -> Row:
     )  # fmt: skip
 
 
-def estimates() -> list[Row]:
+def estimates() -> Iterator[Row]:
     """Estimate whole captures of the default accuracy and those in which nothing is shared, from a part of each."""
-    rows = []
     for name, parameters in SCENES.items():
         radiators = Radiators.of(name, parameters)
         ours, exact = (radiators.operator(accuracy).estimate() for accuracy in (DEFAULT_ACCURACY, 0.0))
-        rows.append(
-            Row(
-                f"{name}, {radiators}: estimate", "s",
-                ours.seconds, "accuracy = 0", exact.seconds, exact.seconds / ours.seconds,
-                note=f"{ours.patterns} point spreads for {exact.patterns}",
-            )
+        yield Row(
+            f"{name}, {radiators}: estimate", "s",
+            ours.seconds, "accuracy = 0", exact.seconds, exact.seconds / ours.seconds,
+            note=f"{ours.patterns} point spreads for {exact.patterns}",
         )  # fmt: skip
-    return rows
 
 
-def adjoint(runs: int) -> list[Row]:
+def adjoint(runs: int) -> Iterator[Row]:
     """Compare the adjoint with the sum, both planned beforehand, of the default accuracy and with nothing shared."""
     letters = Radiators.of("letters", {"resolution": "512", "detector_width": "1.024"})
-    rows = []
     for radiators, accuracy in ((letters, DEFAULT_ACCURACY), (letters.take(slice(None, None, 20)), 0.0)):
         operator = radiators.operator(accuracy)
         image = operator.forward(radiators.weights)
@@ -142,20 +135,16 @@ def adjoint(runs: int) -> list[Row]:
             runs,
         )
         ours, theirs = timings["adjoint"], timings["forward"]
-        rows.append(
-            Row(
-                f"adjoint, letters, {radiators}, accuracy {accuracy:g}", "s", ours.seconds, "forward", theirs.seconds,
-                1 / theirs.ratio, 1 / theirs.cpu_ratio, "adjoint over forward",
-            )
+        yield Row(
+            f"adjoint, letters, {radiators}, accuracy {accuracy:g}", "s", ours.seconds, "forward", theirs.seconds,
+            1 / theirs.ratio, 1 / theirs.cpu_ratio, "adjoint over forward",
         )  # fmt: skip
-    return rows
 
 
-def bare(runs: int) -> list[Row]:
+def bare(runs: int) -> Iterator[Row]:
     """Compare the sum of radiators that share nothing with the bare transforms of their patches, on one thread."""
     camera, count = PlenopticCamera(), 128
     rng = np.random.default_rng(1)
-    rows = []
     for g in (210.0, 240.0, 280.0):
         image = rng.uniform(-0.2, 0.2, (count, 2))
         positions = np.column_stack([-image * g / camera.mla_distance, np.full(count, g)])
@@ -170,14 +159,11 @@ def bare(runs: int) -> list[Row]:
         with resting_drjit():
             timings = side_by_side(works, runs)
         ours, theirs = timings["ours"], timings["FFTs"]
-        rows.append(
-            Row(
-                f"{count} point spreads at {g:g} mm, {batch.samples} samples across, one thread", "ms each",
-                1e3 / count * ours.seconds, "their bare FFTs", 1e3 / count * theirs.seconds, ours.ratio, ours.cpu_ratio,
-                "ours over the FFTs",
-            )
+        yield Row(
+            f"{count} point spreads at {g:g} mm, {batch.samples} samples across, one thread", "ms each",
+            1e3 / count * ours.seconds, "their bare FFTs", 1e3 / count * theirs.seconds, ours.ratio, ours.cpu_ratio,
+            "ours over the FFTs",
         )  # fmt: skip
-    return rows
 
 
 def _transforms(batch: PatchBatch, count: int) -> Callable[[], None]:
@@ -207,14 +193,13 @@ def _transforms(batch: PatchBatch, count: int) -> Callable[[], None]:
     return run
 
 
-def peers() -> list[Row]:
+def peers() -> Iterator[Row]:
     """Compare point spreads per second with a full-field loop by HCIPy and with pyolaf's patterns."""
     camera = PlenopticCamera()
     positions = np.column_stack([np.linspace(-2, 2, 64), np.linspace(2, -2, 64), np.full(64, 280.0)])
     start = time.perf_counter()
     CaptureOperator(camera, positions, wavelength=WAVELENGTH, accuracy=0).forward(np.ones(64))
     ours = 64 / (time.perf_counter() - start)
-    rows = []
     for against, work in (
         ("HCIPy, full field, 4096 x 4096 samples of 2.5 µm", _hcipy),
         ("pyolaf, from the MLA on, 577 x 577 samples of 2 µm", _pyolaf),
@@ -223,10 +208,9 @@ def peers() -> list[Row]:
         try:
             theirs = work(camera)
         except ImportError as missing:
-            rows.append(Row(what, "per s", ours, against, note=f"not installed ({missing.name})"))
+            yield Row(what, "per s", ours, against, note=f"not installed ({missing.name})")
         else:
-            rows.append(Row(what, "per s", ours, against, theirs, ours / theirs))
-    return rows
+            yield Row(what, "per s", ours, against, theirs, ours / theirs)
 
 
 def _hcipy(camera: PlenopticCamera) -> float:

@@ -11,7 +11,7 @@ written out here, in NumPy, for one channel and without the borders that Plenopt
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -41,13 +41,11 @@ def _compare_all(runs: int) -> list[Row]:
     camera = PlenopticCamera()
     white = Capture(np.random.default_rng(0).random(camera.shape, dtype=np.float32) + 0.1, camera)
     letters = render_capture(load_scene("letters"), spp=1)
-    rows = [
-        row for name, capture in (("all lit", white), ("letters", letters)) for row in _compare(name, capture, runs)
-    ]
-    return [*rows, *compare_shift_and_add(letters, runs)]
+    lit, some = _compare("all lit", white, runs), _compare("letters", letters, runs)
+    return [*lit, *some, *compare_shift_and_add(letters, runs)]
 
 
-def compare_shift_and_add(capture: Capture, runs: int) -> list[Row]:
+def compare_shift_and_add(capture: Capture, runs: int) -> Iterator[Row]:
     """Compare with shift-and-add by whole bins, at the distance where neighbouring views differ by one bin."""
     views = decode(capture)
     distance = float(distance_of(views, 1.0))
@@ -64,7 +62,6 @@ def compare_shift_and_add(capture: Capture, runs: int) -> list[Row]:
     }
     timings = side_by_side(works, runs)
     adding, decoding = timings["shift-and-add by whole bins"], timings["decoding"]
-    rows = []
     for what, ours_timing, seconds, cpu, against in (
         (
             "ray, point version, letters, from the capture", timings["ray, point version"],
@@ -77,13 +74,10 @@ def compare_shift_and_add(capture: Capture, runs: int) -> list[Row]:
         ),
     ):  # fmt: skip
         note = f"times faster; {len(views)} x {len(views)} views; sums differ by {100 * difference:.2g} %"
-        rows.append(
-            Row(
-                f"{what}, one core", "s", ours_timing.seconds, against, seconds, seconds / ours_timing.seconds,
-                cpu / ours_timing.cpu_seconds, note,
-            )
+        yield Row(
+            f"{what}, one core", "s", ours_timing.seconds, against, seconds, seconds / ours_timing.seconds,
+            cpu / ours_timing.cpu_seconds, note,
         )  # fmt: skip
-    return rows
 
 
 def shift_and_add(views: np.ndarray) -> np.ndarray:
@@ -97,7 +91,7 @@ def shift_and_add(views: np.ndarray) -> np.ndarray:
     return canvas[top : top + rows, left : left + columns]
 
 
-def _compare(name: str, capture: Capture, runs: int) -> list[Row]:
+def _compare(name: str, capture: Capture, runs: int) -> Iterator[Row]:
     def work(distance: float | list[float] = _DISTANCE, **options: Any) -> Callable[[], Any]:
         return lambda: reconstruct(capture, distance, wavelength=_WAVELENGTH, **options)
 
@@ -119,20 +113,16 @@ def _compare(name: str, capture: Capture, runs: int) -> list[Row]:
         "partially coherent, K = 2": "coherent",
     }
     timings = side_by_side(works, runs)
-    rows = []
     for what, other in against.items():
         ours, theirs = timings[what], timings[other]
         title = f"{what}, {name}, one core"
-        rows.append(
-            Row(
-                title, "s", ours.seconds, other, theirs.seconds, ours.seconds / theirs.seconds,
-                ours.cpu_seconds / theirs.cpu_seconds, "ours over theirs",
-            )
+        yield Row(
+            title, "s", ours.seconds, other, theirs.seconds, ours.seconds / theirs.seconds,
+            ours.cpu_seconds / theirs.cpu_seconds, "ours over theirs",
         )  # fmt: skip
         if what in PAPER_SECONDS:
             paper = PAPER_SECONDS[what]
-            rows.append(Row(title, "s", ours.seconds, "the paper", paper, paper / ours.seconds, note="times faster"))
-    return rows
+            yield Row(title, "s", ours.seconds, "the paper", paper, paper / ours.seconds, note="times faster")
 
 
 def _bare_transforms(capture: Capture, distance: float) -> Callable[[], None]:

@@ -11,10 +11,12 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import drjit as dr
 import mitsuba as mi
+
+Result = TypeVar("Result")
 
 COLUMNS = ("what", "unit", "ours", "against", "theirs", "ratio", "CPU ratio", "note")
 
@@ -78,7 +80,7 @@ def side_by_side(works: Mapping[str, Callable[[], object]], runs: int) -> dict[s
     }
 
 
-def on_cores(count: int, work: Callable[..., list[Row]], *arguments: Any) -> list[Row]:
+def on_cores(count: int, work: Callable[..., Result], *arguments: Any) -> Result:
     """Do some work in a process of its own that may use so many cores, as may every thread that it starts."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, context, initializer=_hold, initargs=(count,)) as pool:

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from .parts import cases
 from .runner import Kind
 
-KINDS = (
-    Kind(
-        "EXR: damaged bytes",
-        14,
-        cases("read(damaged(<<$exr | 'refocused.exr' | 'views.exr' | 'foreign.exr'>>, $edits))"),
-    ),
-    Kind(
-        "EXR: changed header",
-        12,
-        cases(r"""
+
+def _kinds(text: str) -> Iterator[Kind]:
+    """Make kinds of paragraphs: a line of how many there are of it in proportion and its name, then its patterns."""
+    for paragraph in text.strip().split("\n\n"):
+        title, *patterns = (line.strip() for line in paragraph.splitlines())
+        weight, _, name = title.partition(" ")
+        yield Kind(name, int(weight), cases(patterns))
+
+
+KINDS = tuple(
+    _kinds(r"""
+    14 EXR: damaged bytes
+        read(damaged(<<$exr | 'refocused.exr' | 'views.exr' | 'foreign.exr'>>, $edits))
+
+    12 EXR: changed header
         read(lying($exr, <<'dataWindow' | 'displayWindow'>>, None, pack('<4i', $edge, $edge, $edge, $edge)))
         ! read(lying($exr, 'dataWindow', None, pack('<4i', 0, 0, <<0 | 1 | 31 | 62 | 64>>, <<63 | 10**9 | $size>>)))
         ! read(lying($exr, 'channels', None, b'' <<$bytes | b'Y\0' b'\2\0\0\0'>>))
@@ -30,12 +37,8 @@ KINDS = (
         ! read(misplaced($exr, <<32 | 36>>, pack('<i', <<-1 | 7 | 65535 | 10**9 | 2**31 - 1 | -(2**31)>>)))
         read(damaged($exr, [(4, 4, pack('<i', <<0 | 1 | 3 | 0x202 | 0x802 | 0x1002 | 0x10002 | 2**31 - 1>>))]))
         ! read(poisoned($exr, $pixel, <<nan | inf | -inf | $too_bright>>))
-        """),
-    ),
-    Kind(
-        "EXR: changed JSON",
-        10,
-        cases(r"""
+
+    10 EXR: changed JSON
         ! read(relabelled($exr, camera={**CAMERA.to_dict(), **dict($wrong)}))
         ! read(relabelled($exr, camera={**CAMERA.to_dict(), $any_text: 1.0}))
         ! read(relabelled($exr, camera={'focal_length': 80.0}))
@@ -47,20 +50,12 @@ KINDS = (
         ! read(relabelled($exr, <<'' | '{' | '[]' | 'null' | '{"kind": "capture"} extra' | 'cos\nsystem\n.'>>))
         ! read(relabelled($exr, <<'[' * 100_000 | '{"a":' * 100_000 | '9' * 100_000>>))
         ! read(relabelled($exr, '{"kind": "capture", "camera": {"focal_length": ' + '9' * 5000 + '}}'))
-        """),
-    ),
-    Kind(
-        "XML: damaged bytes",
-        8,
-        cases("""
+
+    8 XML: damaged bytes
         load_scene(scene(beside=damaged(<<'scene.xml' | 'square.ply' | 'dots.png'>>, $edits))) and None
         render(beside=damaged(<<'scene.xml' | 'square.ply' | 'dots.png'>>, $edits))
-        """),
-    ),
-    Kind(
-        "XML: forbidden value",
-        8,
-        cases("""
+
+    8 XML: forbidden value
         ! render(sensor(<<'float' | 'string'>>, '$length', $length_text))
         ! render(sensor('float', 'focus_distance', <<'80' | $low_text>>))
         ! render(sensor(<<'string' | 'integer'>>, 'lens_model', $number_text))
@@ -79,12 +74,8 @@ KINDS = (
         ! render((FILM, element('integer', 'width', <<'0' | '-1' | '1.5' | $word_text | '2147483648' | '2097152'>>)))
         ! render((FILM, FILM + element('integer', 'crop_width', <<'0' | '-1' | '17' | '99999'>>)))
         ! render((FILM, FILM + element('integer', 'crop_offset_x', <<'-1' | '17' | '2147483647'>>)))
-        """),
-    ),
-    Kind(
-        "XML: hostile",
-        6,
-        cases(r"""
+
+    6 XML: hostile
         ! render(beside=holding('scene.xml', <<'<html></html>' | '' | 'scene' | '<scene version="3.0.0"/>'>>))
         ! render(beside=holding('scene.xml', SCENE.encode(<<'utf-16' | 'utf-32' | 'cp037'>>)))
         ! render(beside=holding('scene.xml', SCENE.encode() + <<b'\xff' | b'<scene/>' | $bytes + b'>'>>))
@@ -109,12 +100,8 @@ KINDS = (
         ! render(('<emitter', '<ref id="nowhere"/><emitter'))
         ! render(('<default name="resolution" value="16"/>', ''))
         ! render(('type="constant"/>', 'type="constant"><spectrum name="radiance" value="<<nan | inf>>"/></emitter>'))
-        """),
-    ),
-    Kind(
-        "command line",
-        12,
-        cases(r"""
+
+    12 command line
         ! command('render', <<'nosuch' | '' | '.' | 'letters.xml' | '/dev/zero' | '\0' | $file>>, '-o', 'out.exr')
         ! command('render', 'white', '-Dresolution=256', '--spp=1', '-o', $output)
         ! command(*RENDER, '--spp=' + $count_text)
@@ -163,24 +150,16 @@ KINDS = (
         ! command('reproduce', '-o', <<'grey.exr' | 'out', '--preset', 'magic'>>)
         ! command(<<'views' | 'depth' | 'info'>>, damaged('grey.exr', [($place, 2**30, b'')]), '-o', 'out.exr')
         ! command('reconstruct', damaged('grey.exr', [($place, 2**30, b'')]), '-o', 'out.exr', '--distance=240')
-        """),
-    ),
-    Kind(
-        "Python: camera",
-        12,
-        cases("""
+
+    12 Python: camera
         ! PlenopticCamera($wrong)
         ! CAMERA.replace($wrong)
         ! PlenopticCamera.from_dict({**CAMERA.to_dict(), **dict($wrong)})
         ! PlenopticCamera.from_dict({**CAMERA.to_dict(), $any_text: 1.0})
         design($camera, '$nm')
         design($camera, '$nm')
-        """),
-    ),
-    Kind(
-        "Python: array",
-        8,
-        cases("""
+
+    8 Python: array
         ! $use(image(at=$pixel, to=<<nan | inf | -inf | $too_bright>>))
         ! $use(<<image()[:5] | image()[None] | np.zeros(0) | np.zeros((64, 64, 2)) | np.zeros((64, 64, 0))>>)
         ! $use(image().astype(<<complex | bool | str | object>>))
@@ -189,12 +168,8 @@ KINDS = (
         $use((image() * 100).astype(<<'u1' | 'i2' | 'u8' | '>f4' | 'f2' | 'f8'>>))
         $use(<<np.zeros((64, 64)) | image() * 1e-38 | np.asfortranarray(image())[::-1] | -image() | capture(3).image>>)
         $use(image(at=$pixel, to=$value))
-        """),
-    ),
-    Kind(
-        "Python: argument",
-        14,
-        cases(r"""
+
+    14 Python: argument
         ! reconstruct(capture(), $not_distance)
         ! reconstruct(capture(), 240, <<method | footprint>>=$not_name)
         ! reconstruct(capture(), 240, oversample=<<$not_count | 100_000 | 10**9>>)
@@ -246,12 +221,8 @@ KINDS = (
         ! LensGrid((16.0, 16.0), <<(4,) | 4 | None | 'ab' | (8.0, 8.0), (4, 4, 4)>>, (4, 4))
         ! LensGrid((16.0, 16.0), (8.0, 8.0), (4, 4), rotation=<<$not_place | None>>)
         ! LensGrid((16.0, 16.0), (8.0, 8.0), (4, 4), shifted_rows=<<2 | -1 | 'x' | 0.5 | nan | [0]>>)
-        """),
-    ),
-    Kind(
-        "Python: extreme camera",
-        4,
-        cases("""
+
+    4 Python: extreme camera
         (lambda c: white_image(c))($camera)
         (lambda c: render_capture(wall(c, $far), spp=1))($camera)
         (lambda c: render_capture(wall(c, $far), model='wave', spp=1, radiators_per_lens=1))($camera)
@@ -265,22 +236,14 @@ KINDS = (
         (lambda c: reconstruct(noise(c), $far, camera=c, method='partial', interleave='auto', wavelength=$nm))($camera)
         (lambda c: point_spread_function(c, (0, 0, $far), wavelength=$nm))($camera)
         (lambda c: point_spread_function(c, (0, 0, $far), wavelength=$nm, method='full_field'))($camera)
-        """),
-    ),
-    Kind(
-        "checkpoint",
-        5,
-        cases("""
+
+    5 checkpoint
         resume(damaged('stopped.checkpoint', $edits))
         ! resume(lying_checkpoint(<<format=99 | format='1' | image=nan | image=inf>>))
         ! resume(lying_checkpoint(<<sums | batches>>=<<-1 | 10**9 | 'a' | 0.5 | [] | None>>))
         ! resume(lying_checkpoint(run=<<{} | None | [] | {'camera': 1}>>))
-        """),
-    ),
-    Kind(
-        "grid of a sweep",
-        5,
-        cases(r"""
+
+    5 grid of a sweep
         sweep('--grid', damaged('grid.yaml', $edits))
         ! sweep('--grid', holding('grid.yaml', <<'' | '[]' | '3' | 'text' | 'a: []' | 'a: {b: 1}' | 'a: [1, [2]]'>>))
         ! sweep('--grid', holding('grid.yaml', 'a: [<<true | null | 1, 1 | .nan | .inf | 2020-01-01 | *nowhere>>]'))
@@ -293,21 +256,13 @@ KINDS = (
         ! sweep('--vary', 'a=' + <<$word_text | $infinite_text | '1,1' | '1,'>>)
         ! sweep('--vary', <<'a' | '=1' | 'a=' | 'a b=1' | '1=1' | '\0=1' | 'samples=1', '--vary', 'samples=2'>>)
         ! sweep('--vary', 'a=1,2', '--vary', 'b=' + ','.join(map(str, range(60_000))))
-        """),
-    ),
-    Kind(
-        "MAT, HDF5, PNG: damaged bytes",
-        8,
-        cases("""
+
+    8 MAT, HDF5, PNG: damaged bytes
         open_light_field(damaged(<<'uint8.mat' | 'uint16.mat' | 'single.mat'>>, $edits))
         open_light_field(damaged('version7.mat', $edits))
         open_views(damaged(<<'views.png' | 'lenses.eslf.png'>>, $edits))
-        """),
-    ),
-    Kind(
-        "MAT, HDF5, PNG: lies",
-        8,
-        cases(r"""
+
+    8 MAT, HDF5, PNG: lies
         ! open_light_field(matlab(LF=<<ONES[0, 0] | ONES[..., :0] | ONES * 1j | np.ones((2, 2, 3, 3, 7), 'u1')>>))
         ! open_light_field(matlab(LF=<<'text' | {'a': 1} | np.array([[1, 'a']], object) | nan>>))
         ! open_light_field(matlab(XX=ONES))
@@ -325,6 +280,5 @@ KINDS = (
         ! open_light_field(hdf5(new={'shape': (2, 4, 4, 3, 3), 'external': [(file('grey.exr'), 0, 288)]}))
         ! open_views(png('views.png', <<0 | 1 | 60_000 | $size>>, $size, <<8 | 16 | 7>>, <<0 | 2 | 3 | 6 | 9>>))
         ! open_views(png('views.png', 64, <<0 | 2**31 - 1 | $size>>, text=10_000_000))
-        """),
-    ),
+    """)
 )

@@ -40,10 +40,9 @@ def _piece(text: str) -> Code:
     return PARTS[text[1:]] if text.startswith("$") else st.just(text)
 
 
-def cases(patterns: str) -> Code:
-    """Make a strategy of patterns, a line each; what follows an exclamation mark is forbidden."""
-    lines = [line.strip() for line in patterns.strip().splitlines()]
-    return st.one_of([pattern(f"forbidden({line[2:]})" if line.startswith("! ") else line) for line in lines])
+def cases(patterns: Iterable[str]) -> Code:
+    """Make a strategy of several patterns; what follows an exclamation mark is forbidden."""
+    return st.one_of([pattern(f"forbidden({text[2:]})" if text.startswith("! ") else text) for text in patterns])
 
 
 def _code(values: st.SearchStrategy[Any]) -> Code:

@@ -186,14 +186,16 @@ def files() -> dict[str, bytes]:
 
 def file(name: str) -> str:
     """Put a whole file here."""
-    Path(name).write_bytes(files()[name])
-    return name
+    return holding(name, files()[name])
 
 
 def damaged(name: str, edits: list[tuple[int, int, bytes]]) -> str:
     """Put a file here with some of its bytes replaced: place, number of bytes, and what comes there."""
-    Path(name).write_bytes(_spliced(files()[name], edits))
-    return name
+    data = files()[name]
+    for place, count, new in edits:
+        place %= max(len(data), 1)
+        data = data[:place] + new + data[place + count :]
+    return holding(name, data)
 
 
 def holding(name: str, content: str | bytes) -> str:
@@ -201,13 +203,6 @@ def holding(name: str, content: str | bytes) -> str:
     Path(name).parent.mkdir(exist_ok=True)
     Path(name).write_bytes(content if isinstance(content, bytes) else content.encode("utf-8", "surrogatepass"))
     return name
-
-
-def _spliced(data: bytes, edits: list[tuple[int, int, bytes]]) -> bytes:
-    for place, count, new in edits:
-        place %= max(len(data), 1)
-        data = data[:place] + new + data[place + count :]
-    return data
 
 
 def read(name: str) -> list[Any]:
@@ -250,8 +245,7 @@ def lying(name: str, attribute: str, kind: str | None, data: bytes | None) -> st
     # The offsets of the four chunks move along with the header's length.
     offsets = np.frombuffer(old, "<i8", 4, _table(old))
     place = _table(old) + len(new) - len(old)
-    Path(name).write_bytes(new[:place] + (offsets + (len(new) - len(old))).tobytes() + new[place + 32 :])
-    return name
+    return holding(name, new[:place] + (offsets + (len(new) - len(old))).tobytes() + new[place + 32 :])
 
 
 def _table(data: bytes) -> int:
@@ -384,21 +378,12 @@ def render(*changes: tuple[str, str], beside: object = None) -> Capture:
 def wall(camera: PlenopticCamera, distance: float) -> Any:
     """Make a scene with a small shining square before a camera."""
     mi.set_variant("llvm_ad_mono")
-    numbers = camera.to_dict()
-    (columns, rows), (left, top), (width, height) = (
-        numbers.pop(name) for name in ("resolution", "crop_offset", "crop_size")
-    )
-    # A plugin takes several numbers as text.
-    numbers |= {name: ", ".join(map(repr, value)) for name, value in numbers.items() if isinstance(value, tuple)}
-    film = {"type": "hdrfilm", "width": columns, "height": rows, "rfilter": {"type": "box"},
-            "pixel_format": "luminance", "component_format": "float32", "crop_offset_x": left, "crop_offset_y": top,
-            "crop_width": width, "crop_height": height}  # fmt: skip
     size = min(camera.detector_width * distance / camera.mla_distance / 8, 1e6)
     place = mi.ScalarTransform4f().translate([0, 0, distance]).rotate([0, 1, 0], 180).scale(size)
     scene = {
         "type": "scene",
         "integrator": {"type": "path"},
-        "sensor": {"type": "plenoptic", **numbers, "film": film},
+        "sensor": camera.to_sensor(),
         "wall": {"type": "rectangle", "to_world": place, "light": {"type": "area", "radiance": 1.0}},
     }
     try:

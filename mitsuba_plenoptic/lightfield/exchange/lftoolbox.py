@@ -131,13 +131,9 @@ def _from_variables(found: dict[str, Any]) -> xr.DataArray:
     values = stored.astype(np.float32)
     if stored.dtype.kind == "u":
         values /= np.iinfo(stored.dtype).max
-    channels = values.shape[4]
-    if channels in (2, 4):
-        weight = np.ascontiguousarray(values[..., -1])
-        values = values[..., :-1]
-    else:
-        seen = values.reshape(*values.shape[:2], -1).any(axis=2)
-        weight = np.broadcast_to(seen[:, :, None, None], values.shape[:4]).astype(np.float32)
+    weight = None
+    if values.shape[4] in (2, 4):
+        values, weight = values[..., :-1], np.ascontiguousarray(values[..., -1])
     values = values * np.float32(require_number("MaxLum", found.get("MaxLum", 1.0), positive=True))
     values = np.ascontiguousarray(values if values.shape[4] == 3 else values[..., 0])
     model, text = found.get("LensletGridModel"), found.get("Camera")

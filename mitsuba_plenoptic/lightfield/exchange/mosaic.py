@@ -80,7 +80,4 @@ def read_mosaic(path: str | Path, views: int, *, layout: str = "lenses", linear:
         values = values.transpose(1, 3, 0, 2, *range(4, values.ndim))
     else:
         values = image.reshape(views, rows // views, views, columns // views, *rest).swapaxes(1, 2)
-    # Views beyond the pupil are black throughout; no weights are stored that would say so.
-    seen = np.any(values.reshape(views, views, -1), axis=2)
-    weight = np.broadcast_to(seen[:, :, None, None], values.shape[:4]).astype(np.float32)
-    return light_field(np.ascontiguousarray(values), weight)
+    return light_field(np.ascontiguousarray(values))

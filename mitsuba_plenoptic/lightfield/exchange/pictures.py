@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...errors import InputError
-from ...io.files import atomic_output, require_file
+from ...io.files import atomic_output, native_output_dropped, require_file
 from ...runtime.limits import require_memory
 
 # Bytes of a pixel while it is read: up to four channels of 16 bits, and these and three of them in single precision.
@@ -40,7 +40,8 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
     try:
         columns, rows = _size(path)
         require_memory(float(_PIXEL_BYTES) * columns * rows, f"{path}: {columns} x {rows} pixels")
-        bitmap = mi.Bitmap(str(path))
+        with native_output_dropped():
+            bitmap = mi.Bitmap(str(path))
         bitmap.set_srgb_gamma(not linear)
         grey = bitmap.pixel_format() in (mi.Bitmap.PixelFormat.Y, mi.Bitmap.PixelFormat.YA)
         kind = mi.Bitmap.PixelFormat.Y if grey else mi.Bitmap.PixelFormat.RGB
@@ -64,20 +65,7 @@ def _size(path: Path) -> tuple[int, int]:
 
 
 def write_picture(path: str | Path, image: np.ndarray) -> None:
-    """Write linear values from 0 to 1 as a PNG of 16 bits a channel in sRGB encoding.
-
-    Parameters
-    ----------
-    path : path
-        File to write; an existing one is replaced only by a complete one.
-    image : (rows, columns[, 3]) array
-        What lies outside 0 to 1 is clipped.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
+    """Write linear values (rows, columns[, 3]), clipped to 0 to 1, as a PNG of 16 bits a channel in sRGB encoding."""
     bitmap = mi.Bitmap(np.ascontiguousarray(np.clip(image, 0, 1), dtype=np.float32))
     encoded = bitmap.convert(bitmap.pixel_format(), mi.Struct.Type.UInt16, srgb_gamma=True)
     with atomic_output(path) as temporary:

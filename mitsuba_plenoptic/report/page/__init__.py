@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -68,12 +68,12 @@ def write_report(folder: Path, report: Report) -> dict[str, Any]:
     experiment = report.experiment
     results = {
         "command": report.command,
-        "settings": experiment.settings.to_dict(),
+        "settings": asdict(experiment.settings),
         "camera": experiment.camera.to_dict(),
         "software": software(),
         **report.numbers,
         "timing": list(report.timing),
-        "claims": [claim.to_dict() for claim in report.claims],
+        "claims": [asdict(claim) for claim in report.claims],
         "stage_seconds": experiment.seconds,
     }
     write_json(folder / "results.json", results)

@@ -1,4 +1,7 @@
-"""The grid of a sweep: names, each with the numbers that it takes, from YAML or from the command line."""
+"""The grid of a sweep: names, each with the numbers that it takes, from YAML or from the command line.
+
+What is no such grid is refused with an `InputError`.
+"""
 
 from __future__ import annotations
 
@@ -24,13 +27,7 @@ _LARGEST_FILE = 2**16
 
 
 def read_grid(path: Path) -> dict[str, list[Any]]:
-    """Read a grid from YAML: names, each with a list of numbers, or with one.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or holds something else.
-    """
+    """Read a grid from YAML: names, each with a list of numbers, or with one."""
     path = require_file(path)
     if path.stat().st_size > _LARGEST_FILE:
         raise InputError(f"{path}: {path.stat().st_size} bytes: a grid has at most {_LARGEST_FILE}")
@@ -52,13 +49,7 @@ def read_grid(path: Path) -> dict[str, list[Any]]:
 
 
 def parse_grid(texts: Iterable[str]) -> dict[str, list[Any]]:
-    """Turn texts ``name=1,2,3`` into a grid.
-
-    Raises
-    ------
-    InputError
-        If a text is not of that form, or a name comes twice.
-    """
+    """Turn texts ``name=1,2,3`` into a grid."""
     grids = []
     for text in texts:
         name, equals, values = text.partition("=")
@@ -69,13 +60,7 @@ def parse_grid(texts: Iterable[str]) -> dict[str, list[Any]]:
 
 
 def merge_grids(*grids: Mapping[str, list[Any]]) -> dict[str, list[Any]]:
-    """Join grids that have no name in common.
-
-    Raises
-    ------
-    InputError
-        If two have.
-    """
+    """Join grids that have no name in common."""
     merged: dict[str, list[Any]] = {}
     for grid in grids:
         for name in grid:
@@ -86,13 +71,7 @@ def merge_grids(*grids: Mapping[str, list[Any]]) -> dict[str, list[Any]]:
 
 
 def check_grid(grid: Mapping[Any, Any]) -> dict[str, tuple[float, ...]]:
-    """Return a grid with its values as numbers.
-
-    Raises
-    ------
-    InputError
-        If it is empty or too large, a name has no value, or a value is no finite number or comes twice.
-    """
+    """Return a grid, neither empty nor too large, with its values as finite numbers of which none comes twice."""
     checked: dict[str, tuple[float, ...]] = {}
     for name, values in grid.items():
         if not isinstance(name, str) or not name.isidentifier():

@@ -5,21 +5,20 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...camera import PlenopticCamera
 from ...capture.render import render_capture
-from ...capture.scene import load_scene, scene_path
-from ...errors import InputError, require_number
+from ...errors import InputError, require_choice, require_number
 from ...io.captures import Capture
-from ...reconstruction import METHODS, reconstruct
+from ...reconstruction import METHODS
 from ...runtime.batches import BatchMap
 from ...runtime.variant import DEFAULT_VARIANT
 from ...thin_lens import image_distance
-from ..stage_store import Progress, StageStore, scene_fingerprint
+from ..experiment import load_with_sensor, refocused
+from ..stage_store import StageStore, scene_fingerprint
 from .grid import DISTANCE, WAVELENGTH, Grid
 
 
@@ -33,11 +32,7 @@ class SweepSettings:
         A scene file or a built-in name.
     parameters : mapping
         Values for the scene's ``$name`` parameters that do not vary.
-    model : {"ray", "wave"}, optional
-        As for `render_capture`.
-    spp : int, optional
-        As for `render_capture`.
-    seed : int
+    model, spp, seed
         As for `render_capture`.
     radiators_per_lens : int, optional
         Of wave captures.
@@ -64,8 +59,6 @@ class Points:
         self.settings, self.store = settings, store
         self.distances = grid.get(DISTANCE, ())
         self.axes = {name: values for name, values in grid.items() if name != DISTANCE}
-        scene = settings.scene
-        self.path = Path(scene) if Path(scene).is_file() else scene_path(scene)
 
     def __iter__(self) -> Iterator[dict[str, float]]:
         for values in itertools.product(*self.axes.values()):
@@ -81,8 +74,7 @@ class Points:
 
     def check(self) -> None:
         """Make every camera once, before the work, and see that they record images of one size."""
-        if self.settings.method not in METHODS:
-            raise InputError(f"method = {self.settings.method!r}: it must be one of {', '.join(METHODS)}")
+        require_choice("method", self.settings.method, METHODS)
         for wavelength in self.axes.get(WAVELENGTH, ()):
             require_number(WAVELENGTH, wavelength, positive=True)
         sizes: dict[tuple[tuple[str, str], ...], tuple[int, ...]] = {}
@@ -90,7 +82,7 @@ class Points:
             parameters = self.parameters(point)
             if (key := tuple(parameters.items())) in sizes:
                 continue
-            scene = self._load(parameters)
+            scene = load_with_sensor(self.settings.scene, parameters)
             camera = PlenopticCamera.from_sensor(scene.sensors()[0])
             sizes[key] = camera.shape + camera.bin_count * bool(self.distances)
             for distance in self.distances:
@@ -105,16 +97,11 @@ class Points:
 
     def compute(self, batch_map: BatchMap | None) -> Iterator[tuple[Capture, list[np.ndarray]]]:
         """Yield each capture with its reconstructions, from the store where they are there."""
+        method = {"method": self.settings.method}
         for point in self:
             capture, key = self._capture(point, batch_map)
-            name = _name(point)
-            yield capture, [self._refocus(capture, key, name, distance) for distance in self.distances]
-
-    def _load(self, parameters: dict[str, str]) -> Any:
-        scene = load_scene(self.settings.scene, parameters=parameters)
-        if not scene.sensors():
-            raise InputError(f"{self.settings.scene}: it has no sensor; add one of type 'plenoptic'")
-        return scene
+            names = {distance: f"refocused{_name({**point, DISTANCE: distance})}" for distance in self.distances}
+            yield capture, [refocused(self.store, name, capture, key, at, method) for at, name in names.items()]
 
     def _capture(self, point: dict[str, float], batch_map: BatchMap | None) -> tuple[Capture, str]:
         settings, parameters = self.settings, self.parameters(point)
@@ -123,23 +110,18 @@ class Points:
             options["wavelength"] = point[WAVELENGTH]
         if settings.radiators_per_lens is not None:
             options["radiators_per_lens"] = settings.radiators_per_lens
-        inputs = {"scene": scene_fingerprint(self.path, parameters), "variant": settings.variant, **options}
+        inputs = {"scene": scene_fingerprint(settings.scene, parameters), "variant": settings.variant, **options}
         return self.store.capture(
             f"capture{_name(point)}",
             inputs,
             lambda progress, checkpoint: render_capture(
-                self._load(parameters), progress=progress, checkpoint=checkpoint, batch_map=batch_map, **options
+                load_with_sensor(settings.scene, parameters),
+                progress=progress,
+                checkpoint=checkpoint,
+                batch_map=batch_map,
+                **options,
             ),
         )
-
-    def _refocus(self, capture: Capture, key: str, name: str, distance: float) -> np.ndarray:
-        facts = {"distance": distance, "method": self.settings.method}
-
-        def make(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
-            result = reconstruct(capture, distance, method=self.settings.method, progress=progress)
-            return result.image, {"kind": "reconstruction", "camera": capture.camera.to_dict(), **facts}
-
-        return self.store.image(f"refocused{name},{DISTANCE}={_text(distance)}", {"capture": key, **facts}, make)[0]
 
 
 def _size(size: tuple[int, ...]) -> str:
