@@ -1,0 +1,7 @@
+"""Waves at the price of rays: kernels of single lenses, which any number of rays share."""
+
+from .blend import near_weight
+from .convolution import Convolution
+from .lens_bank import LensBank
+
+__all__ = ["Convolution", "LensBank", "near_weight"]

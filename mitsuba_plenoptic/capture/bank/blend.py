@@ -1,0 +1,56 @@
+"""Where the bank is right, and where point spreads must be computed exactly: by how many lenses a point is blurred."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from ...camera import PlenopticCamera
+from ...optics.main_lens import main_lens
+
+_LIMITS = ((0.004, (5.0, 7.0)), (0.02, (3.0, 4.5)), (1.0, (2.5, 4.0)))
+"""Lenses of blur up to which point spreads are exact, and from which on all is the bank's, by allowed error."""
+
+
+def blur_of(camera: PlenopticCamera, vergence: Any) -> Any:
+    """Return over how many lenses the image of a point is blurred by rays, with the sign of its defocus.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    vergence : float or array
+        Vergence of the point's image, in 1/mm.
+    """
+    lens = main_lens(camera)
+    return (1 - lens.pupil_distance * vergence) * (2 * lens.pupil_radius / max(camera.mla_pitches))
+
+
+def blur_limits(accuracy: float) -> tuple[float, float]:
+    """Return the lenses of blur at which the bank begins to be used, and from which on it is used alone."""
+    return next(limits for allowed, limits in _LIMITS if accuracy < allowed)
+
+
+def near_weight(camera: PlenopticCamera, vergence: Any, accuracy: float) -> Any:
+    """Return which fraction of a point's light needs its exact point spread; the rest is the bank's.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    vergence : array of NumPy or Dr.Jit
+        Vergences of the points' images, in 1/mm.
+    accuracy : float
+        Allowed relative error; at 0 nothing is the bank's.
+
+    Returns
+    -------
+    array
+        From 1 near focus smoothly to 0.
+    """
+    low, high = blur_limits(accuracy)
+    clip = dr.clip if dr.is_array_v(vergence) else np.clip
+    part = clip((high - abs(blur_of(camera, vergence))) / (high - low), 0, 1)
+    return part * part * (3 - 2 * part)

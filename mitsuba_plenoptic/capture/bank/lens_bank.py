@@ -1,0 +1,149 @@
+"""The bank of kernels of one type of lenses, and how much of each kernel a ray brings."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...optics.phase import in_millimetres
+from ..pixels import PixelIntegrals
+from ..turned_samples import TurnedSamples
+from .blend import blur_limits
+from .learning import Learner
+from .patterns import LensPatterns
+from .table import Coordinates, Table
+
+_CORE, _SPOTS = 20, 40
+"""Widths of the kernels' core, by which coefficients are found, and of all of them, beyond a lens's geometric spot.
+
+In units of :math:`\\lambda z / D_2`, a lens's diffraction.
+"""
+
+_PIXELS_PER_SPOT = 1.25
+"""Samples across the spot of a lens at least."""
+
+_LEFT = 5.0
+"""Error of the patterns that are learnt from over the allowed error of sums over many points."""
+
+
+@dataclass(frozen=True, eq=False)
+class LensBank:
+    """Kernels of one type of lenses at one wavelength, and the table of their coefficients.
+
+    Attributes
+    ----------
+    kernels : float32 array (rank, k, k)
+        Fractions of a lens's power on each sample; the ray through the lens's centre arrives in the middle one.
+    pitch : float
+        Distance of the samples, in millimetres: a pixel, or a whole part of one.
+    table : Table
+        The coefficients.
+    """
+
+    kernels: NDArray[np.float32]
+    pitch: float
+    table: Table
+
+    @property
+    def rank(self) -> int:
+        """Number of kernels."""
+        return len(self.kernels)
+
+    @classmethod
+    def learn(
+        cls,
+        camera: PlenopticCamera,
+        wavelength: float,
+        accuracy: float,
+        vergences: tuple[float, float],
+        lens_type: int = 0,
+    ) -> LensBank:
+        """Make the bank of a camera, or return it if it is among the last few that were made.
+
+        Parameters
+        ----------
+        camera : PlenopticCamera
+            The camera; only its optics and the size of its pixels matter.
+        wavelength : float
+            Wavelength in nanometres.
+        accuracy : float
+            Allowed relative error of a sum over many points.
+        vergences : (float, float)
+            Least and greatest vergence 1 / b' of the images of points, in 1/mm.
+        lens_type : int
+            Which of the types of lenses of a multi-focus array.
+        """
+        optics = camera.replace(
+            detector_width=camera.pixel_size,
+            resolution=(1, 1),
+            crop_offset=(0, 0),
+            crop_size=(1, 1),
+            mla_offset=(0.0, 0.0),
+            lens_model="ideal",
+        )
+        return _learn(optics, wavelength, accuracy, vergences, lens_type)
+
+    def coefficients(self, Px: Any, Py: Any, vergence: Any, ranks: slice = slice(None)) -> list[Any]:
+        """Return how much of each kernel a point's light brings through a lens.
+
+        Parameters
+        ----------
+        Px, Py : Float arrays of Dr.Jit
+            Where the ray from the point to the lens's centre passes the pupil, in the camera's frame; beyond its rim,
+            too.
+        vergence : Float array of Dr.Jit
+            Vergence of the point's image, in 1/mm.
+        ranks : slice
+            Which of the kernels.
+
+        Returns
+        -------
+        list of Float arrays
+            Of a full lens's power as rays bring it; zero where the rim is too far.
+        """
+        return self.table.at(Px, Py, vergence, ranks)
+
+    def reach(self, vergence: Any) -> Any:
+        """Return how far beyond the pupil's rim, in millimetres, pupil points still have light."""
+        return self.table.coordinates.reach(vergence)
+
+
+@functools.lru_cache(maxsize=8)
+def _learn(
+    camera: PlenopticCamera, wavelength: float, accuracy: float, vergences: tuple[float, float], lens_type: int
+) -> LensBank:
+    lattice, focal_length = camera.lattice, camera.mla_focal_lengths[lens_type]
+    diffraction = in_millimetres(wavelength) * camera.detector_distance / min(lattice.aperture_widths)
+    defocused = float(lattice.aperture_width) * abs(1 - camera.detector_distance / focal_length)
+    coordinates = Coordinates.between(camera, wavelength, vergences, blur_limits(accuracy)[0])
+    core, wide = (
+        LensPatterns(camera, wavelength, spots * diffraction + 2 * defocused, lens_type) for spots in (_CORE, _SPOTS)
+    )
+    fields, distance = coordinates.fields()
+    learner = Learner(core, wide, fields, coordinates.nodes(distance), coordinates.shape)
+    cores, kernels = learner.kernels(_LEFT * accuracy)
+    table = Table.finer(coordinates, learner.coefficients(cores))
+    pitch = camera.pixel_size / math.ceil(camera.pixel_size * _PIXELS_PER_SPOT / math.hypot(diffraction, defocused))
+    return LensBank(_on_grid(kernels, wide.pitch, pitch, camera.mla_rotation), pitch, table)
+
+
+def _on_grid(kernels: NDArray[np.float32], fine: float, pitch: float, rotation: float) -> NDArray[np.float32]:
+    """Turn kernels from the frame of the lattice to the camera's, and integrate them over squares of another grid."""
+    n = kernels.shape[-1]
+    origin = -(n // 2) * fine
+    turned = TurnedSamples((n, n), (fine, fine), (origin, origin), rotation, fine, (origin, origin), (n, n))
+    half = math.floor(n * fine / (2 * pitch) - 0.5)
+    edge = -(half + 0.5) * pitch
+    integrals = PixelIntegrals((n, n), (fine, fine), (origin, origin), pitch, (edge, edge), (2 * half + 1,) * 2)
+    result = np.empty((len(kernels), 2 * half + 1, 2 * half + 1), np.float32)
+    for target, kernel in zip(result, kernels, strict=True):
+        upright = turned.forward(kernel) if rotation else kernel
+        target[...] = integrals.forward(upright / np.float32(fine**2))
+        target *= kernel.sum() / target.sum()
+    return result

@@ -1,0 +1,192 @@
+r"""What the pattern of a lens depends on, as coordinates of a table.
+
+Light of a point with the defocus m, blurred over :math:`N = D_1 |m| / D_2` lenses, has at a lens the curvature of its
+wavefront, which goes with 1 / N, and the diffraction of the pupil's rim. Its ripples are those of a knife edge in the
+coordinate :math:`w = e \sqrt{2 F / N}` (Goodman, "Introduction to Fourier Optics", section 4.5), e the distance from
+the rim in pitches and :math:`F = D_1 D_2 / \lambda b`; in its shadow what counts is how much of the lens e reaches.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...optics.main_lens import main_lens
+from ...optics.phase import in_millimetres
+from ...runtime.backend import array_module
+from .blend import blur_of
+from .patterns import Nodes
+from .radial import RadialFields, distance_of
+
+SHADOW = 3.0
+"""Distance beyond the rim, in pitches, at which a lens is dark."""
+
+_RIPPLES = 6.0
+"""Coordinate w from the rim inwards from which on ripples are left out."""
+
+_DEPTHS, _EDGES, _ANGLES = 16, 73, 16
+"""Nodes of the table: of 1 / N on each side of focus, of the distance from the rim, and of its direction."""
+
+_FINER = (2, 2, 3)
+"""How much finer than its nodes a table is."""
+
+_MOST_BLUR = 64.0
+"""Lenses of blur from which on wavefront and rim count as straight."""
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """From a pupil point and the vergence of a point's image to places in the table.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    sides : tuple of (int, float, float)
+        For each side of focus that is in the table the sign of its defocus, and its least and greatest 1 / N.
+    """
+
+    camera: PlenopticCamera
+    wavelength: float
+    sides: tuple[tuple[int, float, float], ...]
+
+    @classmethod
+    def between(
+        cls, camera: PlenopticCamera, wavelength: float, vergences: tuple[float, float], least_blur: float
+    ) -> Coordinates:
+        """Cover what lies between two vergences and is blurred over some lenses at least."""
+        sides = []
+        for sign in (1, -1):
+            blur = max(sign * blur_of(camera, vergence) for vergence in vergences)
+            if blur > least_blur:
+                sides.append((sign, 1 / min(blur, _MOST_BLUR), 1 / least_blur))
+        return cls(camera, wavelength, tuple(sides))
+
+    @property
+    def ripple(self) -> float:
+        """Coordinate w over the distance from the rim in pitches, times the root of N."""
+        a, b = self.camera.aperture_radius, main_lens(self.camera).pupil_distance
+        return float(np.sqrt(4 * a * max(self.camera.mla_pitches) / (in_millimetres(self.wavelength) * b)))
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Nodes of depth, edge and angle."""
+        return len(self.sides) * _DEPTHS, _EDGES, _ANGLES
+
+    def fields(self) -> tuple[RadialFields, NDArray[np.float64]]:
+        """Return the fields of all depths, and the distances of their points."""
+        lens = main_lens(self.camera)
+        blur = self._blur()
+        defocus_of = blur * max(self.camera.mla_pitches) / (2 * lens.pupil_radius)
+        distance = distance_of(lens, (1 - defocus_of) / lens.pupil_distance)
+        reach = float(np.abs(blur).max() / 2 + 2 * SHADOW) * max(self.camera.mla_pitches) * 1.1
+        return RadialFields.of(self.camera, self.wavelength, distance, reach), distance
+
+    def _blur(self) -> NDArray[np.float64]:
+        """Return the blur of every depth in lenses, with the sign of its defocus."""
+        return np.concatenate([sign / np.linspace(low, high, _DEPTHS) for sign, low, high in self.sides])
+
+    def nodes(self, distance: NDArray[np.float64]) -> Nodes:
+        """Return all nodes of the table, flat; those of a depth follow each other."""
+        depth, edge, angle = (index.ravel() for index in np.indices(self.shape))
+        blur = np.abs(self._blur())[depth]
+        place = np.linspace(-SHADOW, _RIPPLES, _EDGES)[edge]
+        inside = np.where(place < 0, place, place * np.sqrt(blur) / self.ripple)
+        radius = float(main_lens(self.camera).pupil_radius) * np.maximum(0, 1 - 2 * inside / blur)
+        return Nodes(depth, distance[depth], radius, angle * (2 * np.pi / _ANGLES))
+
+    def reach(self, vergence: Any) -> Any:
+        """Return how far beyond the pupil's rim, in millimetres, a lens still has light."""
+        return 2 * SHADOW * self.camera.aperture_radius / abs(blur_of(self.camera, vergence))
+
+    def places(self, Px: Any, Py: Any, vergence: Any) -> tuple[Any, Any, Any, Any]:
+        """Return the places of pupil points in the table.
+
+        Parameters
+        ----------
+        Px, Py, vergence : Dr.Jit arrays
+            Pupil points in the camera's frame, and the vergences of the images.
+
+        Returns
+        -------
+        depth, edge, angle : Dr.Jit arrays
+            In nodes.
+        lit : Dr.Jit array
+            Whether any light is there.
+        """
+        blur = blur_of(self.camera, vergence)
+        size = dr.maximum(abs(blur), 1e-6)
+        inside = (1 - dr.sqrt(Px * Px + Py * Py) * (1 / self.camera.aperture_radius)) * size * 0.5
+        place = dr.select(inside < 0, inside, inside * dr.rsqrt(size) * self.ripple)
+        edge = dr.clip((place + SHADOW) * ((_EDGES - 1) / (_RIPPLES + SHADOW)), 0, _EDGES - 1)
+        depth, known = type(edge)(0), dr.mask_t(edge)(False)
+        for number, (sign, low, high) in enumerate(self.sides):
+            part = dr.clip((1 / size - low) * ((_DEPTHS - 1) / max(high - low, 1e-9)), 0, _DEPTHS - 1)
+            depth = dr.select(blur * sign > 0, part + number * _DEPTHS, depth)
+            known |= blur * sign > 0
+        angle = dr.atan2(Py, Px) * (1 / (2 * np.pi)) - self.camera.mla_rotation / 360
+        return depth, edge, (angle - dr.floor(angle)) * _ANGLES, known & (inside > -SHADOW)
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Coefficients on a grid that is finer than the nodes, so that only the edge needs interpolation.
+
+    Attributes
+    ----------
+    coordinates : Coordinates
+        Of its nodes.
+    values : float32 array (depths, angles, edges, rank)
+        The coefficients.
+    """
+
+    coordinates: Coordinates
+    values: NDArray[np.float32]
+
+    @classmethod
+    def finer(cls, coordinates: Coordinates, values: NDArray[np.float32]) -> Table:
+        """Interpolate coefficients at the nodes, (depths, edges, angles, rank), by splines and Fourier series."""
+        spectrum = scipy.fft.rfft(values, axis=2)
+        spectrum[:, :, -1] /= 2
+        values = scipy.fft.irfft(spectrum, _FINER[2] * _ANGLES, axis=2) * _FINER[2]
+        sides = []
+        for part in np.split(values, len(coordinates.sides)):
+            for axis in (0, 1):
+                spline = scipy.interpolate.make_interp_spline(np.arange(part.shape[axis]), part, axis=axis)
+                part = spline(np.arange((part.shape[axis] - 1) * _FINER[axis] + 1) / _FINER[axis])
+            sides.append(part.astype(np.float32).transpose(0, 2, 1, 3))
+        return cls(coordinates, np.ascontiguousarray(np.concatenate(sides)))
+
+    @functools.cached_property
+    def _flat(self) -> dict[Any, Any]:
+        return {}
+
+    def at(self, Px: Any, Py: Any, vergence: Any, ranks: slice) -> list[Any]:
+        """Return coefficients; see `LensBank.coefficients`."""
+        types = array_module()
+        if types not in self._flat:
+            self._flat[types] = types.Float(self.values.reshape(-1))
+        _, angles, edges, rank = self.values.shape
+        depth, edge, angle, lit = self.coordinates.places(Px, Py, vergence)
+        # sides of focus share no nodes
+        side = dr.floor((depth + 0.5) / _DEPTHS)
+        line = types.UInt32(depth * _FINER[0] - side * (_FINER[0] - 1) + 0.5)
+        turn = types.UInt32(angle * _FINER[2] + 0.5)
+        line = line * angles + dr.select(turn >= angles, 0, turn)
+        edge *= _FINER[1]
+        below = types.UInt32(dr.minimum(edge, edges - 2))
+        part = types.Float(edge - below)
+        place = (line * edges + below) * rank
+        return [
+            dr.lerp(*(dr.gather(types.Float, self._flat[types], place + (r + step), lit) for step in (0, rank)), part)
+            for r in range(rank)[ranks]
+        ]
