@@ -100,7 +100,7 @@ def _normal(si: Any, before: Any, after: Any, eta: Any) -> Any:
     """Return the normal about which a ray has turned, which bump and normal maps may have tilted."""
     bend = eta * before - after
     size = dr.norm(bend)
-    return dr.select(size > 1e-4, bend / size, si.sh_frame.n)
+    return dr.select(size > 1e-4, bend / size, mi.Vector3f(si.sh_frame.n))
 
 
 def _normal_change(si: Any, change: Any) -> Any:
@@ -110,4 +110,4 @@ def _normal_change(si: Any, change: Any) -> Any:
     determinant = E * G - F * F
     scale = dr.select(determinant > 1e-12 * E * G, dr.rcp(determinant), 0)
     u, v = (G * along_u - F * along_v) * scale, (E * along_v - F * along_u) * scale
-    return si.dn_du * u + si.dn_dv * v
+    return mi.Vector3f(si.dn_du * u + si.dn_dv * v)

@@ -59,7 +59,7 @@ class Child:
     @classmethod
     def of(cls, integrator: Any) -> Child:
         """Read a child's parameters."""
-        plugin = _PLUGINS.get(class_name(integrator))
+        plugin = _PLUGINS.get(integrator.class_name(), _PLUGINS.get(type(integrator).__name__))
         depth = 2 if plugin == "direct" else _number(integrator, "max_depth", _ENDLESS)
         return cls(
             integrator,
@@ -69,6 +69,11 @@ class Child:
             bool(getattr(integrator, "hide_emitters", False)),
             plugin in _VOLUMETRIC or plugin is None,
         )
+
+    @property
+    def uniform(self) -> bool:
+        """Whether the child is the same for all later vertices."""
+        return self.max_depth is None and not self.hides
 
     def used(self, events: Any, null_events: Any) -> Any:
         """Return how much of `max_depth` some events take: volumetric integrators do not count the null ones."""
@@ -113,13 +118,12 @@ class Child:
         UnpolarizedSpectrum
         """
         # Without a limit all later vertices are alike.
-        used = dr.full(mi.UInt32, 0, dr.width(used)) if self.max_depth is None else dr.minimum(used, self.max_depth)
-        dr.eval(ray, medium, used, hidden, active)
+        used = mi.UInt32(0) if self.max_depth is None else dr.minimum(used, self.max_depth)
         result = mi.UnpolarizedSpectrum(0)
         # An integrator is asked in one medium at a time.
         for inside in (None, *media):
             here = active & (medium == (dr.zeros(mi.MediumPtr) if inside is None else mi.MediumPtr(inside)))
-            for used_up, hides in _distinct(used, hidden, here):
+            for used_up, hides in [(0, False)] if self.uniform else _distinct(used, hidden, here):
                 if used_up != self.max_depth:
                     lanes = here & (used == used_up) & (hidden == hides)
                     result += sample(self._copy(used_up, hides), scene, sampler, ray, inside, lanes)
@@ -150,6 +154,7 @@ def sample(integrator: Any, scene: Any, sampler: Any, ray: Any, medium: Any, act
 
 def _distinct(used: Any, hidden: Any, active: Any) -> list[tuple[int, bool]]:
     """Return the pairs of values that active lanes have."""
+    dr.eval(used, hidden, active)
     lanes = np.broadcast_arrays(used.numpy(), hidden.numpy(), active.numpy())
     pairs = np.unique(np.column_stack(lanes[:2])[lanes[2]], axis=0)
     return [(int(used), bool(hidden)) for used, hidden in pairs]
