@@ -1,6 +1,6 @@
-r"""The light close to a ray, through mirrors and refracting surfaces: ray differentials, and where it seems to come from.
+r"""Light close to a ray, followed through mirrors and refracting surfaces to find from where it seems to come.
 
-Igehy, "Tracing ray differentials" (SIGGRAPH 1999). Transfer matrices in the sense of Hecht, "Optics", section 6.2.
+Igehy, "Tracing ray differentials" (SIGGRAPH 1999); for the matrices Siegman, "Lasers", chapter 15.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ class Bundle:
 
     Attributes
     ----------
-    dP, dD : lists of 4 Vector3f
+    places, directions : lists of 4 Vector3f
         Change of place and of direction for each of the starting values: place along two directions across the ray,
         then direction along the same two.
     """
 
-    dP: list[Any]
-    dD: list[Any]
+    places: list[Any]
+    directions: list[Any]
 
     @classmethod
     def start(cls, direction: Any) -> Bundle:
@@ -35,7 +35,9 @@ class Bundle:
 
     def transfer(self, distance: Any) -> Bundle:
         """Go on along the ray."""
-        return Bundle([dP + distance * dD for dP, dD in zip(self.dP, self.dD, strict=True)], self.dD)
+        return Bundle(
+            [dP + distance * dD for dP, dD in zip(self.places, self.directions, strict=True)], self.directions
+        )
 
     def bend(self, si: Any, before: Any, after: Any, eta: Any) -> Bundle:
         r"""Reflect or refract at a surface, at which the bundle has arrived.
@@ -59,7 +61,7 @@ class Bundle:
         mu = eta * cos_before - cos_after
         slope = eta - eta * eta * cos_before / cos_after
         dPs, dDs = [], []
-        for dP, dD in zip(self.dP, self.dD, strict=True):
+        for dP, dD in zip(self.places, self.directions, strict=True):
             # along the ray to the surface's tangent plane
             on_surface = dP - before * (dr.dot(dP, si.n) / dr.dot(before, si.n))
             dN = _normal_change(si, on_surface) * turned
@@ -88,7 +90,7 @@ class Bundle:
             a place before the start; and by how much they differ.
         """
         axes = mi.coordinate_system(direction)
-        ends = [dr.select(escaped, dD, dP) for dP, dD in zip(self.dP, self.dD, strict=True)]
+        ends = [dr.select(escaped, dD, dP) for dP, dD in zip(self.places, self.directions, strict=True)]
         (a, b), (c, d) = ([dr.dot(axis, end) for end in ends[:2]] for axis in axes)
         (e, f), (g, h) = ([dr.dot(axis, end) for end in ends[2:]] for axis in axes)
         scale = dr.rcp(e * h - f * g)

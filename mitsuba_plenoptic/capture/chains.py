@@ -29,7 +29,7 @@ class Optics:
     media : list
         All media; empty for an integrator that sees none.
     plain : bool
-        Whether all light is scattered or emitted where a ray first hits.
+        Whether all light that the child sees is scattered or emitted where a ray first hits.
     """
 
     scene: Any
@@ -47,7 +47,8 @@ class Optics:
             found = [sensor.get_medium()]
             found += [medium for shape in shapes for medium in (shape.interior_medium(), shape.exterior_medium())]
             media = [medium for i, medium in enumerate(found) if medium is not None and medium not in found[:i]]
-        plain = not media and not any(_branches(shape) for shape in shapes)
+        lamps = child.hides and any(shape.is_emitter() for shape in shapes)
+        plain = not media and not lamps and not any(_branches(shape) for shape in shapes)
         return cls(scene, child, sensor.get_medium() if media else None, media, plain)
 
 
@@ -127,6 +128,55 @@ class Chain:
 def intersect(scene: Any, ray: Any, active: Any) -> Any:
     """Return the next surface, with the derivatives of its shading normal."""
     return scene.ray_intersect(ray, mi.RayFlags.All | mi.RayFlags.dNSdUV, False, active)
+
+
+@dataclass
+class _Walk:
+    """Chains on their way to a known end."""
+
+    chain: Chain
+    arrived: Any
+    going: Any
+
+
+def leads_to(optics: Optics, ray: Any, key: Any, place: Any, tolerance: Any) -> Any:
+    """Whether chains, by the same choices, end where others have ended.
+
+    Parameters
+    ----------
+    optics : Optics
+        Scene and child.
+    ray : Ray3f
+        Rays from the camera.
+    key : UInt32
+        The keys of the other chains.
+    place : first_vertex.Place
+        Where those have ended.
+    tolerance : Float
+        How far from there, over the length of the way, a ray may pass.
+
+    Returns
+    -------
+    Bool
+    """
+
+    def step(walk: _Walk) -> _Walk:
+        chain, child = walk.chain, optics.child
+        si = intersect(optics.scene, chain.ray, walk.going)
+        ahead = dr.dot(place.point - chain.ray.o, chain.ray.d)
+        margin = tolerance * (chain.length + ahead)
+        meets = (ahead > 0) & (ahead <= si.t + margin) & (dr.norm(chain.ray(ahead) - place.point) <= margin)
+        arrived = (chain.signature == place.signature) & dr.select(place.escaped, ~si.is_valid(), meets)
+        hidden = ~arrived & chain.passes_lamp(si, child)
+        branches = ~arrived & ~hidden & chain.branches(si)
+        sample, weight = chain.sample(si, branches)
+        passes = branches & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta) & (dr.max(weight) > 0)
+        onward = dr.select(passes, chain.turn(si, sample), dr.select(hidden, chain.pass_on(si), chain))
+        return _Walk(onward, walk.arrived | arrived, passes | hidden)
+
+    start = _Walk(Chain.start(ray, key, None), mi.Bool(False), mi.Bool(True))
+    (end,) = dr.while_loop((start,), lambda walk: walk.going, lambda walk: (step(walk),), label="shadow rays")
+    return end.arrived
 
 
 def _branches(shape: Any) -> bool:

@@ -31,14 +31,16 @@ class Place:
     Attributes
     ----------
     distance : Float
-        Distance, along the ray that has found it, of the place from which it seems to come: infinite where it comes from
-        infinity, negative where it converges to a place behind the ray's start.
+        Distance, along the ray that has found it, of the place from which it seems to come: infinite where that is at
+        infinity, negative where the light converges to a place behind the ray's start.
     astigmatism : Float
         Difference of the reciprocal distances in the two principal sections.
     curved : Bool
         Whether it has come through refracting or curved surfaces.
     point : Point3f
         Where it comes from, in the world.
+    normal : Normal3f
+        The surface's normal there.
     escaped : Bool
         Whether it comes from infinity instead.
     scattered : Bool
@@ -51,6 +53,7 @@ class Place:
     astigmatism: Any
     curved: Any
     point: Any
+    normal: Any
     escaped: Any
     scattered: Any
     signature: Any
@@ -141,13 +144,14 @@ def first_vertex(optics: Optics, sampler: Any, ray: Any, active: Any = True) -> 
     child = optics.child
     key = mi.UInt32(sampler.next_1d() * 2.0**24) + (mi.UInt32(sampler.next_1d() * 256.0) << 24)
     channel = mi.UInt32(dr.minimum(sampler.next_1d() * 3, 2)) if mi.is_rgb else mi.UInt32(0)
+    nowhere = seen_directly(dr.zeros(mi.SurfaceInteraction3f))
     start = _State(
         Chain.start(ray, key, optics.start),
         Bundle.start(ray.d),
         mi.UnpolarizedSpectrum(1),
         mi.Bool(False),
-        _nowhere(),
-        _Kept(_nowhere(), mi.UnpolarizedSpectrum(0), mi.Float(0)),
+        nowhere,
+        _Kept(nowhere, mi.UnpolarizedSpectrum(0), mi.Float(0)),
         _Scattered(dr.zeros(mi.Interaction3f), mi.Float(0), mi.Bool(False)),
         mi.UInt32(0),
         mi.Bool(False),
@@ -165,10 +169,11 @@ def first_vertex(optics: Optics, sampler: Any, ray: Any, active: Any = True) -> 
     return Vertex(dr.select(power > 0, kept.radiance * (kept.total / power), 0), kept.place, key)
 
 
-def _nowhere() -> Place:
-    return Place(
-        mi.Float(0), mi.Float(0), mi.Bool(False), mi.Point3f(0), mi.Bool(False), mi.Bool(False), mi.UInt32(0)
-    )
+def seen_directly(si: Any) -> Place:
+    """Return the places that rays have met, where nothing branches."""
+    distance = dr.select(si.is_valid(), si.t, dr.inf)
+    no = mi.Bool(False)
+    return Place(distance, mi.Float(0), no, si.p, si.n, ~si.is_valid(), no, mi.UInt32(0))
 
 
 def _step(state: _State, optics: Optics, channel: Any) -> _State:
@@ -188,7 +193,7 @@ def _step(state: _State, optics: Optics, channel: Any) -> _State:
     ends = (arrives & ~hidden & ~branches) | escapes | scattered
 
     bundle = state.bundle.transfer(dr.select(escapes, 0, distance))
-    place = _place(state, bundle, distance, escapes, scattered)
+    place = _place(state, bundle, si.n, distance, escapes, scattered)
     sent, number = _sent(state, si, branches, optics), sampler.next_1d()
     kept = state.kept.offer(place, throughput * sent, number)
 
@@ -224,9 +229,7 @@ def _step(state: _State, optics: Optics, channel: Any) -> _State:
         onward.length = dr.select(collided, chain.length + distance, onward.length)
         next_bundle = dr.select(collided, bundle, next_bundle)
         onward.medium = dr.select(escapes, dr.zeros(mi.MediumPtr), onward.medium)
-        onward.medium = dr.select(
-            leaves & si.is_medium_transition(), si.target_medium(asked_ray.d), onward.medium
-        )
+        onward.medium = dr.select(leaves & si.is_medium_transition(), si.target_medium(asked_ray.d), onward.medium)
     onward.ray = dr.select(ends | leaves, asked_ray, onward.ray)
     done = ends | leaves
     longer = dr.select(leaves | scattered, 1, state.longer)
@@ -242,7 +245,7 @@ def _step(state: _State, optics: Optics, channel: Any) -> _State:
     )
 
 
-def _place(state: _State, bundle: Bundle, distance: Any, escaped: Any, scattered: Any) -> Place:
+def _place(state: _State, bundle: Bundle, normal: Any, distance: Any, escaped: Any, scattered: Any) -> Place:
     """Return the place at the end of a way."""
     ray = state.chain.ray
     mean, difference = bundle.vergence(ray.d, escaped)
@@ -252,6 +255,7 @@ def _place(state: _State, bundle: Bundle, distance: Any, escaped: Any, scattered
         dr.select(state.curved, difference, 0),
         state.curved,
         dr.select(escaped, ray.o, ray(distance)),
+        normal,
         escaped,
         scattered,
         state.chain.signature,
