@@ -17,8 +17,12 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
+from ..optics import guards
 from ..optics.main_lens import MainLens, main_lens
 from ..runtime.limits import largest_fitting, require_memory
+from .chains import Optics
+from .child import Child
+from .draws import draw
 from .lens_window import LensWindow
 from .pupil_weights import PupilWeights
 from .visibility import LANES, PUPIL_CELLS, sampled_fraction, visible_cells
@@ -43,6 +47,8 @@ class Radiators:
         Places.
     radiance : (n, channels) float64 array
         Radiance towards the pupil.
+    variance : (n, channels) float64 array
+        Variance of `radiance`, estimated from its light paths; NaN where there is but one.
     fraction : (n,) float64 array
         Fraction of the visible pupil whose rays from the radiator land in the sampled part of the MLA plane: those
         are the rays that could have found it.
@@ -52,6 +58,7 @@ class Radiators:
 
     positions: np.ndarray
     radiance: np.ndarray
+    variance: np.ndarray
     fraction: np.ndarray
     pupil_weights: PupilWeights | None
 
@@ -114,31 +121,47 @@ def find_radiators(
     """
     window, lens = LensWindow.of(camera), main_lens(camera)
     camera.require_resolved()
-    _require_memory(window, len(pairs), spp)
-    lenses = max(1, LANES // (len(pairs) * spp))
-    found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    optics = Optics.of(scene, Child.of(child), sensor)
+    _require_memory(window, len(pairs), spp, optics)
+    lenses = max(1, _lanes(optics) // (len(pairs) * spp))
+    found: list[tuple[np.ndarray, ...]] = []
     held = 0
     for start in range(0, len(window.index), lenses):
         some = range(start, min(start + lenses, len(window.index)))
-        found.append(
-            _trace_lenses(scene, sensor, child, lens, window, pairs, some, spp, seed + start, wavelength, occlusion)
-        )
+        found.append(_trace_lenses(optics, sensor, lens, window, pairs, some, spp, seed + start, wavelength, occlusion))
         # How many shine is known as they are found; the parts and their concatenation are alive at once.
         held += 2 * sum(array.nbytes for array in found[-1])
         require_memory(
             held, f"{held // _RADIATOR_BYTES} radiators or more in {some.stop} of {len(window.index)} lenses"
         )
-    positions, radiance, bits = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    positions, radiance, variance, astigmatism, bits = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    _judge_astigmatism(camera, lens, astigmatism, radiance)
     weights = PupilWeights.from_bits(bits, PUPIL_CELLS) if occlusion and not (bits == 255).all() else None
-    return Radiators(positions, radiance, sampled_fraction(positions, weights, lens, window), weights)
+    fraction = sampled_fraction(positions, weights, lens, window)
+    return Radiators(positions, radiance, variance, fraction, weights)
 
 
-def _require_memory(window: LensWindow, pairs: int, spp: int) -> None:
+def _judge_astigmatism(camera: PlenopticCamera, lens: MainLens, astigmatism: np.ndarray, radiance: np.ndarray) -> None:
+    """Tell of light whose two line images lie so far apart that it is blurred by more than a microlens."""
+    power = radiance.mean(axis=1)
+    blur = lens.pupil_radius * lens.pupil_distance * astigmatism
+    if power.sum() > 0:
+        guards.judge(guards.ASTIGMATISM, float(power[blur > min(camera.mla_pitches)].sum() / power.sum()))
+
+
+def _lanes(optics: Optics) -> int:
+    """Return how many light paths are followed at once."""
+    return LANES if optics.plain else LANES // 16
+
+
+def _require_memory(window: LensWindow, pairs: int, spp: int, optics: Optics) -> None:
     """Refuse light paths that do not fit: a batch holds those of one lens or more."""
 
     def memory(per_lens: int) -> float:
         paths = float(per_lens) ** 2 * spp
-        return _LANE_BYTES * max(min(LANES, paths * len(window.index)), paths)
+        lanes = _lanes(optics)
+        each = _LANE_BYTES * LANES / lanes / 4
+        return each * max(min(lanes, paths * len(window.index)), paths)
 
     def fitting(limit: float) -> str | None:
         largest = largest_fitting(memory, limit, per_lens)
@@ -149,9 +172,8 @@ def _require_memory(window: LensWindow, pairs: int, spp: int) -> None:
 
 
 def _trace_lenses(
-    scene: Any,
+    optics: Optics,
     sensor: Any,
-    child: Any,
     lens: MainLens,
     window: LensWindow,
     pairs: np.ndarray,
@@ -160,10 +182,15 @@ def _trace_lenses(
     seed: int,
     wavelength: float | None,
     occlusion: bool,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return positions, radiance and bits of the visible cells of the shining radiators of some lenses."""
-    count = len(lenses) * len(pairs)
-    lane = dr.arange(mi.UInt32, count * spp)
+) -> tuple[np.ndarray, ...]:
+    """Find the shining radiators of some lenses.
+
+    Returns
+    -------
+    tuple of arrays
+        Positions, radiance, its variance, by how much each is astigmatic, and the bits of the visible cells.
+    """
+    lane = dr.arange(mi.UInt32, len(lenses) * len(pairs) * spp)
     radiator = lane // spp
     cell, pair = radiator // len(pairs) + lenses.start, radiator % len(pairs)
     place = [dr.gather(mi.Float, mi.Float(pairs[:, i].astype(np.float32)), pair) for i in range(4)]
@@ -174,31 +201,29 @@ def _trace_lenses(
     direction = dr.normalize(mi.Vector3f(slope.x, slope.y, 1))
 
     to_world = sensor.world_transform()
-    ray = mi.RayDifferential3f(to_world @ mi.Point3f(P.x, P.y, 0), to_world @ direction)
+    ray = mi.Ray3f(to_world @ mi.Point3f(P.x, P.y, 0), to_world @ direction)
     ray.time = sensor.shutter_open() + 0.5 * sensor.shutter_open_time()
     if wavelength is not None:
         ray.wavelengths = dr.full(type(ray.wavelengths), wavelength)
     sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(seed, count * spp)
-    # The unbound method reaches integrators written in C++ and in Python alike.
-    radiance = mi.unpolarized_spectrum(mi.SamplingIntegrator.sample(child, scene, sampler, ray, None, True)[0])
-    channels = [radiance[0]] if wavelength is not None else list(radiance)
-    means = np.stack([dr.block_sum(channel, spp).numpy() / spp for channel in channels], axis=-1)
-
-    bad = int(np.count_nonzero(~np.isfinite(means).all(axis=-1)))
+    sampler.seed(seed, dr.width(lane))
+    found = draw(optics, sampler, ray, spp)
+    bad = int(np.count_nonzero(~np.isfinite(found.radiance).all(axis=-1)))
     if bad:
         raise InputError(f"scene: the radiance of {bad} radiators is NaN or infinite: all must be finite")
-    shining = np.flatnonzero(means.max(axis=-1) > 0).astype(np.uint32)
-    if shining.size == 0:
-        return np.empty((0, 3)), np.empty((0, means.shape[1])), np.empty((0, PUPIL_CELLS**2 // 8), np.uint8)
-    first = mi.UInt32(shining) * spp
-    si = scene.ray_intersect(dr.gather(mi.Ray3f, mi.Ray3f(ray), first))
-    depth = (
-        dr.select(si.is_valid(), si.t * dr.gather(mi.Float, direction.z, first), _INFINITY / lens.vergence(math.inf))
-        .numpy()
-        .astype(np.float64)
-    )
+    if found.vertex is None:
+        channels = found.radiance.shape[1]
+        return np.empty((0, 3)), *np.empty((2, 0, channels)), np.empty(0), np.empty((0, PUPIL_CELLS**2 // 8), np.uint8)
+
+    first = mi.UInt32(found.lane)
+    depth = (found.vertex.place.distance * dr.gather(mi.Float, direction.z, first)).numpy().astype(np.float64)
+    # Beyond, all wavefronts are flat.
+    farthest = _INFINITY / float(lens.vergence(math.inf))
+    depth = np.where(np.abs(depth) < farthest, depth, farthest)
     P, slope = (dr.gather(mi.Point2f, mi.Point2f(v), first).numpy().astype(np.float64).T for v in (P, slope))
     positions = np.column_stack([P + slope * depth[:, None], depth])
-    bits = visible_cells(scene, to_world, si, P, lens) if occlusion else np.empty((0, PUPIL_CELLS**2 // 8), np.uint8)
-    return positions, means[shining].astype(np.float64), bits
+    bits = np.empty((0, PUPIL_CELLS**2 // 8), np.uint8)
+    if occlusion:
+        bits = visible_cells(optics, to_world, found.vertex, dr.gather(mi.Ray3f, ray, first), P, lens)
+    astigmatism = found.vertex.place.astigmatism.numpy() + np.zeros(len(P))
+    return positions, found.radiance, found.variance, astigmatism, bits

@@ -7,8 +7,11 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from ..optics.main_lens import MainLens
+from .chains import Optics, leads_to
+from .first_vertex import Vertex
 from .lens_window import LensWindow
 from .pupil_weights import PupilWeights
 
@@ -18,25 +21,40 @@ PUPIL_CELLS = 16
 LANES = 2**22
 """Rays that are traced at once."""
 
+_PLANE_TOLERANCE = 2e-4
+"""How far from a place, over the distance, a shadow ray may pass it: the rounding of single precision."""
 
-def visible_cells(scene: Any, to_world: Any, si: Any, P: np.ndarray, lens: MainLens) -> np.ndarray:
-    """Find by one shadow ray a cell which cells of the pupil each hit sees.
+_CURVED_TOLERANCE = 0.02
+"""The same behind refracting or curved surfaces, whose light does not seem to come from one point."""
 
-    A cell whose centre lies beyond the pupil's edge is tested at the nearest point within. The cell that holds the
-    ray which found the hit is open.
+
+def visible_cells(
+    optics: Optics, to_world: Any, vertex: Vertex, ray: Any, P: NDArray[np.float64], lens: MainLens
+) -> NDArray[np.uint8]:
+    """Find by one shadow ray a cell which cells of the pupil see each place from which light comes.
+
+    Shadow rays take the same null and delta lobes as the rays that have found the places; those from infinity are
+    parallel. A cell whose centre lies beyond the pupil's edge is tested at the nearest point within. The cell that
+    holds the ray which found the place is open.
 
     Parameters
     ----------
-    scene, to_world, si
-        Scene, the camera's transform and the hits: surface interactions of Mitsuba.
-    P : (hits, 2) float64 array
-        Where the rays that found the hits have passed the pupil.
+    optics : Optics
+        Scene and child.
+    to_world : Transform4f
+        The camera's transform.
+    vertex : Vertex
+        The places.
+    ray : Ray3f
+        The rays that have found them.
+    P : (n, 2) float64 array
+        Where those have passed the pupil.
     lens : MainLens
         The main lens.
 
     Returns
     -------
-    (hits, PUPIL_CELLS**2 // 8) uint8 array
+    (n, PUPIL_CELLS**2 // 8) uint8 array
         Bits of the cells, row by row along y.
     """
     radius, cells = lens.pupil_radius, PUPIL_CELLS**2
@@ -50,16 +68,28 @@ def visible_cells(scene: Any, to_world: Any, si: Any, P: np.ndarray, lens: MainL
     for start in range(0, len(P), batch):
         some = slice(start, min(start + batch, len(P)))
         lane = dr.arange(mi.UInt32, (some.stop - start) * cells)
-        hit = lane // cells + start
-        point = dr.zeros(mi.SurfaceInteraction3f, dr.width(lane))
-        point.p, point.n = dr.gather(mi.Point3f, si.p, hit), dr.gather(mi.Normal3f, si.n, hit)
-        blocked = scene.ray_test(point.spawn_ray_to(dr.gather(mi.Point3f, targets, lane % cells)))
-        # What is at infinity has no place to send shadow rays from, and is hidden by nothing here.
-        blocked &= dr.gather(mi.Bool, si.is_valid(), hit)
+        which, target = lane // cells + start, dr.gather(mi.Point3f, targets, lane % cells)
+        blocked = _blocked(optics, target, dr.gather(Vertex, vertex, which), dr.gather(mi.Ray3f, ray, which))
         seen = ~blocked.numpy().reshape(-1, cells)
         seen[np.arange(len(seen)), own[some]] = True
         bits[some] = np.packbits(seen, axis=1)
     return bits
+
+
+def _blocked(optics: Optics, target: Any, vertex: Vertex, ray: Any) -> Any:
+    """Whether something stands between points of the pupil and the places that rays from others have found."""
+    place = vertex.place
+    if optics.plain:
+        point = dr.zeros(mi.SurfaceInteraction3f, dr.width(target))
+        point.p, point.n = place.point, place.normal
+        towards = point.spawn_ray_to(target)
+        away = mi.Ray3f(target, ray.d)
+        return optics.scene.ray_test(dr.select(place.escaped, away, towards))
+    # from the pupil point to the place from which light seems to come, be it beyond infinity
+    direction = dr.normalize(ray.d + (ray.o - target) * dr.rcp(place.distance))
+    shadow = mi.Ray3f(target, direction, ray.time, ray.wavelengths)
+    tolerance = dr.select(place.curved, _CURVED_TOLERANCE, _PLANE_TOLERANCE)
+    return ~leads_to(optics, shadow, vertex.key, place, tolerance)
 
 
 def sampled_fraction(

@@ -143,14 +143,14 @@ class ThinLens:
         """
         (Px, Py), (X, Y, g) = pupil, point
         square = Px * Px + Py * Py
-        axis = _sqrt(X * X + Y * Y + g * g)
+        axis = _signed(_sqrt(X * X + Y * Y + g * g), g)
         difference = (square - 2 * (Px * X + Py * Y)) / (_distance(pupil, point) + axis)
         return difference * (1 / in_millimetres(wavelength)) + parabola(square, self.focal_length, wavelength)
 
     def amplitude(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
-        """Return g / |P - X|^2: the first Rayleigh-Sommerfeld solution (Goodman, section 3.5)."""
+        """Return |g| / |P - X|^2: the first Rayleigh-Sommerfeld solution (Goodman, section 3.5)."""
         length = _distance(pupil, point)
-        return point[2] / (length * length)
+        return abs(point[2]) / (length * length)
 
     def inside(self, pupil: tuple[Any, Any]) -> Any:
         """Return how far within the edge of the pupil a point lies."""
@@ -169,9 +169,13 @@ class ThinLens:
 
 
 def _distance(pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
-    """Return the distance |P - X|."""
+    """Return the distance |P - X|, negative for light that converges to a point behind the lens."""
     dx, dy, g = pupil[0] - point[0], pupil[1] - point[1], point[2]
-    return _sqrt(dx * dx + dy * dy + g * g)
+    return _signed(_sqrt(dx * dx + dy * dy + g * g), g)
+
+
+def _signed(length: Any, g: Any) -> Any:
+    return dr.copysign(length, g) if dr.is_array_v(length) else np.copysign(length, g)
 
 
 def _sqrt(value: Any) -> Any:

@@ -113,7 +113,7 @@ def check_positions(positions: Any) -> NDArray[np.float64]:
     Raises
     ------
     InputError
-        If the shape is another, a coordinate is not finite, or a point does not lie before the main lens.
+        If the shape is another, a coordinate is not finite or too large, or a point lies in the main lens.
     """
     try:
         points = np.asarray(positions, np.float64)
@@ -124,14 +124,11 @@ def check_positions(positions: Any) -> NDArray[np.float64]:
     for bad, rule in ((~np.isfinite(points).all(1), "its coordinates must be finite"),):
         if bad.any():
             raise InputError(f"position = {_format(points[bad][0])}: {rule}")
-    behind = points[:, 2] <= 0
-    if behind.any():
-        raise InputError(f"position = {_format(points[behind][0])}: its distance g must be greater than 0")
-    beyond = (np.abs(points) > _FARTHEST).any(1) | (points[:, 2] < SHORTEST)
+    beyond = (np.abs(points) > _FARTHEST).any(1) | (np.abs(points[:, 2]) < SHORTEST)
     if beyond.any():
         raise InputError(
             f"position = {_format(points[beyond][0])}: its coordinates must be {_FARTHEST:g} at most, and g at least "
-            f"{SHORTEST:g}"
+            f"{SHORTEST:g}, or at most -{SHORTEST:g} for light that converges to a point behind the lens"
         )
     return points
 
