@@ -239,9 +239,9 @@ def _pupil_field(
     bright = types.Float(lens.amplitude(pupil, point))
     density = types.Float64(bright * bright * cover)
     if weights is not None:
-        weight = weights.at(dr.zeros(types.UInt32, count * count), Px, Py, lens.pupil_radius)
-        density *= types.Float64(weight)
-        cover *= dr.sqrt(weight)
+        passed, amplitude = weights.at(dr.zeros(types.UInt32, count * count), Px, Py, lens.pupil_radius, step)
+        density *= types.Float64(passed)
+        cover *= amplitude
     power = dr.sum(density)[0] * pitch**2
     if not 0 < power < math.inf:
         raise InputError(
