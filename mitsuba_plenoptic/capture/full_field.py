@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -29,7 +30,7 @@ from ..errors import InputError
 from ..optics import guards
 from ..optics.free_space import advance
 from ..optics.main_lens import main_lens
-from ..optics.microlens_orders import axis_transmission, plane_transmission
+from ..optics.microlens_orders import PlaneTransmission, aperture_transmission, axis_transmission, plane_transmission
 from ..optics.microlenses import bend, diffraction, is_separable
 from ..optics.phase import in_millimetres, phasor, soft_edge
 from ..optics.power import band_edge_fraction, fraction, power, rim
@@ -281,15 +282,14 @@ def _detector_spectrum(
 ) -> Field:
     """Spectrum on the detector of the field that reaches the MLA, whose memory is used."""
     if microlenses:
-        before = power(samples)
+        before = _passed_power(camera, wavelength, grids, samples)
         if is_separable(camera):
             along_x, along_y = _microlens_factors(camera, wavelength, grids)
             samples *= along_x[None, :]
             samples *= along_y[:, None]
         else:
             _apply_plane(camera, wavelength, grids, samples)
-        # What lies between the lenses stops light rightly.
-        if before and camera.lattice.lens_area == camera.lattice.cell_area:
+        if before > 0:
             guards.judge(guards.MICROLENS, 1 - power(samples) / before)
     with resting_drjit():
         spectrum = fft2(samples)
@@ -329,8 +329,26 @@ def _microlens_factors(camera: PlenopticCamera, wavelength: float, grids: _Grids
 
 def _apply_plane(camera: PlenopticCamera, wavelength: float, grids: _Grids, samples: Field) -> None:
     """Multiply a field by the transmission of microlenses that are no product of two axes."""
+    for block, part in _transmission_blocks(plane_transmission(camera, wavelength, grids.bend), grids):
+        samples[block] *= as_field(pack(part), samples[block].shape)
+
+
+def _passed_power(camera: PlenopticCamera, wavelength: float, grids: _Grids, samples: Field) -> float:
+    """Return the power, in units of a sample, of the part of a field that is within the microlenses' apertures."""
+    if camera.lattice.fills:
+        return power(samples)
+    arrays, total = backend().arrays, 0.0
+    apertures = aperture_transmission(camera, wavelength, in_millimetres(wavelength) / (2 * grids.pitch))
+    for block, part in _transmission_blocks(apertures, grids):
+        intensity = arrays.abs(samples[block]) ** 2
+        passed = backend().from_drjit(part.real).reshape(intensity.shape)
+        total += float((intensity * passed).sum(dtype=np.float64))
+    return total
+
+
+def _transmission_blocks(lenses: PlaneTransmission, grids: _Grids) -> Iterator[tuple[slice, Any]]:
+    """Yield blocks of rows of the detector's window, and the transmission at their samples, as Complex2f."""
     types = backend().types
-    lenses = plane_transmission(camera, wavelength, grids.bend)
     left, top = (start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
     columns = grids.count[0]
     for block in _blocks(grids.count[1]):
@@ -338,7 +356,7 @@ def _apply_plane(camera: PlenopticCamera, wavelength: float, grids: _Grids, samp
         row = quotient(types, index, columns)
         x = types.Float64(index - row * columns) * grids.pitch + dr.opaque(types.Float64, left)
         y = types.Float64(row) * grids.pitch + dr.opaque(types.Float64, top + block.start * grids.pitch)
-        samples[block] *= as_field(pack(lenses.at(x, y)), (block.stop - block.start, columns))
+        yield block, lenses.at(x, y)
 
 
 def _pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: _Grids) -> NDArray[np.float32]:

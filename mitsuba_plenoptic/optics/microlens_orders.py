@@ -34,6 +34,9 @@ from .microlenses import transmission
 from .phase import in_millimetres
 from .sampling import check_memory, fast_length
 
+_FLAT = 1e6
+"""Focal length, in millimetres, of a lens that is a mere hole."""
+
 _TABLE_LENGTH = 2**14
 
 _FINE = 2048
@@ -239,6 +242,11 @@ def axis_transmission(camera: PlenopticCamera, wavelength: float, cosine: float)
 def plane_transmission(camera: PlenopticCamera, wavelength: float, cosine: float) -> PlaneTransmission:
     """Return the transmission of any array on the active processor; the last few are kept."""
     return _kept(PlaneTransmission, array_module(), camera, wavelength, cosine)
+
+
+def aperture_transmission(camera: PlenopticCamera, wavelength: float, cosine: float) -> PlaneTransmission:
+    """Return the transmission of the apertures alone: its real part is what of the light they let through."""
+    return plane_transmission(camera.replace(mla_focal_length=_FLAT), wavelength, cosine)
 
 
 @functools.lru_cache(maxsize=8)
