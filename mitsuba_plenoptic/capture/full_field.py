@@ -30,7 +30,7 @@ from ..errors import InputError
 from ..optics import guards
 from ..optics.free_space import advance
 from ..optics.main_lens import main_lens
-from ..optics.microlens_orders import PlaneTransmission, aperture_transmission, axis_transmission, plane_transmission
+from ..optics.microlens_orders import axis_transmission, open_fraction, plane_transmission
 from ..optics.microlenses import bend, diffraction, is_separable
 from ..optics.phase import in_millimetres, phasor, soft_edge
 from ..optics.power import band_edge_fraction, fraction, power, rim
@@ -329,25 +329,25 @@ def _microlens_factors(camera: PlenopticCamera, wavelength: float, grids: _Grids
 
 def _apply_plane(camera: PlenopticCamera, wavelength: float, grids: _Grids, samples: Field) -> None:
     """Multiply a field by the transmission of microlenses that are no product of two axes."""
-    for block, part in _transmission_blocks(plane_transmission(camera, wavelength, grids.bend), grids):
-        samples[block] *= as_field(pack(part), samples[block].shape)
+    lenses = plane_transmission(camera, wavelength, grids.bend)
+    for block, x, y in _places(grids):
+        samples[block] *= as_field(pack(lenses.at(x, y)), samples[block].shape)
 
 
 def _passed_power(camera: PlenopticCamera, wavelength: float, grids: _Grids, samples: Field) -> float:
     """Return the power, in units of a sample, of the part of a field that is within the microlenses' apertures."""
     if camera.lattice.fills:
         return power(samples)
-    arrays, total = backend().arrays, 0.0
-    apertures = aperture_transmission(camera, wavelength, in_millimetres(wavelength) / (2 * grids.pitch))
-    for block, part in _transmission_blocks(apertures, grids):
-        intensity = arrays.abs(samples[block]) ** 2
-        passed = backend().from_drjit(part.real).reshape(intensity.shape)
+    total, cosine = 0.0, in_millimetres(wavelength) / (2 * grids.pitch)
+    for block, x, y in _places(grids):
+        passed = backend().from_drjit(open_fraction(camera, wavelength, cosine, x, y))
+        intensity = backend().arrays.abs(samples[block]).reshape(-1) ** 2
         total += float((intensity * passed).sum(dtype=np.float64))
     return total
 
 
-def _transmission_blocks(lenses: PlaneTransmission, grids: _Grids) -> Iterator[tuple[slice, Any]]:
-    """Yield blocks of rows of the detector's window, and the transmission at their samples, as Complex2f."""
+def _places(grids: _Grids) -> Iterator[tuple[slice, Any, Any]]:
+    """Yield blocks of rows of the detector's window, with x and y of their samples."""
     types = backend().types
     left, top = (start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
     columns = grids.count[0]
@@ -356,7 +356,7 @@ def _transmission_blocks(lenses: PlaneTransmission, grids: _Grids) -> Iterator[t
         row = quotient(types, index, columns)
         x = types.Float64(index - row * columns) * grids.pitch + dr.opaque(types.Float64, left)
         y = types.Float64(row) * grids.pitch + dr.opaque(types.Float64, top + block.start * grids.pitch)
-        yield block, lenses.at(x, y)
+        yield block, x, y
 
 
 def _pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: _Grids) -> NDArray[np.float32]:
