@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -29,8 +30,8 @@ from ..errors import InputError
 from ..optics import guards
 from ..optics.free_space import advance
 from ..optics.main_lens import main_lens
-from ..optics.microlens_orders import axis_transmission, plane_transmission
-from ..optics.microlenses import is_separable, scattering
+from ..optics.microlens_orders import axis_transmission, open_fraction, plane_transmission
+from ..optics.microlenses import bend, diffraction, is_separable
 from ..optics.phase import in_millimetres, phasor, soft_edge
 from ..optics.power import band_edge_fraction, fraction, power, rim
 from ..optics.sampling import check_memory, fast_length, footprint
@@ -47,8 +48,11 @@ _BLOCK = 512
 _PUPIL_BAND = 1.5
 """Sampled directions on the way to the MLA over the steepest ray: the pupil's edge diffracts beyond that."""
 
-_KEPT_ORDERS = 3.3
-"""Steepest order of the microlenses that is kept, over the slope at a microlens's edge."""
+_KEPT_BENDS = 3.3
+"""Steepest direction from the microlenses that is kept, over the largest bend by one of them, at least."""
+
+_KEPT_ORDERS = 20
+"""The same, in orders of the diffraction by the aperture of a microlens."""
 
 
 @dataclass(frozen=True)
@@ -178,7 +182,7 @@ def _grids(
     image = footprint(camera, position[None])
     place, half_width = image.centre[0], image.half_width[0]
     steepest = float((np.abs(image.cosine[0]) + image.half_cosine[0]).max())
-    bent = steepest + scattering(camera) * _KEPT_ORDERS
+    bent = steepest + max(_KEPT_BENDS * bend(camera), diffraction(camera, wavelength, _KEPT_ORDERS))
     per_pixel = max(1, math.ceil(p * 2 * bent * refinement / lam))
     pitch = p / per_pixel
     # The recorded window on the detector, with room for light that moves sideways between MLA and detector.
@@ -236,9 +240,9 @@ def _pupil_field(
     bright = types.Float(lens.amplitude(pupil, point))
     density = types.Float64(bright * bright * cover)
     if weights is not None:
-        weight = weights.at(dr.zeros(types.UInt32, count * count), Px, Py, lens.pupil_radius)
-        density *= types.Float64(weight)
-        cover *= dr.sqrt(weight)
+        passed, amplitude = weights.at(dr.zeros(types.UInt32, count * count), Px, Py, lens.pupil_radius, step)
+        density *= types.Float64(passed)
+        cover *= amplitude
     power = dr.sum(density)[0] * pitch**2
     if not 0 < power < math.inf:
         raise InputError(
@@ -278,15 +282,14 @@ def _detector_spectrum(
 ) -> Field:
     """Spectrum on the detector of the field that reaches the MLA, whose memory is used."""
     if microlenses:
-        before = power(samples)
+        before = _passed_power(camera, wavelength, grids, samples)
         if is_separable(camera):
             along_x, along_y = _microlens_factors(camera, wavelength, grids)
             samples *= along_x[None, :]
             samples *= along_y[:, None]
         else:
             _apply_plane(camera, wavelength, grids, samples)
-        # What lies between the lenses stops light rightly.
-        if before and camera.lattice.lens_area == camera.lattice.cell_area:
+        if before > 0:
             guards.judge(guards.MICROLENS, 1 - power(samples) / before)
     with resting_drjit():
         spectrum = fft2(samples)
@@ -326,8 +329,26 @@ def _microlens_factors(camera: PlenopticCamera, wavelength: float, grids: _Grids
 
 def _apply_plane(camera: PlenopticCamera, wavelength: float, grids: _Grids, samples: Field) -> None:
     """Multiply a field by the transmission of microlenses that are no product of two axes."""
-    types = backend().types
     lenses = plane_transmission(camera, wavelength, grids.bend)
+    for block, x, y in _places(grids):
+        samples[block] *= as_field(pack(lenses.at(x, y)), samples[block].shape)
+
+
+def _passed_power(camera: PlenopticCamera, wavelength: float, grids: _Grids, samples: Field) -> float:
+    """Return the power, in units of a sample, of the part of a field that is within the microlenses' apertures."""
+    if camera.lattice.fills:
+        return power(samples)
+    total, cosine = 0.0, in_millimetres(wavelength) / (2 * grids.pitch)
+    for block, x, y in _places(grids):
+        passed = backend().from_drjit(open_fraction(camera, wavelength, cosine, x, y))
+        intensity = backend().arrays.abs(samples[block]).reshape(-1) ** 2
+        total += float((intensity * passed).sum(dtype=np.float64))
+    return total
+
+
+def _places(grids: _Grids) -> Iterator[tuple[slice, Any, Any]]:
+    """Yield blocks of rows of the detector's window, with x and y of their samples."""
+    types = backend().types
     left, top = (start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
     columns = grids.count[0]
     for block in _blocks(grids.count[1]):
@@ -335,7 +356,7 @@ def _apply_plane(camera: PlenopticCamera, wavelength: float, grids: _Grids, samp
         row = quotient(types, index, columns)
         x = types.Float64(index - row * columns) * grids.pitch + dr.opaque(types.Float64, left)
         y = types.Float64(row) * grids.pitch + dr.opaque(types.Float64, top + block.start * grids.pitch)
-        samples[block] *= as_field(pack(lenses.at(x, y)), (block.stop - block.start, columns))
+        yield block, x, y
 
 
 def _pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: _Grids) -> NDArray[np.float32]:

@@ -18,10 +18,14 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lattice import turn
 from ..optics.main_lens import main_lens
-from ..optics.microlenses import scattering, upright
+from ..optics.microlenses import bend, diffraction, upright
 from ..optics.phase import in_millimetres
 from ..optics.sampling import check_samples, fast_length, footprint
 
+_PITCH_PER_PIXEL = 1.1
+"""Distance of samples over a pixel, at most, within `_FINER`: larger pixels average the fringes of steep light."""
+
+_FINER = 1.2
 _WIDTH_PER_BLUR = 1.2
 _WIDTH_STEP = 1.06
 _RIM_ANGLES = 16
@@ -35,13 +39,19 @@ class Band:
     Attributes
     ----------
     cone : float
-        Directions that are kept on the detector over those of the geometric cone, pupil plus microlens.
+        Directions that are kept on the detector over those of the geometric cone, pupil plus microlens, at least.
     margin : float
         Width of the patch of a point in focus, in units of :math:`\lambda b / D_1`, the scale of its Airy pattern.
+    bends : float
+        Directions that are kept beside the pupil's cone, over the largest bend by a microlens, at least.
+    orders : float
+        The same, in orders of the diffraction by a microlens's aperture (see `optics.microlenses.diffraction`).
     """
 
     cone: float
     margin: float
+    bends: float
+    orders: float
 
 
 @dataclass(frozen=True)
@@ -94,8 +104,10 @@ class Grid:
         lens = main_lens(camera)
         powers = np.abs(lens.vergence(positions[:, 2]))
         cosine = lens.pupil_radius * float(powers.max(initial=1 / lens.pupil_distance))
-        half_band = band.cone * (cosine + scattering(camera))
+        bent = max(band.bends * bend(camera), diffraction(camera, wavelength, band.orders))
+        half_band = max(band.cone * (cosine + bend(camera)), cosine + bent)
         largest = in_millimetres(wavelength) / (2 * half_band)
+        largest = min(largest, max(_PITCH_PER_PIXEL * camera.pixel_size, largest / _FINER))
         steps = np.array(camera.lattice.grid_step) * (camera.micro_image_pitch / camera.mla_pitch)
         check_samples(float((steps / largest).max()), "from lens to lens")
         origin = -np.array([camera.detector_width, camera.detector_height]) / 2
@@ -154,7 +166,9 @@ def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
     airy = lam * b / (2 * a)
     blur = 2 * image.half_width.max(1)
     spread = grid.band.margin * airy
-    width = np.maximum(_WIDTH_PER_BLUR * blur + spread / 3, spread) + np.abs(aside).max(1)
+    # What goes sideways on the way to the detector is held on both sides.
+    reach = camera.detector_distance * (grid.cosine + diffraction(camera, grid.wavelength, grid.band.orders))
+    width = np.maximum(_WIDTH_PER_BLUR * blur + max(spread / 3, 2 * reach), spread) + np.abs(aside).max(1)
     check_samples(
         float(((np.abs(image.centre) + width[:, None]) / grid.pitch).max(initial=0)),
         "from the axis",

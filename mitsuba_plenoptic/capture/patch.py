@@ -162,13 +162,14 @@ class PatchBatch:
         start[:, 1] *= grid.pitch[0] / grid.pitch[1]
         waves += (nx * value(start[:, 0]) + ny * value(start[:, 1])) / constant(self.samples * grid.pitch[0])
         # The power is that of the hard edge.
-        cover = soft_edge(types.Float(lens.inside(pupil) / (R * constant(math.sqrt(step.prod())))))
+        sample = R * constant(math.sqrt(step.prod()))
+        cover = soft_edge(types.Float(lens.inside(pupil) / sample))
         bright = types.Float(lens.amplitude(pupil, point) * R * R / b)
         power = types.Float64(bright * bright * cover)
         if weights is not None:
-            weight = weights.at(radiator, *turn(Px, Py, grid.rotation), lens.pupil_radius)
-            power *= types.Float64(weight)
-            cover *= dr.sqrt(weight)
+            passed, amplitude = weights.at(radiator, *turn(Px, Py, grid.rotation), lens.pupil_radius, sample)
+            power *= types.Float64(passed)
+            cover *= amplitude
         power = dr.block_sum(power, size * size) * step.prod()
         packed = pack(phasor(waves) * (bright * cover))
         dr.eval(packed, power)

@@ -16,10 +16,11 @@ from ..optics import guards
 from ..optics.microlenses import is_separable
 from ..optics.sampling import check_memory
 from ..runtime.backend import backend
-from ..runtime.batches import BatchMap, PartialSum
+from ..runtime.batches import BatchMap, Part, PartialSum
 from ..runtime.fft import resting_drjit
 from ..runtime.jobs import Job
 from .accuracy import band_for, wavefront_step
+from .aperture_power import aperture_power
 from .grid import Grid, place
 from .patch_batches import Fields, Gather, Scatter
 from .pupil_weights import PupilWeights
@@ -35,6 +36,9 @@ _PATCH_LIMIT = 2**26
 
 _CHUNK_BYTES = 2**26
 _TRIAL = 4
+
+_JUDGED = 16
+"""Patterns of which the loss is found where gaps between the microlenses take some of the light."""
 
 
 @dataclass(frozen=True)
@@ -172,20 +176,50 @@ class PatchPlan:
         chunks = [chunk for chunk in self._chunks if lit[chunk].any()]
         return chunks, np.array([members[chunk].sum() for chunk in chunks], np.int64)
 
-    def sent(self, chunks: list[NDArray[np.int64]], weights: NDArray[np.float64]) -> float:
-        """Return the sum of all samples if all the power through the pupil were on the patches.
+    def loss(self, chunks: list[NDArray[np.int64]], weights: NDArray[np.float64], arrived: float) -> float | None:
+        """Return the fraction of the power behind the microlenses' apertures that is not on the patches.
 
-        0 where it is not known: how much falls on what is opaque between the lenses, or what is left of weights that
-        cancel each other.
+        Where there are gaps between the apertures, that of a few patterns stands for all.
+
+        Parameters
+        ----------
+        chunks : list of int64 arrays
+            The chunks of a sum.
+        weights : float64 array (n, channels)
+            Its weights.
+        arrived : float
+            The sum of all its samples.
+
+        Returns
+        -------
+        float or None
+            None where it is not known, since weights cancel each other.
         """
-        lattice = self._camera.lattice
-        if not chunks or lattice.lens_area < lattice.cell_area or weights.min() < 0:
-            return 0.0
+        if not chunks or weights.min() < 0:
+            return None
+        if not self._camera.lattice.fills:
+            patterns = np.concatenate(chunks)
+            chosen = np.unique(np.linspace(0, len(patterns) - 1, _JUDGED).round().astype(int))
+            chunks = list(patterns[chosen, None])
+            arrived = sum(float(self._sum_of(chunk, weights).sums.sum(dtype=np.float64)) for chunk in chunks)
+        sent = self._sent(chunks, weights)
+        return 1 - arrived / sent if sent else None
+
+    def _sum_of(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> Part:
+        """Compute a chunk here and now."""
+        with resting_drjit():
+            return self.scatter(chunk, weights).prepare()()
+
+    def _sent(self, chunks: list[NDArray[np.int64]], weights: NDArray[np.float64]) -> float:
+        """Return the sum of all samples if all the power behind the apertures were on the patches."""
         power = weights[self._order].sum(1)
         if self._pupil_weights is not None:
             power = power * self._pupil_weights.lit()[self._order]
         per_pattern = np.add.reduceat(power, self._first)
-        return float(per_pattern[np.concatenate(chunks)].sum()) / self._grid.pitch.prod()
+        if not self._camera.lattice.fills:
+            for chunk in chunks:
+                per_pattern[chunk] *= aperture_power(self._fields(chunk))
+        return float(per_pattern[np.concatenate(chunks)].sum() / self._grid.pitch.prod())
 
     # -- adjoint ---------------------------------------------------------------------------------------
 
@@ -269,15 +303,14 @@ class PatchPlan:
         for size in np.unique(samples):
             of_size = [chunk for chunk in self._chunks if samples[chunk[0]] == size]
             some = of_size[len(of_size) // 2][:_TRIAL]
-            with resting_drjit():
-                self.scatter(some[:1], ones).prepare()()  # compiles the kernels
-                backend().synchronize()
-                start = time.perf_counter()
-                part = self.scatter(some, ones).prepare()()
-                backend().synchronize()
-                taken = time.perf_counter() - start
+            self._sum_of(some[:1], ones)  # compiles the kernels
+            backend().synchronize()
+            start = time.perf_counter()
+            part = self._sum_of(some, ones)
+            backend().synchronize()
+            taken = time.perf_counter() - start
             arrived += float(part.sums.sum(dtype=np.float64))
-            sent += self.sent([some], ones)
+            sent += self._sent([some], ones)
             seconds += taken / len(some) * sum(len(chunk) for chunk in of_size) / batch_map.workers
         guards.require(guards.PATCH, 1 - arrived / sent if sent else 0.0)
         return Cost(len(self._order), len(samples), seconds, memory)
@@ -298,7 +331,7 @@ class PatchSum:
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
         """Judge how much of the light has arrived, and integrate the sum over the recorded pixels."""
-        sent = self._plan.sent(self._chunks, self._weights)
-        if sent:
-            guards.judge(guards.PATCH, 1 - total.arrived / sent)
+        loss = self._plan.loss(self._chunks, self._weights, total.arrived)
+        if loss is not None:
+            guards.judge(guards.PATCH, loss)
         return self._plan._recorder.record(total.sums)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -79,8 +80,11 @@ class PupilWeights:
         """Whether any light of each radiator passes."""
         return np.asarray(self.table.reshape(len(self.table), -1).max(axis=1) > 0)[self.index]
 
-    def at(self, radiator: Any, Px: Any, Py: Any, radius: Any) -> Any:
-        """Return the weights at points of the pupil.
+    def at(self, radiator: Any, Px: Any, Py: Any, radius: Any, sample: Any) -> tuple[Any, Any]:
+        """Average the weights, and their square roots, over samples of the pupil.
+
+        A hard border of a cell would fold its steep spectrum back into the band of the samples. Samples wider than a
+        cell are taken as wide as one.
 
         Parameters
         ----------
@@ -90,14 +94,29 @@ class PupilWeights:
             Points of the pupil in the camera frame.
         radius : float
             Half the width of the square.
+        sample : float or float64 array of Dr.Jit
+            Width of the samples.
 
         Returns
         -------
-        Float array of Dr.Jit
+        power, amplitude : Float arrays of Dr.Jit
         """
         UInt32 = type(radiator)
-        cells = self.table.shape[1]
-        column, row = (UInt32(dr.clip((P + radius) * (cells / (2 * radius)), 0, cells - 1)) for P in (Px, Py))
         Float = dr.float32_array_t(UInt32)
-        which = dr.gather(UInt32, UInt32(self.index.astype(np.uint32)), radiator)
-        return dr.gather(Float, Float(self.table.reshape(-1)), (which * cells + row) * cells + column)
+        cells = self.table.shape[1]
+        first = dr.gather(UInt32, UInt32(self.index.astype(np.uint32)), radiator) * (cells * cells)
+        half = dr.minimum(sample * (cells / (4 * radius)), 0.5)
+        sides = []
+        for P in (Px, Py):
+            place = (P + radius) * (cells / (2 * radius))
+            low, high = (UInt32(dr.clip(place + side * half, 0, cells - 1)) for side in (-1, 1))
+            # The part of the sample beyond the border between the two cells.
+            beyond = Float(dr.clip((place + half - type(place)(high)) / (2 * half), 0, 1))
+            sides.append(((low, 1 - beyond), (high, beyond)))
+        table = Float(self.table.reshape(-1))
+        power, amplitude = dr.zeros(Float), dr.zeros(Float)
+        for (column, across), (row, down) in itertools.product(*sides):
+            weight = dr.gather(Float, table, first + row * cells + column)
+            power += across * down * weight
+            amplitude += across * down * dr.sqrt(weight)
+        return power, amplitude

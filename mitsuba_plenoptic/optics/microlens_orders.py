@@ -30,9 +30,12 @@ from ..lattice import turn
 from ..runtime.backend import array_module, backend_of
 from ..runtime.fft import Field, array_types, as_field, pack, unpack, worker_count
 from ..runtime.indexing import split
-from .microlenses import transmission
+from .microlenses import is_separable, transmission
 from .phase import in_millimetres
 from .sampling import check_memory, fast_length
+
+_FLAT = 1e4
+"""Focal length, in millimetres, of a lens that is a mere hole."""
 
 _TABLE_LENGTH = 2**14
 
@@ -239,6 +242,33 @@ def axis_transmission(camera: PlenopticCamera, wavelength: float, cosine: float)
 def plane_transmission(camera: PlenopticCamera, wavelength: float, cosine: float) -> PlaneTransmission:
     """Return the transmission of any array on the active processor; the last few are kept."""
     return _kept(PlaneTransmission, array_module(), camera, wavelength, cosine)
+
+
+def open_fraction(camera: PlenopticCamera, wavelength: float, cosine: float, x: Any, y: Any) -> Any:
+    """Return 1 within the microlenses' apertures and 0 between them, without directions beyond a cosine.
+
+    The integral of a product with it is exact where the other factor has no such directions, an intensity for one.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    cosine : float
+        Largest direction cosine that is kept.
+    x, y : float64 arrays of Dr.Jit
+        Places in the camera's frame, in millimetres.
+
+    Returns
+    -------
+    Float array of Dr.Jit
+    """
+    flat = camera.replace(mla_focal_length=_FLAT)
+    if is_separable(flat):
+        axes = axis_transmission(flat, wavelength, cosine)
+        return (axes.along(x, 0) * axes.along(y, 1)).real
+    return plane_transmission(flat, wavelength, cosine).at(x, y).real
 
 
 @functools.lru_cache(maxsize=8)

@@ -17,10 +17,13 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lattice import turn
 from ..runtime.fft import array_types
-from .phase import parabola, phasor
+from .phase import in_millimetres, parabola, phasor
 
-_HARD_EDGES = 1.4
-"""Directions that are kept of light from apertures with a dark surround, over those where phases join."""
+_JOINED = 1 / 2
+"""Orders to keep where the phases of neighbouring lenses join, over those of apertures with a dark surround."""
+
+_STEEPEST = 0.7
+"""Largest direction cosine that is kept for the diffraction of an aperture: scalar thin elements end there."""
 
 
 def is_separable(camera: PlenopticCamera) -> bool:
@@ -94,9 +97,22 @@ def bend(camera: PlenopticCamera) -> float:
     return float(half) / min(camera.mla_focal_lengths)
 
 
-def scattering(camera: PlenopticCamera) -> float:
-    """Return the change of a direction cosine by a microlens beyond which little light goes.
+def diffraction(camera: PlenopticCamera, wavelength: float, orders: float) -> float:
+    r"""Return the direction cosine of a high order of the diffraction by a microlens's aperture.
 
-    The edges of opaque gaps scatter more than the joints of lenses.
+    The minima of an aperture of width w lie at multiples of :math:`\lambda / w`, and beyond the m-th of them
+    :math:`1 / \pi^2 m` of the light, for each axis (Goodman, "Introduction to Fourier Optics", section 4.4.1). The
+    joints of lenses without gaps scatter less than the edges of apertures: half of the orders counts for them.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    orders : float
+        Multiple of :math:`\lambda / w`.
     """
-    return bend(camera) * (1 if camera.lattice.fills else _HARD_EDGES)
+    lattice = camera.lattice
+    cosine = orders * in_millimetres(wavelength) / min(lattice.aperture_widths)
+    return float(min(_STEEPEST, cosine * (_JOINED if lattice.fills else 1)))

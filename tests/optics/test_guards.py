@@ -99,7 +99,7 @@ class TestPointSpreads:
 
     @pytest.mark.parametrize("cone, width, outcome", [(1.0, 25, "warned"), (0.5, 60, "refused")])
     def test_a_patch_with_a_narrow_band(self, monkeypatch, cone, width, outcome):
-        monkeypatch.setattr(patch_plan, "band_for", lambda accuracy, count: Band(cone, width))
+        monkeypatch.setattr(patch_plan, "band_for", lambda accuracy, count: Band(cone, width, 0, 0))
         if outcome == "refused":
             with pytest.raises(PhysicsError, match="lost by the patches"):
                 point_spread_function(self.CAMERA, self.PLACE, wavelength=WAVELENGTH)
@@ -123,7 +123,7 @@ class TestPointSpreads:
         assert "patch_loss" not in shares
 
     def test_a_full_field_on_a_coarse_grid(self, monkeypatch):
-        monkeypatch.setattr(full_field, "_KEPT_ORDERS", 0.3)
+        monkeypatch.setattr(full_field, "_KEPT_BENDS", 0.3)
         camera = PlenopticCamera(detector_width=1.024, resolution=(256, 256))
         with pytest.raises(PhysicsError, match="directions that the grid does not hold"):
             point_spread_function(camera, (0.0, 0.0, 210.0), wavelength=WAVELENGTH, method="full_field")
