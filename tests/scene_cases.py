@@ -38,7 +38,7 @@ def definitions(parameters):
     return [word for name, value in parameters.items() for word in ("-D", f"{name}={value}")]
 
 
-def film(columns, rows, **parameters):
+def film(columns, rows):
     """Describe a film of luminance that keeps every pixel to itself."""
     return {
         "type": "hdrfilm",
@@ -47,7 +47,6 @@ def film(columns, rows, **parameters):
         "rfilter": {"type": "box"},
         "pixel_format": "luminance",
         "component_format": "float32",
-        **parameters,
     }
 
 
