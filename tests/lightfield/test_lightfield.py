@@ -262,8 +262,6 @@ class TestViews:
         assert np.array_equal(pick_views(lf, 1).values[0, 0], lf.values[2, 2])
         assert np.array_equal(pick_views(lf, 2).values[1, 0], lf.values[3, 1])
         assert np.array_equal(pick_views(lf, 5).values, lf.values)
-        with pytest.raises(InputError, match="count = 6"):
-            pick_views(lf, 6)
 
     def test_mosaics(self, lf):
         for j, i, row, column in ((0, 0, 0, 0), (1, 3, 2, 5), (4, 2, 3, 1)):
@@ -277,8 +275,6 @@ class TestViews:
         steep = epipolar_image(lf, "vertical", at=float(lf.s[5]), through=float(lf.u[0]))
         assert steep.dims == ("v", "t")
         assert np.array_equal(steep.values, lf.values[:, 0, :, 5])
-        with pytest.raises(InputError, match="axis = 'diagonal'"):
-            epipolar_image(lf, "diagonal")
 
     @pytest.mark.parametrize(
         "thing", [np.ones((3, 3, 3, 3)), xr.DataArray(np.ones((2, 2, 2, 2)), dims=("v", "u", "t", "s"))]
