@@ -77,7 +77,7 @@ def test_a_white_capture_reads_one(camera, distances, interference):
     columns, rows = camera.bin_count
     for options in WAVES:
         for result in reconstruct(white, distances, camera=camera, wavelength=WAVELENGTH, **options):
-            middle = result.image[rows // 3 : -(rows // 3), columns // 3 : -(columns // 3)]
+            middle = result.image[rows // 4 : -(rows // 4), columns // 4 : -(columns // 4)]
             # Sharp micro-images are not what waves record: one wave of them interferes the most.
             mean, deviation = interference if options["method"] == "coherent" else (0.01, 0.03)
             assert middle.mean() == pytest.approx(1, abs=mean)
