@@ -17,6 +17,7 @@ import pytest
 import mitsuba_plenoptic  # chooses LLVM before Dr.Jit loads
 
 import mitsuba as mi  # isort: skip
+import scene_cases  # isort: skip
 
 
 @pytest.fixture(autouse=True)
@@ -39,15 +40,7 @@ def camera_dict():
         return {
             "type": "plenoptic",
             "detector_width": detector_width,
-            "film": {
-                "type": "hdrfilm",
-                "width": resolution,
-                "height": resolution,
-                "rfilter": {"type": "box"},
-                "pixel_format": "luminance",
-                "component_format": "float32",
-                **(film or {}),
-            },
+            "film": scene_cases.film(resolution, resolution) | (film or {}),
             "sampler": {"type": "independent", "sample_count": 16},
             **parameters,
         }

@@ -22,6 +22,13 @@ LENGTHS = st.sampled_from(["focal_length", "aperture_radius", "mla_distance", "m
                            "detector_distance", "detector_width"])  # fmt: skip
 CAMERA = PlenopticCamera(resolution=(32, 32), detector_width=0.128)
 IMAGE = np.linspace(0, 1, 32 * 32, dtype=np.float32).reshape(32, 32)
+USES = {
+    "capture": lambda image: Capture(image, CAMERA),
+    "decode": lambda image: decode(image, camera=CAMERA),
+    "refocus": lambda image: reconstruct(image, 240.0, camera=CAMERA),
+    "coherent": lambda image: reconstruct(image, 240.0, camera=CAMERA, method="coherent", wavelength=633),
+    "white": lambda image: decode(IMAGE, camera=CAMERA, white=image),
+}
 
 quick = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
 
@@ -134,9 +141,9 @@ class TestArrays:
     @quick
     @given(arrays.arrays(arrays.scalar_dtypes(), arrays.array_shapes(max_dims=4, max_side=4)))
     def test_any_array_that_is_no_image_is_refused_by_all(self, array):
-        for use in (Capture, decode_plain, refocus_plain):
+        for name in ("capture", "decode", "refocus"):
             with pytest.raises(InputError) as caught:
-                use(array, CAMERA)
+                USES[name](array)
             assert str(caught.value).isprintable()
 
     @quick
@@ -156,22 +163,6 @@ class TestArrays:
         image = np.ones_like(IMAGE)
         image[3, 5] = image[4, 4] = value
         words = r"2 of its pixels are .*, the first at \(3, 5.*\): all must be"
-        for use in (Capture, decode_plain, refocus_plain, refocus_coherent, decode_with_white):
+        for use in USES.values():
             with pytest.raises(InputError, match=words):
-                use(image, CAMERA)
-
-
-def decode_plain(image, camera):
-    return decode(image, camera=camera)
-
-
-def decode_with_white(image, camera):
-    return decode(IMAGE, camera=camera, white=image)
-
-
-def refocus_plain(image, camera):
-    return reconstruct(image, 240.0, camera=camera)
-
-
-def refocus_coherent(image, camera):
-    return reconstruct(image, 240.0, camera=camera, method="coherent", wavelength=633)
+                use(image)

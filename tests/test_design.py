@@ -8,7 +8,6 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from mitsuba_plenoptic import (
     InputError,
@@ -20,10 +19,7 @@ from mitsuba_plenoptic import (
     render_capture,
     scene_path,
 )
-from mitsuba_plenoptic.cli import app
 from mitsuba_plenoptic.lightfield import white_image
-from mitsuba_plenoptic.presets import PRESETS
-from mitsuba_plenoptic.report.design_sheet import design_sheet
 from mitsuba_plenoptic.report.reference import agreement, thin_lens_image
 from mitsuba_plenoptic.thin_lens import image_distance
 
@@ -69,6 +65,7 @@ def test_numbers_of_the_focused_cameras():
     assert kepler.focus_distance == pytest.approx(234.083, abs=1e-3)
     assert design.best_distances(PlenopticCamera()) == pytest.approx((240,))
     assert design.mla_object_distances(PlenopticCamera()) == (math.inf,)
+    assert design.crosstalk_lenses(kepler) == design.crosstalk_lenses(galileo) == 1
 
 
 def test_a_multi_focus_camera_may_be_of_several_kinds():
@@ -359,20 +356,17 @@ def test_a_preset_takes_another_detector():
     assert camera.pixel_size == pytest.approx(0.0014)
 
 
-@pytest.mark.parametrize("name", ["lytro", "raytrix"])
-def test_scenes_have_the_presets_cameras(name):
-    assert PlenopticCamera.from_sensor(load_scene(name).sensors()[0]) == PlenopticCamera.preset(name)
-
-
-@pytest.mark.parametrize(("name", "numbers"), [("keplerian", KEPLERIAN), ("galilean", GALILEAN)])
-def test_scenes_of_focused_cameras(name, numbers):
-    camera = PlenopticCamera.from_sensor(load_scene(name).sensors()[0])
-    assert camera == PlenopticCamera(**numbers)
-    assert design.crosstalk_lenses(camera) == 1
-
-
-@pytest.mark.parametrize("name", ["keplerian", "galilean", "lytro", "raytrix"])
-def test_scene_parameters(name):
+@pytest.mark.parametrize(
+    ("name", "camera"),
+    [
+        ("keplerian", PlenopticCamera(**KEPLERIAN)),
+        ("galilean", PlenopticCamera(**GALILEAN)),
+        ("lytro", PlenopticCamera.preset("lytro")),
+        ("raytrix", PlenopticCamera.preset("raytrix")),
+    ],
+)
+def test_scenes(name, camera):
+    assert PlenopticCamera.from_sensor(load_scene(name).sensors()[0]) == camera
     film = {"resolution": 64} | ({"rows": 48} if name == "raytrix" else {})
     scene = load_scene(name, parameters=film | {"detector_width": 0.5, "aperture_radius": 3.0, "spp": 3})
     sensor = scene.sensors()[0]
@@ -384,47 +378,35 @@ def test_scene_parameters(name):
     assert name in scene_path(name).name
 
 
-def test_the_design_sheet_tells_kind_resolution_and_depth_range():
-    def sheet(camera):
-        return {row.quantity: (row.value, row.unit) for row in design_sheet(camera) if row.group == "Resolution"}
-
-    rows = sheet(PlenopticCamera(**KEPLERIAN))
-    assert rows["kind of camera"] == ("focused, Keplerian", "")
-    assert rows["sharpest distance"] == ("240", "mm")
-    assert rows["effective resolution"] == ("1348 x 1348", "")
-    assert rows["depth range"] == ("239.5 to 240.6", "mm")
-    assert rows["virtual depth"] == ("3", "")
-    rows = sheet(PlenopticCamera())
-    assert rows["kind of camera"] == ("unfocused", "")
-    assert rows["effective resolution"] == ("128 x 128", "")
-    rows = sheet(PlenopticCamera.preset("raytrix"))
-    assert rows["kind of camera"] == ("focused, Galilean", "")
-    assert rows["depth range, together"] == ("359 to 373.1", "mm")
-
-
 @pytest.mark.parametrize(
-    ("numbers", "words"),
+    ("numbers", "wavelength", "words"),
     [
-        (KEPLERIAN | {"aperture_radius": 6.0}, "micro-images overlap at their rims"),
-        (KEPLERIAN | {"aperture_radius": 8.0}, "micro-images overlap: their diameter"),
-        (KEPLERIAN | {"aperture_radius": 2.4}, "gaps at 240 mm"),
-        (KEPLERIAN | {"mla_distance": 81.0}, "no object plane is in focus"),
+        (KEPLERIAN | {"aperture_radius": 6.0}, None, "micro-images overlap at their rims"),
+        (KEPLERIAN | {"aperture_radius": 8.0}, None, "micro-images overlap: their diameter"),
+        (KEPLERIAN | {"aperture_radius": 2.4}, None, "gaps at 240 mm"),
+        (KEPLERIAN | {"mla_distance": 81.0}, None, "no object plane is in focus"),
+        ({"aperture_radius": 10}, None, "micro-images overlap"),
+        ({"aperture_radius": 3}, None, "pixels are wasted"),
+        ({"mla_distance": 70}, None, "no object plane is in focus"),
+        ({"resolution": (128, 128)}, None, "no refocusing"),
+        ({"resolution": (2048, 2048)}, 633, "undersamples the diffraction spot"),
+        ({"mla_pitch": 0.016, "mla_focal_length": 0.128, "resolution": (16384, 16384)}, 633, "hardly focus"),
     ],
 )
-def test_warnings(numbers, words):
-    assert any(words in warning for warning in design.design_warnings(PlenopticCamera(**numbers)))
+def test_warnings(numbers, wavelength, words):
+    assert any(words in warning for warning in design.design_warnings(PlenopticCamera(**numbers), wavelength))
 
 
 def test_no_warnings_where_all_is_well():
-    assert design.design_warnings(PlenopticCamera(**KEPLERIAN)) == []
-    assert design.design_warnings(PlenopticCamera(**GALILEAN)) == []
+    for numbers, wavelength in ((KEPLERIAN, None), (GALILEAN, None), ({}, None), ({}, 633)):
+        assert design.design_warnings(PlenopticCamera(**numbers), wavelength) == []
     # The MLA stands within the focal length, as it must to see what is far.
     far = PlenopticCamera(**GALILEAN | {"mla_distance": 79.0})
     assert not any("no object plane" in text for text in design.design_warnings(far))
 
 
-@pytest.mark.parametrize("name", PRESETS)
-def test_info_takes_a_preset(name):
-    result = CliRunner().invoke(app, ["info", name])
-    assert result.exit_code == 0
-    assert "kind of camera" in result.output
+def test_remedy_for_overlap_makes_micro_images_touch():
+    (warning,) = design.design_warnings(PlenopticCamera(aperture_radius=10))
+    diameter = float(warning.split("a diameter of ")[1].split(" mm")[0])
+    camera = PlenopticCamera(aperture_radius=diameter / 2)
+    assert camera.micro_image_diameter == pytest.approx(camera.micro_image_pitch, rel=1e-3)

@@ -44,11 +44,6 @@ def test_data_files_are_packed(package):
     assert packed == present
 
 
-def test_built_in_scenes_are_found_from_anywhere(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert mitsuba_plenoptic.scene_path("letters").is_file()
-
-
 def test_versions_agree():
     expected = PROJECT["project"]["version"]
     assert mitsuba_plenoptic.__version__ == expected

@@ -32,6 +32,9 @@ CAMERAS = {
 }  # fmt: skip
 """Cameras that differ from the small one in all that the operator depends on."""
 
+OTHER = {"focal_length": 50, "aperture_radius": 4, "mla_distance": 70, "mla_focal_length": 0.4, "mla_pitch": 0.05}
+"""A camera whose numbers are others than the paper's throughout."""
+
 
 def small_camera(lenses=8, **parameters):
     """Return the paper's camera with so many lenses across."""

@@ -40,22 +40,3 @@ def raw(tmp_path_factory):
     path = tmp_path_factory.mktemp("capture") / "raw.exr"
     assert main(["render", "letters", "-o", str(path), "--spp", "4", "-D", "resolution=256"]) == 0
     return path
-
-
-@pytest.fixture
-def scene(tmp_path):
-    """Write a scene file with the given text in its sensor."""
-
-    def write(sensor="", rfilter="box", pixel_format="luminance"):
-        path = tmp_path / "scene.xml"
-        path.write_text(
-            '<scene version="3.0.0">\n<integrator type="path"/>\n'
-            f'<sensor type="plenoptic">\n{sensor}\n'
-            f'<film type="hdrfilm"><integer name="width" value="64"/><integer name="height" value="64"/>'
-            f'<rfilter type="{rfilter}"/><string name="pixel_format" value="{pixel_format}"/>'
-            '<string name="component_format" value="float32"/></film>\n</sensor>\n'
-            '<emitter type="constant"/>\n</scene>\n'
-        )
-        return str(path)
-
-    return write

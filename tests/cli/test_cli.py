@@ -16,10 +16,12 @@ import numpy as np
 import OpenEXR
 import pytest
 from PIL import Image
+from scene_cases import write_scene
 
 from mitsuba_plenoptic import PlenopticCamera, read_capture, write_capture
 from mitsuba_plenoptic.cli import app, main
 from mitsuba_plenoptic.io.captures import Capture
+from mitsuba_plenoptic.presets import PRESETS
 from mitsuba_plenoptic.report import installation
 
 
@@ -55,15 +57,15 @@ def test_seed_and_samples_reach_the_renderer(tmp_path, run):
     assert "64 x 64 pixels" in told
 
 
-def test_colour_variant(tmp_path, scene, run):
+def test_colour_variant(tmp_path, run):
     path = tmp_path / "raw.exr"
-    run("render", scene(pixel_format="rgb"), "-o", path, "--spp", "1", "--variant", "llvm_ad_rgb")
+    run("render", write_scene(tmp_path, pixel_format="rgb"), "-o", path, "--spp", "1", "--variant", "llvm_ad_rgb")
     assert read_capture(path).image.shape == (64, 64, 3)
 
 
-def test_a_warning_takes_one_line(scene, tmp_path, capfd):
-    path = scene(rfilter="gaussian")
-    assert main(["render", path, "-o", str(tmp_path / "raw.exr"), "--spp", "1"]) == 0
+def test_a_warning_takes_one_line(tmp_path, capfd):
+    path = write_scene(tmp_path, rfilter="gaussian")
+    assert main(["render", str(path), "-o", str(tmp_path / "raw.exr"), "--spp", "1"]) == 0
     error = capfd.readouterr().err
     assert error.startswith("mitsuba-plenoptic: warning: plenoptic: ")
     assert error.count("\n") == 1
@@ -125,6 +127,11 @@ def test_info_of_a_scene(run):
     assert "Warning: micro-images overlap" in run("info", "letters", "-D", "aperture_radius=10")
 
 
+@pytest.mark.parametrize("name", PRESETS)
+def test_info_of_a_preset(name, run):
+    assert "kind of camera" in run("info", name)
+
+
 def test_info_of_a_capture_tells_how_it_was_made(raw, tmp_path, run):
     output = run("info", raw)
     assert all(words in output for words in ("model: ray", "spp: 4", "seed: 0", "variant: llvm_ad_mono"))
@@ -139,7 +146,7 @@ def test_doctor(run):
         assert words in output
 
 
-def test_doctor_lists_what_works(scene, tmp_path, run, monkeypatch):
+def test_doctor_lists_what_works(tmp_path, run, monkeypatch):
     monkeypatch.setattr(mi, "variants", lambda: ["scalar_rgb", "llvm_ad_mono_polarized", "cuda_ad_rgb"])
     monkeypatch.setattr(installation.drjit, "has_backend", lambda _: False)
     monkeypatch.setattr(installation.llvm, "problem", lambda: None)
@@ -149,7 +156,9 @@ def test_doctor_lists_what_works(scene, tmp_path, run, monkeypatch):
     ]
     assert installation.inspect_installation().sections["Variants"] == expected
     monkeypatch.undo()
-    run("render", scene(), "-o", tmp_path / "raw.exr", "--spp", "1", "--variant", "llvm_ad_mono_polarized")
+    run(
+        "render", write_scene(tmp_path), "-o", tmp_path / "raw.exr", "--spp", "1", "--variant", "llvm_ad_mono_polarized"
+    )
     assert read_capture(tmp_path / "raw.exr").image.any()
 
 

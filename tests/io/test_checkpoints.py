@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import copy
 import io
 import json
 import os
 import pickle
 import random
-import resource
 import signal
-import subprocess
-import sys
 import tempfile
 import time
 import zipfile
@@ -20,32 +16,20 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
+from scene_cases import definitions, letters
+from stopped_runs import Keeper, StoppedError, start_command, stopped_before
+from wave_cases import scattered, small_camera
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, read_capture, render_capture
+from mitsuba_plenoptic import InputError, load_scene, read_capture, render_capture
 from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.io import checkpoints as checkpoints
+from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.io.checkpoints import Checkpoint
-from mitsuba_plenoptic.runtime.batches import PartialSum
-from mitsuba_plenoptic.runtime.jobs import Job, Snapshot
+from mitsuba_plenoptic.runtime.jobs import Job
 
-SMALL = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
-SCENE = {"resolution": "256", "detector_width": "0.512", "letter_scale": "0.06"}
-WAVE = ["render", "letters", "--model", "wave", "--spp", "1", "--radiators-per-lens", "4"]
-WAVE += [word for name, value in SCENE.items() for word in ("-D", f"{name}={value}")]
-
-# The command, with a checkpoint after every batch instead of every ten seconds.
-COMMAND = """
-import sys
-from mitsuba_plenoptic.io import checkpoints as checkpoint
-checkpoint.INTERVAL, checkpoint.FRACTION = 0.0, 1e9
-from mitsuba_plenoptic.cli import main
-sys.exit(main(sys.argv[1:]))
-"""
-
-
-class StoppedError(Exception):
-    """Stands in for whatever ends a run."""
+SMALL = small_camera()
+SCENE = letters(8)
+WAVE = ["render", "letters", "--model", "wave", "--spp", "1", "--radiators-per-lens", "4", *definitions(SCENE)]
 
 
 class Trap:
@@ -66,24 +50,9 @@ def render(checkpoint=None, parameters=None, **options):
 
 
 def stop_before(path, unwanted, **options):
-    """Render with a checkpoint after every batch, until one would follow that is not wanted.
-
-    `unwanted` is given the number of finished sums in each checkpoint that was written.
-    """
-    write, sums = checkpoints._write, []
-
-    def counted(temporary, run, snapshot):
-        if unwanted(sums):
-            raise StoppedError
-        write(temporary, run, snapshot)
-        sums.append(snapshot.sums)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(checkpoints, "INTERVAL", 0.0)
-        patch.setattr(checkpoints, "FRACTION", 1e9)
-        patch.setattr(checkpoints, "_write", counted)
-        with pytest.raises(StoppedError), Checkpoint(path) as checkpoint:
-            render(checkpoint, **options)
+    """Render until a checkpoint would follow that is not wanted; return how many sums were finished in each."""
+    with pytest.raises(StoppedError), stopped_before(unwanted) as sums, Checkpoint(path) as checkpoint:
+        render(checkpoint, **options)
     return sums
 
 
@@ -103,49 +72,21 @@ def stopped(tmp_path_factory):
     return path.read_bytes()
 
 
-def positions(count, seed=0):
-    rng = np.random.default_rng(seed)
-    g = rng.uniform(205, 275, count)
-    image = rng.uniform(-0.2, 0.2, (count, 2))
-    return np.column_stack([-image * g[:, None] / SMALL.mla_distance, g])
-
-
-class Snapshots:
-    """Keeps every snapshot of a job, and lets it go on from one."""
-
-    def __init__(self, start=None):
-        self.start, self.kept = start, []
-
-    def begin(self, shape, **facts):
-        return self.start
-
-    def save(self, snapshot):
-        self.kept.append(copy.deepcopy(snapshot))
-
-
 @pytest.mark.parametrize(("method", "count"), [("patch", 30), ("full_field", 3)])
 def test_a_sum_goes_on_from_any_batch(method, count):
-    operator = CaptureOperator(SMALL, positions(count), wavelength=633, method=method)
+    operator = CaptureOperator(SMALL, scattered(count, distances=(205, 275)), wavelength=633, method=method)
     weights = np.random.default_rng(1).uniform(0, 1, (count, 2))
     weights[1] = 0
-    keeper = Snapshots()
+    keeper = Keeper()
     whole = operator.forward(weights, job=Job(keeper=keeper))
     states = keeper.kept
     assert len(states) >= 2
     assert [state.partial.batches for state in states] == list(range(1, len(states) + 1))
     for state in (states[0], states[len(states) // 2], states[-1]):
         calls = []
-        job = Job(progress=lambda *call, calls=calls: calls.append(call), keeper=Snapshots(copy.deepcopy(state)))
+        job = Job(progress=lambda *call, calls=calls: calls.append(call), keeper=Keeper(state))
         np.testing.assert_array_equal(operator.forward(weights, job=job), whole)
         assert calls[-1] == (count, count) and (len(calls) == 1) == (state is states[-1])
-
-
-@pytest.mark.parametrize("start", [PartialSum(1, np.zeros((1, 3, 3))), PartialSum(99, np.zeros((1, 256, 256)))])
-def test_a_sum_refuses_the_state_of_another(start):
-    operator = CaptureOperator(SMALL, positions(2), wavelength=633, method="full_field")
-    keeper = Snapshots(Snapshot(0, np.zeros((256, 256, 1), np.float32), start))
-    with pytest.raises(InputError, match=r"^checkpoint: .* batches of shape"):
-        operator.forward(np.ones(2), job=Job(keeper=keeper))
 
 
 @pytest.mark.parametrize("count", [1, 4])
@@ -300,29 +241,6 @@ def test_a_ray_capture_leaves_a_checkpoint_alone(tmp_path, capfd):
 # -- real processes --------------------------------------------------------------------------------------
 
 
-def start(*words, limit=None, **options):
-    """Start the command in a process of its own, which may be allowed to write files of limited size only."""
-
-    def prepare():
-        if limit is not None:
-            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-
-    environment = os.environ | {"DRJIT_NUM_THREADS": "1"}
-    if limit is not None:
-        # What measures the tests' coverage could not write its own file either.
-        environment.pop("COVERAGE_PROCESS_CONFIG", None)
-    return subprocess.Popen(
-        [sys.executable, "-c", COMMAND, *map(str, words)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=prepare,
-        env=environment,
-        **options,
-    )
-
-
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
 def test_killed_captures_end_with_the_bits_of_the_clean_one(tmp_path, clean):
     """Killed twice, at random moments after a checkpoint; `tools/kill_and_resume.py` does it twenty times."""
@@ -330,13 +248,13 @@ def test_killed_captures_end_with_the_bits_of_the_clean_one(tmp_path, clean):
     path, told = Path(f"{output}.checkpoint"), []
     for _ in range(2):
         before = path.stat().st_mtime_ns if path.exists() else None
-        process = start(*WAVE, "-o", output, "--resume")
+        process = start_command(*WAVE, "-o", output, "--resume")
         while process.poll() is None and (path.stat().st_mtime_ns if path.exists() else None) == before:
             time.sleep(0.01)
         time.sleep(random_moments.uniform(0, 0.3))
         process.kill()
         told.append(process.communicate()[1])
-    process = start(*WAVE, "-o", output, "--resume")
+    process = start_command(*WAVE, "-o", output, "--resume")
     told.append(process.communicate(timeout=300)[1])
     assert process.returncode == 0, told
     assert "going on from there" in "".join(told)
@@ -348,7 +266,7 @@ def test_a_limit_of_file_sizes_costs_the_checkpoint_and_then_the_capture_but_not
     """The portable variant of a full disk: writes fail beyond a size."""
     output = tmp_path / "raw.exr"
     output.write_bytes(b"yesterday's")
-    process = start(*WAVE, "-o", output, limit=20_000)
+    process = start_command(*WAVE, "-o", output, limit=20_000)
     _, errors = process.communicate(timeout=300)
     assert process.returncode == 2
     lines = [line for line in errors.splitlines() if "point spreads" not in line]

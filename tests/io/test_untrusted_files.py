@@ -9,7 +9,6 @@ import shutil
 import struct
 import subprocess
 import time
-import zlib
 from pathlib import Path
 
 import h5py
@@ -17,6 +16,8 @@ import numpy as np
 import OpenEXR
 import pytest
 import scipy.io
+from foreign_files import png, write_matlab_7
+from scene_cases import SMALL_SENSOR, write_scene
 
 import mitsuba_plenoptic
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, load_scene, read_capture, write_capture
@@ -24,25 +25,12 @@ from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.lightfield.exchange import open_light_field, read_picture
 
 CAMERA = PlenopticCamera(resolution=(64, 64), detector_width=0.256)
-SCENE = """<scene version="3.0.0">
-<integrator type="path"/>
-<sensor type="plenoptic"><float name="detector_width" value="0.128"/>
-<film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="16"/>
-<rfilter type="box"/></film></sensor>
-{}
-</scene>"""
 
 
 @pytest.fixture
 def capture(tmp_path):
     path = tmp_path / "raw.exr"
     write_capture(path, Capture(np.ones((64, 64)), CAMERA, metadata={"scene": "white.xml"}))
-    return path
-
-
-def scene(folder, text="", name="scene.xml"):
-    path = folder / name
-    path.write_text(SCENE.format(text))
     return path
 
 
@@ -159,14 +147,14 @@ class TestLightFields:
             file.create_virtual_dataset("LF", layout)
 
         for make in (external, storage, virtual):
-            path = _version_7(tmp_path / "lf.mat", make)
+            path = write_matlab_7(tmp_path / "lf.mat", make)
             with pytest.raises(InputError, match="links to other files are not followed"):
                 open_light_field(path)
-        whole = _version_7(tmp_path / "lf.mat", lambda file: file.create_dataset("LF", data=numbers))
+        whole = write_matlab_7(tmp_path / "lf.mat", lambda file: file.create_dataset("LF", data=numbers))
         assert open_light_field(whole).shape == (3, 3, 4, 4)
 
     def test_hdf5_that_claims_more_than_memory(self, tmp_path):
-        path = _version_7(
+        path = write_matlab_7(
             tmp_path / "lf.mat",
             lambda file: file.create_dataset("LF", (2, 10**6, 10**6, 9, 9), np.uint8, chunks=(1, 16, 16, 3, 3)),
         )
@@ -183,27 +171,19 @@ class TestLightFields:
 
     @pytest.mark.parametrize("size", [(10**6, 10**6), (2**31 - 1, 2**31 - 1), (100_000, 100_000)])
     def test_a_picture_that_claims_more_than_memory(self, tmp_path, size):
-        def chunk(kind, data):
-            return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-        head = struct.pack(">IIBBBBB", *size, 16, 2, 0, 0, 0)
         path = tmp_path / "bomb.png"
-        data = chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(b"\0" * 10**6)) + chunk(b"IEND", b"")
-        path.write_bytes(b"\x89PNG\r\n\x1a\n" + data)
+        path.write_bytes(png(*size))
         with pytest.raises(InputError, match="it would need"):
             read_picture(path)
 
 
 class TestScenes:
-    def test_a_plain_scene_loads(self, tmp_path):
-        assert load_scene(scene(tmp_path, '<emitter type="constant"/>')).sensors()
-
     @pytest.mark.parametrize("name", ["evil.so", "path.dylib", "EVIL.DLL"])
     def test_native_code_beside_a_scene_is_not_run(self, tmp_path, name):
         (tmp_path / "plugins").mkdir()
         (tmp_path / "plugins" / name).write_bytes(b"")
         with pytest.raises(InputError, match="would run the native code"):
-            load_scene(scene(tmp_path))
+            load_scene(write_scene(tmp_path))
 
     @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
     def test_a_library_of_a_stranger_is_never_loaded(self, tmp_path):
@@ -223,19 +203,19 @@ class TestScenes:
             '<include filename="inner.xml"/><shape type="evil"/>',
         ):
             with pytest.raises(InputError, match="would run the native code"):
-                load_scene(scene(tmp_path, text))
+                load_scene(write_scene(tmp_path, text))
         for name in ("elsewhere/plugins/evil", "../evil", str(folder / "evil")):
             with pytest.raises(InputError, match="must be the name of a plugin"):
-                load_scene(scene(tmp_path, f'<shape type="{name}"/>'))
+                load_scene(write_scene(tmp_path, f'<shape type="{name}"/>'))
             with pytest.raises(InputError, match="must be the name of a plugin"):
                 text = '<default name="kind" value="sphere"/><shape type="$kind"/>'
-                load_scene(scene(tmp_path, text), parameters={"kind": name})
+                load_scene(write_scene(tmp_path, text), parameters={"kind": name})
         assert not mark.exists()
 
     def test_entities_do_not_grow(self, tmp_path):
         entities = "".join(f'<!ENTITY l{i} "{f"&l{i - 1};" * 10}">' for i in range(1, 30))
-        path = tmp_path / "laughs.xml"
-        path.write_text(f'<!DOCTYPE scene [<!ENTITY l0 "ha">{entities}]>{SCENE.format("&l29;")}')
+        path = write_scene(tmp_path, "&l29;")
+        path.write_text(f'<!DOCTYPE scene [<!ENTITY l0 "ha">{entities}]>{path.read_text()}')
         start = time.perf_counter()
         with pytest.raises(InputError, match="document type"):
             load_scene(path)
@@ -245,39 +225,39 @@ class TestScenes:
         # Mitsuba's parser overflows its stack and ends the process.
         deep = '<bsdf type="twosided">' * 100_000 + "</bsdf>" * 100_000
         with pytest.raises(InputError, match="nested deeper than 64"):
-            load_scene(scene(tmp_path, deep))
+            load_scene(write_scene(tmp_path, deep))
 
     def test_includes_have_an_end(self, tmp_path):
         with pytest.raises(InputError, match="include each other"):
-            load_scene(scene(tmp_path, '<include filename="scene.xml"/>'))
+            load_scene(write_scene(tmp_path, '<include filename="scene.xml"/>'))
         for level in range(7):
             twice = f'<include filename="i{level + 1}.xml"/>' * 6 if level < 6 else ""
             (tmp_path / f"i{level}.xml").write_text(f'<scene version="3.0.0">{twice}</scene>')
         with pytest.raises(InputError, match="more than 256"):
-            load_scene(scene(tmp_path, '<include filename="i0.xml"/>'))
+            load_scene(write_scene(tmp_path, '<include filename="i0.xml"/>'))
 
     def test_an_include_is_judged_as_the_scene_is(self, tmp_path):
         (tmp_path / "inner.xml").write_text('<!DOCTYPE scene><scene version="3.0.0"/>')
         with pytest.raises(InputError, match=r"inner\.xml.*document type"):
-            load_scene(scene(tmp_path, '<default name="x" value="inner"/><include filename="$x.xml"/>'))
+            load_scene(write_scene(tmp_path, '<default name="x" value="inner"/><include filename="$x.xml"/>'))
 
     @pytest.mark.parametrize("name", ["/dev/zero", "/dev/random", "pipe.ply"])
     def test_what_never_ends_is_not_read(self, tmp_path, name):
         os.mkfifo(tmp_path / "pipe.ply")
         with pytest.raises(InputError, match="a device, a pipe or a socket"):
-            load_scene(scene(tmp_path, f'<shape type="ply"><string name="filename" value="{name}"/></shape>'))
+            load_scene(write_scene(tmp_path, f'<shape type="ply"><string name="filename" value="{name}"/></shape>'))
 
     def test_meshes_and_pictures_are_no_larger_than_they_are(self, tmp_path):
         (tmp_path / "mesh.ply").write_text(
             "ply\nformat ascii 1.0\nelement vertex 4000000000\nproperty float x\nend_header\n"
         )
         with pytest.raises(InputError, match="claims '4000000000' elements 'vertex' in"):
-            load_scene(scene(tmp_path, '<shape type="ply"><string name="filename" value="mesh.ply"/></shape>'))
-        head = struct.pack(">IIBBBBB", 10**6, 10**6, 8, 2, 0, 0, 0)
-        data = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + b"IHDR" + head
-        (tmp_path / "bomb.png").write_bytes(data + struct.pack(">I", zlib.crc32(b"IHDR" + head)))
+            load_scene(write_scene(tmp_path, '<shape type="ply"><string name="filename" value="mesh.ply"/></shape>'))
+        (tmp_path / "bomb.png").write_bytes(png(10**6, 10**6))
         with pytest.raises(InputError, match=r"bomb\.png"):
-            load_scene(scene(tmp_path, '<texture type="bitmap"><string name="filename" value="bomb.png"/></texture>'))
+            load_scene(
+                write_scene(tmp_path, '<texture type="bitmap"><string name="filename" value="bomb.png"/></texture>')
+            )
 
     @pytest.mark.parametrize(
         ("left", "columns", "words"),
@@ -288,25 +268,26 @@ class TestScenes:
         header = {"dataWindow": window, "displayWindow": window, "compression": OpenEXR.PXR24_COMPRESSION}
         OpenEXR.File(header, {"Y": np.ones((4, columns), np.float32)}).write(str(tmp_path / "x.exr"))
         texture = '<texture name="reflectance" type="bitmap"><string name="filename" value="x.exr"/></texture>'
-        path = scene(tmp_path, f'<bsdf type="diffuse">{texture}</bsdf>')
+        path = write_scene(tmp_path, f'<bsdf type="diffuse">{texture}</bsdf>')
         monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", "0.05")
         with pytest.raises(InputError, match=words) if words else contextlib.nullcontext():
             load_scene(path)
 
     @pytest.mark.parametrize("encoding", ["utf-16", "utf-32", "latin-1"])
     def test_one_encoding_so_that_all_parsers_read_the_same(self, tmp_path, encoding):
-        path = tmp_path / "scene.xml"
-        path.write_bytes(SCENE.format("<!-- ä -->").encode(encoding))
+        path = write_scene(tmp_path, "<!-- ä -->")
+        text = path.read_text()
+        path.write_bytes(text.encode(encoding))
         with pytest.raises(InputError, match="UTF-8"):
             load_scene(path)
-        path.write_text('<?xml version="1.0" encoding="cp037"?>' + SCENE.format(""))
+        path.write_text('<?xml version="1.0" encoding="cp037"?>' + text)
         with pytest.raises(InputError, match="its encoding is 'cp037'"):
             load_scene(path)
 
     def test_a_scene_of_radiance_nan_makes_no_capture(self, tmp_path, capfd):
         for text in ("nan", "inf"):
             light = f'<emitter type="constant"><spectrum name="radiance" value="{text}"/></emitter>'
-            path = scene(tmp_path, light)
+            path = write_scene(tmp_path, light, sensor=SMALL_SENSOR)
             for model in ("ray", "wave"):
                 output = tmp_path / "raw.exr"
                 assert main(["render", str(path), "-o", str(output), "--spp", "1", "--model", model]) == 2
@@ -332,11 +313,3 @@ def test_nothing_of_the_package_unpickles_or_evaluates():
             elif isinstance(node, ast.keyword) and ast.unparse(node.value) != "False":
                 found = {str(node.arg)} & {"allow_pickle"}
             assert not found, f"{source}: {found}"
-
-
-def _version_7(path, fill):
-    with h5py.File(path, "w", userblock_size=512) as file:
-        fill(file)
-    with path.open("r+b") as raw:
-        raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\0\2IM")
-    return path

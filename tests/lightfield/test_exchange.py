@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import scipy.io
 import xarray as xr
+from foreign_files import write_matlab_7
 from PIL import Image
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, write_capture
@@ -84,28 +85,18 @@ class TestLFToolbox:
         x, y = cosine * u - sine * v + m["HOffset"], sine * u + cosine * v + m["VOffset"]
         np.testing.assert_allclose(np.stack([x, y], axis=-1) - 0.5, grid.centres())
 
-    def test_files_of_lftoolbox_itself_are_matlab_73(self, lf, tmp_path):
-        h5py = pytest.importorskip("h5py")
+    def test_files_of_lftoolbox_itself_are_matlab_73(self, tmp_path):
         stored = np.random.default_rng(0).integers(0, 65536, (5, 5, 3, 4, 4), dtype=np.uint16)
-        path = tmp_path / "a.mat"
-        with h5py.File(path, "w", userblock_size=512) as file:
+        model = {"HSpacing": 14.3, "VSpacing": 12.4, "HOffset": 5, "VOffset": 6, "Rot": 0.002, "UMax": 4, "VMax": 3}
+
+        def fill(file):
             file["LF"] = stored.transpose()
             group = file.create_group("LensletGridModel")
-            values = {
-                "HSpacing": 14.3,
-                "VSpacing": 12.4,
-                "HOffset": 5.0,
-                "VOffset": 6.0,
-                "Rot": 0.002,
-                "UMax": 4,
-                "VMax": 3,
-                "FirstPosShiftRow": 2,
-            }
-            for name, value in values.items():
+            for name, value in (model | {"FirstPosShiftRow": 2}).items():
                 group[name] = np.array([[float(value)]])
             group["Orientation"] = np.array([[ord(letter)] for letter in "horz"], dtype=np.uint16)
-        with path.open("r+b") as file:
-            file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+
+        path = write_matlab_7(tmp_path / "a.mat", fill)
         back = read_lftoolbox(path)
         assert back.dims == ("v", "u", "t", "s", "c")
         np.testing.assert_allclose(back.values, stored[..., :3] / 65535, rtol=1e-6)
@@ -172,10 +163,8 @@ class TestXarray:
     """Light fields are written and read by xarray itself, in all of its formats."""
 
     @pytest.mark.parametrize("engine", ["h5netcdf", "scipy", "zarr"])
-    @pytest.mark.parametrize("colour", [True, False])
-    def test_round_trip(self, lf, engine, colour, tmp_path):
+    def test_round_trip(self, lf, engine, tmp_path):
         pytest.importorskip(engine)
-        lf = lf if colour else lf.sel(c="G", drop=True)
         if engine == "zarr":
             lf.to_zarr(tmp_path / "a")
         else:
@@ -183,9 +172,7 @@ class TestXarray:
         with xr.open_dataarray(tmp_path / "a", engine=engine) as back:
             assert back.identical(lf)
             assert (camera_of(back), grid_of(back)) == (camera_of(lf), grid_of(lf))
-            assert view(back, u=1.0).identical(view(lf, u=1.0))
             xr.testing.assert_identical(refocus(back, 230.0), refocus(lf, 230.0))
-            xr.testing.assert_identical(depth_map(back, planes=8), depth_map(lf, planes=8))
 
     def test_what_is_made_of_it(self, lf, tmp_path):
         for made in (view(lf), refocus(lf, 230.0), refocus(lf, 230.0, method="fourier"), depth_map(lf, planes=8)):
@@ -299,14 +286,8 @@ class TestFiles:
         with pytest.raises(InputError, match=words):
             open_light_field(tmp_path / name, **options)
 
-    def test_unknown_suffix_for_writing(self, lf, tmp_path):
-        with pytest.raises(InputError, match="ends in"):
-            save_light_field(tmp_path / "a.npy", lf)
-
     def test_linear_raw_pictures(self, tmp_path):
-        camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
-        white = white_image(camera)
         for name, level in (("white", 60000), ("raw", 15000)):
-            mi.Bitmap(np.round(level * white).astype(np.uint16)).write(str(tmp_path / f"{name}.png"))
+            mi.Bitmap(np.round(level * white_image(CAMERA)).astype(np.uint16)).write(str(tmp_path / f"{name}.png"))
         lf = open_light_field(tmp_path / "raw.png", white=tmp_path / "white.png", linear=True)
         assert float(lf.max()) == pytest.approx(15000 / 65535, rel=1e-3)

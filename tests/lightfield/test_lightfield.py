@@ -8,6 +8,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import xarray as xr
+from light_field_cases import PAPER, all_cameras, square_cameras
+from scene_cases import letters, pinhole_picture
 from scipy.spatial import cKDTree
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, design, load_scene, render_capture
@@ -26,27 +28,7 @@ from mitsuba_plenoptic.lightfield import (
     view_mosaic,
     white_image,
 )
-
-PAPER = PlenopticCamera(detector_width=1.024, resolution=(512, 512))
-CAMERAS = {
-    "paper": PAPER,
-    "crop": PAPER.replace(resolution=(500, 400), crop_offset=(70, 33), crop_size=(300, 290)),
-    "other": PlenopticCamera(
-        detector_width=1.0,
-        resolution=(400, 300),
-        focal_length=50,
-        aperture_radius=4,
-        mla_distance=70,
-        mla_focal_length=0.4,
-        mla_pitch=0.05,
-        detector_distance=0.42,
-    ),
-}
-
-
-@pytest.fixture(params=CAMERAS.values(), ids=CAMERAS)
-def camera(request):
-    return request.param
+from mitsuba_plenoptic.lightfield.grid import bin_grid
 
 
 def rays_of_pixels(camera, grid):
@@ -65,22 +47,6 @@ def rays_of_pixels(camera, grid):
 
 
 class TestLensGrid:
-    def test_micro_images_lie_on_the_chief_rays(self, camera):
-        grid = lens_grid(camera)
-        x = (grid.centres()[..., 0] + camera.crop_offset[0] - camera.resolution[0] / 2) * camera.pixel_size
-        c = x / (1 + camera.detector_distance / camera.mla_distance)
-        # Lens centres are half a pitch off the axis.
-        np.testing.assert_allclose(c / camera.mla_pitch % 1, 0.5, atol=1e-9)
-        assert (np.diff(c[0]) > 0).all()
-        if not camera.is_cropped:
-            assert grid.shape == camera.lens_count[::-1]
-
-    def test_a_crop_keeps_the_lenses_inside(self):
-        full = lens_grid(CAMERAS["crop"].replace(crop_offset=(0, 0), crop_size=(500, 400))).centres().reshape(-1, 2)
-        inside = ((full >= [70, 33]) & (full <= [370, 323])).all(1)
-        cropped = lens_grid(CAMERAS["crop"]).centres().reshape(-1, 2)
-        np.testing.assert_allclose(cropped, full[inside] - [70, 33])
-
     def test_rows_turn_about_the_first_centre_and_shift(self):
         grid = LensGrid((10, 8), (3, 4), (3, 2), math.pi / 2, 1)
         expected = [[[3, 4], [3, 14]], [[-5, 9], [-5, 19]], [[-13, 4], [-13, 14]]]
@@ -106,10 +72,6 @@ class TestLensGrid:
         with pytest.raises(InputError):
             LensGrid(*arguments)
 
-    def test_a_window_without_a_lens_is_refused(self):
-        with pytest.raises(InputError, match="no micro-image"):
-            lens_grid(PAPER.replace(crop_offset=(260, 260), crop_size=(8, 8)))
-
 
 class TestWhiteImage:
     def test_mean_is_the_closed_form(self):
@@ -130,10 +92,8 @@ class TestWhiteImage:
     @pytest.mark.parametrize("detector_distance", [0.512, 0.6], ids=["in focus", "defocused lenses"])
     def test_against_a_rendered_one(self, detector_distance):
         camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256), detector_distance=detector_distance)
-        scene = load_scene(
-            "white",
-            parameters={"detector_width": "0.512", "resolution": "256", "detector_distance": str(detector_distance)},
-        )
+        small = {"detector_width": "0.512", "resolution": "256", "detector_distance": str(detector_distance)}
+        scene = load_scene("white", parameters=small)
         # Defocused lenses light each other's pixels, which makes their rays noisy.
         rendered = render_capture(scene, spp=512 if detector_distance == 0.512 else 1024)
         assert rendered.camera == camera
@@ -145,13 +105,18 @@ class TestWhiteImage:
 
 
 class TestDecode:
+    @all_cameras
     def test_white_is_one_wherever_the_pupil_is_seen(self, camera):
         lf = decode(white_image(camera), camera=camera)
         seen = lf.weight.values > 0
         assert 0.5 < seen.mean() < 0.9
         np.testing.assert_allclose(lf.values[seen], 1, atol=1e-5)
         assert not lf.values[~seen].any()
+        assert lf.shape[2:] == bin_grid(camera).shape
+        middle = lf.sizes["u"] // 2
+        np.testing.assert_allclose(lf.weight[middle, middle, 2:-2, 2:-2], 1, atol=1e-3)
 
+    @square_cameras
     def test_shape_and_coordinates(self, camera):
         lf = decode(white_image(camera), camera=camera)
         assert lf.dims == ("v", "u", "t", "s")
@@ -168,6 +133,7 @@ class TestDecode:
         assert -np.diff(lf.s)[0] == pytest.approx(camera.bin_size(camera.focus_distance))
         assert camera_of(lf) == camera
 
+    @square_cameras
     def test_samples_come_from_the_right_rays(self, camera):
         # A capture whose value is a linear function of the ray: of pupil point and lens, in x and in y.
         (Px, cx), (Py, cy) = rays_of_pixels(camera, lens_grid(camera))
@@ -257,13 +223,6 @@ class TestDecode:
         with pytest.raises(InputError, match=words):
             decode(np.ones((512, 512)), **arguments)
 
-    @pytest.mark.parametrize(
-        "image", [np.ones((512, 512, 2)), np.ones(512), np.full((512, 512), np.inf), np.ones((512, 512), bool)]
-    )
-    def test_refused_images(self, image):
-        with pytest.raises(InputError, match="capture"):
-            decode(image, camera=PAPER)
-
 
 class TestDisparity:
     def test_formula_and_its_inverse(self):
@@ -303,8 +262,6 @@ class TestViews:
         assert np.array_equal(pick_views(lf, 1).values[0, 0], lf.values[2, 2])
         assert np.array_equal(pick_views(lf, 2).values[1, 0], lf.values[3, 1])
         assert np.array_equal(pick_views(lf, 5).values, lf.values)
-        with pytest.raises(InputError, match="count = 6"):
-            pick_views(lf, 6)
 
     def test_mosaics(self, lf):
         for j, i, row, column in ((0, 0, 0, 0), (1, 3, 2, 5), (4, 2, 3, 1)):
@@ -318,8 +275,6 @@ class TestViews:
         steep = epipolar_image(lf, "vertical", at=float(lf.s[5]), through=float(lf.u[0]))
         assert steep.dims == ("v", "t")
         assert np.array_equal(steep.values, lf.values[:, 0, :, 5])
-        with pytest.raises(InputError, match="axis = 'diagonal'"):
-            epipolar_image(lf, "diagonal")
 
     @pytest.mark.parametrize(
         "thing", [np.ones((3, 3, 3, 3)), xr.DataArray(np.ones((2, 2, 2, 2)), dims=("v", "u", "t", "s"))]
@@ -332,32 +287,15 @@ class TestViews:
 class TestScenes:
     """What real scenes show in the views."""
 
-    POINTS = (205.0, 220.0, 240.0, 262.0, 290.0)
-
-    @pytest.fixture
-    def film(self):
-        def make(width, height):
-            return {
-                "type": "hdrfilm",
-                "width": width,
-                "height": height,
-                "rfilter": {"type": "box"},
-                "pixel_format": "luminance",
-                "component_format": "float32",
-            }
-
-        return make
-
-    @pytest.mark.parametrize("distance", POINTS)
-    def test_parallax_follows_the_formula(self, distance, film):
+    @pytest.mark.parametrize("distance", [205.0, 220.0, 240.0, 262.0, 290.0])
+    def test_parallax_follows_the_formula(self, distance, camera_dict):
         # A small disc off the axis; its place in every fully lit view, by its centroid.
-        mi.set_variant("llvm_ad_mono")
         place = mi.ScalarTransform4f().translate([-0.1 * distance / 120, 0.17 * distance / 120, distance])
         scene = mi.load_dict(
             {
                 "type": "scene",
                 "integrator": {"type": "path", "max_depth": 1},
-                "sensor": {"type": "plenoptic", "detector_width": 1.28, "film": film(640, 640)},
+                "sensor": camera_dict(resolution=640, detector_width=1.28),
                 "disc": {
                     "type": "disk",
                     "to_world": place.scale(0.16).rotate([0, 1, 0], 180),
@@ -385,15 +323,10 @@ class TestScenes:
                 slope = error.polyfit(axis, 1).polyfit_coefficients.sel(degree=1).mean()
                 assert abs(float(slope)) * 0.46875 < 0.003
 
-    def test_centre_view_is_a_perspective_image(self, film):
-        scene = load_scene(
-            "letters", parameters={"detector_width": "2.048", "resolution": "1024", "letter_scale": "0.25"}
-        )
+    def test_centre_view_is_a_perspective_image(self):
+        scene = load_scene("letters", parameters=letters(32))
         lf = decode(render_capture(scene, spp=64))
-        sensor = mi.load_dict(
-            {"type": "perspective", "fov": math.degrees(2 * math.atan(2.048 / 240)), "film": film(32, 32)}
-        )
-        expected = np.array(mi.render(scene, sensor=sensor, spp=256))[..., 0]
+        expected = pinhole_picture(scene, 32, 32, 2.048, spp=256)[..., 0]
         centre = view(lf).values
         assert np.corrcoef(centre.ravel(), expected.ravel())[0, 1] >= 0.99
         # Not mirrored, turned or moved.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
+from scene_cases import letters
 from scipy.ndimage import gaussian_filter
 
 from mitsuba_plenoptic import Capture
@@ -12,13 +13,12 @@ from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report import reproduce as reproductions
 from mitsuba_plenoptic.report.experiment import Settings
 
-TINY = {"resolution": "512", "detector_width": "1.024", "letter_scale": "0.125"}
-
 
 @pytest.fixture(scope="session")
 def tiny():
     """Settings of the letters on 16 x 16 lenses."""
-    return Settings("letters", (210.0, 240.0, 280.0), slider=(225.0,), parameters=TINY, spp=4, paths=1, truth_spp=64)
+    small = letters(16)
+    return Settings("letters", (210.0, 240.0, 280.0), slider=(225.0,), parameters=small, spp=4, paths=1, truth_spp=64)
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The design sheet's numbers against the paper's camera, and its warnings."""
+"""The design sheet's numbers for the paper's camera and others."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import math
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera, design
-from mitsuba_plenoptic.design import design_warnings
 from mitsuba_plenoptic.report.design_sheet import design_sheet
 
 
@@ -32,11 +31,6 @@ def test_the_papers_camera():
     assert sheet["Diffraction at 633 nm", "Fresnel number, microlens"] == ("3.16", "")
 
 
-def test_the_papers_camera_is_no_poor_design():
-    assert design_warnings(PlenopticCamera()) == []
-    assert design_warnings(PlenopticCamera(), 633) == []
-
-
 def test_without_a_wavelength_nothing_is_said_of_diffraction():
     assert not any(group.startswith("Diffraction") for group, _ in values(PlenopticCamera()))
 
@@ -55,26 +49,21 @@ def test_crop_is_told():
     assert rows["recorded pixels"].note == "from column 10, row 20"
 
 
-@pytest.mark.parametrize(
-    ("parameters", "wavelength", "words"),
-    [
-        ({"aperture_radius": 10}, None, "micro-images overlap"),
-        ({"aperture_radius": 3}, None, "pixels are wasted"),
-        ({"mla_distance": 70}, None, "no object plane is in focus"),
-        ({"resolution": (128, 128)}, None, "no refocusing"),
-        ({"resolution": (2048, 2048)}, 633, "undersamples the diffraction spot"),
-        ({"mla_pitch": 0.016, "mla_focal_length": 0.128, "resolution": (16384, 16384)}, 633, "hardly focus"),
-    ],
-)
-def test_warnings(parameters, wavelength, words):
-    assert any(words in warning for warning in design_warnings(PlenopticCamera(**parameters), wavelength))
-
-
-def test_remedy_for_overlap_makes_micro_images_touch():
-    (warning,) = design_warnings(PlenopticCamera(aperture_radius=10))
-    diameter = float(warning.split("a diameter of ")[1].split(" mm")[0])
-    camera = PlenopticCamera(aperture_radius=diameter / 2)
-    assert camera.micro_image_diameter == pytest.approx(camera.micro_image_pitch, rel=1e-3)
+def test_kind_resolution_and_depth_range_are_told():
+    rows = values(
+        PlenopticCamera(mla_distance=121.536, mla_focal_length=0.384, detector_distance=0.512, aperture_radius=4.9)
+    )
+    assert rows["Resolution", "kind of camera"] == ("focused, Keplerian", "")
+    assert rows["Resolution", "sharpest distance"] == ("240", "mm")
+    assert rows["Resolution", "effective resolution"] == ("1348 x 1348", "")
+    assert rows["Resolution", "depth range"] == ("239.5 to 240.6", "mm")
+    assert rows["Resolution", "virtual depth"] == ("3", "")
+    rows = values(PlenopticCamera())
+    assert rows["Resolution", "kind of camera"] == ("unfocused", "")
+    assert rows["Resolution", "effective resolution"] == ("128 x 128", "")
+    rows = values(PlenopticCamera.preset("raytrix"))
+    assert rows["Resolution", "kind of camera"] == ("focused, Galilean", "")
+    assert rows["Resolution", "depth range, together"] == ("359 to 373.1", "mm")
 
 
 @pytest.mark.parametrize("mla_distance", [70, 80])

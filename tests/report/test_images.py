@@ -11,24 +11,21 @@ from mitsuba_plenoptic.report.images import shrink, write_png
 from mitsuba_plenoptic.report.output_files import reconstruction_paths
 
 
-def test_srgb_encoding_and_peak(tmp_path):
-    write_png(tmp_path / "a.png", np.array([[0.0, 0.001, 0.5, 1.0, 2.0, -1.0]]), peak=1)
-    # 12.92 x 0.001 and 1.055 x 0.5^(1/2.4) - 0.055, times 255
-    assert np.array(Image.open(tmp_path / "a.png")).tolist() == [[0, 3, 188, 255, 255, 0]]
-
-
-def test_default_peak_is_the_maximum(tmp_path):
-    write_png(tmp_path / "a.png", np.array([[0.0, 7.0]]))
-    assert np.array(Image.open(tmp_path / "a.png")).tolist() == [[0, 255]]
-
-
-def test_colour_black_and_not_finite(tmp_path):
-    write_png(tmp_path / "a.png", np.ones((2, 3, 3)) * [1, 0, 0])
-    assert np.array(Image.open(tmp_path / "a.png"))[0, 0].tolist() == [255, 0, 0]
-    write_png(tmp_path / "a.png", np.zeros((2, 3)))
-    assert not np.array(Image.open(tmp_path / "a.png")).any()
-    write_png(tmp_path / "a.png", np.array([[np.nan, np.inf, 1.0]]))
-    assert np.array(Image.open(tmp_path / "a.png")).tolist() == [[0, 0, 255]]
+@pytest.mark.parametrize(
+    ("pixels", "peak", "expected"),
+    [
+        # 12.92 x 0.001 and 1.055 x 0.5^(1/2.4) - 0.055, times 255
+        ([[0.0, 0.001, 0.5, 1.0, 2.0, -1.0]], 1, [[0, 3, 188, 255, 255, 0]]),
+        ([[0.0, 7.0]], None, [[0, 255]]),
+        ([[[1.0, 0.0, 0.0]]], None, [[[255, 0, 0]]]),
+        ([[0.0, 0.0]], None, [[0, 0]]),
+        ([[np.nan, np.inf, 1.0]], None, [[0, 0, 255]]),
+    ],
+    ids=["encoding", "peak", "colour", "black", "not finite"],
+)
+def test_pictures(tmp_path, pixels, peak, expected):
+    write_png(tmp_path / "a.png", np.array(pixels), peak=peak)
+    assert np.array(Image.open(tmp_path / "a.png")).tolist() == expected
 
 
 def test_failure_leaves_the_old_file(tmp_path):

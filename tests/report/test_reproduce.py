@@ -8,10 +8,11 @@ import shutil
 
 import numpy as np
 import pytest
+from scene_cases import letters
+from stopped_runs import StoppedError, stopped_before
 
 from mitsuba_plenoptic import InputError, load_scene, read_capture, render_capture, scene_path, write_capture
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.io import checkpoints as checkpoints
 from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report import reproduce as reproductions
 from mitsuba_plenoptic.report.compare import compare
@@ -126,21 +127,14 @@ def test_compare_refuses_what_it_cannot_compare(settings, message, tmp_path):
 def test_a_wave_capture_that_was_stopped_goes_on_in_its_midst(tiny, tmp_path, monkeypatch):
     """The stage's checkpoint, with waves that are real; what comes after the capture is left out."""
 
-    class StoppedError(Exception):
-        pass
-
     def stop(*_):
         raise StoppedError
 
-    small = {"resolution": "256", "detector_width": "0.512", "letter_scale": "0.06"}
-    settings = dataclasses.replace(tiny, parameters=small, radiators_per_lens=3, spp=1)
-    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
-    monkeypatch.setattr(checkpoints, "FRACTION", 1e9)
+    settings = dataclasses.replace(tiny, parameters=letters(8), radiators_per_lens=3, spp=1)
     monkeypatch.setattr(experiments, "pinhole_image", stop)
-    write, progress = checkpoints._write, []
 
     def run(folder, settings=settings, **options):
-        progress.clear()
+        progress = []
         store = StageStore(folder, StageOptions(lambda *told: progress.append(told), **options))
         with pytest.raises(StoppedError):
             run_experiment(settings, store)
@@ -148,12 +142,10 @@ def test_a_wave_capture_that_was_stopped_goes_on_in_its_midst(tiny, tmp_path, mo
         return next((done for name, done, total in progress if name == "capture_wave" and total), None)
 
     assert run(tmp_path / "clean") == 0
-    # The second checkpoint never takes the place of the first.
-    monkeypatch.setattr(checkpoints, "_write", lambda *state: (write(*state), checkpoint.exists() and stop()))
     checkpoint = tmp_path / "stopped" / "capture_wave.checkpoint"
-    assert run(tmp_path / "stopped") == 0
+    with stopped_before(lambda _: checkpoint.exists()):
+        assert run(tmp_path / "stopped") == 0
     assert checkpoint.exists() and not (tmp_path / "stopped" / "capture_wave.exr").exists()
-    monkeypatch.setattr(checkpoints, "_write", write)
     with pytest.raises(InputError, match="wavelength = 633 there, 500 here"):
         run(tmp_path / "stopped", dataclasses.replace(settings, wavelength=500.0), resume=True)
     assert run(tmp_path / "stopped", resume=True) > 0

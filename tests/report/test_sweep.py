@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
-import subprocess
 import sys
 import weakref
 from dataclasses import replace
@@ -12,25 +10,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
+from scene_cases import SMALL_SENSOR, definitions, letters, write_scene
+from stopped_runs import StoppedError, start_command, stopped_before
 
-from mitsuba_plenoptic import InputError, load_scene, reconstruct, render_capture, scene_path
+from mitsuba_plenoptic import InputError, load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.io import checkpoints as checkpoints
 from mitsuba_plenoptic.report import sweep as sweeps
 from mitsuba_plenoptic.report.stage_store import StageOptions
 from mitsuba_plenoptic.report.sweep import SweepSettings, check_grid, parse_grid, read_grid, sweep
 
 pytest.importorskip("h5netcdf")
 
-TINY = {"resolution": "128", "detector_width": "0.256", "letter_scale": "0.03"}
+TINY = letters(4)
 RAYS = SweepSettings("letters", parameters=TINY, spp=2)
 WAVES = SweepSettings("letters", parameters=TINY, model="wave", spp=1, radiators_per_lens=2)
-WORDS = [word for name, value in TINY.items() for word in ("-D", f"{name}={value}")]
+SWEEP = ["sweep", "letters", "--spp", "1", *definitions(TINY)]
 MANY = ",".join(map(str, range(1000)))
-
-
-class StoppedError(Exception):
-    """Stands in for whatever ends a run."""
 
 
 @pytest.fixture
@@ -80,29 +75,17 @@ def test_finished_points_are_kept_and_a_grown_grid_computes_what_is_missing(tmp_
     assert stages["capture,aperture_radius=5"] == "made"
 
 
-def test_a_sweep_that_was_stopped_goes_on_in_the_midst_of_a_capture(tmp_path, computed, monkeypatch):
+def test_a_sweep_that_was_stopped_goes_on_in_the_midst_of_a_capture(tmp_path, computed):
     stages, options = computed
-    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
-    monkeypatch.setattr(checkpoints, "FRACTION", 1e9)
     grid = {"wavelength": [500, 633]}
     with sweep(WAVES, grid, tmp_path / "clean.nc") as data:
         clean = data.capture.values
-    write = checkpoints._write
-
-    def stop(path, run, snapshot):
-        write(path, run, snapshot)
-        # The second checkpoint of the second capture never takes the place of the first.
-        if (tmp_path / "out.points" / "capture,wavelength=633.checkpoint").exists():
-            raise StoppedError
-
-    monkeypatch.setattr(checkpoints, "_write", stop)
-    output = tmp_path / "out.nc"
+    output, second = tmp_path / "out.nc", tmp_path / "out.points" / "capture,wavelength=633.checkpoint"
     output.write_bytes(b"yesterday's")
-    with pytest.raises(StoppedError):
+    with pytest.raises(StoppedError), stopped_before(lambda _: second.exists()):
         sweep(WAVES, grid, output, stages=options)
     assert output.read_bytes() == b"yesterday's"
     assert stages == {"capture,wavelength=500": "made"}
-    monkeypatch.setattr(checkpoints, "_write", write)
     progress = []
     again = replace(options, resume=True, notify=lambda *told: progress.append(told))
     with sweep(WAVES, grid, output, stages=again) as data:
@@ -120,21 +103,14 @@ def test_a_sweep_that_was_stopped_goes_on_in_the_midst_of_a_capture(tmp_path, co
 def test_a_hexagonal_sweep_has_bins_and_not_lenses(tmp_path):
     settings = SweepSettings("letters", parameters={**TINY, "mla_lattice": "hexagonal"}, spp=2)
     with sweep(settings, {"aperture_radius": [4, 5], "distance": [240, 280]}, tmp_path / "out.nc") as data:
-        scene = load_scene("letters", parameters={**settings.parameters, "aperture_radius": "5"})
-        camera = scene.sensors()[0].camera
+        camera = load_scene("letters", parameters=settings.parameters).sensors()[0].camera
         assert camera.lens_count != camera.bin_count
         assert (data.sizes["bin_column"], data.sizes["bin_row"]) == camera.bin_count
-        (result,) = reconstruct(render_capture(scene, spp=2), [280])
-        point = data.sel(aperture_radius=5, distance=280)
-        np.testing.assert_array_equal(point.reconstruction, result.image)
-        assert float(point.bin_size) == pytest.approx(result.bin_size)
 
 
 def test_colours_have_channels(tmp_path):
-    scene = tmp_path / "scene.xml"
-    source = scene_path("letters")
-    scene.write_text(source.read_text().replace('"luminance"', '"rgb"').replace("meshes/", f"{source.parent}/meshes/"))
-    settings = SweepSettings(str(scene), parameters=TINY, spp=1, variant="llvm_ad_rgb")
+    scene = write_scene(tmp_path, sensor=SMALL_SENSOR, pixel_format="rgb")
+    settings = SweepSettings(str(scene), spp=1, variant="llvm_ad_rgb")
     with sweep(settings, {"distance": [240, 280]}, tmp_path / "out.nc") as data:
         assert data.capture.dims == ("row", "column", "channel")
         assert data.reconstruction.dims == ("distance", "bin_row", "bin_column", "channel")
@@ -145,8 +121,7 @@ def test_the_command_takes_yaml_and_words(tmp_path, capsys):
     grid = tmp_path / "grid.yaml"
     grid.write_text("aperture_radius: [4, 5.0]\ndistance: 240  # one\n")
     output = tmp_path / "out.nc"
-    words = ["sweep", "letters", "-o", str(output), "--spp", "1", *WORDS]
-    assert main([*words, "--grid", str(grid), "--vary", "mla_distance=119,120"]) == 0
+    assert main([*SWEEP, "-o", str(output), "--grid", str(grid), "--vary", "mla_distance=119,120"]) == 0
     assert "capture, reconstruction over 2 aperture_radius x 1 distance x 2 mla_distance" in capsys.readouterr().out
     with xr.open_dataset(output, engine="h5netcdf") as data:
         assert data.reconstruction.shape == (2, 2, 1, 4, 4)
@@ -193,7 +168,7 @@ def test_the_dataset_does_not_grow_in_memory(tmp_path, monkeypatch):
 )  # fmt: skip
 def test_a_bad_grid_is_refused_before_the_work(tmp_path, monkeypatch, capfd, words, message):
     monkeypatch.chdir(tmp_path)
-    assert main(["sweep", "letters", "-o", "out.nc", "--spp", "1", *WORDS, *words]) == 2
+    assert main([*SWEEP, "-o", "out.nc", *words]) == 2
     errors = capfd.readouterr().err
     assert message in errors and errors.startswith("mitsuba-plenoptic: error: ") and errors.count("\n") == 1, errors
     assert os.listdir() == []  # noqa: PTH208
@@ -207,8 +182,6 @@ def test_a_bad_grid_is_refused_before_the_work(tmp_path, monkeypatch, capfd, wor
         ("a: [1\n", "it is not YAML"),
         ("a: [[1, 2]]\n", "a holds a list: it must be a number"),
         ("a: {b: 1}\n", "a holds a dict: it must be a number"),
-        ("a: [true]\n", "a = True: it must be a number"),
-        ("a: []\n", "a has no values"),
         ("a: 1\na: 2\n", "a is given twice"),
         ("1: 2\n", "1 is not a name"),
         ("a: !!python/object/apply:os.system ['touch trap']\n", "it is not YAML: could not determine a constructor"),
@@ -235,7 +208,7 @@ def test_numbers_of_yaml_1_1_are_taken_as_people_mean_them(tmp_path):
 
 
 def test_what_is_missing_is_named(tmp_path, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "h5netcdf", None)
+    monkeypatch.setitem(sys.modules, "h5netcdf", None)
     with pytest.raises(InputError, match=r"pip install 'mitsuba-plenoptic\[sweep\]'"):
         sweep(RAYS, {"distance": [240]}, tmp_path / "out.nc")
     with pytest.raises(InputError, match=r"out.png: a dataset is written as NetCDF-4"):
@@ -245,30 +218,13 @@ def test_what_is_missing_is_named(tmp_path, monkeypatch):
 
 def test_a_full_disk_leaves_what_was_there(tmp_path):
     """Here a limit on the size of files stands in for it; HDF5 left alone crashes at the end of the process."""
-    resource = pytest.importorskip("resource")
-    words = ["sweep", "letters", "-o", str(tmp_path / "out.nc"), "--spp", "1", "--vary", "aperture_radius=4,5", *WORDS]
+    words = [*SWEEP, "-o", str(tmp_path / "out.nc"), "--vary", "aperture_radius=4,5"]
     assert main(words) == 0
     before = (tmp_path / "out.nc").read_bytes()
-
-    def limit():
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) // 2, len(before) // 2))
-
-    run = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            "import sys; from mitsuba_plenoptic import cli; sys.exit(cli.main(sys.argv[1:]))",
-            *words,
-        ],
-        preexec_fn=limit,
-        capture_output=True,
-        text=True,
-        # What measures the tests' coverage could not write its own file either.
-        env={name: value for name, value in os.environ.items() if name != "COVERAGE_PROCESS_CONFIG"},
-    )
-    assert run.returncode == 2, run.stderr
-    assert run.stderr.splitlines()[-1].endswith("out.nc: it cannot be written: File too large")
-    assert "Traceback" not in run.stderr and "kept" in run.stderr
+    run = start_command(*words, limit=len(before) // 2)
+    _, errors = run.communicate(timeout=300)
+    assert run.returncode == 2, errors
+    assert errors.splitlines()[-1].endswith("out.nc: it cannot be written: File too large")
+    assert "Traceback" not in errors and "kept" in errors
     assert (tmp_path / "out.nc").read_bytes() == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out.nc", "out.points"]

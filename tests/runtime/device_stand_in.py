@@ -20,14 +20,17 @@ _FUNCTIONS = (
 )  # fmt: skip
 
 
-class DeviceArray:
+class DeviceArray(np.lib.mixins.NDArrayOperatorsMixin):
     """An array that only the stand-in's functions and its own operators can read."""
 
-    __array_ufunc__ = None
     __hash__ = None
 
     def __init__(self, host, base=None):
         self._host, self.base = host, base
+
+    def __array_ufunc__(self, function, method, *inputs, **options):
+        result = getattr(function, method)(*_unwrap(inputs), **_unwrap_options(options))
+        return options["out"][0] if "out" in options else _wrap(result)
 
     def __array__(self, *args, **kwargs):
         raise TypeError("implicit conversion to a NumPy array is not allowed")
@@ -68,24 +71,6 @@ class DeviceArray:
         raise AttributeError(name)
 
 
-def _operator(name):
-    in_place = name.startswith("__i")
-
-    def apply(self, *others):
-        result = getattr(self._host, name)(*_unwrap(others))
-        if result is NotImplemented:
-            return result
-        return self if in_place else DeviceArray(result)
-
-    return apply
-
-
-for _name in ("add", "sub", "mul", "truediv", "pow", "radd", "rsub", "rmul", "rtruediv", "iadd", "isub", "imul"):
-    setattr(DeviceArray, f"__{_name}__", _operator(f"__{_name}__"))
-for _name in ("itruediv", "lt", "le", "gt", "ge", "neg", "abs"):
-    setattr(DeviceArray, f"__{_name}__", _operator(f"__{_name}__"))
-
-
 def _wrap(result, base=None):
     # As in CuPy, what would be a scalar stays on the device.
     return DeviceArray(np.asarray(result), base) if isinstance(result, np.ndarray | np.generic) else result
@@ -112,21 +97,12 @@ def _function(function):
 
 
 def _transform(function):
-    def call(x, n=None, axis=-1, norm=None, overwrite_x=False):
+    def call(x, *args, overwrite_x=False, **options):
+        if "workers" in options:
+            raise TypeError("a transform on the device takes no workers")
         host = _unwrap(x)
-        result = np.ascontiguousarray(function(host.copy(), n, axis=axis, norm=norm))
+        result = np.ascontiguousarray(function(host.copy(), *args, **options))
         if overwrite_x and np.iscomplexobj(host):
-            host[...] = np.nan
-        return DeviceArray(result)
-
-    return call
-
-
-def _transform2(function):
-    def call(x, s=None, axes=(-2, -1), norm=None, overwrite_x=False):
-        host = _unwrap(x)
-        result = function(host.copy(), axes=axes, norm=norm)
-        if overwrite_x:
             host[...] = np.nan
         return DeviceArray(result)
 
@@ -159,10 +135,8 @@ class StandIn:
                 get_elapsed_time=lambda start, end: 1.0,
             ),
         )
-        transforms = SimpleNamespace(
-            **{name: _transform(getattr(scipy.fft, name)) for name in ("fft", "ifft", "rfft", "irfft")},
-            **{name: _transform2(getattr(scipy.fft, name)) for name in ("fft2", "ifft2")},
-        )
+        names = "fft", "ifft", "rfft", "irfft", "fft2", "ifft2"
+        transforms = SimpleNamespace(**{name: _transform(getattr(scipy.fft, name)) for name in names})
         self.backend = Backend(dr.llvm, arrays, transforms, SimpleNamespace(csr_matrix=_Matrix), is_cuda=True)
 
     def _asarray(self, array, dtype=None):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import os
 import pickle
@@ -13,6 +12,8 @@ import time
 
 import numpy as np
 import pytest
+from scene_cases import definitions, letters
+from stopped_runs import Keeper, start_command
 from wave_cases import capture, scattered, small_camera
 
 from mitsuba_plenoptic import InputError, load_scene, render_capture
@@ -26,16 +27,7 @@ from mitsuba_plenoptic.runtime.jobs import Job
 pytest.importorskip("distributed")
 
 SMALL = small_camera()
-
-# The command, with a checkpoint after every batch and batches one by one.
-COMMAND = """
-import sys
-from mitsuba_plenoptic.io import checkpoints as checkpoint
-from mitsuba_plenoptic import cli
-from mitsuba_plenoptic.runtime import cluster as distributed
-checkpoint.INTERVAL, checkpoint.FRACTION, distributed._GROUP_SAMPLES = 0.0, 1e9, 1
-sys.exit(cli.main(sys.argv[1:]))
-"""
+WAVE = ["render", "letters", "--model", "wave", "--spp", "1"]
 
 
 @pytest.fixture(scope="module")
@@ -48,16 +40,6 @@ def cluster():
 def tiny_groups(monkeypatch):
     """Give a worker one batch at a time."""
     monkeypatch.setattr(distributed, "_GROUP_SAMPLES", 1)
-
-
-class Keeper:
-    """Calls a function at every snapshot, and lets a job go on from one."""
-
-    def __init__(self, save, start=None):
-        self.save, self.start = save, start
-
-    def begin(self, shape, **facts):
-        return self.start
 
 
 def radiators(count, seed=0):
@@ -88,7 +70,7 @@ def test_a_worker_that_is_killed_costs_no_bit(cluster, tiny_groups):
         if len(done) == 3:
             os.kill(min(processes), signal.SIGKILL)
 
-    shared = capture(SMALL, positions, weights, job=Job(batch_map=cluster, keeper=Keeper(kill_one)))
+    shared = capture(SMALL, positions, weights, job=Job(batch_map=cluster, keeper=Keeper(save=kill_one)))
     np.testing.assert_array_equal(shared, alone)
     # It was in the midst of the work, not at its end, that the worker died.
     assert len(done) > 10
@@ -98,15 +80,15 @@ def test_a_worker_that_is_killed_costs_no_bit(cluster, tiny_groups):
 
 def test_a_sum_that_was_stopped_goes_on_elsewhere(cluster, tiny_groups):
     positions, weights = radiators(20)
-    kept = []
-    alone = capture(SMALL, positions, weights, job=Job(keeper=Keeper(lambda state: kept.append(copy.deepcopy(state)))))
-    keeper = Keeper(lambda state: None, kept[len(kept) // 2])
-    shared = capture(SMALL, positions, weights, job=Job(batch_map=cluster, keeper=keeper))
+    keeper = Keeper()
+    alone = capture(SMALL, positions, weights, job=Job(keeper=keeper))
+    half = Keeper(keeper.kept[len(keeper.kept) // 2])
+    shared = capture(SMALL, positions, weights, job=Job(batch_map=cluster, keeper=half))
     np.testing.assert_array_equal(shared, alone)
 
 
 def test_a_capture_on_workers_has_the_same_bits(cluster):
-    scene = load_scene("letters", parameters={"resolution": "256", "detector_width": "0.512", "letter_scale": "0.06"})
+    scene = load_scene("letters", parameters=letters(8))
     options = {"model": "wave", "spp": 1, "radiators_per_lens": 3, "passes": 2}
     alone, shared = (render_capture(scene, batch_map=batch_map, **options).image for batch_map in (None, cluster))
     assert alone.any()
@@ -115,8 +97,7 @@ def test_a_capture_on_workers_has_the_same_bits(cluster):
 
 def test_a_sweep_on_workers_has_the_same_bits(cluster, tmp_path):
     pytest.importorskip("h5netcdf")
-    small = {"resolution": "128", "detector_width": "0.256", "letter_scale": "0.03"}
-    settings = SweepSettings("letters", parameters=small, model="wave", spp=1, radiators_per_lens=2)
+    settings = SweepSettings("letters", parameters=letters(4), model="wave", spp=1, radiators_per_lens=2)
     grid = {"wavelength": [500, 633]}
     alone = sweep(settings, grid, tmp_path / "alone.nc").load()
     assert alone.capture.any()
@@ -140,7 +121,7 @@ def test_no_more_batches_are_under_way_than_keep_the_workers_busy(cluster, tiny_
 
             return call(watch())
 
-    keeper = Keeper(lambda state: behind.append(len(made) - state.partial.batches))
+    keeper = Keeper(save=lambda state: behind.append(len(made) - state.partial.batches))
     capture(SMALL, positions, weights, job=Job(batch_map=Watched(), keeper=keeper))
     assert len(made) > 15
     assert max(behind) <= distributed._AHEAD * 2
@@ -162,10 +143,9 @@ def test_a_mistake_in_a_batch_is_told_as_such(cluster, monkeypatch):
 
 def test_a_scheduler_at_an_address(cluster, tmp_path):
     address = cluster._client.scheduler.address
-    words = ["letters", "--model", "wave", "--spp", "1", "--radiators-per-lens", "2"]
-    words += ["-D", "resolution=128", "-D", "detector_width=0.256", "-D", "letter_scale=0.03"]
-    assert main(["render", *words, "-o", str(tmp_path / "alone.exr")]) == 0
-    assert main(["render", *words, "-o", str(tmp_path / "shared.exr"), "--scheduler", address]) == 0
+    words = [*WAVE, "--radiators-per-lens", "2", *definitions(letters(4))]
+    assert main([*words, "-o", str(tmp_path / "alone.exr")]) == 0
+    assert main([*words, "-o", str(tmp_path / "shared.exr"), "--scheduler", address]) == 0
     assert (tmp_path / "alone.exr").read_bytes() == (tmp_path / "shared.exr").read_bytes()
 
 
@@ -187,11 +167,8 @@ def test_a_scheduler_that_dies_is_told_in_one_line_and_the_checkpoint_stays(tmp_
             time.sleep(0.05)
         address = json.loads(file.read_text())["address"]
         output = tmp_path / "raw.exr"
-        words = ["render", "letters", "--model", "wave", "--spp", "1", "--radiators-per-lens", "4", "-o", str(output)]
-        words += ["-D", "resolution=256", "-D", "detector_width=0.512", "-D", "letter_scale=0.06"]
-        run = subprocess.Popen(
-            [sys.executable, "-c", COMMAND, *words, "--scheduler", address], stderr=subprocess.PIPE, text=True
-        )
+        words = [*WAVE, "--radiators-per-lens", "4", "-o", str(output), *definitions(letters(8))]
+        run = start_command(*words, "--scheduler", address)
         while not (checkpoint := tmp_path / "raw.exr.checkpoint").exists() and run.poll() is None:
             time.sleep(0.005)
         scheduler.kill()
@@ -222,7 +199,7 @@ def test_a_scheduler_that_dies_is_told_in_one_line_and_the_checkpoint_stays(tmp_
 def test_mistakes(tmp_path, capfd, monkeypatch, words, message):
     monkeypatch.setattr(distributed, "_PATIENCE", "1s")
     output = tmp_path / "raw.exr"
-    assert main(["render", "letters", "--model", "wave", "-o", str(output), *words]) == 2
+    assert main([*WAVE, "-o", str(output), *words]) == 2
     errors = capfd.readouterr().err
     assert errors.startswith(f"mitsuba-plenoptic: error: {message}") and errors.count("\n") == 1, errors
     assert not output.exists()
@@ -235,6 +212,6 @@ def test_rays_need_no_workers(cluster):
 
 
 def test_without_dask_the_error_tells_what_to_install(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+    monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match=r"pip install 'mitsuba-plenoptic\[distributed\]'"), Cluster(workers=2):
         pass

@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from stopped_runs import StoppedError, stopped_before
 from wave_cases import capture
 
 from mitsuba_plenoptic import PlenopticCamera, point_spread_function, reconstruct
@@ -110,21 +111,11 @@ def test_a_field_on_the_device_stays_there(device):
     np.testing.assert_array_equal(device.backend.to_host(moved), propagate(FIELD, 4e-3, 5.0, 633))
 
 
-def test_a_sum_goes_on_from_a_checkpoint(device, tmp_path, monkeypatch):
+def test_a_sum_goes_on_from_a_checkpoint(device, tmp_path):
     """Written from the device's memory, and taken back into it."""
-    monkeypatch.setattr("mitsuba_plenoptic.io.checkpoints.INTERVAL", 0.0)
     whole = capture(CAMERA, POSITIONS, WEIGHTS)
-
-    class StoppedError(Exception):
-        pass
-
-    class Stopping(Checkpoint):
-        def save(self, snapshot):
-            super().save(snapshot)
-            raise StoppedError
-
     path = tmp_path / "raw.checkpoint"
-    with pytest.raises(StoppedError), Stopping(path) as keeper:
+    with pytest.raises(StoppedError), stopped_before(len), Checkpoint(path) as keeper:
         capture(CAMERA, POSITIONS, WEIGHTS, job=Job(keeper=keeper))
     calls = []
     with Checkpoint(path, "resume") as keeper:
@@ -152,7 +143,7 @@ def test_the_benchmark_of_the_device_runs_or_says_that_there_is_none(tmp_path):
 
 
 def test_without_cupy_waves_on_cuda_are_refused_with_the_remedy(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "cupy", None)
+    monkeypatch.setitem(sys.modules, "cupy", None)
     _backend._cuda.cache_clear()
     with pytest.raises(InputError, match=r"waves on CUDA need CuPy.*pip install \"mitsuba-plenoptic\[cuda\]\""):
         _backend._cuda()
@@ -165,7 +156,6 @@ def test_the_stand_in_refuses_to_mix():
         lambda: array + np.ones(3),
         lambda: np.ones(3) + array,
         lambda: array[np.arange(2)],
-        lambda: np.sqrt(array),
         lambda: array.__setitem__(slice(None), np.ones(3)),
     ):
         with pytest.raises(TypeError):

@@ -93,6 +93,15 @@ def test_the_estimate_of_rays_is_that_of_what_is_allocated(camera):
     assert taken < 4 * bins * 3 + 4 * (bins + 64 * 4 * 64) + 2**20
 
 
+def wave_capture(**options):
+    scene = load_scene("white", parameters={"resolution": "32", "detector_width": "0.128"})
+    return render_capture(scene, model="wave", **options)
+
+
+def light_field(camera):
+    return decode(np.ones((64, 64), np.float32), camera=camera)
+
+
 @pytest.mark.parametrize(
     ("work", "words"),
     [
@@ -103,13 +112,10 @@ def test_the_estimate_of_rays_is_that_of_what_is_allocated(camera):
             ),
             "wave reconstruction: it would need",
         ),
-        (lambda image, camera: render_capture_of(radiators_per_lens=256, spp=10**5), "radiators_per_lens = "),
+        (lambda image, camera: wave_capture(radiators_per_lens=256, spp=10**5), "radiators_per_lens = "),
         (lambda image, camera: LensGrid((1e-2, 1e-2), (0, 0), (10**6, 10**6)).centres(), "1000000 x 1000000 lenses"),
         (lambda image, camera: decode(image, white=image, grid=LensGrid((0.5, 0.5), (0, 0), (10**5, 10**5))), "lenses"),
-        (
-            lambda image, camera: decode(image, camera=camera.replace(mla_pitch=0.25, aperture_radius=20000.0)),
-            "white image",
-        ),
+        (lambda image, camera: light_field(camera.replace(mla_pitch=0.25, aperture_radius=20000.0)), "white image"),
     ],
 )
 def test_every_kind_of_work_estimates_first(work, words, camera):
@@ -119,19 +125,14 @@ def test_every_kind_of_work_estimates_first(work, words, camera):
     assert time.perf_counter() - start < 2
 
 
-def render_capture_of(**options):
-    scene = load_scene("white", parameters={"resolution": "32", "detector_width": "0.128"})
-    return render_capture(scene, model="wave", **options)
-
-
 def test_light_fields_estimate_first(camera, monkeypatch):
-    lf = decode(np.ones((64, 64), np.float32), camera=camera)
+    lf = light_field(camera)
     monkeypatch.setenv(limits.VARIABLE, "1e-6")
     for work in (
         lambda: depth_map(lf),
         lambda: focal_stack(lf, [240.0] * 10),
         lambda: FourierRefocuser(lf, 0.1),
-        lambda: decode(np.ones((64, 64), np.float32), camera=camera),
+        lambda: light_field(camera),
     ):
         with pytest.raises(InputError, match="it would need"):
             work()
