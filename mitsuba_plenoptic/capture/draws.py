@@ -38,7 +38,14 @@ class Found:
     lane: NDArray[np.uint32]
     radiance: NDArray[np.float64]
     variance: NDArray[np.float64]
-    vertex: Vertex | None
+    vertex: Any
+
+    def weighted(self, factor: NDArray[np.float64]) -> Found:
+        """Return the places with factors on their radiance; those with none are left out."""
+        kept = np.flatnonzero(factor)
+        scale = factor[kept, None]
+        vertex = dr.gather(Vertex, self.vertex, mi.UInt32(kept.astype(np.uint32)))
+        return Found(self.lane[kept], self.radiance[kept] * scale, self.variance[kept] * scale**2, vertex)
 
 
 def draw(optics: Optics, sampler: Any, ray: Any, spp: int) -> Found:
@@ -65,10 +72,9 @@ def draw(optics: Optics, sampler: Any, ray: Any, spp: int) -> Found:
 def _draw_plain(optics: Optics, sampler: Any, ray: Any, spp: int) -> Found:
     """Ask the child alone: all light of a ray comes from where it first hits."""
     radiance = child.sample(optics.child.integrator, optics.scene, sampler, ray, None, mi.Bool(True))
-    channels = _channels(radiance)
     sums = [
         np.stack([dr.block_sum(value, spp).numpy() for value in values], axis=-1)
-        for values in (channels, [value * value for value in channels])
+        for values in (channels(radiance), [value * value for value in channels(radiance)])
     ]
     shining = np.flatnonzero(~(sums[0].max(axis=-1) <= 0)).astype(np.uint32)
     mean, variance = _moments(*(part[shining] for part in sums), spp)
@@ -83,7 +89,7 @@ def _draw_places(optics: Optics, sampler: Any, ray: Any, spp: int) -> Found:
     """Sample the first vertex of every path."""
     vertex = first_vertex(optics, sampler, ray)
     dr.eval(vertex)
-    values = np.stack([value.numpy() for value in _channels(vertex.radiance)], axis=-1).astype(np.float64)
+    values = np.stack([value.numpy() for value in channels(vertex.radiance)], axis=-1).astype(np.float64)
     lane = np.flatnonzero(~(values.max(axis=-1) <= 0))
     if not lane.size:
         return Found(lane.astype(np.uint32), *np.empty((2, 0, values.shape[1])), None)
@@ -120,7 +126,7 @@ def _thin_out(power: NDArray[np.float64], owner: NDArray[np.int64]) -> NDArray[n
     return np.where(count[which] > MOST_PLACES, times / chance, 1.0)
 
 
-def _channels(radiance: Any) -> list[Any]:
+def channels(radiance: Any) -> list[Any]:
     """Return the channels of a spectrum; lanes of wavelengths are all of one."""
     return [radiance[0]] if mi.is_spectral else list(radiance)
 

@@ -16,7 +16,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, Protocol
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -29,6 +29,7 @@ from ..optics.main_lens import ThinLens
 from ..runtime.batches import Box, Part, PartialSum
 from ..runtime.fft import busy_drjit
 from .bank import Convolution, LensBank, near_weight
+from .sight import Sight
 
 _BAND_BYTES = 2**27
 """Memory of the images of one band of detector rows."""
@@ -38,13 +39,6 @@ _LANES = 2**21
 
 _JITTER = (0.7548776662466927, 0.5698402909980532)
 """Steps of the R2 sequence (Roberts 2018) from sample to sample of a bin."""
-
-
-class Sight(Protocol):
-    """Finds the light along rays from the pupil into the scene."""
-
-    def look(self, pupil: tuple[Any, Any], slope: tuple[Any, Any], seed: int) -> tuple[list[Any], Any]:
-        """Return the radiance, channel by channel, and the distance g of where the light comes from."""
 
 
 class LensRaySum:
@@ -58,6 +52,8 @@ class LensRaySum:
         Finds the light along rays.
     banks : sequence of sequence of LensBank
         For each channel, for each lens type.
+    accuracy : float
+        Allowed relative error, by which it is decided which light is left to exact point spreads.
     spp : int
         Rays to each detector bin and lens.
     seed : int
@@ -67,9 +63,17 @@ class LensRaySum:
     arrays = np
 
     def __init__(
-        self, camera: PlenopticCamera, sight: Sight, banks: Sequence[Sequence[LensBank]], *, spp: int, seed: int
+        self,
+        camera: PlenopticCamera,
+        sight: Sight,
+        banks: Sequence[Sequence[LensBank]],
+        *,
+        accuracy: float,
+        spp: int,
+        seed: int,
     ) -> None:
-        self._camera, self._sight, self._banks, self._spp, self._seed = camera, sight, banks, spp, seed
+        self._camera, self._sight, self._banks = camera, sight, banks
+        self._accuracy, self._spp, self._seed = accuracy, spp, seed
         self._flat = [bank for of_channel in banks for bank in of_channel]
         self.channels = len(banks)
         self._pitch = self._flat[0].pitch
@@ -94,7 +98,7 @@ class LensRaySum:
             rows = min(self._band, self._bins.rows - top)
             box = Box(self._bins.left, self._bins.top + top, self._bins.columns, rows)
             lit = Box(box.left - margin, box.top - margin, box.columns + 2 * margin, box.rows + 2 * margin)
-            convolutions = [bank.convolution((lit.rows, lit.columns)) for bank in self._flat]
+            convolutions = [Convolution(bank.kernels, (lit.rows, lit.columns), 1) for bank in self._flat]
             # The threads that compute the batches have put Dr.Jit's own to rest.
             with busy_drjit():
                 images = self._trace(box, band)
@@ -126,14 +130,16 @@ class LensRaySum:
         for steps in self._candidates:
             for start in range(0, box.rows * box.columns, 2 * _LANES):
                 bins = dr.arange(mi.UInt32, start, min(start + 2 * _LANES, box.rows * box.columns))
-                Px, Py = self._pupil_points(box, bins, steps, mi.Point2f(0.5))[0]
+                (Px, Py), _, _ = self._pupil_points(box, bins, steps)
                 lit = dr.compress(Px * Px + Py * Py < self._widest**2)
                 for first in range(0, dr.width(lit), step):
-                    chosen = dr.gather(mi.UInt32, bins, lit[first : first + step])
+                    some = dr.arange(mi.UInt32, first, min(first + step, dr.width(lit)))
+                    chosen = dr.gather(mi.UInt32, bins, dr.gather(mi.UInt32, lit, some))
                     self._add(images, box, chosen, steps, int(seeds.spawn(1)[0].generate_state(1)[0]))
-        margin = -2 * self._bins.left
-        around = ((0, 0), (margin, margin), (margin, margin))
-        return [np.pad(image.reshape(-1, box.rows, box.columns), around) for image in images]
+        return [
+            np.pad(image.reshape(-1, box.rows, box.columns), ((0, 0), (margin, margin), (margin, margin)))
+            for image, margin in zip(images, [bank.margin - self._bins.left for bank in self._flat], strict=True)
+        ]
 
     def _pupil_points(
         self, box: Box, bins: Any, steps: NDArray[np.int64], jitter: Any = None
@@ -168,7 +174,7 @@ class LensRaySum:
         pupil, slope, lens_type = self._pupil_points(box, own, steps, jitter - dr.floor(jitter))
         radiance, distance = self._sight.look(pupil, slope, seed)
         vergence = self._lens.vergence(distance)
-        weight = (1 - near_weight(self._camera, vergence)) / self._spp
+        weight = (1 - near_weight(self._camera, vergence, self._accuracy)) / self._spp
         sums = []
         for light, banks in zip(radiance, self._banks, strict=True):
             for number, bank in enumerate(banks):

@@ -8,6 +8,7 @@ serve every lens, so that the capture of an even surface repeats from lens to le
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,10 +22,10 @@ from ..optics import guards
 from ..optics.main_lens import MainLens, main_lens
 from ..runtime.limits import largest_fitting, require_memory
 from .chains import Optics
-from .child import Child
-from .draws import draw
+from .draws import Found, draw
 from .lens_window import LensWindow
 from .pupil_weights import PupilWeights
+from .sight import Sight
 from .visibility import LANES, PUPIL_CELLS, sampled_fraction, visible_cells
 
 _LANE_BYTES = 256
@@ -99,6 +100,7 @@ def find_radiators(
     seed: int,
     wavelength: float | None,
     occlusion: bool,
+    weight: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> Radiators:
     """Trace the pairs of every lens into the scene and keep what shines.
 
@@ -118,17 +120,20 @@ def find_radiators(
         For spectral variants: the wavelength of all light, in nanometres.
     occlusion : bool
         Whether to find by shadow rays which part of the pupil each radiator sees.
+    weight : callable, optional
+        Returns, for the vergences of the radiators' images, what fraction of their light counts.
     """
     window, lens = LensWindow.of(camera), main_lens(camera)
     camera.require_resolved()
-    optics = Optics.of(scene, Child.of(child), sensor)
+    sight = Sight.of(scene, sensor, child, wavelength)
+    optics = sight.optics
     _require_memory(window, len(pairs), spp, optics)
     lenses = max(1, _lanes(optics) // (len(pairs) * spp))
     found: list[tuple[np.ndarray, ...]] = []
     held = 0
     for start in range(0, len(window.index), lenses):
         some = range(start, min(start + lenses, len(window.index)))
-        found.append(_trace_lenses(optics, sensor, lens, window, pairs, some, spp, seed + start, wavelength, occlusion))
+        found.append(_trace_lenses(sight, lens, window, pairs, some, spp, seed + start, occlusion, weight))
         # How many shine is known as they are found; the parts and their concatenation are alive at once.
         held += 2 * sum(array.nbytes for array in found[-1])
         require_memory(
@@ -172,16 +177,15 @@ def _require_memory(window: LensWindow, pairs: int, spp: int, optics: Optics) ->
 
 
 def _trace_lenses(
-    optics: Optics,
-    sensor: Any,
+    sight: Sight,
     lens: MainLens,
     window: LensWindow,
     pairs: np.ndarray,
     lenses: range,
     spp: int,
     seed: int,
-    wavelength: float | None,
     occlusion: bool,
+    weight: Callable[[np.ndarray], np.ndarray] | None,
 ) -> tuple[np.ndarray, ...]:
     """Find the shining radiators of some lenses.
 
@@ -198,32 +202,40 @@ def _trace_lenses(
     i, j = (dr.gather(mi.Float, mi.Float(index.astype(np.float32)), cell) for index in window.index.T)
     q = mi.Point2f(*window.place(i + place[0], j + place[1]))
     slope = mi.Point2f(*lens.aim((P.x, P.y), (q.x, q.y)))
-    direction = dr.normalize(mi.Vector3f(slope.x, slope.y, 1))
-
-    to_world = sensor.world_transform()
-    ray = mi.Ray3f(to_world @ mi.Point3f(P.x, P.y, 0), to_world @ direction)
-    ray.time = sensor.shutter_open() + 0.5 * sensor.shutter_open_time()
-    if wavelength is not None:
-        ray.wavelengths = dr.full(type(ray.wavelengths), wavelength)
+    ray, cosine = sight.ray((P.x, P.y), (slope.x, slope.y))
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed, dr.width(lane))
-    found = draw(optics, sampler, ray, spp)
+    found = draw(sight.optics, sampler, ray, spp)
     bad = int(np.count_nonzero(~np.isfinite(found.radiance).all(axis=-1)))
     if bad:
         raise InputError(f"scene: the radiance of {bad} radiators is NaN or infinite: all must be finite")
-    if found.vertex is None:
-        channels = found.radiance.shape[1]
-        return np.empty((0, 3)), *np.empty((2, 0, channels)), np.empty(0), np.empty((0, PUPIL_CELLS**2 // 8), np.uint8)
-
+    if not found.lane.size:
+        return _nothing(found.radiance.shape[1])
+    depth = _depth(found, cosine, lens)
+    if weight is not None:
+        factor = weight(lens.vergence(depth))
+        if not factor.any():
+            return _nothing(found.radiance.shape[1])
+        found, depth = found.weighted(factor), depth[factor > 0]
     first = mi.UInt32(found.lane)
-    depth = (found.vertex.place.distance * dr.gather(mi.Float, direction.z, first)).numpy().astype(np.float64)
-    # Beyond, all wavefronts are flat.
-    farthest = _INFINITY / float(lens.vergence(math.inf))
-    depth = np.where(np.abs(depth) < farthest, depth, farthest)
     P, slope = (dr.gather(mi.Point2f, mi.Point2f(v), first).numpy().astype(np.float64).T for v in (P, slope))
     positions = np.column_stack([P + slope * depth[:, None], depth])
     bits = np.empty((0, PUPIL_CELLS**2 // 8), np.uint8)
     if occlusion:
-        bits = visible_cells(optics, to_world, found.vertex, dr.gather(mi.Ray3f, ray, first), P, lens)
+        to_world = sight.sensor.world_transform()
+        bits = visible_cells(sight.optics, to_world, found.vertex, dr.gather(mi.Ray3f, ray, first), P, lens)
     astigmatism = found.vertex.place.astigmatism.numpy() + np.zeros(len(P))
     return positions, found.radiance, found.variance, astigmatism, bits
+
+
+def _nothing(channels: int) -> tuple[np.ndarray, ...]:
+    """Return what is found where nothing shines."""
+    return np.empty((0, 3)), *np.empty((2, 0, channels)), np.empty(0), np.empty((0, PUPIL_CELLS**2 // 8), np.uint8)
+
+
+def _depth(found: Found, cosine: Any, lens: MainLens) -> np.ndarray:
+    """Return the distances g of places; beyond some all wavefronts are flat."""
+    depth = found.vertex.place.distance * dr.gather(mi.Float, cosine, mi.UInt32(found.lane))
+    farthest = _INFINITY / float(lens.vergence(math.inf))
+    numbers = depth.numpy().astype(np.float64)
+    return np.where(np.abs(numbers) < farthest, numbers, farthest)

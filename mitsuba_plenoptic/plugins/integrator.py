@@ -172,6 +172,8 @@ def make_class() -> type:
             # The first pass is not shifted: it is the best single set.
             shifts = [np.zeros(4), *random.random((self.passes - 1, 4))]
             seeds = np.random.SeedSequence(seed).generate_state(self.passes)
+            rays = self._lens_rays(scene, sensor, camera, seed, spp) if self.method == "bank" else None
+            lens = main_lens(camera)
             sets = [
                 find_radiators(
                     scene,
@@ -183,6 +185,7 @@ def make_class() -> type:
                     seed=int(pass_seed) >> 1,
                     wavelength=self.wavelengths[0] if mi.is_spectral else None,
                     occlusion=self.occlusion,
+                    weight=rays and (lambda vergence: near_weight(camera, vergence, self.accuracy)),
                 )
                 for shift, pass_seed in zip(shifts, seeds, strict=True)
             ]

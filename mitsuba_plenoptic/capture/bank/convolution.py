@@ -38,7 +38,7 @@ class Convolution:
 
     def __init__(self, kernels: NDArray[np.float32], shape: tuple[int, int], order: int) -> None:
         self._shape = shape
-        self.margin = kernels.shape[-1] // 2 + _TAIL
+        self.margin = self.margin_of(kernels)
         support = 2 * self.margin + 1
         self._valid = [min(max(_SQUARE - support, support), size) for size in shape]
         self._size = tuple(fast_length(valid + support - 1) for valid in self._valid)
@@ -47,6 +47,11 @@ class Convolution:
         for spectrum, kernel in zip(self._spectra, kernels, strict=True):
             wide = scipy.fft.rfft2(np.pad(kernel, _TAIL)) * (sharp[0][:, None] * sharp[1])
             spectrum[...] = scipy.fft.rfft2(scipy.fft.irfft2(wide, (support, support)), self._size)
+
+    @staticmethod
+    def margin_of(kernels: NDArray[np.float32]) -> int:
+        """Return the samples beyond the recorded ones from which some kernels bring light."""
+        return kernels.shape[-1] // 2 + _TAIL
 
     @property
     def image_shape(self) -> tuple[int, int]:

@@ -108,6 +108,11 @@ class Coordinates:
         """Return how far beyond the pupil's rim, in millimetres, a lens still has light."""
         return 2 * SHADOW * self.camera.aperture_radius / abs(blur_of(self.camera, vergence))
 
+    @property
+    def widest(self) -> float:
+        """Distance from the axis, in the pupil, beyond which no lens has light of any point."""
+        return self.camera.aperture_radius * (1 + 2 * SHADOW * max((high for _, _, high in self.sides), default=0.0))
+
     def places(self, Px: Any, Py: Any, vergence: Any) -> tuple[Any, Any, Any, Any]:
         """Return the places of pupil points in the table.
 

@@ -1,0 +1,77 @@
+"""Rays from the pupil into the scene, and what they find there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from . import child
+from .chains import Optics
+from .draws import channels
+from .first_vertex import first_vertex, seen_directly
+
+
+@dataclass(frozen=True)
+class Sight:
+    """The scene as it is seen through the pupil.
+
+    Attributes
+    ----------
+    optics : Optics
+        The scene, and the integrator that finds the radiance.
+    sensor : mitsuba.Sensor
+        Where the pupil is, and when the shutter is open.
+    wavelength : float, optional
+        For spectral variants: the wavelength of all light, in nanometres.
+    """
+
+    optics: Optics
+    sensor: Any
+    wavelength: float | None
+
+    @classmethod
+    def of(cls, scene: Any, sensor: Any, integrator: Any, wavelength: float | None) -> Sight:
+        """Look at a scene with a Mitsuba integrator."""
+        return cls(Optics.of(scene, child.Child.of(integrator), sensor), sensor, wavelength)
+
+    def ray(self, pupil: tuple[Any, Any], slope: tuple[Any, Any]) -> tuple[Any, Any]:
+        """Return the ray through a pupil point, and the cosine of its angle with the axis."""
+        direction = dr.normalize(mi.Vector3f(*slope, 1))
+        to_world = self.sensor.world_transform()
+        ray = mi.Ray3f(to_world @ mi.Point3f(*pupil, 0), to_world @ direction)
+        ray.time = self.sensor.shutter_open() + 0.5 * self.sensor.shutter_open_time()
+        if self.wavelength is not None:
+            ray.wavelengths = dr.full(type(ray.wavelengths), self.wavelength)
+        return ray, direction.z
+
+    def look(self, pupil: tuple[Any, Any], slope: tuple[Any, Any], seed: int) -> tuple[list[Any], Any]:
+        """Sample the light along rays.
+
+        Parameters
+        ----------
+        pupil, slope : (Float, Float)
+            Where the rays pass the pupil, and their slopes.
+        seed : int
+            Of the random numbers.
+
+        Returns
+        -------
+        radiance : list of Float
+            For each channel.
+        distance : Float
+            Distance g of the plane from which the light seems to come; infinite, or negative where it converges.
+        """
+        ray, cosine = self.ray(pupil, slope)
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed, dr.width(ray))
+        if self.optics.plain:
+            integrator = self.optics.child.integrator
+            radiance = child.sample(integrator, self.optics.scene, sampler, ray, None, mi.Bool(True))
+            place = seen_directly(self.optics.scene.ray_intersect(ray))
+        else:
+            vertex = first_vertex(self.optics, sampler, ray)
+            radiance, place = vertex.radiance, vertex.place
+        return channels(radiance), place.distance * cosine
