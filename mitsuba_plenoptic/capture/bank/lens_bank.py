@@ -28,7 +28,7 @@ In units of :math:`\\lambda z / D_2`, a lens's diffraction.
 _PIXELS_PER_SPOT = 1.25
 """Samples across the spot of a lens at least."""
 
-_LEFT = 5.0
+_LEFT = 1.2
 """Error of the patterns that are learnt from over the allowed error of sums over many points."""
 
 
@@ -44,11 +44,18 @@ class LensBank:
         Distance of the samples, in millimetres: a pixel, or a whole part of one.
     table : Table
         The coefficients.
+    origin : tuple
+        What it is made of.
     """
 
     kernels: NDArray[np.float32]
     pitch: float
     table: Table
+    origin: tuple[Any, ...]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Make it anew in another process, once, rather than send it with every batch."""
+        return _learn, self.origin
 
     @property
     def rank(self) -> int:
@@ -118,6 +125,7 @@ class LensBank:
 def _learn(
     camera: PlenopticCamera, wavelength: float, accuracy: float, vergences: tuple[float, float], lens_type: int
 ) -> LensBank:
+    origin = camera, wavelength, accuracy, vergences, lens_type
     lattice, focal_length = camera.lattice, camera.mla_focal_lengths[lens_type]
     diffraction = in_millimetres(wavelength) * camera.detector_distance / min(lattice.aperture_widths)
     defocused = float(lattice.aperture_width) * abs(1 - camera.detector_distance / focal_length)
@@ -130,7 +138,7 @@ def _learn(
     cores, kernels = learner.kernels(_LEFT * accuracy)
     table = Table.finer(coordinates, learner.coefficients(cores))
     pitch = camera.pixel_size / math.ceil(camera.pixel_size * _PIXELS_PER_SPOT / math.hypot(diffraction, defocused))
-    return LensBank(_on_grid(kernels, wide.pitch, pitch, camera.mla_rotation), pitch, table)
+    return LensBank(_on_grid(kernels, wide.pitch, pitch, camera.mla_rotation), pitch, table, origin)
 
 
 def _on_grid(kernels: NDArray[np.float32], fine: float, pitch: float, rotation: float) -> NDArray[np.float32]:
