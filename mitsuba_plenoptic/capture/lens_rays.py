@@ -31,7 +31,7 @@ from ..runtime.fft import busy_drjit
 from .bank import Convolution, LensBank, near_weight
 from .sight import Sight
 
-_BAND_BYTES = 2**27
+_BAND_BYTES = 2**29
 """Memory of the images of one band of detector rows."""
 
 _LANES = 2**21
@@ -74,41 +74,33 @@ class LensRaySum:
     ) -> None:
         self._camera, self._sight, self._banks = camera, sight, banks
         self._accuracy, self._spp, self._seed = accuracy, spp, seed
-        self._flat = [bank for of_channel in banks for bank in of_channel]
+        self._pitch = banks[0][0].pitch
         self.channels = len(banks)
-        self._pitch = self._flat[0].pitch
-        self._parts = round(camera.pixel_size / self._pitch)
-        columns, rows = (size * self._parts for size in camera.crop_size)
+        rows, columns = camera.shape
         self.box = Box(0, 0, columns, rows)
-        # Bins beyond the window send light into it.
-        margin = max(bank.margin for bank in self._flat)
-        self._bins = Box(-margin, -margin, columns + 2 * margin, rows + 2 * margin)
-        ranks = sum(bank.rank for bank in self._flat)
-        self._band = max(1, min(self._bins.rows, _BAND_BYTES // (4 * ranks * self._bins.columns)))
+        ranks = sum(bank.rank for of_channel in banks for bank in of_channel)
+        band = max(1, _BAND_BYTES // (4 * ranks * columns * round(camera.pixel_size / self._pitch) ** 2))
+        self._tops = list(range(0, rows, math.ceil(rows / math.ceil(rows / band))))
+        self.items = np.diff([*self._tops, rows]) * columns
         # The aberrations of the parabolic phase that waves pass displace the spots.
         self._lens = ThinLens(camera.focal_length, camera.aperture_radius, camera.mla_distance, "parabolic")
-        count = math.ceil(self._bins.rows / self._band)
-        self.items = np.diff(np.linspace(0, self._bins.rows * self._bins.columns, count + 1).astype(np.int64))
 
     def batches(self, first: int) -> Iterator[Band]:
         """Trace the rays of the bands from one on, and yield what is left to do."""
-        margin = -self._bins.left
-        for band in range(first, len(self.items)):
-            top = band * self._band
-            rows = min(self._band, self._bins.rows - top)
-            box = Box(self._bins.left, self._bins.top + top, self._bins.columns, rows)
-            lit = Box(box.left - margin, box.top - margin, box.columns + 2 * margin, box.rows + 2 * margin)
-            convolutions = [Convolution(bank.kernels, (lit.rows, lit.columns), 1) for bank in self._flat]
+        left, top = self._camera.crop_offset
+        for band in range(first, len(self._tops)):
+            rows = int(self.items[band]) // self.box.columns
+            box = Box(0, self._tops[band], self.box.columns, rows)
+            camera = self._camera.replace(crop_offset=(left, top + box.top), crop_size=(box.columns, rows))
+            convolutions = [Convolution(camera, banks, order=1) for banks in self._banks]
             # The threads that compute the batches have put Dr.Jit's own to rest.
             with busy_drjit():
-                images = self._trace(box, band)
-            yield Band(lit, images, convolutions, self.channels)
+                images = self._trace([convolution.box for convolution in convolutions], band)
+            yield Band(box, images, convolutions)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
-        """Add up the bins of each pixel."""
-        parts, (columns, rows) = self._parts, self._camera.crop_size
-        sums = np.asarray(total.sums).reshape(self.channels, rows, parts, columns, parts).sum((2, 4))
-        return np.ascontiguousarray(np.moveaxis(sums, 0, -1))
+        """Return the sum of all bands."""
+        return np.ascontiguousarray(np.moveaxis(total.sums, 0, -1))
 
     @cached_property
     def _candidates(self) -> NDArray[np.int64]:
@@ -120,25 +112,27 @@ class LensRaySum:
     @cached_property
     def _widest(self) -> float:
         """Distance from the axis in the pupil beyond which no ray counts."""
-        return max(bank.widest for bank in self._flat)
+        return max(bank.widest for of_channel in self._banks for bank in of_channel)
 
-    def _trace(self, box: Box, band: int) -> list[NDArray[np.float32]]:
-        """Trace the rays of a band; return images (rank, rows, columns) for each bank, with margins."""
-        images = [np.zeros((bank.rank, box.rows * box.columns), np.float32) for bank in self._flat]
+    def _trace(self, boxes: list[Box], band: int) -> list[NDArray[np.float32]]:
+        """Trace the rays of a band; return for each channel the images (ranks, rows, columns) of its box."""
+        widest = max(boxes, key=lambda box: box.columns)
+        images = [np.zeros((sum(bank.rank for bank in banks), widest.rows * widest.columns), np.float32) for banks in self._banks]
         step = max(1, _LANES // self._spp)
         seeds = np.random.SeedSequence([self._seed, band])
         for steps in self._candidates:
-            for start in range(0, box.rows * box.columns, 2 * _LANES):
-                bins = dr.arange(mi.UInt32, start, min(start + 2 * _LANES, box.rows * box.columns))
-                (Px, Py), _, _ = self._pupil_points(box, bins, steps)
+            for start in range(0, widest.rows * widest.columns, 2 * _LANES):
+                bins = dr.arange(mi.UInt32, start, min(start + 2 * _LANES, widest.rows * widest.columns))
+                (Px, Py), _, _ = self._pupil_points(widest, bins, steps)
                 lit = dr.compress(Px * Px + Py * Py < self._widest**2)
                 for first in range(0, dr.width(lit), step):
                     some = dr.arange(mi.UInt32, first, min(first + step, dr.width(lit)))
                     chosen = dr.gather(mi.UInt32, bins, dr.gather(mi.UInt32, lit, some))
-                    self._add(images, box, chosen, steps, int(seeds.spawn(1)[0].generate_state(1)[0]))
+                    self._add(images, widest, chosen, steps, int(seeds.spawn(1)[0].generate_state(1)[0]))
+        shaped = [image.reshape(-1, widest.rows, widest.columns) for image in images]
         return [
-            np.pad(image.reshape(-1, box.rows, box.columns), ((0, 0), (margin, margin), (margin, margin)))
-            for image, margin in zip(images, [bank.margin - self._bins.left for bank in self._flat], strict=True)
+            image[:, box.top - widest.top :, box.left - widest.left :][:, : box.rows, : box.columns]
+            for image, box in zip(shaped, boxes, strict=True)
         ]
 
     def _pupil_points(
@@ -149,8 +143,7 @@ class LensRaySum:
         b, z = camera.mla_distance, camera.detector_distance
         row = bins // box.columns
         middle = [
-            (mi.Float(mi.Int32(index) + low) + 0.5) * self._pitch
-            + (camera.crop_offset[axis] - 0.5 * camera.resolution[axis]) * camera.pixel_size
+            (mi.Float(mi.Int32(index) + low) + 0.5) * self._pitch - 0.5 * camera.resolution[axis] * camera.pixel_size
             for axis, index, low in ((0, bins - row * box.columns, box.left), (1, row, box.top))
         ]
         i, j = lattice.cell(*(rays.chief_point(p, b, z) for p in middle))
@@ -177,37 +170,35 @@ class LensRaySum:
         weight = (1 - near_weight(self._camera, vergence, self._accuracy)) / self._spp
         sums = []
         for light, banks in zip(radiance, self._banks, strict=True):
+            brought: list[Any] = []
             for number, bank in enumerate(banks):
                 kept = weight * light if lens_type is None else dr.select(lens_type == number, weight * light, 0)
-                coefficients = bank.coefficients(*pupil, vergence)
-                sums.append([dr.block_sum(coefficient * kept, self._spp) for coefficient in coefficients])
+                brought += [coefficient * kept for coefficient in bank.coefficients(*pupil, vergence)]
+            sums.append([dr.block_sum(part, self._spp) for part in brought])
         dr.eval(sums)
         places = bins.numpy()
-        for image, of_bank in zip(images, sums, strict=True):
-            for rank, added in enumerate(of_bank):
-                image[rank, places] += added.numpy()
+        for image, parts in zip(images, sums, strict=True):
+            for target, added in zip(image, parts, strict=True):
+                target[places] += added.numpy()
 
 
 @dataclass(frozen=True)
 class Band:
-    """The images of a band of detector bins, to be convolved with the kernels; zero around their margins.
+    """The images of a band of pixels, to be convolved with the kernels.
 
     Attributes
     ----------
     box : Box
-        The bins that the band lights.
-    images : list of float32 arrays (rank, rows, columns)
-        For each bank, with the margins that its convolution asks for.
+        The pixels.
+    images : list of float32 arrays (ranks, rows, columns)
+        For each channel.
     convolutions : list of Convolution
-        As many.
-    channels : int
-        Each has as many banks.
+        For each channel.
     """
 
     box: Box
     images: list[NDArray[np.float32]]
     convolutions: list[Convolution]
-    channels: int
 
     @property
     def samples(self) -> int:
@@ -215,13 +206,10 @@ class Band:
         return sum(image.size for image in self.images)
 
     def prepare(self) -> Callable[[], Part]:
-        """Return the function that convolves the images, and adds them up."""
+        """Return the function that convolves the images."""
         return partial(_convolve, self)
 
 
 def _convolve(band: Band) -> Part:
-    sums = np.zeros((band.channels, band.box.rows, band.box.columns), np.float32)
-    types = len(band.images) // band.channels
-    for number, (images, convolution) in enumerate(zip(band.images, band.convolutions, strict=True)):
-        sums[number // types] += convolution.forward(images)
-    return Part(band.box, sums)
+    pairs = zip(band.convolutions, band.images, strict=True)
+    return Part(band.box, np.stack([convolution.forward(images) for convolution, images in pairs]))

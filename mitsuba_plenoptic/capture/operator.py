@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -15,12 +15,15 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, shown
 from ..io.checkpoints import digest
 from ..optics import guards
+from ..optics.main_lens import main_lens
 from ..optics.sampling import check_positions
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job, LongSum, Task
 from .accuracy import DEFAULT_ACCURACY, check_accuracy
+from .bank.blend import near_weight
+from .bank.plan import BankPlan
 from .full_field_plan import FullFieldPlan
 from .patch_plan import Cost, PatchPlan
 from .pupil_weights import PupilWeights
@@ -42,10 +45,19 @@ class Plan(Protocol):
         """Estimate what a sum takes."""
 
 
-PLANS: dict[str, type] = {"patch": PatchPlan, "full_field": FullFieldPlan}
+PLANS: dict[str, type] = {"patch": PatchPlan, "full_field": FullFieldPlan, "bank": BankPlan}
 """Ways to compute point spreads, by name."""
 
 METHODS = tuple(PLANS)
+
+
+@dataclass(frozen=True)
+class Portion:
+    """Points whose spreads are computed in one way, and the fractions of their light that are."""
+
+    method: str
+    points: NDArray[np.int64]
+    fractions: NDArray[np.float64]
 
 
 class CaptureOperator:
@@ -66,12 +78,15 @@ class CaptureOperator:
         Wavelength in nanometres, the same for all channels of the weights; or give `spectrum`.
     spectrum : Spectrum, optional
         Wavelengths, and the channels that record them. Weights and point spreads then have a value for each wavelength.
-    method : {"patch", "full_field"}
-        Way to compute point spreads: on the part of the array that each lights, or without shortcuts.
+    method : {"patch", "full_field", "bank"}
+        Way to compute point spreads: on the part of the array that each lights; without shortcuts; or, out of focus,
+        lens by lens from a bank of kernels, which takes about as long for any number of points and is meant for sums
+        of many; what is near focus is done by "patch".
     accuracy : float
-        Of method "patch": relative error (L2, over the image) that is allowed for speed, below 1. Radiators of nearly
-        the same wavefront at neighbouring lenses then share a point spread. 0: every radiator has its own, and the most
-        of the diffracted light is kept.
+        Relative error (L2, over the image) that is allowed for speed, below 1. By method "patch" radiators of nearly
+        the same wavefront at neighbouring lenses then share a point spread; by "bank" it chooses the number of kernels
+        and what counts as near focus. 0: every radiator has a spread of its own, and the most of the diffracted light
+        is kept.
     pupil_weights : array (n, m, m), optional
         For each point its relative power over the square around the pupil, cut into m x m cells: rows along y, columns
         along x of the camera frame; booleans for what is visible. What passes is normalised anew, so that each point
@@ -103,7 +118,8 @@ class CaptureOperator:
             raise InputError(f"method = {shown(method)}: it must be one of {', '.join(METHODS)}")
         self._method, self._accuracy = method, check_accuracy(accuracy)
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
-        self._plans: dict[float, Plan] = {}
+        self._portions = list(_portions(camera, self.points, method, self._accuracy))
+        self._plans: dict[tuple[float, str], Plan] = {}
 
     @one_at_a_time
     def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[np.float32]:
@@ -135,7 +151,7 @@ class CaptureOperator:
         _, matrix = self._mixing(factors.shape[1])
         job = job or Job()
         with guards.watch():
-            shape, items = (*self.camera.shape, len(matrix)), self.sums * len(self.points)
+            shape, items = (*self.camera.shape, len(matrix)), self._items
             image = job.run(self.tasks(factors, job), shape, items, lambda: self._facts(factors))
         return image[..., 0] if np.ndim(weights) == 1 and len(matrix) == 1 else image
 
@@ -173,13 +189,16 @@ class CaptureOperator:
         wavelengths, matrix = self._mixing(channels.shape[2])
         if channels.shape[2] != len(matrix):
             raise InputError(f"image of shape {pixels.shape}: the spectrum has {len(matrix)} channels")
-        job, count = job or Job(), len(self.points)
-        result = np.zeros((count, len(wavelengths)))
+        job = job or Job()
+        result = np.zeros((len(self.points), len(wavelengths)))
         with guards.watch():
-            for number, (wavelength, some) in enumerate(_groups(wavelengths)):
-                plan = self._planned(wavelength, job, len(some))
+            done = 0
+            for wavelength, some in _groups(wavelengths):
                 given = _mix(channels, matrix[:, some].T)
-                result[:, some] = plan.gather(given, job, number * count, self.sums * count)
+                for portion in self._portions:
+                    found = self._planned(wavelength, portion, job, len(some)).gather(given, job, done, self._items)
+                    result[np.ix_(portion.points, np.array(some))] += portion.fractions[:, None] * found
+                    done += len(portion.points)
         return result[:, 0] if pixels.ndim == 2 and len(wavelengths) == 1 else result
 
     def estimate(self, job: Job | None = None) -> Cost:
@@ -197,13 +216,13 @@ class CaptureOperator:
         PhysicsError
             If too much of the light would be lost.
         """
-        wavelength = self._mixing(1)[0][0]
-        cost = self._plan(wavelength).cost((job or Job()).workers)
-        return replace(
-            cost,
-            radiators=cost.radiators * self.sums,
-            patterns=cost.patterns * self.sums,
-            seconds=cost.seconds * self.sums,
+        wavelength, workers = self._mixing(1)[0][0], (job or Job()).workers
+        costs = [self._plan(wavelength, portion).cost(workers) for portion in self._portions]
+        return Cost(
+            radiators=self.sums * sum(cost.radiators for cost in costs),
+            patterns=self.sums * sum(cost.patterns for cost in costs),
+            seconds=self.sums * sum(cost.seconds for cost in costs),
+            memory=max(cost.memory for cost in costs),
         )
 
     def as_linear_operator(self) -> Any:
@@ -242,25 +261,36 @@ class CaptureOperator:
         """Yield the sum at each distinct wavelength, for weights (n, channels or wavelengths)."""
         wavelengths, matrix = self._mixing(weights.shape[1])
         for wavelength, some in _groups(wavelengths):
+            for portion in self._portions:
 
-            def plan(wavelength: float = wavelength, some: list[int] = some) -> LongSum:
-                return self._planned(wavelength, job, len(some)).sum(weights[:, some])
+                def plan(wavelength: float = wavelength, some: list[int] = some, portion: Portion = portion) -> LongSum:
+                    given = weights[np.ix_(portion.points, np.array(some))] * portion.fractions[:, None]
+                    return self._planned(wavelength, portion, job, len(some)).sum(given)
 
-            def combine(sums: NDArray[np.float32], part: NDArray[np.float32] = matrix[:, some]) -> NDArray[np.float32]:
-                return _mix(sums, part)
+                def combine(
+                    sums: NDArray[np.float32], part: NDArray[np.float32] = matrix[:, some]
+                ) -> NDArray[np.float32]:
+                    return _mix(sums, part)
 
-            yield Task(len(self.points), plan, combine)
+                yield Task(len(portion.points), plan, combine)
 
-    def _plan(self, wavelength: float) -> Plan:
-        """Return the plan of a wavelength, made when it is first asked for."""
-        if wavelength not in self._plans:
-            make = PLANS[self._method]
-            self._plans[wavelength] = make(self.camera, self.points, self._pupil_weights, wavelength, self._accuracy)
-        return self._plans[wavelength]
+    @property
+    def _items(self) -> int:
+        """Point spreads of all sums."""
+        return self.sums * sum(len(portion.points) for portion in self._portions)
 
-    def _planned(self, wavelength: float, job: Job, channels: int) -> Plan:
-        """Return the plan of a wavelength, or refuse what it takes."""
-        plan = self._plan(wavelength)
+    def _plan(self, wavelength: float, portion: Portion) -> Plan:
+        """Return the plan of a wavelength for some points, made when it is first asked for."""
+        key = wavelength, portion.method
+        if key not in self._plans:
+            weights = self._pupil_weights and self._pupil_weights.take(portion.points)
+            make = PLANS[portion.method]
+            self._plans[key] = make(self.camera, self.points[portion.points], weights, wavelength, self._accuracy)
+        return self._plans[key]
+
+    def _planned(self, wavelength: float, portion: Portion, job: Job, channels: int) -> Plan:
+        """Return the plan of a wavelength for some points, or refuse what it takes."""
+        plan = self._plan(wavelength, portion)
         plan.check_memory(job.workers, channels)
         return plan
 
@@ -310,3 +340,17 @@ def _groups(wavelengths: tuple[float, ...]) -> Iterator[tuple[float, list[int]]]
     """Yield each distinct wavelength and the columns that have it: they share their point spreads."""
     for wavelength in dict.fromkeys(wavelengths):
         yield wavelength, [column for column, other in enumerate(wavelengths) if other == wavelength]
+
+
+def _portions(camera: PlenopticCamera, points: NDArray[np.float64], method: str, accuracy: float) -> Iterator[Portion]:
+    """Yield how the spreads of points are computed: by a bank only where it is right."""
+    near = np.ones(len(points))
+    if method == "bank":
+        near = near_weight(camera, main_lens(camera).vergence(points[:, 2]), accuracy)
+        far = np.flatnonzero(near < 1)
+        if len(far):
+            yield Portion("bank", far, 1 - near[far])
+        method = "patch"
+    kept = np.flatnonzero(near > 0)
+    if len(kept) or not len(points):
+        yield Portion(method, kept, near[kept])

@@ -15,7 +15,6 @@ from ...optics.phase import in_millimetres
 from ..pixels import PixelIntegrals
 from ..turned_samples import TurnedSamples
 from .blend import blur_limits
-from .convolution import Convolution
 from .learning import Learner
 from .patterns import LensPatterns
 from .table import Coordinates, Table
@@ -29,7 +28,7 @@ In units of :math:`\\lambda z / D_2`, a lens's diffraction.
 _PIXELS_PER_SPOT = 1.25
 """Samples across the spot of a lens at least."""
 
-_LEFT = 5.0
+_LEFT = 1.2
 """Error of the patterns that are learnt from over the allowed error of sums over many points."""
 
 
@@ -45,21 +44,23 @@ class LensBank:
         Distance of the samples, in millimetres: a pixel, or a whole part of one.
     table : Table
         The coefficients.
+    origin : tuple
+        What it is made of.
     """
 
     kernels: NDArray[np.float32]
     pitch: float
     table: Table
+    origin: tuple[Any, ...]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Make it anew in another process, once, rather than send it with every batch."""
+        return _learn, self.origin
 
     @property
     def rank(self) -> int:
         """Number of kernels."""
         return len(self.kernels)
-
-    @property
-    def margin(self) -> int:
-        """Samples from which light arrives in one, on each side of it."""
-        return Convolution.margin_of(self.kernels)
 
     @property
     def widest(self) -> float:
@@ -74,7 +75,6 @@ class LensBank:
         accuracy: float,
         vergences: tuple[float, float],
         lens_type: int = 0,
-        pitch: float | None = None,
     ) -> LensBank:
         """Make the bank of a camera, or return it if it is among the last few that were made.
 
@@ -90,8 +90,6 @@ class LensBank:
             Least and greatest vergence 1 / b' of the images of points, in 1/mm.
         lens_type : int
             Which of the types of lenses of a multi-focus array.
-        pitch : float, optional
-            Distance of the kernels' samples, a whole part of a pixel. Default: as the spots ask for.
         """
         optics = camera.replace(
             detector_width=camera.pixel_size,
@@ -101,7 +99,7 @@ class LensBank:
             mla_offset=(0.0, 0.0),
             lens_model="ideal",
         )
-        return _learn(optics, wavelength, accuracy, vergences, lens_type, pitch or finest_pitch(camera, (wavelength,)))
+        return _learn(optics, wavelength, accuracy, vergences, lens_type)
 
     def coefficients(self, Px: Any, Py: Any, vergence: Any, ranks: slice = slice(None)) -> list[Any]:
         """Return how much of each kernel a point's light brings through a lens.
@@ -130,14 +128,12 @@ class LensBank:
 
 @functools.lru_cache(maxsize=8)
 def _learn(
-    camera: PlenopticCamera,
-    wavelength: float,
-    accuracy: float,
-    vergences: tuple[float, float],
-    lens_type: int,
-    pitch: float,
+    camera: PlenopticCamera, wavelength: float, accuracy: float, vergences: tuple[float, float], lens_type: int
 ) -> LensBank:
-    diffraction, defocused = _spot(camera, wavelength, lens_type)
+    origin = camera, wavelength, accuracy, vergences, lens_type
+    lattice, focal_length = camera.lattice, camera.mla_focal_lengths[lens_type]
+    diffraction = in_millimetres(wavelength) * camera.detector_distance / min(lattice.aperture_widths)
+    defocused = float(lattice.aperture_width) * abs(1 - camera.detector_distance / focal_length)
     coordinates = Coordinates.between(camera, wavelength, vergences, blur_limits(accuracy)[0])
     core, wide = (
         LensPatterns(camera, wavelength, spots * diffraction + 2 * defocused, lens_type) for spots in (_CORE, _SPOTS)
@@ -146,21 +142,8 @@ def _learn(
     learner = Learner(core, wide, fields, coordinates.nodes(distance), coordinates.shape)
     cores, kernels = learner.kernels(_LEFT * accuracy)
     table = Table.finer(coordinates, learner.coefficients(cores))
-    return LensBank(_on_grid(kernels, wide.pitch, pitch, camera.mla_rotation), pitch, table)
-
-
-def finest_pitch(camera: PlenopticCamera, wavelengths: tuple[float, ...]) -> float:
-    """Return the distance of samples, a whole part of a pixel, that holds the spots of all lenses."""
-    types = range(len(camera.mla_focal_lengths))
-    spot = min(math.hypot(*_spot(camera, wavelength, type_)) for wavelength in wavelengths for type_ in types)
-    return camera.pixel_size / math.ceil(camera.pixel_size * _PIXELS_PER_SPOT / spot)
-
-
-def _spot(camera: PlenopticCamera, wavelength: float, lens_type: int) -> tuple[float, float]:
-    """Return the widths of a lens's spot on the detector by diffraction, and by the detector's defocus."""
-    lattice, z = camera.lattice, camera.detector_distance
-    diffraction = in_millimetres(wavelength) * z / min(lattice.aperture_widths)
-    return diffraction, float(lattice.aperture_width) * abs(1 - z / camera.mla_focal_lengths[lens_type])
+    pitch = camera.pixel_size / math.ceil(camera.pixel_size * _PIXELS_PER_SPOT / math.hypot(diffraction, defocused))
+    return LensBank(_on_grid(kernels, wide.pitch, pitch, camera.mla_rotation), pitch, table, origin)
 
 
 def _on_grid(kernels: NDArray[np.float32], fine: float, pitch: float, rotation: float) -> NDArray[np.float32]:

@@ -9,6 +9,7 @@ the rim in pitches and :math:`F = D_1 D_2 / \lambda b`; in its shadow what count
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,14 +32,41 @@ SHADOW = 3.0
 _RIPPLES = 6.0
 """Coordinate w from the rim inwards from which on ripples are left out."""
 
-_DEPTHS, _EDGES, _ANGLES = 16, 73, 16
-"""Nodes of the table: of 1 / N on each side of focus, of the distance from the rim, and of its direction."""
+_DEPTH_STEP, _EDGES, _ANGLES = 0.02, 73, 16
+"""Distance of the table's nodes in 1 / N, and numbers of nodes in the distance from the rim and in its direction."""
 
 _FINER = (2, 2, 3)
 """How much finer than its nodes a table is."""
 
 _MOST_BLUR = 64.0
 """Lenses of blur from which on wavefront and rim count as straight."""
+
+
+@dataclass(frozen=True)
+class Side:
+    """Depths on one side of focus, evenly in 1 / N.
+
+    Attributes
+    ----------
+    sign : int
+        Of the defocus.
+    low, high : float
+        Least and greatest 1 / N.
+    """
+
+    sign: int
+    low: float
+    high: float
+
+    @property
+    def nodes(self) -> int:
+        """Nodes of the table."""
+        return 1 + math.ceil((self.high - self.low) / _DEPTH_STEP)
+
+    @property
+    def lines(self) -> int:
+        """Depths in the finer table."""
+        return (self.nodes - 1) * _FINER[0] + 1
 
 
 @dataclass(frozen=True)
@@ -51,13 +79,13 @@ class Coordinates:
         The camera.
     wavelength : float
         Wavelength in nanometres.
-    sides : tuple of (int, float, float)
-        For each side of focus that is in the table the sign of its defocus, and its least and greatest 1 / N.
+    sides : tuple of Side
+        Those that are in the table.
     """
 
     camera: PlenopticCamera
     wavelength: float
-    sides: tuple[tuple[int, float, float], ...]
+    sides: tuple[Side, ...]
 
     @classmethod
     def between(
@@ -66,9 +94,9 @@ class Coordinates:
         """Cover what lies between two vergences and is blurred over some lenses at least."""
         sides = []
         for sign in (1, -1):
-            blur = max(sign * blur_of(camera, vergence) for vergence in vergences)
-            if blur > least_blur:
-                sides.append((sign, 1 / min(blur, _MOST_BLUR), 1 / least_blur))
+            blurs = [min(max(sign * float(blur_of(camera, v)), least_blur), _MOST_BLUR) for v in vergences]
+            if max(blurs) > least_blur:
+                sides.append(Side(sign, 1 / max(blurs), 1 / min(blurs)))
         return cls(camera, wavelength, tuple(sides))
 
     @property
@@ -80,7 +108,7 @@ class Coordinates:
     @property
     def shape(self) -> tuple[int, int, int]:
         """Nodes of depth, edge and angle."""
-        return len(self.sides) * _DEPTHS, _EDGES, _ANGLES
+        return sum(side.nodes for side in self.sides), _EDGES, _ANGLES
 
     def fields(self) -> tuple[RadialFields, NDArray[np.float64]]:
         """Return the fields of all depths, and the distances of their points."""
@@ -93,7 +121,7 @@ class Coordinates:
 
     def _blur(self) -> NDArray[np.float64]:
         """Return the blur of every depth in lenses, with the sign of its defocus."""
-        return np.concatenate([sign / np.linspace(low, high, _DEPTHS) for sign, low, high in self.sides])
+        return np.concatenate([side.sign / np.linspace(side.low, side.high, side.nodes) for side in self.sides])
 
     def nodes(self, distance: NDArray[np.float64]) -> Nodes:
         """Return all nodes of the table, flat; those of a depth follow each other."""
@@ -114,7 +142,7 @@ class Coordinates:
         return self.camera.aperture_radius * (1 + 2 * SHADOW * max((high for _, _, high in self.sides), default=0.0))
 
     def places(self, Px: Any, Py: Any, vergence: Any) -> tuple[Any, Any, Any, Any]:
-        """Return the places of pupil points in the table.
+        """Return the places of pupil points in the finer table.
 
         Parameters
         ----------
@@ -124,7 +152,7 @@ class Coordinates:
         Returns
         -------
         depth, edge, angle : Dr.Jit arrays
-            In nodes.
+            In its lines.
         lit : Dr.Jit array
             Whether any light is there.
         """
@@ -132,14 +160,18 @@ class Coordinates:
         size = dr.maximum(abs(blur), 1e-6)
         inside = (1 - dr.sqrt(Px * Px + Py * Py) * (1 / self.camera.aperture_radius)) * size * 0.5
         place = dr.select(inside < 0, inside, inside * dr.rsqrt(size) * self.ripple)
-        edge = dr.clip((place + SHADOW) * ((_EDGES - 1) / (_RIPPLES + SHADOW)), 0, _EDGES - 1)
+        last = (_EDGES - 1) * _FINER[1]
+        edge = dr.clip((place + SHADOW) * (last / (_RIPPLES + SHADOW)), 0, last)
         depth, known = type(edge)(0), dr.mask_t(edge)(False)
-        for number, (sign, low, high) in enumerate(self.sides):
-            part = dr.clip((1 / size - low) * ((_DEPTHS - 1) / max(high - low, 1e-9)), 0, _DEPTHS - 1)
-            depth = dr.select(blur * sign > 0, part + number * _DEPTHS, depth)
-            known |= blur * sign > 0
+        first = 0
+        for side in self.sides:
+            here, last = blur * side.sign > 0, side.lines - 1
+            part = dr.clip((1 / size - side.low) * (last / max(side.high - side.low, 1e-9)), 0, last)
+            depth = dr.select(here, part + first, depth)
+            known |= here
+            first += side.lines
         angle = dr.atan2(Py, Px) * (1 / (2 * np.pi)) - self.camera.mla_rotation / 360
-        return depth, edge, (angle - dr.floor(angle)) * _ANGLES, known & (inside > -SHADOW)
+        return depth, edge, (angle - dr.floor(angle)) * (_ANGLES * _FINER[2]), known & (inside > -SHADOW)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,9 +196,10 @@ class Table:
         spectrum[:, :, -1] /= 2
         values = scipy.fft.irfft(spectrum, _FINER[2] * _ANGLES, axis=2) * _FINER[2]
         sides = []
-        for part in np.split(values, len(coordinates.sides)):
+        for part in np.split(values, np.cumsum([side.nodes for side in coordinates.sides])[:-1]):
             for axis in (0, 1):
-                spline = scipy.interpolate.make_interp_spline(np.arange(part.shape[axis]), part, axis=axis)
+                nodes = np.arange(part.shape[axis])
+                spline = scipy.interpolate.make_interp_spline(nodes, part, min(3, nodes[-1]), axis=axis)
                 part = spline(np.arange((part.shape[axis] - 1) * _FINER[axis] + 1) / _FINER[axis])
             sides.append(part.astype(np.float32).transpose(0, 2, 1, 3))
         return cls(coordinates, np.ascontiguousarray(np.concatenate(sides)))
@@ -182,12 +215,8 @@ class Table:
             self._flat[types] = types.Float(self.values.reshape(-1))
         _, angles, edges, rank = self.values.shape
         depth, edge, angle, lit = self.coordinates.places(Px, Py, vergence)
-        # sides of focus share no nodes
-        side = dr.floor((depth + 0.5) / _DEPTHS)
-        line = types.UInt32(depth * _FINER[0] - side * (_FINER[0] - 1) + 0.5)
-        turn = types.UInt32(angle * _FINER[2] + 0.5)
-        line = line * angles + dr.select(turn >= angles, 0, turn)
-        edge *= _FINER[1]
+        turn = types.UInt32(angle + 0.5)
+        line = types.UInt32(depth + 0.5) * angles + dr.select(turn >= angles, 0, turn)
         below = types.UInt32(dr.minimum(edge, edges - 2))
         part = types.Float(edge - below)
         place = (line * edges + below) * rank

@@ -1,0 +1,156 @@
+r"""The rays from points through the centres of the lenses that they light, and what each brings to the detector.
+
+The ray goes from the point X to the lens's centre c through the pupil point P that solves :math:`M(P) = c`, M the map
+of rays from the pupil to the array, and arrives on the detector at :math:`c + z (c - P) / b`. It brings
+
+.. math:: \frac{U^2(P)}{\int U^2} \left|\det \frac{dP}{dM}\right| A_\mathrm{lens} \, c_r(P, v)
+
+of kernel r: U^2 is the power on the pupil, the pupil's weights included, and v the vergence of X's image.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...optics.main_lens import MainLens, main_lens
+from ...optics.rays import conjugate_coordinate
+from ...runtime.backend import array_module, backend
+from ...runtime.batches import Box
+from ...runtime.indexing import quotient
+from ..pupil_weights import PupilWeights
+from .lens_bank import LensBank
+
+_NEWTON = 3
+"""Steps of Newton's method to the pupil point, which starts from rays near the axis."""
+
+_POINTS = 8
+"""Points across a cell of the pupil's weights for how much of it lies in the pupil."""
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Rays from some points through the centres of the lenses around their images."""
+
+    camera: PlenopticCamera
+    banks: list[LensBank]
+    pitch: float
+    points: NDArray[np.float64]
+    around: NDArray[np.int64]
+    pupil_weights: PupilWeights | None
+
+    @property
+    def samples(self) -> int:
+        """Coefficients of all rays."""
+        return len(self.points) * len(self.around) * sum(bank.rank for bank in self.banks)
+
+    def trace(self) -> Traced:
+        """Find where the rays arrive, and what they bring of each kernel."""
+        types, camera, lens = array_module(), self.camera, main_lens(self.camera)
+        lattice, b = camera.lattice, lens.pupil_distance
+        index = dr.arange(types.UInt32, len(self.points) * len(self.around))
+        number = quotient(types, index, len(self.around))
+        step = index - number * dr.opaque(types.UInt32, len(self.around))
+
+        def value(array: NDArray[Any], which: Any) -> Any:
+            return dr.gather(types.Float64, types.Float64(np.ascontiguousarray(array, np.float64)), which)
+
+        point = tuple(value(self.points[:, axis], number) for axis in range(3))
+        vergence = lens.vergence(point[2])
+        defocus = 1 - b * vergence
+        image = [conjugate_coordinate(X, point[2], b) for X in point[:2]]
+        own = lattice.cell(*image)
+        i, j = (cell + value(self.around[:, axis], step) for axis, cell in enumerate(own))
+        centre = lattice.centre(i, j)
+        P = [(c - m) / defocus for c, m in zip(centre, image, strict=True)]
+        for _ in range(_NEWTON):
+            (ex, ey), (xx, xy, yx, yy) = _landing(lens, P, point)
+            ex, ey, det = ex - centre[0], ey - centre[1], xx * yy - xy * yx
+            P = [P[0] - (yy * ex - xy * ey) / det, P[1] - (xx * ey - yx * ex) / det]
+        pupil = P[0], P[1]
+        on_axis = types.Float64(0), types.Float64(0)
+        power = dr.square(lens.amplitude(pupil, point) / lens.amplitude(on_axis, point)) / abs(det)
+        power *= lattice.lens_area / (math.pi * lens.pupil_radius**2)
+        if self.pupil_weights is not None:
+            inward = dr.minimum(1, lens.pupil_radius * dr.rsqrt(dr.square(P[0]) + dr.square(P[1])))
+            power *= self.pupil_weights.at(number, P[0] * inward, P[1] * inward, lens.pupil_radius)
+            power *= value(1 / _mean(self.pupil_weights), number)
+        kind = lattice.lens_type(i, j) if len(self.banks) > 1 else types.Float64(0)
+        coefficients = []
+        for lens_type, bank in enumerate(self.banks):
+            factor = types.Float(dr.select(kind == lens_type, power, 0))
+            found = bank.coefficients(types.Float(P[0]), types.Float(P[1]), types.Float(vergence))
+            coefficients += [part * factor for part in found]
+        size = (camera.detector_width, camera.detector_height)
+        place = [
+            (c + (c - p) * (camera.detector_distance / b) + width / 2) / self.pitch - 0.5
+            for c, p, width in zip(centre, P, size, strict=True)
+        ]
+        dr.eval(coefficients, place, number)
+        host = backend()
+        arrays = [host.to_host(host.from_drjit(array)) for array in (*place, number, *coefficients)]
+        table = np.stack(arrays[3:], axis=-1)
+        lit = np.flatnonzero(table.any(1))
+        return Traced(arrays[0][lit], arrays[1][lit], arrays[2][lit], table[lit])
+
+
+def _landing(lens: MainLens, P: list[Any], point: Any) -> tuple[tuple[Any, Any], tuple[Any, ...]]:
+    """Return where rays through pupil points arrive on the array, and the derivatives of x and of y by Px and Py."""
+    step = 1e-3 * float(lens.pupil_radius)
+
+    def land(x: Any, y: Any) -> tuple[Any, Any]:
+        sx, sy = lens.cosines((x, y), point)
+        scale = lens.pupil_distance * dr.rsqrt(1 - sx * sx - sy * sy)
+        return x + scale * sx, y + scale * sy
+
+    here, right, left = land(*P), land(P[0] + step, P[1]), land(P[0] - step, P[1])
+    above, below = land(P[0], P[1] + step), land(P[0], P[1] - step)
+    xx, yx = ((high - low) / (2 * step) for high, low in zip(right, left, strict=True))
+    xy, yy = ((high - low) / (2 * step) for high, low in zip(above, below, strict=True))
+    return here, (xx, xy, yx, yy)
+
+
+@dataclass(frozen=True)
+class Traced:
+    """Places in samples of the images, numbers of the points, and coefficients (rays, ranks) of some rays."""
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    point: NDArray[np.uint32]
+    coefficients: NDArray[np.float32]
+
+    @property
+    def box(self) -> Box:
+        """The samples that they reach."""
+        if not len(self.x):
+            return Box(0, 0, 1, 1)
+        low = np.floor([self.x.min(), self.y.min()]).astype(np.int64)
+        return Box.between(low, np.floor([self.x.max(), self.y.max()]).astype(np.int64) + 2)
+
+    def shares(self, box: Box) -> Any:
+        """Return the matrix (samples, rays) by which each ray is shared linearly by the nearest samples of a box."""
+        left, top = np.floor(self.x), np.floor(self.y)
+        right, below = (self.x - left).astype(np.float32), (self.y - top).astype(np.float32)
+        corner = ((top - box.top) * box.columns + left - box.left).astype(np.int32)
+        rows = np.concatenate([corner, corner + 1, corner + box.columns, corner + box.columns + 1])
+        parts = [(1 - right) * (1 - below), right * (1 - below), (1 - right) * below, right * below]
+        columns = np.tile(np.arange(len(corner), dtype=np.int32), 4)
+        shape = box.rows * box.columns, len(corner)
+        return scipy.sparse.coo_array((np.concatenate(parts), (rows, columns)), shape=shape).tocsr()
+
+
+def _mean(weights: PupilWeights) -> NDArray[np.float64]:
+    """Return the mean of each radiator's weights over the pupil; infinite where all are zero."""
+    cells = weights.table.shape[1]
+    place = (np.arange(cells * _POINTS) + 0.5) * (2 / (cells * _POINTS)) - 1
+    inside = np.hypot(place, place[:, None]) < 1
+    area = inside.reshape(cells, _POINTS, cells, _POINTS).sum((1, 3)) / inside.sum()
+    mean = np.tensordot(weights.table.astype(np.float64), area, 2)
+    return np.where(mean > 0, mean, np.inf)[weights.index]
