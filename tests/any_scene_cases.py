@@ -112,6 +112,4 @@ def contrasts(way, spp=4, per_lens=3):
     scene = bars_through(way)
     by_rays = render_capture(scene, model="ray", spp=16 * spp)
     by_waves = render_capture(scene, model="wave", spp=spp, radiators_per_lens=per_lens)
-    return [
-        (*contrast(capture, 300.0), float(capture.image.sum(dtype=float))) for capture in (by_rays, by_waves)
-    ]
+    return [(*contrast(capture, 300.0), float(capture.image.sum(dtype=float))) for capture in (by_rays, by_waves)]

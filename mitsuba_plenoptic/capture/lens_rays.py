@@ -60,7 +60,7 @@ class LensRaySum:
         Of the random numbers.
     """
 
-    arrays = np
+    arrays: Any = np
 
     def __init__(
         self,
@@ -117,12 +117,13 @@ class LensRaySum:
     def _trace(self, boxes: list[Box], band: int) -> list[NDArray[np.float32]]:
         """Trace the rays of a band; return for each channel the images (ranks, rows, columns) of its box."""
         widest = max(boxes, key=lambda box: box.columns)
-        images = [np.zeros((sum(bank.rank for bank in banks), widest.rows * widest.columns), np.float32) for banks in self._banks]
+        ranks, size = [sum(bank.rank for bank in banks) for banks in self._banks], widest.rows * widest.columns
+        images = [np.zeros((rank, size), np.float32) for rank in ranks]
         step = max(1, _LANES // self._spp)
         seeds = np.random.SeedSequence([self._seed, band])
         for steps in self._candidates:
-            for start in range(0, widest.rows * widest.columns, 2 * _LANES):
-                bins = dr.arange(mi.UInt32, start, min(start + 2 * _LANES, widest.rows * widest.columns))
+            for start in range(0, size, 2 * _LANES):
+                bins = dr.arange(mi.UInt32, start, min(start + 2 * _LANES, size))
                 (Px, Py), _, _ = self._pupil_points(widest, bins, steps)
                 lit = dr.compress(Px * Px + Py * Py < self._widest**2)
                 for first in range(0, dr.width(lit), step):
@@ -154,9 +155,7 @@ class LensRaySum:
         (Px, Py, _), slope, _ = self._lens.trace(centre, slope)
         return (Px, Py), slope, lattice.lens_type(i, j) if len(self._banks[0]) > 1 else None
 
-    def _add(
-        self, images: list[NDArray[np.float32]], box: Box, bins: Any, steps: NDArray[np.int64], seed: int
-    ) -> None:
+    def _add(self, images: list[NDArray[np.float32]], box: Box, bins: Any, steps: NDArray[np.int64], seed: int) -> None:
         """Trace the rays of some bins through one of the lenses near them, and add them to the images."""
         lane = dr.arange(mi.UInt32, dr.width(bins) * self._spp)
         own, sample = dr.gather(mi.UInt32, bins, lane // self._spp), mi.Float(lane % self._spp)

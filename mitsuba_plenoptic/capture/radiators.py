@@ -90,15 +90,12 @@ def sample_pairs(per_lens: int, shift: np.ndarray) -> np.ndarray:
 
 
 def find_radiators(
-    scene: Any,
-    sensor: Any,
-    child: Any,
+    sight: Sight,
     camera: PlenopticCamera,
     pairs: np.ndarray,
     *,
     spp: int,
     seed: int,
-    wavelength: float | None,
     occlusion: bool,
     weight: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> Radiators:
@@ -106,8 +103,8 @@ def find_radiators(
 
     Parameters
     ----------
-    scene, sensor, child
-        Mitsuba scene, plenoptic sensor and the integrator that finds the radiance.
+    sight : Sight
+        The scene, and the integrator that finds the radiance.
     camera : PlenopticCamera
         The sensor's numbers.
     pairs : (n, 4) array
@@ -116,8 +113,6 @@ def find_radiators(
         Light paths averaged per radiator.
     seed : int
         Seed of the child's random numbers.
-    wavelength : float, optional
-        For spectral variants: the wavelength of all light, in nanometres.
     occlusion : bool
         Whether to find by shadow rays which part of the pupil each radiator sees.
     weight : callable, optional
@@ -125,7 +120,6 @@ def find_radiators(
     """
     window, lens = LensWindow.of(camera), main_lens(camera)
     camera.require_resolved()
-    sight = Sight.of(scene, sensor, child, wavelength)
     optics = sight.optics
     _require_memory(window, len(pairs), spp, optics)
     lenses = max(1, _lanes(optics) // (len(pairs) * spp))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
+from ..bounds import SHORTEST
+from ..optics.main_lens import MainLens
 from . import child
 from .chains import Optics
 from .draws import channels
@@ -36,6 +39,15 @@ class Sight:
     def of(cls, scene: Any, sensor: Any, integrator: Any, wavelength: float | None) -> Sight:
         """Look at a scene with a Mitsuba integrator."""
         return cls(Optics.of(scene, child.Child.of(integrator), sensor), sensor, wavelength)
+
+    def vergences(self, lens: MainLens) -> tuple[float, float]:
+        """Return the vergences of the images of the nearest point that the scene can have, and of infinity."""
+        box, to_camera = self.optics.scene.bbox(), self.sensor.world_transform().inverse()
+        nearest = math.inf
+        if box.valid():
+            corners = [to_camera @ mi.Point3f(box.corner(corner)) for corner in range(8)]
+            nearest = max(SHORTEST, min(float(corner.z[0]) for corner in corners))
+        return float(lens.vergence(nearest)), float(lens.vergence(math.inf))
 
     def ray(self, pupil: tuple[Any, Any], slope: tuple[Any, Any]) -> tuple[Any, Any]:
         """Return the ray through a pupil point, and the cosine of its angle with the axis."""

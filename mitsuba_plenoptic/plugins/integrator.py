@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import math
 import warnings
@@ -15,11 +16,15 @@ import numpy as np
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..capture.accuracy import DEFAULT_ACCURACY, check_accuracy
+from ..capture.bank import LensBank, near_weight
+from ..capture.lens_rays import LensRaySum
 from ..capture.operator import METHODS, CaptureOperator
 from ..capture.radiators import Radiators, find_radiators, sample_pairs
+from ..capture.sight import Sight
 from ..errors import InputError, shown
 from ..io.checkpoints import digest
 from ..optics import guards
+from ..optics.main_lens import main_lens
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job, Task
 from .properties import read_choice, read_count, read_flag, read_plain
@@ -172,44 +177,60 @@ def make_class() -> type:
             # The first pass is not shifted: it is the best single set.
             shifts = [np.zeros(4), *random.random((self.passes - 1, 4))]
             seeds = np.random.SeedSequence(seed).generate_state(self.passes)
-            rays = self._lens_rays(scene, sensor, camera, seed, spp) if self.method == "bank" else None
-            lens = main_lens(camera)
+            sight = Sight.of(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
+            near = partial(self._near, camera) if self.method == "bank" else None
             sets = [
                 find_radiators(
-                    scene,
-                    sensor,
-                    self.child,
+                    sight,
                     camera,
                     sample_pairs(self.radiators_per_lens, shift),
                     spp=spp,
                     seed=int(pass_seed) >> 1,
-                    wavelength=self.wavelengths[0] if mi.is_spectral else None,
                     occlusion=self.occlusion,
-                    weight=rays and (lambda vergence: near_weight(camera, vergence, self.accuracy)),
+                    weight=near,
                 )
                 for shift, pass_seed in zip(shifts, seeds, strict=True)
             ]
             operators = [self._operator(camera, radiators) for radiators in sets]
+            rays = self._lens_rays(sight, camera, seed, spp * self.passes) if near else []
             total = sum(len(operator.points) * operator.sums for operator in operators)
-            if total == 0:
+            if total == 0 and not rays:
                 warnings.warn(
                     f"{NAME}: no ray from the pupil meets anything that shines; a nested integrator with "
                     "hide_emitters sees no emitters",
                     stacklevel=2,
                 )
-            if self.method == "patch":
+            if self.method != "full_field" and total:
                 self._estimate(operators[0])
             shape = (*camera.shape, len(self.wavelengths))
-            image = self.job.run(self._tasks(operators, sets), shape, total, partial(_facts, sets))
+            total += sum(task.items for task in rays)
+            tasks = itertools.chain(self._tasks(operators, sets), rays)
+            image = self.job.run(tasks, shape, total, partial(_facts, sets))
             # What interpolation leaves below zero between the samples is not light.
             return np.maximum(image, 0, out=image)
+
+        def _near(self, camera: PlenopticCamera, vergence: np.ndarray) -> np.ndarray:
+            """Return the fraction of the light that needs exact point spreads, by the vergences of images."""
+            return np.asarray(near_weight(camera, vergence, self.accuracy))
+
+        def _lens_rays(self, sight: Sight, camera: PlenopticCamera, seed: int, spp: int) -> list[Task]:
+            """Return the sum that records by rays through the lenses' centres what is out of focus."""
+            between = sight.vergences(main_lens(camera))
+            types = range(len(camera.mla_focal_lengths))
+            banks = [
+                [LensBank.learn(camera, wavelength, self.accuracy, between, type_) for type_ in types]
+                for wavelength in self.wavelengths
+            ]
+            work = LensRaySum(camera, sight, banks, accuracy=self.accuracy, spp=spp, seed=seed)
+            return [Task(int(work.items.sum()), lambda: work, lambda image: image)]
 
         def _operator(self, camera: PlenopticCamera, radiators: Radiators) -> CaptureOperator:
             return CaptureOperator(
                 camera,
                 radiators.positions,
                 spectrum=Spectrum.lines(*self.wavelengths),
-                method=self.method,
+                # What the bank records has been left out.
+                method="patch" if self.method == "bank" else self.method,
                 accuracy=self.accuracy,
                 pupil_weights=radiators.pupil_weights,
             )

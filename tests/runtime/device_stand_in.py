@@ -89,11 +89,14 @@ def _unwrap(value):
 def _function(function):
     def call(*args, out=None, **kwargs):
         given = {} if out is None else {"out": _unwrap(out)}
-        given |= {name: _unwrap(value) for name, value in kwargs.items()}
-        result = function(*_unwrap(args), **given)
+        result = function(*_unwrap(args), **_unwrap_options(kwargs), **given)
         return _wrap(result) if out is None else out
 
     return call
+
+
+def _unwrap_options(options):
+    return {name: _unwrap(value) for name, value in options.items()}
 
 
 def _transform(function):

@@ -22,6 +22,7 @@ from mitsuba_plenoptic.capture.patch import PatchBatch, Workspace
 from mitsuba_plenoptic.capture.patch_plan import PatchPlan
 from mitsuba_plenoptic.capture.pupil_weights import PupilWeights
 from mitsuba_plenoptic.capture.radiators import find_radiators, sample_pairs
+from mitsuba_plenoptic.capture.sight import Sight
 from mitsuba_plenoptic.runtime.batches import Threads
 from mitsuba_plenoptic.runtime.fft import resting_drjit
 from mitsuba_plenoptic.runtime.jobs import Job
@@ -57,8 +58,8 @@ class Radiators:
         sensor = scene.sensors()[0]
         camera = PlenopticCamera.from_sensor(sensor)
         found = find_radiators(
-            scene, sensor, mi.load_dict({"type": "path"}), camera, sample_pairs(8, np.zeros(4)),
-            spp=4, seed=1, wavelength=None, occlusion=True,
+            Sight.of(scene, sensor, mi.load_dict({"type": "path"}), None), camera, sample_pairs(8, np.zeros(4)),
+            spp=4, seed=1, occlusion=True,
         )  # fmt: skip
         return cls(camera, found.positions, found.radiance[:, 0] / found.fraction, found.pupil_weights)
 

@@ -80,7 +80,9 @@ class Rays:
         power *= lattice.lens_area / (math.pi * lens.pupil_radius**2)
         if self.pupil_weights is not None:
             inward = dr.minimum(1, lens.pupil_radius * dr.rsqrt(dr.square(P[0]) + dr.square(P[1])))
-            power *= self.pupil_weights.at(number, P[0] * inward, P[1] * inward, lens.pupil_radius)
+            # A lens takes light from a part of the pupil.
+            seen = max(camera.mla_pitches) / abs(defocus)
+            power *= self.pupil_weights.at(number, P[0] * inward, P[1] * inward, lens.pupil_radius, seen)[0]
             power *= value(1 / _mean(self.pupil_weights), number)
         kind = lattice.lens_type(i, j) if len(self.banks) > 1 else types.Float64(0)
         coefficients = []

@@ -139,7 +139,7 @@ class Coordinates:
     @property
     def widest(self) -> float:
         """Distance from the axis, in the pupil, beyond which no lens has light of any point."""
-        return self.camera.aperture_radius * (1 + 2 * SHADOW * max((high for _, _, high in self.sides), default=0.0))
+        return self.camera.aperture_radius * (1 + 2 * SHADOW * max((side.high for side in self.sides), default=0.0))
 
     def places(self, Px: Any, Py: Any, vergence: Any) -> tuple[Any, Any, Any, Any]:
         """Return the places of pupil points in the finer table.
