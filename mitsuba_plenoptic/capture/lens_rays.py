@@ -142,13 +142,15 @@ class LensRaySum:
         """Return where rays through the centre of a lens near the bins' own pass the pupil; slopes; lens types."""
         camera, lattice = self._camera, self._camera.lattice
         b, z = camera.mla_distance, camera.detector_distance
-        row = bins // box.columns
+        # Opaque numbers do not compile the kernels again.
+        columns, left, top = dr.opaque(mi.UInt32, box.columns), *dr.opaque(mi.Vector2i, [box.left, box.top])
+        row = bins // columns
         middle = [
             (mi.Float(mi.Int32(index) + low) + 0.5) * self._pitch - 0.5 * camera.resolution[axis] * camera.pixel_size
-            for axis, index, low in ((0, bins - row * box.columns, box.left), (1, row, box.top))
+            for axis, index, low in ((0, bins - row * columns, left), (1, row, top))
         ]
         i, j = lattice.cell(*(rays.chief_point(p, b, z) for p in middle))
-        i, j = i + int(steps[0]), j + int(steps[1])
+        i, j = (index + dr.opaque(mi.Float, float(step)) for index, step in zip((i, j), steps, strict=True))
         centre = lattice.centre(i, j)
         place = middle if jitter is None else [p + (jitter[axis] - 0.5) * self._pitch for axis, p in enumerate(middle)]
         slope = tuple((c - p) / z for c, p in zip(centre, place, strict=True))
@@ -159,13 +161,15 @@ class LensRaySum:
         """Trace the rays of some bins through one of the lenses near them, and add them to the images."""
         lane = dr.arange(mi.UInt32, dr.width(bins) * self._spp)
         own, sample = dr.gather(mi.UInt32, bins, lane // self._spp), mi.Float(lane % self._spp)
+        shift = dr.opaque(mi.UInt32, seed)
         # Every bin has a shift of its own, so that neighbours are not jittered alike.
         jitter = mi.Point2f(
-            *(sample * step + mi.sample_tea_float32(own, mi.UInt32(seed ^ axis)) for axis, step in enumerate(_JITTER))
+            *(sample * step + mi.sample_tea_float32(own, shift ^ axis) for axis, step in enumerate(_JITTER))
         )
         pupil, slope, lens_type = self._pupil_points(box, own, steps, jitter - dr.floor(jitter))
         radiance, distance = self._sight.look(pupil, slope, seed)
         vergence = self._lens.vergence(distance)
+        dr.eval(radiance, vergence, pupil)
         weight = (1 - near_weight(self._camera, vergence, self._accuracy)) / self._spp
         sums = []
         for light, banks in zip(radiance, self._banks, strict=True):
