@@ -143,7 +143,8 @@ class LensRaySum:
         camera, lattice = self._camera, self._camera.lattice
         b, z = camera.mla_distance, camera.detector_distance
         # Opaque numbers do not compile the kernels again.
-        columns, left, top = dr.opaque(mi.UInt32, box.columns), *dr.opaque(mi.Vector2i, [box.left, box.top])
+        columns = dr.opaque(mi.UInt32, box.columns)
+        left, top = (dr.opaque(mi.Int32, number) for number in (box.left, box.top))
         row = bins // columns
         middle = [
             (mi.Float(mi.Int32(index) + low) + 0.5) * self._pitch - 0.5 * camera.resolution[axis] * camera.pixel_size

@@ -17,6 +17,7 @@ from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..capture.accuracy import DEFAULT_ACCURACY, check_accuracy
 from ..capture.bank import LensBank, near_weight
+from ..capture.choice import bank_is_quicker
 from ..capture.lens_rays import LensRaySum
 from ..capture.operator import METHODS, CaptureOperator
 from ..capture.radiators import Radiators, find_radiators, sample_pairs
@@ -68,11 +69,14 @@ def make_class() -> type:
            - How often the whole set of radiators is drawn, shifted, and averaged, up to 1024. (Default: 1)
          * - method
            - |string|
-           - ``patch``: each radiator's field on the part of the microlens array that it lights. ``full_field``:
-             on all of it, the slow reference. (Default: ``patch``)
+           - ``patch``: each radiator's field on the part of the microlens array that it lights. ``bank``: so near
+             focus only; beyond some lenses of blur, by one ray from each pixel through each lens's centre and a bank
+             of kernels of single lenses, at the price of a capture by rays. ``full_field``: on all of the array, the
+             slow reference. ``auto``: the quicker one of the first two. (Default: ``auto``)
          * - occlusion
            - |bool|
-           - Whether objects before a radiator hide a part of the pupil from it. (Default: true)
+           - Whether objects before a radiator hide a part of the pupil from it; method ``bank`` asks for it.
+             (Default: true)
          * - accuracy
            - |float|
            - Error of the capture (relative, L2) that ``patch`` may make for speed, by sharing point spreads among
@@ -123,8 +127,10 @@ def make_class() -> type:
             self.wavelengths = _read_wavelengths(props)
             self.radiators_per_lens = read_count(props, NAME, "radiators_per_lens", 8, maximum=MOST_RADIATORS)
             self.passes = read_count(props, NAME, "passes", 1, maximum=MOST_PASSES)
-            self.method = read_choice(props, NAME, "method", METHODS)
+            self.method = read_choice(props, NAME, "method", ("auto", *METHODS))
             self.occlusion = read_flag(props, NAME, "occlusion", True)
+            if self.method == "bank" and not self.occlusion:
+                raise InputError(f"{NAME}: occlusion = false: by method bank, objects hide what is behind them")
             self.accuracy = check_accuracy(read_plain(props, "accuracy", DEFAULT_ACCURACY), f"{NAME}: accuracy")
             nested = [value for _, value in props.objects()]
             if len(nested) > 1:
@@ -178,7 +184,8 @@ def make_class() -> type:
             shifts = [np.zeros(4), *random.random((self.passes - 1, 4))]
             seeds = np.random.SeedSequence(seed).generate_state(self.passes)
             sight = Sight.of(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
-            near = partial(self._near, camera) if self.method == "bank" else None
+            method = self._method(camera, sight, seed)
+            near = partial(self._near, camera) if method == "bank" else None
             sets = [
                 find_radiators(
                     sight,
@@ -191,7 +198,9 @@ def make_class() -> type:
                 )
                 for shift, pass_seed in zip(shifts, seeds, strict=True)
             ]
-            operators = [self._operator(camera, radiators) for radiators in sets]
+            # What the bank records is left out of the radiators.
+            exact = "patch" if method == "bank" else method
+            operators = [self._operator(camera, radiators, exact) for radiators in sets]
             rays = self._lens_rays(sight, camera, seed, spp * self.passes) if near else []
             total = sum(len(operator.points) * operator.sums for operator in operators)
             if total == 0 and not rays:
@@ -200,7 +209,7 @@ def make_class() -> type:
                     "hide_emitters sees no emitters",
                     stacklevel=2,
                 )
-            if self.method != "full_field" and total:
+            if exact == "patch" and total:
                 self._estimate(operators[0])
             shape = (*camera.shape, len(self.wavelengths))
             total += sum(task.items for task in rays)
@@ -208,6 +217,14 @@ def make_class() -> type:
             image = self.job.run(tasks, shape, total, partial(_facts, sets))
             # What interpolation leaves below zero between the samples is not light.
             return np.maximum(image, 0, out=image)
+
+        def _method(self, camera: PlenopticCamera, sight: Sight, seed: int) -> str:
+            """Return the method that is used: by the bank's rays, everything hides what is behind it."""
+            if self.method != "auto":
+                return self.method
+            per_lens = self.passes * self.radiators_per_lens**2
+            quicker = self.occlusion and bank_is_quicker(camera, sight, per_lens, self.accuracy, seed)
+            return "bank" if quicker else "patch"
 
         def _near(self, camera: PlenopticCamera, vergence: np.ndarray) -> np.ndarray:
             """Return the fraction of the light that needs exact point spreads, by the vergences of images."""
@@ -224,13 +241,12 @@ def make_class() -> type:
             work = LensRaySum(camera, sight, banks, accuracy=self.accuracy, spp=spp, seed=seed)
             return [Task(int(work.items.sum()), lambda: work, lambda image: image)]
 
-        def _operator(self, camera: PlenopticCamera, radiators: Radiators) -> CaptureOperator:
+        def _operator(self, camera: PlenopticCamera, radiators: Radiators, method: str) -> CaptureOperator:
             return CaptureOperator(
                 camera,
                 radiators.positions,
                 spectrum=Spectrum.lines(*self.wavelengths),
-                # What the bank records has been left out.
-                method="patch" if self.method == "bank" else self.method,
+                method=method,
                 accuracy=self.accuracy,
                 pupil_weights=radiators.pupil_weights,
             )
