@@ -136,16 +136,16 @@ TRANSPARENT = {
 """Cards that change nothing."""
 
 
-def card_before(lenses=16, **background):
+def card_before(lenses=16, aperture_radius=5.0, **background):
     """Return the scene of a black card, in focus at 1000 mm, that hides the left half of what is behind it."""
     card = facing(1000.0, 100.0, (100.0, 0.0), bsdf={"type": "diffuse", "reflectance": 0.0})
-    return scene_of(sensor(lenses, 16, focus_distance=1000.0), card=card, **background)
+    return scene_of(sensor(lenses, 16, focus_distance=1000.0, aperture_radius=aperture_radius), card=card, **background)
 
 
 def in_fog():
     """Return the scene of a wall in a fog that absorbs half of its light."""
     wall = facing(240.0, 20.0, exterior=ABSORBING_FOG, **radiating())
-    return scene_of(sensor(8, 16, medium=ABSORBING_FOG), "volpath", wall=wall)
+    return scene_of(sensor(6, 16, medium=ABSORBING_FOG), "volpath", wall=wall)
 
 
 def lamp_behind_glass(hide_emitters):
@@ -153,14 +153,14 @@ def lamp_behind_glass(hide_emitters):
     integrator = {"type": "path", "hide_emitters": hide_emitters}
     glass = {"type": "cube", "bsdf": {"type": "dielectric"}}
     glass["to_world"] = mi.ScalarTransform4f().translate([10, 0, 210]).scale([10, 20, 2])
-    return scene_of(sensor(8, 16), integrator, glass=glass, lamp=facing(240.0, 20.0, **radiating()))
+    return scene_of(sensor(6, 16), integrator, glass=glass, lamp=facing(240.0, 20.0, **radiating()))
 
 
 def lit_mirror(max_depth):
     """Return the scene of a mirror that shows a lamp and a wall lit by another."""
     mirror, there = turned_plane(MIRROR)
     return scene_of(
-        sensor(8, 16),
+        sensor(6, 16),
         {"type": "path", "max_depth": max_depth},
         mirror=mirror,
         lamp=facing(300.0, 10.0, (-10.0, 0.0), there, **radiating()),
@@ -173,7 +173,7 @@ def plastic():
     """Return the scene of a smooth plastic, dimly lit, that shows radiating bars."""
     plane, there = turned_plane({"type": "plastic", "diffuse_reflectance": 0.02})
     light = {"type": "point", "position": [0.0, 30.0, 100.0], "intensity": 1e4}
-    return scene_of(sensor(8, 16), plane=plane, light=light, **bars(300.0, there))
+    return scene_of(sensor(6, 16), plane=plane, light=light, **bars(300.0, there))
 
 
 def glass_sphere(angle=20.0):
