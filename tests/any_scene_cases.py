@@ -58,6 +58,15 @@ def bars(distance, to_world=None):
 
 MIRROR = {"type": "conductor", "material": "none"}
 
+
+def turned_plane(bsdf):
+    """Describe a plane at 240 mm, turned by 10 degrees, and the transform of what stands in its mirror image."""
+    T = mi.ScalarTransform4f()
+    plane = T.translate([0, 0, 240]) @ T.rotate([0, 1, 0], 10)
+    shape = {"type": "rectangle", "to_world": plane @ T.rotate([0, 1, 0], 180) @ T.scale(20.0), "bsdf": bsdf}
+    return shape, plane @ T.scale([1, 1, -1]) @ plane.inverse()
+
+
 PANES = {
     "transparent mask": {"type": "mask", "opacity": 0.0, "nested": {"type": "diffuse"}},
     "null": {"type": "null"},
@@ -66,22 +75,17 @@ PANES = {
 }
 
 
-def bars_through(way):
+def bars_through(way, lenses=32):
     """Return the scene of bars that are 300 mm away, as the camera sees them, through something at 240 mm."""
-    camera = sensor(focus_distance=270.0)
+    camera = sensor(lenses, focus_distance=270.0)
     if way == "directly":
         return scene_of(camera, **bars(300.0))
     if way in PANES:
         return scene_of(camera, pane=facing(240.0, 20.0, bsdf=PANES[way]), **bars(300.0))
     T = mi.ScalarTransform4f()
     if way == "mirror":
-        mirror = T.translate([0, 0, 240]) @ T.rotate([0, 1, 0], 10)
-        # The mirror's image of the bars stands at 300 mm; mirrored itself it is where they are.
-        there = mirror @ T.scale([1, 1, -1]) @ mirror.inverse()
-        return scene_of(
-            camera, mirror={"type": "rectangle", "to_world": mirror @ T.rotate([0, 1, 0], 180) @ T.scale(20.0), "bsdf": MIRROR},
-            **bars(300.0, there),
-        )  # fmt: skip
+        mirror, there = turned_plane(MIRROR)
+        return scene_of(camera, mirror=mirror, **bars(300.0, there))
     cube = {"type": "cube", "to_world": T.translate([0, 0, 240]) @ T.scale([20, 20, 10])}
     if way == "slab":
         # A slab of index n lets what is behind it seem nearer by its thickness times 1 - 1 / n.
@@ -96,20 +100,87 @@ WAYS = ("directly", "mirror", *PANES, "slab", "fog")
 
 
 def contrast(capture, distance):
-    """Return the modulation of the bars in a refocused image at their period, and its mean."""
+    """Return the modulation of the bars, at their period, in a refocused image."""
     image = reconstruct(capture, distance).image
     columns = image[4:-4].mean(axis=0)
     x = (np.arange(len(columns)) + 0.5 - len(columns) / 2) * capture.camera.bin_size(distance)
     # A whole number of periods
-    half = math.floor(x[-4] / PERIOD) * PERIOD
+    half = math.floor(x[-2] / PERIOD) * PERIOD
     inside = np.abs(x) <= half
     wave = np.exp(2j * np.pi * x[inside] / PERIOD)
-    return 2 * abs((columns[inside] * wave).mean()) / columns[inside].mean(), float(columns[inside].mean())
+    return 2 * abs((columns[inside] * wave).mean()) / columns[inside].mean()
 
 
-def contrasts(way, spp=4, per_lens=3):
-    """Return contrast and mean of the bars refocused at 300 mm, by rays and by waves."""
-    scene = bars_through(way)
+def captures(scene, spp=4, per_lens=3, **options):
+    """Return the captures of a scene by rays and by waves."""
     by_rays = render_capture(scene, model="ray", spp=16 * spp)
-    by_waves = render_capture(scene, model="wave", spp=spp, radiators_per_lens=per_lens)
-    return [(*contrast(capture, 300.0), float(capture.image.sum(dtype=float))) for capture in (by_rays, by_waves)]
+    return by_rays, render_capture(scene, model="wave", spp=spp, radiators_per_lens=per_lens, **options)
+
+
+def energy(by_rays, by_waves):
+    """Return the sum of the capture by waves over that by rays."""
+    return float(by_waves.image.sum(dtype=float) / by_rays.image.sum(dtype=float))
+
+
+def square_behind(pane=None):
+    """Return the scene of a square at 240 mm behind a card at 210 mm."""
+    card = {} if pane is None else {"pane": facing(210.0, 20.0, bsdf=pane)}
+    return scene_of(sensor(16, 16), square=facing(240.0, 0.4, (0.1, -0.1), **radiating()), **card)
+
+
+TRANSPARENT = {
+    "mask": PANES["transparent mask"],
+    "null": PANES["null"],
+    "thindielectric": {"type": "thindielectric", "int_ior": 1.0, "ext_ior": 1.0},
+}
+"""Cards that change nothing."""
+
+
+def card_before(lenses=16, aperture_radius=5.0, **background):
+    """Return the scene of a black card, in focus at 1000 mm, that hides the left half of what is behind it."""
+    card = facing(1000.0, 100.0, (100.0, 0.0), bsdf={"type": "diffuse", "reflectance": 0.0})
+    return scene_of(sensor(lenses, 16, focus_distance=1000.0, aperture_radius=aperture_radius), card=card, **background)
+
+
+def in_fog():
+    """Return the scene of a wall in a fog that absorbs half of its light."""
+    wall = facing(240.0, 20.0, exterior=ABSORBING_FOG, **radiating())
+    return scene_of(sensor(6, 16, medium=ABSORBING_FOG), "volpath", wall=wall)
+
+
+def lamp_behind_glass(hide_emitters):
+    """Return the scene of a lamp behind a pane of glass and beside it."""
+    integrator = {"type": "path", "hide_emitters": hide_emitters}
+    glass = {"type": "cube", "bsdf": {"type": "dielectric"}}
+    glass["to_world"] = mi.ScalarTransform4f().translate([10, 0, 210]).scale([10, 20, 2])
+    return scene_of(sensor(6, 16), integrator, glass=glass, lamp=facing(240.0, 20.0, **radiating()))
+
+
+def lit_mirror(max_depth):
+    """Return the scene of a mirror that shows a lamp and a wall lit by another."""
+    mirror, there = turned_plane(MIRROR)
+    return scene_of(
+        sensor(6, 16),
+        {"type": "path", "max_depth": max_depth},
+        mirror=mirror,
+        lamp=facing(300.0, 10.0, (-10.0, 0.0), there, **radiating()),
+        wall=facing(300.0, 10.0, (10.0, 0.0), there, bsdf={"type": "diffuse", "reflectance": 0.8}),
+        light={"type": "point", "position": [-10.0, 25.0, 225.0], "intensity": 4e3},
+    )
+
+
+def plastic():
+    """Return the scene of a smooth plastic, dimly lit, that shows radiating bars."""
+    plane, there = turned_plane({"type": "plastic", "diffuse_reflectance": 0.02})
+    light = {"type": "point", "position": [0.0, 30.0, 100.0], "intensity": 1e4}
+    return scene_of(sensor(6, 16), plane=plane, light=light, **bars(300.0, there))
+
+
+def glass_sphere(angle=20.0):
+    """Return the scene of a glass sphere that shows a lamp by reflection on the axis, at this angle of incidence."""
+    tilt = math.radians(angle)
+    centre = [20 * math.sin(tilt), 0.0, 240 + 20 * math.cos(tilt)]
+    place = [-200 * math.sin(2 * tilt), 0.0, 240 - 200 * math.cos(2 * tilt)]
+    sphere = {"type": "sphere", "center": centre, "radius": 20.0, "bsdf": {"type": "dielectric"}}
+    lamp = {"type": "sphere", "center": place, "radius": 3.0, **radiating(100.0)}
+    return scene_of(sensor(16, 16), sphere=sphere, lamp=lamp)

@@ -7,7 +7,9 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
+from ..errors import InputError
 from .child import Child
 
 MOST_EVENTS = 32
@@ -40,13 +42,23 @@ class Optics:
 
     @classmethod
     def of(cls, scene: Any, child: Child, sensor: Any) -> Optics:
-        """Look for null and delta lobes, and for media, in a scene."""
+        """Look for null and delta lobes, and for media, in a scene.
+
+        Raises
+        ------
+        InputError
+            If there is a scattering medium and an emitter without area: what that sends to the medium is not found.
+        """
         media = []
         shapes = list(scene.shapes())
         if child.sees_media:
             found = [sensor.get_medium()]
             found += [medium for shape in shapes for medium in (shape.interior_medium(), shape.exterior_medium())]
             media = [medium for i, medium in enumerate(found) if medium is not None and medium not in found[:i]]
+        points = [emitter for emitter in scene.emitters() if mi.has_flag(emitter.flags(), mi.EmitterFlags.Delta)]
+        if points and any(map(_scatters, media)):
+            kind = points[0].class_name()
+            raise InputError(f"scene: it has a {kind} and a scattering medium: by waves its emitters need an area")
         lamps = child.hides and any(shape.is_emitter() for shape in shapes)
         plain = not media and not lamps and not any(_branches(shape) for shape in shapes)
         return cls(scene, child, sensor.get_medium() if media else None, media, plain)
@@ -106,7 +118,8 @@ class Chain:
 
     def pass_on(self, si: Any) -> Chain:
         """Go on behind a surface as if it were not there."""
-        return replace(self, ray=si.spawn_ray(self.ray.d), length=self.length + si.t)
+        ray = si.spawn_ray(self.ray.d)
+        return replace(self, ray=ray, length=self.length + si.t + start_offset(ray, si))
 
     def turn(self, si: Any, sample: Any) -> Chain:
         """Go on along a null or delta lobe."""
@@ -121,13 +134,18 @@ class Chain:
             self.events + 1,
             self.null_events + dr.select(null, 1, 0),
             dr.select(null, self.signature, mixed),
-            self.length + si.t,
+            self.length + si.t + start_offset(ray, si),
         )
 
 
 def intersect(scene: Any, ray: Any, active: Any) -> Any:
     """Return the next surface, with the derivatives of its shading normal."""
     return scene.ray_intersect(ray, mi.RayFlags.All | mi.RayFlags.dNSdUV, False, active)
+
+
+def start_offset(ray: Any, si: Any) -> Any:
+    """Return how far from a surface, along it, a ray starts that Mitsuba has kept from meeting the surface again."""
+    return dr.dot(ray.o - si.p, ray.d)
 
 
 @dataclass
@@ -183,3 +201,11 @@ def _branches(shape: Any) -> bool:
     """Whether a shape has null or delta lobes, or holds shapes of which that is not known."""
     bsdf = shape.bsdf()
     return bsdf is None or mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta)
+
+
+def _scatters(medium: Any) -> bool:
+    """Whether a medium scatters, as far as is known."""
+    if not medium.is_homogeneous():
+        return True
+    coefficients = medium.get_scattering_coefficients(dr.zeros(mi.MediumInteraction3f), mi.Bool(True))
+    return bool(np.any(coefficients[0].numpy() > 0))

@@ -77,7 +77,7 @@ def _draw_plain(optics: Optics, sampler: Any, ray: Any, spp: int) -> Found:
         for values in (channels(radiance), [value * value for value in channels(radiance)])
     ]
     shining = np.flatnonzero(~(sums[0].max(axis=-1) <= 0)).astype(np.uint32)
-    mean, variance = _moments(*(part[shining] for part in sums), spp)
+    mean, variance = _moments(sums[0][shining], sums[1][shining], spp)
     lane = shining * np.uint32(spp)
     if not lane.size:
         return Found(lane, mean, variance, None)
@@ -92,7 +92,7 @@ def _draw_places(optics: Optics, sampler: Any, ray: Any, spp: int) -> Found:
     values = np.stack([value.numpy() for value in channels(vertex.radiance)], axis=-1).astype(np.float64)
     lane = np.flatnonzero(~(values.max(axis=-1) <= 0))
     if not lane.size:
-        return Found(lane.astype(np.uint32), *np.empty((2, 0, values.shape[1])), None)
+        return Found(lane.astype(np.uint32), values[lane], values[lane], None)
     place = vertex.place
     distance, signature, scattered = (part.numpy()[lane] for part in (place.distance, place.signature, place.scattered))
     ray_index = lane // spp
@@ -108,7 +108,7 @@ def _draw_places(optics: Optics, sampler: Any, ray: Any, spp: int) -> Found:
     lane, owner = lane[order][first], keys[0][first]
     factor = _thin_out(sums[0].mean(axis=1), owner)
     kept = np.flatnonzero(factor)
-    mean, variance = _moments(*(part[kept] for part in sums), spp)
+    mean, variance = _moments(sums[0][kept], sums[1][kept], spp)
     factor = factor[kept, None]
     index = lane[kept].astype(np.uint32)
     return Found(index, mean * factor, variance * factor**2, dr.gather(Vertex, vertex, mi.UInt32(index)))

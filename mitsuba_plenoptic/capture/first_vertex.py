@@ -17,7 +17,7 @@ import drjit as dr
 import mitsuba as mi
 
 from .bundle import Bundle
-from .chains import Chain, Optics, intersect
+from .chains import Chain, Optics, intersect, start_offset
 from .media import fly
 
 _BEFORE = 1e-4
@@ -211,6 +211,7 @@ def _step(state: _State, optics: Optics, channel: Any) -> _State:
 
     onward = dr.select(passes, turned, dr.select(hidden, chain.pass_on(si), chain))
     next_bundle = dr.select(passes & ~straight, bent, dr.select(hidden | passes, bundle, state.bundle))
+    next_bundle = next_bundle.transfer(dr.select(hidden | passes, start_offset(onward.ray, si), 0))
     asked_ray = dr.select(leaves, si.spawn_ray(si.to_world(sample.wo)), ray)
     if optics.media:
         mei = flight.mei

@@ -100,8 +100,9 @@ def make_class() -> type:
 
         Scalar waves and thin elements: no polarisation, and both lenses are thin parabolic phases, whose geometric
         twin is the sensor's ``lens_model="parabolic"``. Objects before a radiator hide parts of the pupil but do
-        not diffract. A mirror image or a refracted one radiates from the mirror or the glass. Polarized variants
-        compute as if unpolarized.
+        not diffract. What is seen through cut-outs, panes and glass or in mirrors radiates from where its light seems
+        to come from; behind curved surfaces that is the mean of two places, and a guard tells where they lie far
+        apart. Light that a medium scatters radiates from there. Polarized variants compute as if unpolarized.
 
         The same seed gives the same bits, on any number of threads.
 

@@ -326,7 +326,7 @@ def test_the_estimate_is_of_the_right_size(method, count):
     [
         ({"points": np.zeros((2, 2))}, "positions of shape"),
         ({"points": [(0, 0, 240), (0, np.nan, 240)]}, "position"),
-        ({"points": [(0, 0, 240), (0, 0, 0)]}, "position.*greater than 0"),
+        ({"points": [(0, 0, 240), (0, 0, 0)]}, "position.*g at least"),
         ({"wavelength": 0}, "wavelength"),
         ({"wavelength": None}, "wavelength, spectrum: give one of the two"),
         ({"spectrum": Spectrum.lines(633)}, "wavelength, spectrum: give one of the two"),

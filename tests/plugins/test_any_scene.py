@@ -1,0 +1,75 @@
+"""Wave captures of scenes whose light comes through mirrors, panes, glass and fog, or from infinity."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import pytest
+from any_scene_cases import (
+    TRANSPARENT,
+    bars_through,
+    captures,
+    card_before,
+    contrast,
+    energy,
+    glass_sphere,
+    in_fog,
+    lamp_behind_glass,
+    lit_mirror,
+    plastic,
+    square_behind,
+)
+from wave_cases import error
+
+from mitsuba_plenoptic import reconstruct, render_capture
+
+
+@pytest.fixture(scope="module")
+def bars_directly():
+    mi.set_variant("llvm_ad_mono")
+    return [contrast(capture, 300.0) for capture in captures(bars_through("directly", 20), spp=1, per_lens=2)]
+
+
+@pytest.mark.parametrize("way", ["mirror", "thindielectric", "slab", "half-open mask", "fog"])
+def test_bars_come_back_into_focus_at_their_virtual_distance(way, bars_directly):
+    by_rays, by_waves = captures(bars_through(way, 20), spp=2, per_lens=2)
+    assert energy(by_rays, by_waves) == pytest.approx(0.99, abs=0.015)
+    rays, waves = (contrast(capture, 300.0) for capture in (by_rays, by_waves))
+    directly_by_rays, directly = bars_directly
+    assert waves == pytest.approx(directly * rays / directly_by_rays, abs=0.03)
+
+
+@pytest.mark.parametrize("card", TRANSPARENT)
+def test_a_transparent_card_changes_nothing(card):
+    without, behind = (
+        render_capture(square_behind(pane), model="wave", spp=1, radiators_per_lens=3).image
+        for pane in (None, TRANSPARENT[card])
+    )
+    assert error(behind, without) <= 0.02
+
+
+def test_a_sky_does_not_shine_through_a_black_card():
+    capture = render_capture(card_before(10, 2.0, sky={"type": "constant"}), model="wave", spp=1, radiators_per_lens=2)
+    columns = reconstruct(capture, 1000.0).image[4:-4].mean(axis=0)
+    middle = len(columns) // 2
+    assert columns[middle - 3] <= 0.03
+    assert columns[middle + 2] > 0.8
+
+
+@pytest.mark.parametrize(
+    ("scene", "per_lens"),
+    [
+        (in_fog, 4),
+        (lambda: lamp_behind_glass(True), 8),
+        (lambda: lamp_behind_glass(False), 8),
+        (lambda: lit_mirror(2), 4),
+        (plastic, 4),
+    ],
+)
+def test_energy_is_that_of_rays(scene, per_lens):
+    """But for the light that diffracts farther than the default accuracy follows it: 1 %."""
+    assert energy(*captures(scene(), spp=2, per_lens=per_lens)) == pytest.approx(0.99, abs=0.015)
+
+
+def test_the_highlight_of_a_glass_sphere_is_as_bright_as_by_rays():
+    by_rays, by_waves = (reconstruct(capture, 250.0).image for capture in captures(glass_sphere(), per_lens=5))
+    assert by_waves.max() == pytest.approx(by_rays.max(), rel=0.15)
