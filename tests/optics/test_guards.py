@@ -124,6 +124,7 @@ class TestPointSpreads:
 
     def test_a_full_field_on_a_coarse_grid(self, monkeypatch):
         monkeypatch.setattr(full_field, "_KEPT_BENDS", 0.3)
+        monkeypatch.setattr(full_field, "_KEPT_ORDERS", 3)
         camera = PlenopticCamera(detector_width=1.024, resolution=(256, 256))
         with pytest.raises(PhysicsError, match="directions that the grid does not hold"):
             point_spread_function(camera, (0.0, 0.0, 210.0), wavelength=WAVELENGTH, method="full_field")
