@@ -1,14 +1,17 @@
 """Measure how far the point spreads by patches are from the full field, and the full field from its own limit.
 
-Writes ``point_spread_accuracy.md`` and ``.json`` to the folder that ``--output`` names.
+Writes ``point_spread_accuracy.md`` and ``.json`` to the folder that ``--output`` names. Every figure has a limit; where
+one is beyond, the exit status is 1.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
+import sys
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +19,47 @@ import numpy as np
 
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.capture.full_field import full_field
+from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.capture.point_spread import point_spread_function
+from mitsuba_plenoptic.capture.pupil_weights import PupilWeights
 
 PAPER = PlenopticCamera()
 SECOND = PlenopticCamera(
     focal_length=50, aperture_radius=4, mla_distance=70, mla_focal_length=0.4, mla_pitch=0.05,
     detector_width=5, resolution=(2000, 2000),
 )  # fmt: skip
+PATCH_LIMIT = 0.0035
+FULL_FIELD_LIMIT = 0.002
+
+SMALL = PAPER.replace(detector_width=0.512, resolution=(256, 256))
+EXTREMES = {
+    "aperture_radius 2": (SMALL.replace(aperture_radius=2), (0.06, -0.05, 215)),
+    "0.25 um pixels": (PAPER.replace(detector_width=0.256, resolution=(1024, 1024)), (0.1, -0.05, 230)),
+    "Fresnel number 0.3 by focal length": (
+        PAPER.replace(mla_focal_length=5.4, detector_distance=5.4, detector_width=1.024, resolution=(512, 512)),
+        (0.06, -0.05, 240),
+    ),
+    "Fresnel number 0.3 by pitch": (
+        PAPER.replace(mla_pitch=0.02, detector_width=0.4, resolution=(200, 200)), (0.06, -0.05, 230)
+    ),
+}  # fmt: skip
+"""Cameras, each with a scene point whose single spread is judged."""
+
+GAPPED = {
+    "square lenses": {},
+    "hexagonal lattice": {"mla_lattice": "hexagonal"},
+    "discs": {"mla_aperture": "circle"},
+}
+FILLS = (0.5, 0.25, 0.1)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A measured error and the largest one that is allowed, both relative."""
+
+    name: str
+    error: float
+    limit: float
 
 
 @dataclass(frozen=True)
@@ -102,6 +139,55 @@ def measure(case: Case) -> dict[str, Any]:
     return result
 
 
+def _refined(camera: PlenopticCamera, position: Any) -> np.ndarray:
+    """Full field on a finer grid in a wider window, by the paper's wavelength."""
+    return full_field(camera, np.array(position), 633.0, refinement=1.5, growth=1.4)
+
+
+def extremes() -> list[Figure]:
+    """Single spreads of accuracy 0 by cameras that demand more of the grids than the paper's."""
+    figures = []
+    for name, (camera, position) in EXTREMES.items():
+        reference = _refined(camera, position)
+        for method, limit in (("full_field", 0.003), ("patch", 0.005)):
+            spread = point_spread_function(camera, position, wavelength=633.0, method=method)
+            figures.append(Figure(f"{name}, {method}", _difference(spread, reference), limit))
+    return figures
+
+
+def gapped() -> list[Figure]:
+    """Add a few points by microlenses with opaque gaps, at the default accuracy of many radiators."""
+    g = np.array([226.0, 234.0, 240.0, 249.0])
+    points = np.column_stack([0.1 * np.cos(3 * g), 0.1 * np.sin(3 * g), g])
+    many = np.tile(points, (150, 1))  # few radiators would get a finer grid
+    figures = []
+    for (name, parameters), fill in itertools.product(GAPPED.items(), FILLS):
+        camera = SMALL.replace(mla_fill=fill, **parameters)
+        reference = sum(_refined(camera, point) for point in points)
+        full = sum(full_field(camera, point, 633.0) for point in points)
+        patch = CaptureOperator(camera, many, wavelength=633.0).forward(np.full(len(many), 1 / 150))
+        figures.append(Figure(f"{name}, mla_fill {fill:g}, full_field", _difference(full, reference), 0.003))
+        figures.append(Figure(f"{name}, mla_fill {fill:g}, patch", _difference(patch, reference), 0.01))
+    return figures
+
+
+def hidden_pupils() -> list[Figure]:
+    """Pupils of which cells are hidden, against a full field of half the pitch."""
+    place = np.arange(16)
+    masks = {"half": (place >= 8) & (place >= 0)[:, None], "quarter": (place >= 8) & (place >= 8)[:, None]}
+    figures = []
+    for (name, mask), g in itertools.product(masks.items(), (225.0, 240.0)):
+        weights, point = mask[None], np.array([0.06, -0.05, g])
+        reference, full = (
+            full_field(SMALL, point, 633.0, pupil_weights=PupilWeights.of(weights, 1), refinement=refinement)
+            for refinement in (2, 1)
+        )
+        patch = CaptureOperator(SMALL, [point], wavelength=633.0, accuracy=0, pupil_weights=weights).forward([1.0])
+        figures.append(Figure(f"{name} of the pupil at {g:g}, full_field", _difference(full, reference), 0.002))
+        figures.append(Figure(f"{name} of the pupil at {g:g}, patch", _difference(patch, reference), 0.003))
+    return figures
+
+
 def _table(head: list[str], rows: list[list[str]]) -> list[str]:
     lines = [head, ["---"] * len(head), *rows]
     return ["| " + " | ".join(line) + " |" for line in lines]
@@ -117,6 +203,12 @@ def main() -> None:
         "patch": [measure(case) for case in cases()],
         "full_field": [measure(case) for case in convergence()],
     }
+    figures = [Figure(row["name"] + ", patch", row["error"], PATCH_LIMIT) for row in results["patch"]]
+    for key in ("finer", "wider"):
+        figures += [Figure(f"{row['name']}, {key}", row[key], FULL_FIELD_LIMIT) for row in results["full_field"]]
+    harder = extremes() + gapped() + hidden_pupils()
+    results["harder"] = [asdict(figure) for figure in harder]
+    beyond = [figure for figure in figures + harder if not figure.error <= figure.limit]
 
     lines = [
         "# Accuracy of point spreads",
@@ -142,9 +234,17 @@ def main() -> None:
             for row in results["full_field"]
         ],
     )
+    lines += ["", "## Extreme cameras, gaps between microlenses, hidden parts of the pupil", ""]
+    lines += _table(
+        ["case", "error", "limit"],
+        [[figure.name, f"{100 * figure.error:.2f} %", f"{100 * figure.limit:g} %"] for figure in harder],
+    )
+    lines += ["", *(f"beyond its limit of {100 * f.limit:g} %: {f.name}, {100 * f.error:.3f} %" for f in beyond)]
     (output / "point_spread_accuracy.md").write_text("\n".join(lines) + "\n")
     (output / "point_spread_accuracy.json").write_text(json.dumps(results, indent=1) + "\n")
     print("\n".join(lines))
+    if beyond:
+        sys.exit(1)
 
 
 if __name__ == "__main__":

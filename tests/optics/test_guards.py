@@ -117,6 +117,16 @@ class TestPointSpreads:
             CaptureOperator(self.CAMERA, [self.PLACE] * 2, wavelength=633, pupil_weights=weights).forward([1, 1])
         assert 0 < shares["patch_loss"] < 0.02
 
+    @pytest.mark.parametrize("change", [{}, {"mla_lattice": "hexagonal"}, {"mla_aperture": "circle"}])
+    def test_what_gaps_between_the_lenses_stop_is_no_loss(self, change):
+        """The closed form of a wide blur: the lenses' fraction of the area is behind the apertures."""
+        camera = PlenopticCamera(detector_width=1.536, resolution=(768, 768), mla_fill=0.5, **change)
+        with guards.watch() as fractions:
+            psf = point_spread_function(camera, (0.0, 0.0, 205.0), wavelength=WAVELENGTH)
+        behind = camera.lattice.lens_area / camera.lattice.cell_area
+        assert fractions["patch_loss"] == pytest.approx(1 - psf.sum() / behind, abs=0.015)
+        assert 0.005 < fractions["patch_loss"] < 0.03
+
     def test_no_loss_is_told_of_weights_that_cancel(self):
         with guards.watch() as shares:
             CaptureOperator(self.CAMERA, [self.PLACE] * 2, wavelength=633).forward([1, -1])
