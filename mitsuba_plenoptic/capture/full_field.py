@@ -31,7 +31,7 @@ from ..optics import guards
 from ..optics.free_space import advance
 from ..optics.main_lens import main_lens
 from ..optics.microlens_orders import axis_transmission, open_fraction, plane_transmission
-from ..optics.microlenses import bend, diffraction, is_separable
+from ..optics.microlenses import diffraction, is_separable, scattering
 from ..optics.phase import in_millimetres, phasor, soft_edge
 from ..optics.power import band_edge_fraction, fraction, power, rim
 from ..optics.sampling import check_memory, fast_length, footprint
@@ -49,7 +49,7 @@ _PUPIL_BAND = 1.5
 """Sampled directions on the way to the MLA over the steepest ray: the pupil's edge diffracts beyond that."""
 
 _KEPT_BENDS = 3.3
-"""Steepest direction from the microlenses that is kept, over the largest bend by one of them, at least."""
+"""Steepest direction from the microlenses that is kept, over those that a wide one scatters to, at least."""
 
 _KEPT_ORDERS = 20
 """The same, in orders of the diffraction by the aperture of a microlens."""
@@ -182,7 +182,7 @@ def _grids(
     image = footprint(camera, position[None])
     place, half_width = image.centre[0], image.half_width[0]
     steepest = float((np.abs(image.cosine[0]) + image.half_cosine[0]).max())
-    bent = steepest + max(_KEPT_BENDS * bend(camera), diffraction(camera, wavelength, _KEPT_ORDERS))
+    bent = steepest + max(_KEPT_BENDS * scattering(camera), diffraction(camera, wavelength, _KEPT_ORDERS))
     per_pixel = max(1, math.ceil(p * 2 * bent * refinement / lam))
     pitch = p / per_pixel
     # The recorded window on the detector, with room for light that moves sideways between MLA and detector.
