@@ -21,7 +21,7 @@ from mitsuba_plenoptic import (
     render_capture,
     write_capture,
 )
-from mitsuba_plenoptic.capture import full_field, patch_plan
+from mitsuba_plenoptic.capture import full_field_grids, patch_plan
 from mitsuba_plenoptic.capture.grid import Band
 from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.cli import main
@@ -133,14 +133,14 @@ class TestPointSpreads:
         assert "patch_loss" not in shares
 
     def test_a_full_field_on_a_coarse_grid(self, monkeypatch):
-        monkeypatch.setattr(full_field, "_KEPT_BENDS", 0.3)
-        monkeypatch.setattr(full_field, "_KEPT_ORDERS", 3)
+        monkeypatch.setattr(full_field_grids, "_KEPT_BENDS", 0.3)
+        monkeypatch.setattr(full_field_grids, "_KEPT_ORDERS", 3)
         camera = PlenopticCamera(detector_width=1.024, resolution=(256, 256))
         with pytest.raises(PhysicsError, match="directions that the grid does not hold"):
             point_spread_function(camera, (0.0, 0.0, 210.0), wavelength=WAVELENGTH, method="full_field")
 
     def test_a_full_field_on_a_coarse_grid_at_the_pupil(self, monkeypatch):
-        monkeypatch.setattr(full_field, "_PUPIL_BAND", 0.5)
+        monkeypatch.setattr(full_field_grids, "_PUPIL_BAND", 0.5)
         with pytest.raises(PhysicsError, match=r"under-sampled|round the window"):
             point_spread_function(self.CAMERA, (0.0, 0.0, 210.0), wavelength=WAVELENGTH, method="full_field")
 
