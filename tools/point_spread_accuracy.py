@@ -1,26 +1,31 @@
 """Measure how far the point spreads by patches are from the full field, and the full field from its own limit.
 
-python tools/point_spread_accuracy.py --output out
+Writes ``point_spread_accuracy.md`` and ``.json`` to the folder that ``--output`` names. Every figure has a limit; where
+one is beyond, the exit status is 1.
 """
 
 from __future__ import annotations
 
+import itertools
+import sys
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import accuracy
 import numpy as np
 
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.capture.full_field import full_field
+from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.capture.point_spread import point_spread_function
+from mitsuba_plenoptic.capture.pupil_weights import PupilWeights
 
 PAPER = PlenopticCamera()
 SECOND = PlenopticCamera(
     focal_length=50, aperture_radius=4, mla_distance=70, mla_focal_length=0.4, mla_pitch=0.05,
     detector_width=5, resolution=(2000, 2000),
 )  # fmt: skip
-
 PATCH = {
     "point": "{name}",
     "position (mm)": "({position[0]:.2f}, {position[1]:.2f}, {position[2]:.1f})",
@@ -34,6 +39,39 @@ FULL_FIELD = {
     "window grown by 1.4": "{wider:.3%}",
     "patch - full field": "{error:.3%}",
 }
+
+PATCH_LIMIT = 0.0035
+FULL_FIELD_LIMIT = 0.002
+
+SMALL = PAPER.replace(detector_width=0.512, resolution=(256, 256))
+EXTREMES = {
+    "aperture_radius 2": (SMALL.replace(aperture_radius=2), (0.06, -0.05, 215)),
+    "0.25 um pixels": (PAPER.replace(detector_width=0.256, resolution=(1024, 1024)), (0.1, -0.05, 230)),
+    "Fresnel number 0.3 by focal length": (
+        PAPER.replace(mla_focal_length=5.4, detector_distance=5.4, detector_width=1.024, resolution=(512, 512)),
+        (0.06, -0.05, 240),
+    ),
+    "Fresnel number 0.3 by pitch": (
+        PAPER.replace(mla_pitch=0.02, detector_width=0.4, resolution=(200, 200)), (0.06, -0.05, 230)
+    ),
+}  # fmt: skip
+"""Cameras, each with a scene point whose single spread is judged."""
+
+GAPPED = {
+    "square lenses": {},
+    "hexagonal lattice": {"mla_lattice": "hexagonal"},
+    "discs": {"mla_aperture": "circle"},
+}
+FILLS = (0.5, 0.25, 0.1)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A measured error and the largest one that is allowed, both relative."""
+
+    name: str
+    error: float
+    limit: float
 
 
 @dataclass(frozen=True)
@@ -55,15 +93,19 @@ def _scene_point(camera: PlenopticCamera, x: float, y: float, g: float) -> tuple
 def cases() -> list[Case]:
     """Axis, mid-field and corner at three distances, random points, and a second camera."""
     places = {"axis": (0.0, 0.0), "mid-field": (2.0, -1.7), "corner": (-3.6, 3.6)}
-    points = [(f"{name} {g:g}", PAPER, *place, g) for g in (210.0, 240.0, 280.0) for name, place in places.items()]
-    rng = np.random.default_rng(7)
-    points += [(f"random {i + 1}", PAPER, *rng.uniform(-3.7, 3.7, 2), rng.uniform(200, 300)) for i in range(5)]
-    for name, x, y, g in (("axis", 0, 0, 175), ("mid-field", 1.1, -0.9, 150), ("corner", -2.1, 2.1, 200)):
-        points.append((f"second camera, {name} {g}", SECOND, x, y, g))
-    return [
-        Case(name, camera, _scene_point(camera, x, y, g), 633.0 if camera is PAPER else 532.0)
-        for name, camera, x, y, g in points
+    found = [
+        Case(f"{name} {g:g}", PAPER, _scene_point(PAPER, *place, g), 633.0)
+        for g in (210.0, 240.0, 280.0)
+        for name, place in places.items()
     ]
+    rng = np.random.default_rng(7)
+    for number in range(5):
+        x, y = rng.uniform(-3.7, 3.7, 2)
+        point = _scene_point(PAPER, x, y, rng.uniform(200, 300))
+        found.append(Case(f"random {number + 1}", PAPER, point, 633.0))
+    for name, x, y, g in (("axis", 0, 0, 175), ("mid-field", 1.1, -0.9, 150), ("corner", -2.1, 2.1, 200)):
+        found.append(Case(f"second camera, {name} {g}", SECOND, _scene_point(SECOND, x, y, g), 532.0))
+    return found
 
 
 def convergence() -> list[Case]:
@@ -109,10 +151,68 @@ def measure(case: Case) -> accuracy.Row:
     return result
 
 
+def _refined(camera: PlenopticCamera, position: Any) -> np.ndarray:
+    """Full field on a finer grid in a wider window, by the paper's wavelength."""
+    return full_field(camera, np.array(position), 633.0, refinement=1.4, growth=1.2)
+
+
+def extremes() -> list[Figure]:
+    """Single spreads of accuracy 0 by cameras that demand more of the grids than the paper's."""
+    figures = []
+    for name, (camera, position) in EXTREMES.items():
+        reference = _refined(camera, position)
+        for method, limit in (("full_field", 0.003), ("patch", 0.005)):
+            spread = point_spread_function(camera, position, wavelength=633.0, method=method)
+            figures.append(Figure(f"{name}, {method}", _difference(spread, reference), limit))
+    return figures
+
+
+def gapped() -> list[Figure]:
+    """Add a few points by microlenses with opaque gaps, at the default accuracy of many radiators."""
+    g = np.array([228.0, 240.0, 249.0])
+    points = np.column_stack([0.1 * np.cos(3 * g), 0.1 * np.sin(3 * g), g])
+    many = np.tile(points, (200, 1))  # few radiators would get a finer grid
+    figures = []
+    for (name, parameters), fill in itertools.product(GAPPED.items(), FILLS):
+        camera = PAPER.replace(detector_width=0.256, resolution=(128, 128), mla_fill=fill, **parameters)
+        references = [_refined(camera, point) for point in points]
+        reference, full = sum(references), full_field(camera, points[0], 633.0)
+        patch = CaptureOperator(camera, many, wavelength=633.0).forward(np.full(len(many), 1 / 200))
+        figures.append(Figure(f"{name}, mla_fill {fill:g}, full_field", _difference(full, references[0]), 0.003))
+        figures.append(Figure(f"{name}, mla_fill {fill:g}, patch", _difference(patch, reference), 0.01))
+    return figures
+
+
+def hidden_pupils() -> list[Figure]:
+    """Pupils of which cells are hidden, against a full field of half the pitch."""
+    place = np.arange(16)
+    masks = {"half": (place >= 8) & (place >= 0)[:, None], "quarter": (place >= 8) & (place >= 8)[:, None]}
+    figures = []
+    for (name, mask), g in itertools.product(masks.items(), (225.0, 240.0)):
+        weights, point = mask[None], np.array([0.06, -0.05, g])
+        reference, full = (
+            full_field(SMALL, point, 633.0, pupil_weights=PupilWeights.of(weights, 1), refinement=refinement)
+            for refinement in (2, 1)
+        )
+        patch = CaptureOperator(SMALL, [point], wavelength=633.0, accuracy=0, pupil_weights=weights).forward([1.0])
+        figures.append(Figure(f"{name} of the pupil at {g:g}, full_field", _difference(full, reference), 0.002))
+        figures.append(Figure(f"{name} of the pupil at {g:g}, patch", _difference(patch, reference), 0.003))
+    return figures
+
+
 def main() -> None:
     """Measure all cases and write the tables."""
     arguments = accuracy.start(accuracy.options("point_spread_accuracy", __doc__))
-    results = {"patch": [measure(case) for case in cases()], "full_field": [measure(case) for case in convergence()]}
+    results: dict[str, Any] = {
+        "patch": [measure(case) for case in cases()],
+        "full_field": [measure(case) for case in convergence()],
+    }
+    figures = [Figure(row["name"] + ", patch", row["error"], PATCH_LIMIT) for row in results["patch"]]
+    for key in ("finer", "wider"):
+        figures += [Figure(f"{row['name']}, {key}", row[key], FULL_FIELD_LIMIT) for row in results["full_field"]]
+    harder = extremes() + gapped() + hidden_pupils()
+    results["harder"] = [asdict(figure) for figure in harder]
+    beyond = [figure for figure in figures + harder if not figure.error <= figure.limit]
     accuracy.finish(
         arguments,
         results,
@@ -121,7 +221,12 @@ def main() -> None:
         accuracy.markdown(PATCH, results["patch"]),
         "## Convergence of the full field\n",
         accuracy.markdown(FULL_FIELD, results["full_field"]),
+        "## Extreme cameras, gaps between microlenses, hidden parts of the pupil\n",
+        accuracy.markdown({"case": "{name}", "error": "{error:.2%}", "limit": "{limit:.2%}"}, results["harder"]),
+        *(f"beyond its limit of {figure.limit:.2%}: {figure.name}, {figure.error:.3%}" for figure in beyond),
     )
+    if beyond:
+        sys.exit(1)
 
 
 if __name__ == "__main__":

@@ -31,28 +31,14 @@ from ..optics import guards
 from ..optics.free_space import advance
 from ..optics.main_lens import main_lens
 from ..optics.microlens_orders import axis_transmission, open_fraction, plane_transmission
-from ..optics.microlenses import bend, diffraction, is_separable
+from ..optics.microlenses import is_separable
 from ..optics.phase import in_millimetres, phasor, soft_edge
 from ..optics.power import band_edge_fraction, fraction, power, rim
-from ..optics.sampling import check_memory, fast_length, footprint
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, fft, fft2, irfft, pack, resting_drjit, rfft
 from ..runtime.indexing import quotient
+from .full_field_grids import BLOCK, FieldGrids, field_grids
 from .pupil_weights import PupilWeights
-
-_WINDOW_MARGIN = 1.2
-"""Window over what it must hold, on the way to the MLA."""
-
-_BLOCK = 512
-
-_PUPIL_BAND = 1.5
-"""Sampled directions on the way to the MLA over the steepest ray: the pupil's edge diffracts beyond that."""
-
-_KEPT_BENDS = 3.3
-"""Steepest direction from the microlenses that is kept, over the largest bend by one of them, at least."""
-
-_KEPT_ORDERS = 20
-"""The same, in orders of the diffraction by the aperture of a microlens."""
 
 
 @dataclass(frozen=True)
@@ -87,21 +73,6 @@ class PointFields:
     pupil: SampledField
     mla: SampledField
     detector: SampledField
-
-
-@dataclass(frozen=True)
-class _Grids:
-    """Sizes and places of the grids; pairs are along x and y."""
-
-    pitch: float  # after the MLA: a whole fraction of a pixel
-    per_pixel: int
-    wide_origin: tuple[float, float]  # of the window that holds pupil, image and detector
-    wide_pupil: int  # samples across it, at the pupil's pitch
-    wide_mla: int  # samples across it, at the MLA's pitch
-    offset: tuple[int, int]  # of the detector's window in it, in samples of the MLA
-    count: tuple[int, int]  # samples of the detector's window
-    bend: float  # largest change of direction cosine by a microlens that the grid holds
-    margin: int  # pixels of the detector's window before the first recorded one
 
 
 def full_field(
@@ -141,7 +112,7 @@ def full_field(
     InputError
         If the grids would need too much memory.
     """
-    grids = _grids(camera, position, wavelength, refinement, growth)
+    grids = field_grids(camera, position, wavelength, refinement, growth)
     pupil = _pupil_field(camera, position, wavelength, grids, pupil_weights)
     mla = _at_mla(camera, wavelength, grids, pupil)
     del pupil
@@ -161,7 +132,7 @@ def point_fields(
     InputError
         If the grids would need too much memory.
     """
-    grids = _grids(camera, position, wavelength, 1.0, 1.0)
+    grids = field_grids(camera, position, wavelength, 1.0, 1.0)
     pupil = _pupil_field(camera, position, wavelength, grids)
     mla = _at_mla(camera, wavelength, grids, pupil)
     spectrum = _detector_spectrum(camera, wavelength, grids, mla.samples.copy(), microlenses)
@@ -171,57 +142,11 @@ def point_fields(
     return PointFields(*(SampledField(backend().to_host(p.samples), p.origin, p.pitch) for p in planes))
 
 
-def _grids(
-    camera: PlenopticCamera,
-    position: NDArray[np.float64],
-    wavelength: float,
-    refinement: float,
-    growth: float,
-) -> _Grids:
-    p, lam, radius = camera.pixel_size, in_millimetres(wavelength), main_lens(camera).pupil_radius
-    image = footprint(camera, position[None])
-    place, half_width = image.centre[0], image.half_width[0]
-    steepest = float((np.abs(image.cosine[0]) + image.half_cosine[0]).max())
-    bent = steepest + max(_KEPT_BENDS * bend(camera), diffraction(camera, wavelength, _KEPT_ORDERS))
-    per_pixel = max(1, math.ceil(p * 2 * bent * refinement / lam))
-    pitch = p / per_pixel
-    # The recorded window on the detector, with room for light that moves sideways between MLA and detector.
-    reach = growth * camera.detector_distance * bent / math.sqrt(max(1e-3, 1 - bent**2))
-    margin = math.ceil(reach / p)
-    width = np.array([camera.detector_width, camera.detector_height])
-    pixels = [fast_length(size + 2 * margin) for size in camera.crop_size]
-    start = -width / 2 + (np.array(camera.crop_offset) - margin) * p
-    # The window of the way to the MLA, square and on the same grid of pixels.
-    low = np.minimum(-radius, np.minimum(place - half_width, start))
-    high = np.maximum(radius, np.maximum(place + half_width, start + np.array(pixels) * p))
-    wide = fast_length(_WINDOW_MARGIN * growth * float((high - low).max()) / pitch + per_pixel, per_pixel)
-    before = np.floor((start - (low + high - wide * pitch) / 2) / p).astype(int)
-    coarse = min(wide, fast_length(wide * pitch * 2 * _PUPIL_BAND * steepest * refinement / lam))
-    detector_samples = pixels[0] * pixels[1] * per_pixel**2
-    check_memory(
-        # at the pupil, on the way to the MLA, or with the doubled grid of the detector
-        8.0 * max(4 * coarse**2, 2 * coarse**2 + pixels[1] * per_pixel * coarse, 5 * detector_samples)
-        + 32.0 * _BLOCK * wide,
-        f"full field of position = ({position[0]:g}, {position[1]:g}, {position[2]:g})",
-    )
-    return _Grids(
-        pitch=pitch,
-        per_pixel=per_pixel,
-        wide_origin=(float(start[0] - before[0] * p), float(start[1] - before[1] * p)),
-        wide_pupil=coarse,
-        wide_mla=wide,
-        offset=(int(before[0]) * per_pixel, int(before[1]) * per_pixel),
-        count=(pixels[0] * per_pixel, pixels[1] * per_pixel),
-        bend=lam / (2 * pitch) - steepest,
-        margin=margin,
-    )
-
-
 def _pupil_field(
     camera: PlenopticCamera,
     position: NDArray[np.float64],
     wavelength: float,
-    grids: _Grids,
+    grids: FieldGrids,
     weights: PupilWeights | None = None,
 ) -> SampledField:
     types = backend().types
@@ -252,7 +177,7 @@ def _pupil_field(
     return SampledField(as_field(pack(field), (count, count)), grids.wide_origin, pitch)
 
 
-def _at_mla(camera: PlenopticCamera, wavelength: float, grids: _Grids, pupil: SampledField) -> SampledField:
+def _at_mla(camera: PlenopticCamera, wavelength: float, grids: FieldGrids, pupil: SampledField) -> SampledField:
     """Propagate to the MLA, onto the finer grid there, and keep the detector's window."""
     with resting_drjit():
         spectrum = fft2(pupil.samples.copy())
@@ -278,7 +203,7 @@ def _at_mla(camera: PlenopticCamera, wavelength: float, grids: _Grids, pupil: Sa
 
 
 def _detector_spectrum(
-    camera: PlenopticCamera, wavelength: float, grids: _Grids, samples: Field, microlenses: bool
+    camera: PlenopticCamera, wavelength: float, grids: FieldGrids, samples: Field, microlenses: bool
 ) -> Field:
     """Spectrum on the detector of the field that reaches the MLA, whose memory is used."""
     if microlenses:
@@ -298,8 +223,8 @@ def _detector_spectrum(
 
 def _blocks(count: int) -> Iterator[slice]:
     """Cut a range into slices, so that what is made of each stays small."""
-    for start in range(0, count, _BLOCK):
-        yield slice(start, min(count, start + _BLOCK))
+    for start in range(0, count, BLOCK):
+        yield slice(start, min(count, start + BLOCK))
 
 
 def _interpolate(spectrum: Field, count: int, axis: int) -> Field:
@@ -317,7 +242,7 @@ def _interpolate(spectrum: Field, count: int, axis: int) -> Field:
     return fft(padded, axis=axis, inverse=True)
 
 
-def _microlens_factors(camera: PlenopticCamera, wavelength: float, grids: _Grids) -> list[Field]:
+def _microlens_factors(camera: PlenopticCamera, wavelength: float, grids: FieldGrids) -> list[Field]:
     """Return the transmission of the microlenses along x and along y; the whole is their product."""
     types, lenses = backend().types, axis_transmission(camera, wavelength, grids.bend)
     factors = []
@@ -327,14 +252,14 @@ def _microlens_factors(camera: PlenopticCamera, wavelength: float, grids: _Grids
     return factors
 
 
-def _apply_plane(camera: PlenopticCamera, wavelength: float, grids: _Grids, samples: Field) -> None:
+def _apply_plane(camera: PlenopticCamera, wavelength: float, grids: FieldGrids, samples: Field) -> None:
     """Multiply a field by the transmission of microlenses that are no product of two axes."""
     lenses = plane_transmission(camera, wavelength, grids.bend)
     for block, x, y in _places(grids):
         samples[block] *= as_field(pack(lenses.at(x, y)), samples[block].shape)
 
 
-def _passed_power(camera: PlenopticCamera, wavelength: float, grids: _Grids, samples: Field) -> float:
+def _passed_power(camera: PlenopticCamera, wavelength: float, grids: FieldGrids, samples: Field) -> float:
     """Return the power, in units of a sample, of the part of a field that is within the microlenses' apertures."""
     if camera.lattice.fills:
         return power(samples)
@@ -346,7 +271,7 @@ def _passed_power(camera: PlenopticCamera, wavelength: float, grids: _Grids, sam
     return total
 
 
-def _places(grids: _Grids) -> Iterator[tuple[slice, Any, Any]]:
+def _places(grids: FieldGrids) -> Iterator[tuple[slice, Any, Any]]:
     """Yield blocks of rows of the detector's window, with x and y of their samples."""
     types = backend().types
     left, top = (start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
@@ -359,7 +284,7 @@ def _places(grids: _Grids) -> Iterator[tuple[slice, Any, Any]]:
         yield block, x, y
 
 
-def _pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: _Grids) -> NDArray[np.float32]:
+def _pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: FieldGrids) -> NDArray[np.float32]:
     """Integrate the intensity over the recorded pixels, exactly for the band-limited field."""
     arrays = backend().arrays
     height, width = camera.shape
@@ -377,7 +302,7 @@ def _pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: _Grids) ->
     return psf
 
 
-def _along_pixels(intensity: NDArray[np.float32], grids: _Grids, count: int) -> NDArray[np.float32]:
+def _along_pixels(intensity: NDArray[np.float32], grids: FieldGrids, count: int) -> NDArray[np.float32]:
     """Integrate rows of the doubled grid over the recorded pixels, by their spectrum times the pixel's sinc."""
     size, per_pixel = intensity.shape[1], 2 * grids.per_pixel
     spectrum = rfft(intensity, axis=1)

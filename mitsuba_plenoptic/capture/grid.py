@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lattice import turn
 from ..optics.main_lens import main_lens
-from ..optics.microlenses import bend, diffraction, upright
+from ..optics.microlenses import diffraction, scattering, upright
 from ..optics.phase import in_millimetres
 from ..optics.sampling import check_samples, fast_length, footprint
 
@@ -43,7 +43,7 @@ class Band:
     margin : float
         Width of the patch of a point in focus, in units of :math:`\lambda b / D_1`, the scale of its Airy pattern.
     bends : float
-        Directions that are kept beside the pupil's cone, over the largest bend by a microlens, at least.
+        Directions that are kept beside the pupil's cone, over those that a wide microlens scatters to, at least.
     orders : float
         The same, in orders of the diffraction by a microlens's aperture (see `optics.microlenses.diffraction`).
     """
@@ -104,8 +104,9 @@ class Grid:
         lens = main_lens(camera)
         powers = np.abs(lens.vergence(positions[:, 2]))
         cosine = lens.pupil_radius * float(powers.max(initial=1 / lens.pupil_distance))
-        bent = max(band.bends * bend(camera), diffraction(camera, wavelength, band.orders))
-        half_band = max(band.cone * (cosine + bend(camera)), cosine + bent)
+        bent = scattering(camera)
+        beside = max(band.bends * bent, diffraction(camera, wavelength, band.orders))
+        half_band = max(band.cone * (cosine + bent), cosine + beside)
         largest = in_millimetres(wavelength) / (2 * half_band)
         largest = min(largest, max(_PITCH_PER_PIXEL * camera.pixel_size, largest / _FINER))
         steps = np.array(camera.lattice.grid_step) * (camera.micro_image_pitch / camera.mla_pitch)

@@ -19,6 +19,9 @@ from ..lattice import turn
 from ..runtime.fft import array_types
 from .phase import in_millimetres, parabola, phasor
 
+_HARD_EDGES = 1.4
+"""Directions that are kept of light from apertures with a dark surround, over those where phases join."""
+
 _JOINED = 1 / 2
 """Orders to keep where the phases of neighbouring lenses join, over those of apertures with a dark surround."""
 
@@ -95,6 +98,14 @@ def bend(camera: PlenopticCamera) -> float:
     lattice = camera.lattice
     half = lattice.aperture_width / 2 if lattice.separable else lattice.aperture_reach
     return float(half) / min(camera.mla_focal_lengths)
+
+
+def scattering(camera: PlenopticCamera) -> float:
+    """Return the change of a direction cosine by a wide microlens beyond which little light goes.
+
+    The edges of opaque gaps scatter more than the joints of lenses.
+    """
+    return bend(camera) * (1 if camera.lattice.fills else _HARD_EDGES)
 
 
 def diffraction(camera: PlenopticCamera, wavelength: float, orders: float) -> float:

@@ -12,7 +12,9 @@ from wave_cases import WAVELENGTH, error, small_camera
 
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.capture.full_field import full_field
+from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.capture.point_spread import point_fields, point_spread_function
+from mitsuba_plenoptic.capture.pupil_weights import PupilWeights
 from mitsuba_plenoptic.errors import InputError
 
 SMALL = small_camera(16)
@@ -42,6 +44,45 @@ def test_patch_against_full_field(camera, position, wavelength):
     assert patch.dtype == np.float32
     assert patch.min() >= 0
     assert error(patch, full) < 0.005
+
+
+@pytest.mark.parametrize(
+    "camera, g",
+    [
+        (small_camera(6, aperture_radius=2.0), 215.0),
+        (PlenopticCamera(detector_width=0.128, resolution=(512, 512)), 230.0),
+        (small_camera(16, mla_focal_length=5.4, detector_distance=5.4), 240.0),
+        (PlenopticCamera(mla_pitch=0.02, detector_width=0.2, resolution=(100, 100)), 230.0),
+        (small_camera(4, mla_fill=0.5, mla_aperture="circle"), 230.0),
+        (small_camera(4, mla_fill=0.25), 240.0),
+    ],
+    ids=["small pupil", "fine pixels", "weak lenses", "small lenses", "discs", "gaps"],
+)
+def test_patch_of_extreme_cameras_against_full_field(camera, g):
+    position = (0.06, -0.05, g)
+    patch, full = (
+        point_spread_function(camera, position, wavelength=WAVELENGTH, method=name) for name in ("patch", "full_field")
+    )
+    assert error(patch, full) < 0.005
+
+
+@pytest.mark.parametrize("fill, limit", [(0.5, 0.01), (0.25, 0.01)])
+def test_gaps_between_microlenses_at_the_default_accuracy(fill, limit):
+    camera, position = small_camera(4, mla_fill=fill), np.array([0.06, -0.05, 230.0])
+    many = np.tile(position, (600, 1))
+    image = CaptureOperator(camera, many, wavelength=WAVELENGTH).forward(np.full(600, 1 / 600))
+    assert error(image, full_field(camera, position, WAVELENGTH)) < limit
+
+
+@pytest.mark.parametrize("cells", [2, 16])
+def test_hidden_cells_of_the_pupil(cells):
+    """Their borders do not depend on where the samples of the pupil lie."""
+    camera, position = small_camera(6), np.array([0.06, -0.05, 230.0])
+    weights = np.zeros((1, cells, cells), bool)
+    weights[0, cells // 2 :, cells // 2 :] = True
+    patch = CaptureOperator(camera, [position], wavelength=WAVELENGTH, accuracy=0, pupil_weights=weights).forward([1.0])
+    full = full_field(camera, position, WAVELENGTH, pupil_weights=PupilWeights.of(weights, 1))
+    assert error(patch, full) < 0.003
 
 
 def test_orientation():

@@ -21,7 +21,7 @@ from mitsuba_plenoptic import (
     render_capture,
     write_capture,
 )
-from mitsuba_plenoptic.capture import full_field, patch_plan
+from mitsuba_plenoptic.capture import full_field_grids, patch_plan
 from mitsuba_plenoptic.capture.grid import Band
 from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.cli import main
@@ -117,19 +117,30 @@ class TestPointSpreads:
             CaptureOperator(self.CAMERA, [self.PLACE] * 2, wavelength=633, pupil_weights=weights).forward([1, 1])
         assert 0 < shares["patch_loss"] < 0.02
 
+    @pytest.mark.parametrize("change", [{}, {"mla_lattice": "hexagonal"}, {"mla_aperture": "circle"}])
+    def test_what_gaps_between_the_lenses_stop_is_no_loss(self, change):
+        """The closed form of a wide blur: the lenses' fraction of the area is behind the apertures."""
+        camera = PlenopticCamera(detector_width=1.536, resolution=(768, 768), mla_fill=0.5, **change)
+        with guards.watch() as fractions:
+            psf = point_spread_function(camera, (0.0, 0.0, 205.0), wavelength=WAVELENGTH)
+        behind = camera.lattice.lens_area / camera.lattice.cell_area
+        assert fractions["patch_loss"] == pytest.approx(1 - psf.sum() / behind, abs=0.015)
+        assert 0.005 < fractions["patch_loss"] < 0.03
+
     def test_no_loss_is_told_of_weights_that_cancel(self):
         with guards.watch() as shares:
             CaptureOperator(self.CAMERA, [self.PLACE] * 2, wavelength=633).forward([1, -1])
         assert "patch_loss" not in shares
 
     def test_a_full_field_on_a_coarse_grid(self, monkeypatch):
-        monkeypatch.setattr(full_field, "_KEPT_BENDS", 0.3)
+        monkeypatch.setattr(full_field_grids, "_KEPT_BENDS", 0.3)
+        monkeypatch.setattr(full_field_grids, "_KEPT_ORDERS", 3)
         camera = PlenopticCamera(detector_width=1.024, resolution=(256, 256))
         with pytest.raises(PhysicsError, match="directions that the grid does not hold"):
             point_spread_function(camera, (0.0, 0.0, 210.0), wavelength=WAVELENGTH, method="full_field")
 
     def test_a_full_field_on_a_coarse_grid_at_the_pupil(self, monkeypatch):
-        monkeypatch.setattr(full_field, "_PUPIL_BAND", 0.5)
+        monkeypatch.setattr(full_field_grids, "_PUPIL_BAND", 0.5)
         with pytest.raises(PhysicsError, match=r"under-sampled|round the window"):
             point_spread_function(self.CAMERA, (0.0, 0.0, 210.0), wavelength=WAVELENGTH, method="full_field")
 

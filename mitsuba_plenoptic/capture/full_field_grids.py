@@ -1,0 +1,98 @@
+"""How finely and widely a full field is sampled: at the pupil, on the microlens array and on the detector."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..optics.main_lens import main_lens
+from ..optics.microlenses import diffraction, scattering
+from ..optics.phase import in_millimetres
+from ..optics.sampling import check_memory, fast_length, footprint
+
+_WINDOW_MARGIN = 1.2
+"""Window over what it must hold, on the way to the MLA."""
+
+_PUPIL_BAND = 1.5
+"""Sampled directions on the way to the MLA over the steepest ray: the pupil's edge diffracts beyond that."""
+
+_KEPT_BENDS = 3.3
+"""Steepest direction from the microlenses that is kept, over those that a wide one scatters to, at least."""
+
+_KEPT_ORDERS = 20
+"""The same, in orders of the diffraction by the aperture of a microlens."""
+
+BLOCK = 512
+"""Rows that are transformed together."""
+
+
+@dataclass(frozen=True)
+class FieldGrids:
+    """Sizes and places of the grids; pairs are along x and y."""
+
+    pitch: float  # after the MLA: a whole fraction of a pixel
+    per_pixel: int
+    wide_origin: tuple[float, float]  # of the window that holds pupil, image and detector
+    wide_pupil: int  # samples across it, at the pupil's pitch
+    wide_mla: int  # samples across it, at the MLA's pitch
+    offset: tuple[int, int]  # of the detector's window in it, in samples of the MLA
+    count: tuple[int, int]  # samples of the detector's window
+    bend: float  # largest change of direction cosine by a microlens that the grid holds
+    margin: int  # pixels of the detector's window before the first recorded one
+
+
+def field_grids(
+    camera: PlenopticCamera,
+    position: NDArray[np.float64],
+    wavelength: float,
+    refinement: float,
+    growth: float,
+) -> FieldGrids:
+    """Choose the grids of one scene point's field; parameters as of `full_field`.
+
+    Raises
+    ------
+    InputError
+        If they would need too much memory.
+    """
+    p, lam, radius = camera.pixel_size, in_millimetres(wavelength), main_lens(camera).pupil_radius
+    image = footprint(camera, position[None])
+    place, half_width = image.centre[0], image.half_width[0]
+    steepest = float((np.abs(image.cosine[0]) + image.half_cosine[0]).max())
+    bent = steepest + max(_KEPT_BENDS * scattering(camera), diffraction(camera, wavelength, _KEPT_ORDERS))
+    per_pixel = max(1, math.ceil(p * 2 * bent * refinement / lam))
+    pitch = p / per_pixel
+    # The recorded window on the detector, with room for light that moves sideways between MLA and detector.
+    reach = growth * camera.detector_distance * bent / math.sqrt(max(1e-3, 1 - bent**2))
+    margin = math.ceil(reach / p)
+    width = np.array([camera.detector_width, camera.detector_height])
+    pixels = [fast_length(size + 2 * margin) for size in camera.crop_size]
+    start = -width / 2 + (np.array(camera.crop_offset) - margin) * p
+    # The window of the way to the MLA, square and on the same grid of pixels.
+    low = np.minimum(-radius, np.minimum(place - half_width, start))
+    high = np.maximum(radius, np.maximum(place + half_width, start + np.array(pixels) * p))
+    wide = fast_length(_WINDOW_MARGIN * growth * float((high - low).max()) / pitch + per_pixel, per_pixel)
+    before = np.floor((start - (low + high - wide * pitch) / 2) / p).astype(int)
+    coarse = min(wide, fast_length(wide * pitch * 2 * _PUPIL_BAND * steepest * refinement / lam))
+    detector_samples = pixels[0] * pixels[1] * per_pixel**2
+    check_memory(
+        # at the pupil, on the way to the MLA, or with the doubled grid of the detector
+        8.0 * max(4 * coarse**2, 2 * coarse**2 + pixels[1] * per_pixel * coarse, 5 * detector_samples)
+        + 32.0 * BLOCK * wide,
+        f"full field of position = ({position[0]:g}, {position[1]:g}, {position[2]:g})",
+    )
+    return FieldGrids(
+        pitch=pitch,
+        per_pixel=per_pixel,
+        wide_origin=(float(start[0] - before[0] * p), float(start[1] - before[1] * p)),
+        wide_pupil=coarse,
+        wide_mla=wide,
+        offset=(int(before[0]) * per_pixel, int(before[1]) * per_pixel),
+        count=(pixels[0] * per_pixel, pixels[1] * per_pixel),
+        bend=lam / (2 * pitch) - steepest,
+        margin=margin,
+    )
