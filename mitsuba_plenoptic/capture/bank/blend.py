@@ -50,6 +50,8 @@ def near_weight(camera: PlenopticCamera, vergence: Any, accuracy: float) -> Any:
     array
         From 1 near focus smoothly to 0.
     """
+    if accuracy == 0:
+        return 0 * vergence + 1
     low, high = blur_limits(accuracy)
     clip = dr.clip if dr.is_array_v(vergence) else np.clip
     part = clip((high - abs(blur_of(camera, vergence))) / (high - low), 0, 1)
