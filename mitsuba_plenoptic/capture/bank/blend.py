@@ -10,7 +10,7 @@ import numpy as np
 from ...camera import PlenopticCamera
 from ...optics.main_lens import main_lens
 
-_LIMITS = ((0.004, (5.0, 7.0)), (0.02, (3.0, 4.5)), (1.0, (2.5, 4.0)))
+_LIMITS = ((0.004, (8.0, 12.0)), (0.02, (5.0, 7.0)), (1.0, (3.0, 4.5)))
 """Lenses of blur up to which point spreads are exact, and from which on all is the bank's, by allowed error."""
 
 
@@ -50,6 +50,8 @@ def near_weight(camera: PlenopticCamera, vergence: Any, accuracy: float) -> Any:
     array
         From 1 near focus smoothly to 0.
     """
+    if accuracy == 0:
+        return 0 * vergence + 1
     low, high = blur_limits(accuracy)
     clip = dr.clip if dr.is_array_v(vergence) else np.clip
     part = clip((high - abs(blur_of(camera, vergence))) / (high - low), 0, 1)

@@ -146,7 +146,8 @@ class LensPatterns:
         types, n, lam = array_module(), self.samples, in_millimetres(self._wavelength)
         lens = main_lens(self._camera)
         place, modulus = axial_ray(lens, nodes.radius, nodes.distance)
-        cosine = lens.cosines((nodes.radius, 0.0), (0.0, 0.0, nodes.distance))[0]
+        slope = (place - nodes.radius) / lens.pupil_distance
+        cosine = slope / np.sqrt(1 + slope * slope)
         curvature = fields.curvature[nodes.field]
         size = fields.samples.shape[1]
         pattern, row, column = split(types, dr.arange(types.UInt32, len(place) * n * n), n, n)

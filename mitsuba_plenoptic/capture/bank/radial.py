@@ -89,7 +89,8 @@ def distance_of(lens: MainLens, vergence: Any) -> Any:
 def axial_ray(lens: MainLens, rho: Any, distances: Any) -> tuple[Any, Any]:
     """Return where on the array the ray of an axial point through a pupil radius arrives, and the field's modulus.
 
-    The modulus is that of geometric optics, by the area that rays take on the pupil and on the array.
+    The modulus is that of geometric optics, by the area that rays take on the pupil and on the array. Beyond the rim,
+    where rays may meet before the array, both go on as they are at the rim.
     """
 
     def land(radius: Any) -> Any:
@@ -97,8 +98,8 @@ def axial_ray(lens: MainLens, rho: Any, distances: Any) -> tuple[Any, Any]:
         return radius + lens.pupil_distance * s / np.sqrt(1 - s * s)
 
     step = 1e-4 * float(lens.pupil_radius)
-    rho = np.maximum(rho, step)
-    place = land(rho)
-    along, across = (land(rho + step) - land(rho - step)) / (2 * step), place / rho
-    amplitude = lens.amplitude((rho, 0.0), (0.0, 0.0, distances))
-    return place, amplitude / np.sqrt(np.abs(along * across))
+    inner = np.clip(rho, step, lens.pupil_radius)
+    place = land(inner)
+    along, across = (land(inner + step) - land(inner - step)) / (2 * step), place / inner
+    amplitude = lens.amplitude((inner, 0.0), (0.0, 0.0, distances))
+    return place + along * (rho - inner), amplitude / np.sqrt(np.abs(along * across))

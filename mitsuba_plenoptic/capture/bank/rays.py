@@ -74,15 +74,15 @@ class Rays:
             (ex, ey), (xx, xy, yx, yy) = _landing(lens, P, point)
             ex, ey, det = ex - centre[0], ey - centre[1], xx * yy - xy * yx
             P = [P[0] - (yy * ex - xy * ey) / det, P[1] - (xx * ey - yx * ex) / det]
-        pupil = P[0], P[1]
+        inward = dr.minimum(1, lens.pupil_radius * dr.rsqrt(dr.square(P[0]) + dr.square(P[1])))
+        pupil = P[0] * inward, P[1] * inward
         on_axis = types.Float64(0), types.Float64(0)
         power = dr.square(lens.amplitude(pupil, point) / lens.amplitude(on_axis, point)) / abs(det)
         power *= lattice.lens_area / (math.pi * lens.pupil_radius**2)
         if self.pupil_weights is not None:
-            inward = dr.minimum(1, lens.pupil_radius * dr.rsqrt(dr.square(P[0]) + dr.square(P[1])))
             # A lens takes light from a part of the pupil.
             seen = max(camera.mla_pitches) / abs(defocus)
-            power *= self.pupil_weights.at(number, P[0] * inward, P[1] * inward, lens.pupil_radius, seen)[0]
+            power *= self.pupil_weights.at(number, *pupil, lens.pupil_radius, seen)[0]
             power *= value(1 / _mean(self.pupil_weights), number)
         kind = lattice.lens_type(i, j) if len(self.banks) > 1 else types.Float64(0)
         coefficients = []
@@ -104,8 +104,13 @@ class Rays:
 
 
 def _landing(lens: MainLens, P: list[Any], point: Any) -> tuple[tuple[Any, Any], tuple[Any, ...]]:
-    """Return where rays through pupil points arrive on the array, and the derivatives of x and of y by Px and Py."""
+    """Return where rays through pupil points arrive on the array, and the derivatives of x and of y by Px and Py.
+
+    Beyond the rim, where rays may meet before the array, the map goes on as it is at the rim.
+    """
     step = 1e-3 * float(lens.pupil_radius)
+    inward = dr.minimum(1, lens.pupil_radius * dr.rsqrt(dr.square(P[0]) + dr.square(P[1])))
+    beyond, P = [p * (1 - inward) for p in P], [p * inward for p in P]
 
     def land(x: Any, y: Any) -> tuple[Any, Any]:
         sx, sy = lens.cosines((x, y), point)
@@ -116,7 +121,8 @@ def _landing(lens: MainLens, P: list[Any], point: Any) -> tuple[tuple[Any, Any],
     above, below = land(P[0], P[1] + step), land(P[0], P[1] - step)
     xx, yx = ((high - low) / (2 * step) for high, low in zip(right, left, strict=True))
     xy, yy = ((high - low) / (2 * step) for high, low in zip(above, below, strict=True))
-    return here, (xx, xy, yx, yy)
+    x, y = here[0] + xx * beyond[0] + xy * beyond[1], here[1] + yx * beyond[0] + yy * beyond[1]
+    return (x, y), (xx, xy, yx, yy)
 
 
 @dataclass(frozen=True)

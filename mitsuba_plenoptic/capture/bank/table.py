@@ -27,7 +27,7 @@ from .patterns import Nodes
 from .radial import RadialFields, distance_of
 
 SHADOW = 3.0
-"""Distance beyond the rim, in pitches, at which a lens is dark."""
+"""Distance beyond the rim, in pitches, at which a lens is dark; at most the radius of the blur."""
 
 _RIPPLES = 6.0
 """Coordinate w from the rim inwards from which on ripples are left out."""
@@ -128,13 +128,15 @@ class Coordinates:
         depth, edge, angle = (index.ravel() for index in np.indices(self.shape))
         blur = np.abs(self._blur())[depth]
         place = np.linspace(-SHADOW, _RIPPLES, _EDGES)[edge]
-        inside = np.where(place < 0, place, place * np.sqrt(blur) / self.ripple)
+        shadow = np.minimum(1, blur / (2 * SHADOW))
+        inside = np.where(place < 0, place * shadow, place * np.sqrt(blur) / self.ripple)
         radius = float(main_lens(self.camera).pupil_radius) * np.maximum(0, 1 - 2 * inside / blur)
         return Nodes(depth, distance[depth], radius, angle * (2 * np.pi / _ANGLES))
 
     def reach(self, vergence: Any) -> Any:
         """Return how far beyond the pupil's rim, in millimetres, a lens still has light."""
-        return 2 * SHADOW * self.camera.aperture_radius / abs(blur_of(self.camera, vergence))
+        minimum = dr.minimum if dr.is_array_v(vergence) else np.minimum
+        return self.camera.aperture_radius * minimum(1, 2 * SHADOW / abs(blur_of(self.camera, vergence)))
 
     @property
     def widest(self) -> float:
@@ -159,7 +161,8 @@ class Coordinates:
         blur = blur_of(self.camera, vergence)
         size = dr.maximum(abs(blur), 1e-6)
         inside = (1 - dr.sqrt(Px * Px + Py * Py) * (1 / self.camera.aperture_radius)) * size * 0.5
-        place = dr.select(inside < 0, inside, inside * dr.rsqrt(size) * self.ripple)
+        shadow = dr.minimum(1, size * (1 / (2 * SHADOW)))
+        place = dr.select(inside < 0, inside / shadow, inside * dr.rsqrt(size) * self.ripple)
         last = (_EDGES - 1) * _FINER[1]
         edge = dr.clip((place + SHADOW) * (last / (_RIPPLES + SHADOW)), 0, last)
         depth, known = type(edge)(0), dr.mask_t(edge)(False)
@@ -171,7 +174,7 @@ class Coordinates:
             known |= here
             first += side.lines
         angle = dr.atan2(Py, Px) * (1 / (2 * np.pi)) - self.camera.mla_rotation / 360
-        return depth, edge, (angle - dr.floor(angle)) * (_ANGLES * _FINER[2]), known & (inside > -SHADOW)
+        return depth, edge, (angle - dr.floor(angle)) * (_ANGLES * _FINER[2]), known & (place > -SHADOW)
 
 
 @dataclass(frozen=True, eq=False)

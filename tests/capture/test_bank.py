@@ -1,0 +1,153 @@
+"""The kernel bank: its parts against plain formulas, its sums against exact ones."""
+
+import pickle
+
+import numpy as np
+import pytest
+import scipy
+from wave_cases import WAVELENGTH, capture, error, small_camera
+
+from mitsuba_plenoptic.capture.bank import Convolution, LensBank, near_weight
+from mitsuba_plenoptic.capture.bank.radial import RadialFields
+from mitsuba_plenoptic.capture.operator import CaptureOperator
+from mitsuba_plenoptic.capture.point_spread import point_fields
+from mitsuba_plenoptic.optics.main_lens import main_lens
+from mitsuba_plenoptic.runtime.backend import array_module
+from mitsuba_plenoptic.runtime.batches import Threads
+from mitsuba_plenoptic.runtime.jobs import Job
+
+CAMERAS = {
+    "square": {},
+    "discs, turned": {
+        "mla_lattice": "hexagonal", "mla_rotation": 7.0, "mla_offset": (0.01, -0.02), "mla_aperture": "circle",
+        "mla_fill": 0.9,
+    },
+    "three focal lengths": {"mla_lattice": "hexagonal", "mla_focal_length": (0.44, 0.512, 0.6)},
+}  # fmt: skip
+
+NEAR, FAR = 222.0, 262.0
+"""Distances before and beyond focus of points that are blurred over 6.3 and 6.6 lenses."""
+
+
+def bank_of(camera, *distances, accuracy=0.03):
+    vergences = [float(main_lens(camera).vergence(g)) for g in distances]
+    return LensBank.learn(camera, WAVELENGTH, accuracy, (min(vergences), max(vergences)))
+
+
+def wall(camera, distance, lenses=2, per_lens=8):
+    """Return the points of a wall on the axis, even in every lens."""
+    place = ((np.arange(lenses * per_lens) + 0.5) / per_lens - lenses / 2) * camera.mla_pitch
+    x, y = (part.ravel() * -distance / camera.mla_distance for part in np.meshgrid(place, place))
+    return np.column_stack([x, y, np.full(len(x), distance)])
+
+
+def test_radial_field_is_that_of_the_full_field():
+    camera, distance = small_camera(12), FAR
+    field = RadialFields.of(camera, WAVELENGTH, np.array([distance]), 0.38)
+    mla = point_fields(camera, (0.0, 0.0, distance), wavelength=WAVELENGTH).mla
+    x = mla.origin[0] + np.arange(mla.samples.shape[1]) * mla.pitch
+    row = round(-mla.origin[1] / mla.pitch)
+    r = np.hypot(x, mla.origin[1] + row * mla.pitch)
+    near = r < 0.35
+    found = np.interp(r[near], np.arange(field.samples.shape[1]) * field.step, np.abs(field.samples[0]) ** 2)
+    exact = np.abs(mla.samples[row, near]) ** 2
+    assert error(found * (found @ exact) / (found @ found), exact) < 0.003
+
+
+@pytest.mark.parametrize("distance", [NEAR, FAR])
+def test_light_of_a_point_adds_up_to_one(distance):
+    camera = small_camera()
+    bank = bank_of(camera, distance)
+    vergence = main_lens(camera).vergence(distance)
+    radius = camera.aperture_radius
+    place = (np.arange(400) / 200 - 1) * (radius + bank.reach(vergence))
+    x, y = (part.ravel() for part in np.meshgrid(place, place))
+    types = array_module()
+    found = bank.coefficients(types.Float(x), types.Float(y), types.Float(np.full(len(x), vergence)))
+    power = np.array(found).T @ bank.kernels.sum((1, 2))
+    assert np.sum(power) * (place[1] - place[0]) ** 2 / (np.pi * radius**2) == pytest.approx(1, abs=0.008)
+    middle = np.hypot(x, y) < radius / 3
+    assert np.mean(power[middle]) == pytest.approx(1, abs=0.03)
+    assert not power[np.hypot(x, y) > radius + bank.reach(vergence)].any()
+
+
+def test_some_ranks_are_those_of_all():
+    camera = small_camera()
+    bank, types = bank_of(camera, FAR), array_module()
+    place = types.Float(1.0), types.Float(2.0), types.Float(main_lens(camera).vergence(FAR))
+    assert bank.rank > 4
+    assert [part[0] for part in bank.coefficients(*place, slice(1, 3))] == [
+        part[0] for part in bank.coefficients(*place)[1:3]
+    ]
+
+
+def test_bank_is_made_once_whatever_the_window():
+    camera = small_camera(8)
+    assert bank_of(camera, FAR) is bank_of(camera.replace(crop_offset=(3, 4), crop_size=(20, 30)), FAR)
+    assert pickle.loads(pickle.dumps(bank_of(camera, FAR))) is bank_of(camera, FAR)
+
+
+def test_convolution_in_squares_and_its_adjoint():
+    camera = small_camera(crop_offset=(2, 3), crop_size=(200, 61)).replace(resolution=(512, 512))
+    generator = np.random.default_rng(0)
+    kernels = generator.random((2, 9, 9), dtype=np.float32)
+    bank = LensBank(kernels, camera.pixel_size / 2, None, ())
+    plain, shared = Convolution(camera, [bank], 0), Convolution(camera, [bank], 2)
+    images = generator.random((2, plain.box.rows, plain.box.columns), dtype=np.float32)
+    m = -plain.box.left + 4
+    whole = sum(scipy.signal.fftconvolve(image, kernel, "same") for image, kernel in zip(images, kernels, strict=True))
+    fine = whole[m:-m, m:-m]
+    expected = fine.reshape(61, 2, 200, 2).sum((1, 3))
+    assert plain.forward(images).shape == (61, 200)
+    np.testing.assert_allclose(plain.forward(images), expected, rtol=1e-5)
+    pixels = generator.random((61, 200), dtype=np.float32)
+    back = sum(np.vdot(image.astype(float), part) for image, part in zip(images, shared.adjoint(pixels), strict=True))
+    assert np.vdot(shared.forward(images).astype(float), pixels) == pytest.approx(back, rel=1e-5)
+
+
+def test_near_weight_goes_smoothly_from_focus():
+    camera = small_camera()
+    blur = np.linspace(0, 40, 400)
+    vergence = (1 - blur * camera.mla_pitch / camera.aperture_diameter) / camera.mla_distance
+    weight = near_weight(camera, vergence, 0.01)
+    assert weight[0] == 1 and weight[-1] == 0
+    assert (np.diff(weight) <= 0).all() and np.abs(np.diff(weight)).max() < 0.1
+    assert (near_weight(camera, vergence, 0.0) == 1).all()
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_walls_are_those_of_exact_spreads(name):
+    camera = small_camera(14, **CAMERAS[name])
+    points = wall(camera, FAR)
+    weights = np.ones(len(points))
+    exact = capture(camera, points, weights, accuracy=0)
+    image = capture(camera, points, weights, method="bank")
+    assert error(image, exact) < 0.02
+    assert image.sum(dtype=float) == pytest.approx(exact.sum(dtype=float), rel=0.005)
+
+
+def test_half_open_pupils():
+    camera = small_camera(14)
+    points = wall(camera, NEAR, per_lens=6)
+    open_cells = np.zeros((len(points), 8, 8))
+    open_cells[:, :, 4:] = 1
+    weights = np.ones(len(points))
+    exact = capture(camera, points, weights, accuracy=0, pupil_weights=open_cells)
+    image = capture(camera, points, weights, method="bank", pupil_weights=open_cells)
+    assert image.sum(dtype=float) == pytest.approx(exact.sum(dtype=float), rel=0.01)
+    # the edge of what is open does not diffract here
+    assert error(image, exact) < 0.12
+
+
+def test_near_and_far_points_together():
+    camera = small_camera(10)
+    points = np.concatenate([wall(camera, distance, per_lens=4) for distance in (240.0, 259.0, FAR)])
+    weights = np.linspace(0, 1, len(points))
+    operator = CaptureOperator(camera, points, wavelength=WAVELENGTH, method="bank", accuracy=0.03)
+    image = operator.forward(weights)
+    assert error(image, capture(camera, points, weights, accuracy=0)) < 0.04
+    np.testing.assert_array_equal(operator.forward(weights, job=Job(batch_map=Threads(1))), image)
+    pixels = np.random.default_rng(1).random(camera.shape).astype(np.float32)
+    assert operator.adjoint(pixels) @ weights == pytest.approx(np.vdot(image.astype(float), pixels), rel=1e-5)
+    cost = operator.estimate()
+    assert cost.seconds > 0 and cost.memory > 0
