@@ -8,7 +8,7 @@ serve every lens, so that the capture of an even surface repeats from lens to le
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -26,8 +26,11 @@ from .visibility import LANES, PUPIL_CELLS, sampled_fraction, visible_cells
 _LANE_BYTES = 256
 """Memory of a light path on its way."""
 
-_RADIATOR_BYTES = 2 * (40 + PUPIL_CELLS**2 // 8)
+RADIATOR_BYTES = 2 * (40 + PUPIL_CELLS**2 // 8)
 """Memory of a radiator with the bits of its visible cells, while the parts are put together."""
+
+_ROUNDING = 1e-6
+"""Relative deviation of a radiance that is none."""
 
 _INFINITY = 1e6
 """Where the radiator of a ray that leaves the scene is put, in main lens images: far enough to be collimated."""
@@ -43,6 +46,8 @@ class Radiators:
         Places.
     radiance : (n, channels) float64 array
         Radiance towards the pupil.
+    variance : (n, channels) float64 array
+        Variance of each radiance, as the mean of some light paths; 0 where there is only one.
     fraction : (n,) float64 array
         Fraction of the visible pupil whose rays from the radiator land in the sampled part of the MLA plane: those
         are the rays that could have found it.
@@ -52,8 +57,20 @@ class Radiators:
 
     positions: np.ndarray
     radiance: np.ndarray
+    variance: np.ndarray
     fraction: np.ndarray
     pupil_weights: PupilWeights | None
+
+    def take(self, which: np.ndarray) -> Radiators:
+        """Return some of them."""
+        weights = self.pupil_weights
+        return Radiators(
+            self.positions[which],
+            self.radiance[which],
+            self.variance[which],
+            self.fraction[which],
+            None if weights is None else weights.take(which),
+        )
 
 
 def sample_pairs(per_lens: int, shift: np.ndarray) -> np.ndarray:
@@ -92,6 +109,7 @@ def find_radiators(
     seed: int,
     wavelength: float | None,
     occlusion: bool,
+    lenses: np.ndarray | None = None,
 ) -> Radiators:
     """Trace the pairs of every lens into the scene and keep what shines.
 
@@ -111,26 +129,27 @@ def find_radiators(
         For spectral variants: the wavelength of all light, in nanometres.
     occlusion : bool
         Whether to find by shadow rays which part of the pupil each radiator sees.
+    lenses : int array, optional
+        Numbers, in `LensWindow.index`, of the lenses whose pairs are traced. Default: all.
     """
     window, lens = LensWindow.of(camera), main_lens(camera)
     camera.require_resolved()
-    _require_memory(window, len(pairs), spp)
-    lenses = max(1, LANES // (len(pairs) * spp))
-    found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    traced = window if lenses is None else replace(window, index=window.index[lenses])
+    _require_memory(traced, len(pairs), spp)
+    together = max(1, LANES // (len(pairs) * spp))
+    found: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
     held = 0
-    for start in range(0, len(window.index), lenses):
-        some = range(start, min(start + lenses, len(window.index)))
+    for start in range(0, len(traced.index), together):
+        some = range(start, min(start + together, len(traced.index)))
         found.append(
-            _trace_lenses(scene, sensor, child, lens, window, pairs, some, spp, seed + start, wavelength, occlusion)
+            _trace_lenses(scene, sensor, child, lens, traced, pairs, some, spp, seed + start, wavelength, occlusion)
         )
         # How many shine is known as they are found; the parts and their concatenation are alive at once.
         held += 2 * sum(array.nbytes for array in found[-1])
-        require_memory(
-            held, f"{held // _RADIATOR_BYTES} radiators or more in {some.stop} of {len(window.index)} lenses"
-        )
-    positions, radiance, bits = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        require_memory(held, f"{held // RADIATOR_BYTES} radiators or more in {some.stop} of {len(traced.index)} lenses")
+    positions, radiance, variance, bits = (np.concatenate(parts) for parts in zip(*found, strict=True))
     weights = PupilWeights.from_bits(bits, PUPIL_CELLS) if occlusion and not (bits == 255).all() else None
-    return Radiators(positions, radiance, sampled_fraction(positions, weights, lens, window), weights)
+    return Radiators(positions, radiance, variance, sampled_fraction(positions, weights, lens, window), weights)
 
 
 def _require_memory(window: LensWindow, pairs: int, spp: int) -> None:
@@ -160,8 +179,8 @@ def _trace_lenses(
     seed: int,
     wavelength: float | None,
     occlusion: bool,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return positions, radiance and bits of the visible cells of the shining radiators of some lenses."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return positions, radiance, variance and bits of the visible cells of the shining radiators of some lenses."""
     count = len(lenses) * len(pairs)
     lane = dr.arange(mi.UInt32, count * spp)
     radiator = lane // spp
@@ -183,14 +202,15 @@ def _trace_lenses(
     # The unbound method reaches integrators written in C++ and in Python alike.
     radiance = mi.unpolarized_spectrum(mi.SamplingIntegrator.sample(child, scene, sampler, ray, None, True)[0])
     channels = [radiance[0]] if wavelength is not None else list(radiance)
-    means = np.stack([dr.block_sum(channel, spp).numpy() / spp for channel in channels], axis=-1)
+    means, variances = np.stack([_mean(channel, spp) for channel in channels], axis=-1)
 
     bad = int(np.count_nonzero(~np.isfinite(means).all(axis=-1)))
     if bad:
         raise InputError(f"scene: the radiance of {bad} radiators is NaN or infinite: all must be finite")
     shining = np.flatnonzero(means.max(axis=-1) > 0).astype(np.uint32)
     if shining.size == 0:
-        return np.empty((0, 3)), np.empty((0, means.shape[1])), np.empty((0, PUPIL_CELLS**2 // 8), np.uint8)
+        none = np.empty((0, means.shape[1]))
+        return np.empty((0, 3)), none, none, np.empty((0, PUPIL_CELLS**2 // 8), np.uint8)
     first = mi.UInt32(shining) * spp
     si = scene.ray_intersect(dr.gather(mi.Ray3f, mi.Ray3f(ray), first))
     depth = (
@@ -201,4 +221,15 @@ def _trace_lenses(
     P, slope = (dr.gather(mi.Point2f, mi.Point2f(v), first).numpy().astype(np.float64).T for v in (P, slope))
     positions = np.column_stack([P + slope * depth[:, None], depth])
     bits = visible_cells(scene, to_world, si, P, lens) if occlusion else np.empty((0, PUPIL_CELLS**2 // 8), np.uint8)
-    return positions, means[shining].astype(np.float64), bits
+    return positions, means[shining].astype(np.float64), variances[shining].astype(np.float64), bits
+
+
+def _mean(values: Any, spp: int) -> tuple[np.ndarray, np.ndarray]:
+    """Average each radiator's light paths, and return the variances of these means as well."""
+    mean = dr.block_sum(values, spp) / spp
+    squares = dr.block_sum(
+        dr.square(values - dr.gather(type(values), mean, dr.arange(mi.UInt32, dr.width(values)) // spp)), spp
+    )
+    variance = squares / max(1, spp * (spp - 1))
+    # What rounding leaves of paths that are all the same is no spread.
+    return mean.numpy(), dr.select(variance > dr.square(_ROUNDING * mean), variance, 0).numpy()

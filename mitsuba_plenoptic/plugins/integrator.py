@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -15,7 +16,10 @@ import numpy as np
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..capture.accuracy import DEFAULT_ACCURACY, check_accuracy
+from ..capture.estimate import estimate_waves
+from ..capture.noise import PARTS, keep_variances, with_halves
 from ..capture.operator import METHODS, CaptureOperator
+from ..capture.patch_plan import Cost
 from ..capture.radiators import Radiators, find_radiators, sample_pairs
 from ..errors import InputError, shown
 from ..io.checkpoints import digest
@@ -128,8 +132,6 @@ def make_class() -> type:
             kind = self.child.class_name() if hasattr(self.child, "class_name") else type(self.child).__name__
             if not isinstance(self.child, mi.SamplingIntegrator) or kind in _LIGHT_TRACERS:
                 raise InputError(f"{NAME}: nested {kind}: it cannot tell the radiance along a ray; use path or direct")
-            # Set by `render_capture` for long runs.
-            self.job = Job()
 
         def render(
             self,
@@ -143,6 +145,30 @@ def make_class() -> type:
             """Render the capture; `spp` is the number of light paths for each radiator."""
             if isinstance(sensor, int):
                 sensor = scene.sensors()[sensor]
+            seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
+            spp = spp or sensor.sampler().sample_count()
+            film = self.record(scene, sensor, seed=seed, spp=spp)
+            return film.develop() if develop else None
+
+        def record(
+            self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False
+        ) -> Any:
+            """Compute the capture, and return the film that holds it.
+
+            Parameters
+            ----------
+            scene, sensor
+                The scene and its plenoptic sensor.
+            seed : int
+                Seed of the random numbers.
+            spp : int
+                Light paths for each radiator.
+            job : Job, optional
+                Who computes, who is told of the progress, where the work is kept. Default: threads of this process.
+            noise : bool
+                Whether the standard deviation of the pixels is computed, too: the film then has it as extra channels,
+                one for each wavelength.
+            """
             camera = PlenopticCamera.from_sensor(sensor)
             film = sensor.film()
             if not film.rfilter().is_box_filter():
@@ -155,38 +181,42 @@ def make_class() -> type:
                     f"{NAME}: variant {mi.variant()} records one wavelength, and the film has the colours of many: use "
                     "pixel_format luminance, or an rgb variant"
                 )
-            seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
             with guards.watch():
-                image = self._capture(scene, sensor, camera, seed, spp or sensor.sampler().sample_count())
+                image = self._capture(scene, sensor, camera, seed, spp, job or Job(), noise)
 
-            film.prepare([])
+            channels = len(self.wavelengths)
+            film.prepare([f"noise.{channel}" for channel in range(channels * noise)])
             rows, columns = camera.shape
-            block = np.ones((rows, columns, 4), dtype=np.float32)
-            block[..., :3] = image
+            block = np.ones((rows, columns, 4 + image.shape[2] - channels), dtype=np.float32)
+            block[..., :3] = image[..., :channels]
+            block[..., 4:] = image[..., channels:]
             film.put_block(mi.ImageBlock(mi.TensorXf(block), film.crop_offset()))
-            return film.develop() if develop else None
+            return film
 
-        def _capture(self, scene: Any, sensor: Any, camera: PlenopticCamera, seed: int, spp: int) -> np.ndarray:
-            """Sum all radiators of all passes: (rows, columns, 1 or 3) pixel values, none negative."""
+        def _capture(
+            self, scene: Any, sensor: Any, camera: PlenopticCamera, seed: int, spp: int, job: Job, noise: bool
+        ) -> np.ndarray:
+            """Sum all radiators of all passes: (rows, columns, 1 or 3) pixel values, none negative.
+
+            With noise there are as many channels of their standard deviations.
+            """
             random = np.random.default_rng(seed)
             # The first pass is not shifted: it is the best single set.
             shifts = [np.zeros(4), *random.random((self.passes - 1, 4))]
             seeds = np.random.SeedSequence(seed).generate_state(self.passes)
+            find = self._finder(scene, sensor, camera)
             sets = [
-                find_radiators(
-                    scene,
-                    sensor,
-                    self.child,
-                    camera,
+                find(
                     sample_pairs(self.radiators_per_lens, shift),
                     spp=spp,
                     seed=int(pass_seed) >> 1,
-                    wavelength=self.wavelengths[0] if mi.is_spectral else None,
                     occlusion=self.occlusion,
                 )
                 for shift, pass_seed in zip(shifts, seeds, strict=True)
             ]
-            operators = [self._operator(camera, radiators) for radiators in sets]
+            # Columns of the weights: the capture's channels, and what tells the noise of each.
+            columns = self.wavelengths + tuple(np.repeat(self.wavelengths, 1 + PARTS)) if noise else self.wavelengths
+            operators = [self._operator(camera, radiators, columns) for radiators in sets]
             total = sum(len(operator.points) * operator.sums for operator in operators)
             if total == 0:
                 warnings.warn(
@@ -195,25 +225,57 @@ def make_class() -> type:
                     stacklevel=2,
                 )
             if self.method == "patch":
-                self._estimate(operators[0])
-            shape = (*camera.shape, len(self.wavelengths))
-            image = self.job.run(self._tasks(operators, sets), shape, total, partial(_facts, sets))
+                self._estimate(operators[0], job)
+            channels = len(self.wavelengths)
+            shape = (*camera.shape, channels * (1 + noise))
+            generator = np.random.default_rng((seed, PARTS)) if noise else None
+            tasks = self._tasks(operators, sets, job, generator)
+            image = job.run(tasks, shape, total, partial(_facts, sets))
             # What interpolation leaves below zero between the samples is not light.
-            return np.maximum(image, 0, out=image)
+            np.maximum(image, 0, out=image)
+            np.sqrt(image[..., channels:], out=image[..., channels:])
+            return image
 
-        def _operator(self, camera: PlenopticCamera, radiators: Radiators) -> CaptureOperator:
+        def _finder(self, scene: Any, sensor: Any, camera: PlenopticCamera) -> Callable[..., Radiators]:
+            """Return `find_radiators` of a scene."""
+            wavelength = self.wavelengths[0] if mi.is_spectral else None
+            return partial(find_radiators, scene, sensor, self.child, camera, wavelength=wavelength)
+
+        def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:
+            """Estimate what `record` takes, from some of the lenses."""
+            camera = PlenopticCamera.from_sensor(sensor)
+            with guards.watch():
+                cost = estimate_waves(
+                    camera,
+                    partial(self._finder(scene, sensor, camera), seed=seed),
+                    partial(self._operator, camera, columns=self.wavelengths),
+                    job,
+                    pairs=sample_pairs(self.radiators_per_lens, np.zeros(4)),
+                    spp=spp,
+                    occlusion=self.occlusion,
+                )
+            return replace(
+                cost,
+                radiators=cost.radiators * self.passes,
+                patterns=cost.patterns * self.passes,
+                seconds=cost.seconds * self.passes,
+            )
+
+        def _operator(
+            self, camera: PlenopticCamera, radiators: Radiators, columns: tuple[float, ...]
+        ) -> CaptureOperator:
             return CaptureOperator(
                 camera,
                 radiators.positions,
-                spectrum=Spectrum.lines(*self.wavelengths),
+                spectrum=Spectrum.lines(*columns),
                 method=self.method,
                 accuracy=self.accuracy,
                 pupil_weights=radiators.pupil_weights,
             )
 
-        def _estimate(self, operator: CaptureOperator) -> None:
+        def _estimate(self, operator: CaptureOperator, job: Job) -> None:
             """Report what is to come, or refuse it if memory would not do."""
-            cost = operator.estimate(self.job)
+            cost = operator.estimate(job)
             _log.info(
                 "%d radiators, %d point spreads, about %.0f s and %.1f GiB",
                 cost.radiators * self.passes,
@@ -222,12 +284,30 @@ def make_class() -> type:
                 cost.memory / 2**30,
             )
 
-        def _tasks(self, operators: list[CaptureOperator], sets: list[Radiators]) -> Iterator[Task]:
+        def _tasks(
+            self,
+            operators: list[CaptureOperator],
+            sets: list[Radiators],
+            job: Job,
+            noise: np.random.Generator | None,
+        ) -> Iterator[Task]:
             """Yield the sums of all passes; what an operator has planned goes when its pass is done."""
             for radiators in sets:
                 operator = operators.pop(0)
-                weights = self._scale(operator.camera) * radiators.radiance / radiators.fraction[:, None]
-                yield from operator.tasks(weights, self.job)
+                scale = self._scale(operator.camera) / radiators.fraction[:, None]
+                weights = scale * radiators.radiance
+                if noise is None:
+                    yield from operator.tasks(weights, job)
+                    continue
+                deviations = scale * np.sqrt(radiators.variance)
+                halves = [with_halves(column, noise) for column in deviations.T]
+                groups = [
+                    [channel for channel, other in enumerate(self.wavelengths) if other == wavelength]
+                    for wavelength in dict.fromkeys(self.wavelengths)
+                ]
+                tasks = operator.tasks(np.hstack([weights, *halves]), job)
+                for task, channels in zip(tasks, groups, strict=True):
+                    yield keep_variances(task, channels, len(self.wavelengths))
 
         def _scale(self, camera: PlenopticCamera) -> float:
             """Return the weight of a radiator of radiance 1 that lands wholly in the sampled lenses."""

@@ -12,7 +12,7 @@ import re
 import time
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -79,7 +79,7 @@ class StageStore:
 
         def write(path: Path, value: Capture, key: str) -> None:
             stamped = {**value.metadata, "key": key}
-            write_capture(path, Capture(value.image, value.camera, value.wavelength, value.model, stamped))
+            write_capture(path, replace(value, metadata=stamped))
 
         def read(path: Path) -> tuple[Capture, str]:
             value = read_capture(path)
@@ -97,7 +97,7 @@ class StageStore:
             write_exr(path, value[0], {**value[1], "key": key})
 
         def read(path: Path) -> tuple[tuple[np.ndarray, dict[str, Any]], str]:
-            image, attributes = read_exr(path)
+            image, _, attributes = read_exr(path)
             return (image, attributes), attributes["key"]
 
         (image, _), key = self._get(name, ".exr", inputs, make, write, read)
