@@ -106,6 +106,15 @@ def write_png(path: Path, indices: NDArray[np.uint8], palette: Sequence[tuple[in
     )
 
 
+def write_hdr(path: Path, image: Array) -> None:
+    """Write (rows, columns, 3) radiances as Radiance HDR, uncompressed."""
+    exponent = np.frexp(image.max(axis=-1))[1]
+    mantissa = np.clip(np.floor(np.ldexp(image, 8 - exponent[..., None]) + 0.500001), 0, 255)
+    pixels = np.concatenate([mantissa, exponent[..., None] + 128], axis=-1).astype(np.uint8)
+    header = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {len(image)} +X {image.shape[1]}\n"
+    path.write_bytes(header.encode("ascii") + pixels.tobytes())
+
+
 # ------------------------------------------------------------------------------------------------------------
 # Flat figures, in picture coordinates
 # ------------------------------------------------------------------------------------------------------------
@@ -550,6 +559,97 @@ def stripes_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
     return supersample(128, 256, shade), ramp((164, 38, 34), (242, 230, 208))
 
 
+def tiles_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
+    """Four stone tiles, two dark and two light, with veins and dark joints."""
+
+    def shade(u: Array, v: Array) -> Array:
+        dark = (np.floor(2 * u) + np.floor(2 * v)) % 2
+        x, y = 2 * math.pi * u, 2 * math.pi * v
+        bend = np.sin(x + 1.7 * np.sin(2 * y) + 0.8 * np.sin(3 * x + y))
+        veins = np.exp(-((bend + 0.6 * np.sin(2 * y - x + 1.1 * np.sin(2 * x))) ** 2) / 0.01)
+        cloud = 0.06 * np.sin(3 * x + 2 * y + np.sin(4 * y)) + 0.04 * np.sin(5 * y - 4 * x)
+        value = np.where(dark == 1, 0.24 + cloud + 0.3 * veins, 0.86 + cloud - 0.3 * veins)
+        joint = np.minimum((2 * u) % 1, (2 * v) % 1) < 0.02
+        return np.where(joint, 0.05, value)
+
+    return supersample(256, 256, shade), ramp((38, 34, 36), (236, 226, 208))
+
+
+def _leaf(u: Array, v: Array) -> tuple[Array, Array]:
+    """Return how far points are inside a leaf's outline, over its half-width, and how far from its veins."""
+    side = np.abs(u - 0.5 - 0.04 * np.sin(5 * v))
+    width = 0.47 * np.sin(math.pi * np.clip((v - 0.14) / 0.84, 0, 1) ** 0.72) ** 0.85
+    width = width * (1 - 0.07 * ((11 * v - 2.5 * side) % 1))
+    inside = np.where(v < 0.18, 0.016 - side, width - side)
+    twigs = np.abs((9 * (v - 0.9 * side)) % 1 - 0.5) / 9
+    return inside, np.minimum(side / 0.6, np.where(side < 0.9 * width, twigs, 1))
+
+
+def leaf_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
+    """Return a leaf with light veins."""
+
+    def shade(u: Array, v: Array) -> Array:
+        _, vein = _leaf(u, 1 - v)
+        return 0.3 + 0.12 * np.sin(9 * u + 7 * v) + 0.6 * np.exp(-((vein / 0.012) ** 2))
+
+    return supersample(192, 128, shade), ramp((30, 74, 22), (190, 214, 96))
+
+
+def leaf_mask_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
+    """Return where the leaf is opaque: within its outline, but for two holes."""
+
+    def shade(u: Array, v: Array) -> Array:
+        inside, _ = _leaf(u, 1 - v)
+        holes = (np.hypot(u - 0.34, v - 0.42) > 0.055) & (np.hypot(u - 0.62, 0.8 * (v - 0.6)) > 0.04)
+        return np.where((inside > 0) & holes, 1.0, 0.0)
+
+    return supersample(192, 128, shade), ramp((0, 0, 0), (255, 255, 255))
+
+
+def surroundings() -> Array:
+    """Return radiances from all directions: a sky over dark hills, a window, a strip of light (64 x 128 x 3).
+
+    Rows run from the zenith down and columns around, as Mitsuba's ``envmap`` reads them; what a camera that looks
+    along +z sees is in the middle.
+    """
+    factor = 4
+    v, u = np.meshgrid((np.arange(64 * factor) + 0.5) / (64 * factor), (np.arange(128 * factor) + 0.5) / (128 * factor),
+                       indexing="ij")  # fmt: skip
+    x = np.sin(2 * math.pi * u) * np.sin(math.pi * v)
+    y, z = np.cos(math.pi * v), -np.cos(2 * math.pi * u) * np.sin(math.pi * v)
+
+    def mix(a: Sequence[float], b: Sequence[float], t: Array) -> Array:
+        return np.array(a) + (np.array(b) - np.array(a)) * np.clip(t, 0, 1)[..., None]
+
+    image = mix((0.66, 0.7, 0.76), (0.2, 0.34, 0.62), 2 * y)
+    around = 2 * math.pi * u
+    # None straight ahead, where the sky is seen above the ground.
+    hills = (0.14 + 0.05 * np.sin(5 * around) + 0.03 * np.sin(13 * around + 1)) * np.clip(0.8 - z, 0, 1)
+    image = np.where((y < hills)[..., None], mix((0.1, 0.14, 0.06), (0.2, 0.26, 0.12), 7 * y), image)
+    image = np.where((y < 0)[..., None], mix((0.3, 0.25, 0.2), (0.12, 0.1, 0.09), -3 * y), image)
+
+    def panel(towards: Sequence[float], half: Point, panes: tuple[int, int], radiance: Sequence[float]) -> None:
+        """Put a bright rectangle with bars between its panes before what is there."""
+        middle = np.array(towards) / np.linalg.norm(towards)
+        right = np.cross(middle, [0, 1, 0])
+        right /= np.linalg.norm(right)
+        up = np.cross(right, middle)
+        depth = x * middle[0] + y * middle[1] + z * middle[2]
+        a, b = (
+            (x * axis[0] + y * axis[1] + z * axis[2]) / np.maximum(depth, 1e-3) / size
+            for axis, size in ((right, half[0]), (up, half[1]))
+        )
+        inside = (depth > 0) & (np.abs(a) < 1) & (np.abs(b) < 1)
+        for place, count in ((a, panes[0]), (b, panes[1])):
+            part = ((place + 1) / 2 * count) % 1
+            inside &= (part > 0.06) & (part < 0.94)
+        image[inside] = radiance
+
+    panel((0.75, 0.75, -0.6), (0.42, 0.55), (2, 3), (5.2, 5.4, 5.8))
+    panel((-0.7, 0.8, 0.3), (0.12, 0.6), (1, 1), (6.0, 4.8, 3.4))
+    return image.reshape(64, factor, 128, factor, 3).mean(axis=(1, 3))
+
+
 # ------------------------------------------------------------------------------------------------------------
 
 
@@ -572,6 +672,9 @@ def write_all(directory: Path) -> list[Path]:
         "wood": wood_texture(),
         "die": die_texture(),
         "stripes": stripes_texture(),
+        "tiles": tiles_texture(),
+        "leaf": leaf_texture(),
+        "leaf_mask": leaf_mask_texture(),
     }
     folder = directory / "meshes"
     folder.mkdir(parents=True, exist_ok=True)
@@ -582,6 +685,8 @@ def write_all(directory: Path) -> list[Path]:
     for name, (indices, palette) in textures.items():
         paths.append(directory / f"{name}.png")
         write_png(paths[-1], indices, palette)
+    paths.append(directory / "surroundings.hdr")
+    write_hdr(paths[-1], surroundings())
     return paths
 
 

@@ -11,7 +11,6 @@ import typer
 from ..capture.estimate import estimate_capture
 from ..capture.render import render_capture
 from ..capture.scene import load_scene
-from ..errors import InputError
 from ..io.captures import write_capture
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import remove_leftovers, require_writable
@@ -101,7 +100,7 @@ def render(
         typer.echo(f"{scene}: {what}about {cost.seconds:.3g} s and {cost.memory / 2**30:.2g} GiB")
         return
     if output is None:
-        raise InputError("-o: name the file to write, or ask for an --estimate")
+        raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
     # Before the rendering, which may take long.
     require_capture_output(output)
     if resume:
