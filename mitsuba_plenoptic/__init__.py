@@ -29,6 +29,7 @@ llvm.choose()
 from . import design as design
 from . import plugins as plugins
 from .camera import PlenopticCamera
+from .capture.estimate import estimate_capture
 from .capture.operator import CaptureOperator
 from .capture.point_spread import point_spread_function
 from .capture.render import render_capture
@@ -65,6 +66,7 @@ __all__ = [
     "Reconstruction",
     "Spectrum",
     "decode",
+    "estimate_capture",
     "expose",
     "load_scene",
     "point_spread_function",

@@ -129,7 +129,7 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     Returns
     -------
     Capture
-        With detector, photons and seed in `metadata` under ``exposure``.
+        With detector, photons and seed in `metadata` under ``exposure``, and without the noise of its rendering.
 
     Raises
     ------

@@ -17,7 +17,6 @@ the plane y = 0, y up.
 from __future__ import annotations
 
 import argparse
-import itertools
 import math
 import struct
 import zlib
@@ -31,14 +30,14 @@ from numpy.typing import NDArray
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
 
 Point = tuple[float, float]
-Piece = Sequence[Point]
-Colour = tuple[int, int, int]
 Array = NDArray[np.float64]
 
 LETTER_HEIGHT = 4.0
 
 
-# -- Files ---------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------------------
+# Files
+# ------------------------------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -64,28 +63,35 @@ class Mesh:
 
     def write_ply(self, path: Path) -> None:
         """Write a binary little-endian PLY file with the property names that Mitsuba reads."""
-        parts = [("x y z", self.vertices), ("nx ny nz", self.normals), ("u v", self.texcoords)]
-        columns = [(names, part) for names, part in parts if part is not None]
+        names = ["x", "y", "z"]
+        columns = [self.vertices]
+        if self.normals is not None:
+            names += ["nx", "ny", "nz"]
+            columns.append(self.normals)
+        if self.texcoords is not None:
+            names += ["u", "v"]
+            columns.append(self.texcoords)
         header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(self.vertices)}"]
-        header += [f"property float {name}" for names, _ in columns for name in names.split()]
+        header += [f"property float {name}" for name in names]
         header += [f"element face {len(self.faces)}", "property list uchar int vertex_indices", "end_header"]
         # Rounding hides last-digit differences between maths libraries; adding 0 turns -0 into 0.
-        rows = (np.round(np.hstack([part for _, part in columns]), 6) + 0.0).astype("<f4")
+        rows = (np.round(np.hstack(columns), 6) + 0.0).astype("<f4")
         faces = np.empty(len(self.faces), dtype=[("count", "u1"), ("indices", "<i4", 3)])
         faces["count"] = 3
         faces["indices"] = self.faces
         path.write_bytes("\n".join([*header, ""]).encode("ascii") + rows.tobytes() + faces.tobytes())
 
 
-def write_png(path: Path, indices: NDArray[np.uint8], palette: Sequence[Colour]) -> None:
+def write_png(path: Path, indices: NDArray[np.uint8], palette: Sequence[tuple[int, int, int]]) -> None:
     """Write a PNG of 4 bits per pixel with a palette of up to 16 sRGB colours, uncompressed."""
     rows, columns = indices.shape
     packed = (indices[:, 0::2] << 4) | indices[:, 1::2]
     raw = np.hstack([np.zeros((rows, 1), np.uint8), packed.astype(np.uint8)]).tobytes()
+    stored = [raw[i : i + 65535] for i in range(0, len(raw), 65535)]
     stream = b"\x78\x01"
-    for start in range(0, len(raw), 65535):
-        block = raw[start : start + 65535]
-        stream += struct.pack("<BHH", start + 65535 >= len(raw), len(block), len(block) ^ 0xFFFF) + block
+    for number, block in enumerate(stored):
+        last = number == len(stored) - 1
+        stream += struct.pack("<BHH", last, len(block), len(block) ^ 0xFFFF) + block
     stream += struct.pack(">I", zlib.adler32(raw))
 
     def chunk(kind: bytes, data: bytes) -> bytes:
@@ -100,31 +106,40 @@ def write_png(path: Path, indices: NDArray[np.uint8], palette: Sequence[Colour])
     )
 
 
-# -- Flat figures, in picture coordinates --------------------------------------------------------------
+def write_hdr(path: Path, image: Array) -> None:
+    """Write (rows, columns, 3) radiances as Radiance HDR, uncompressed."""
+    exponent = np.frexp(image.max(axis=-1))[1]
+    mantissa = np.clip(np.floor(np.ldexp(image, 8 - exponent[..., None]) + 0.500001), 0, 255)
+    pixels = np.concatenate([mantissa, exponent[..., None] + 128], axis=-1).astype(np.uint8)
+    header = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {len(image)} +X {image.shape[1]}\n"
+    path.write_bytes(header.encode("ascii") + pixels.tobytes())
 
 
-def flat_mesh(pieces: Iterable[Piece]) -> Mesh:
-    """Make a mesh that faces the camera of convex, counter-clockwise, disjoint polygons in picture coordinates."""
-    return polygons([(-u, v, 0.0) for u, v in piece] for piece in pieces)
+# ------------------------------------------------------------------------------------------------------------
+# Flat figures, in picture coordinates
+# ------------------------------------------------------------------------------------------------------------
 
 
-def polygons(pieces: Iterable[Sequence[tuple[float, float, float]]]) -> Mesh:
-    """Make a mesh of convex polygons, each a fan of triangles about its first corner."""
+def flat_mesh(pieces: Iterable[Sequence[Point]]) -> Mesh:
+    """Make a mesh that faces the camera.
+
+    The pieces are convex, counter-clockwise, disjoint polygons in picture coordinates.
+    """
     vertices: list[tuple[float, float, float]] = []
     faces: list[tuple[int, int, int]] = []
     for piece in pieces:
         first = len(vertices)
-        vertices += piece
+        vertices += [(-u, v, 0.0) for u, v in piece]
         faces += [(first, first + i, first + i + 1) for i in range(1, len(piece) - 1)]
     return Mesh(np.array(vertices), np.array(faces))
 
 
-def rectangle(left: float, right: float, bottom: float, top: float) -> Piece:
+def rectangle(left: float, right: float, bottom: float, top: float) -> list[Point]:
     """Corners of an upright rectangle."""
     return [(left, bottom), (right, bottom), (right, top), (left, top)]
 
 
-def clipped_ring(centre: Point, outer: Point, inner: Point, level: float, segments: int) -> list[Piece]:
+def clipped_ring(centre: Point, outer: Point, inner: Point, level: float, segments: int) -> list[list[Point]]:
     """Quadrilaterals of an elliptical ring, cut off at a level that lies between hole and rim.
 
     Parameters
@@ -159,7 +174,7 @@ def clipped_ring(centre: Point, outer: Point, inner: Point, level: float, segmen
     return quads
 
 
-def letter_eight() -> list[Piece]:
+def letter_eight() -> list[list[Point]]:
     """Return the '8': two elliptical rings that share a stroke at the waist, each cut at the waist line."""
     stroke, waist, half_width, top = 0.74, 0.12, 1.1, LETTER_HEIGHT / 2
     lower = (half_width, (waist + stroke / 2 + top) / 2)
@@ -175,7 +190,7 @@ def letter_eight() -> list[Piece]:
     return pieces
 
 
-def letter_f() -> list[Piece]:
+def letter_f() -> list[list[Point]]:
     """Return the 'F': a stem and two bars that touch it."""
     half, top, stroke = 1.05, LETTER_HEIGHT / 2, 0.72
     return [
@@ -185,7 +200,7 @@ def letter_f() -> list[Piece]:
     ]
 
 
-def letter_hash() -> list[Piece]:
+def letter_hash() -> list[list[Point]]:
     """Return the '#': two slanted bars whole, and two level ones in pieces between and beside them."""
     half, top, stroke, slant = 1.4, LETTER_HEIGHT / 2, 0.62, 0.16
     stems = [(-0.55 - stroke / 2, -0.55 + stroke / 2), (0.55 - stroke / 2, 0.55 + stroke / 2)]
@@ -207,20 +222,27 @@ def letter_hash() -> list[Piece]:
     return pieces
 
 
-def siemens_star(cycles: int, inner_radius: float, outer_radius: float, arc_steps: int) -> list[Piece]:
+def siemens_star(cycles: int, inner_radius: float, outer_radius: float, arc_steps: int) -> list[list[Point]]:
     """Spokes of a Siemens star: `cycles` bright sectors, each half a period wide.
 
     The frequency at radius r is cycles / (2 pi r). Arcs are polygons of `arc_steps` sides per spoke.
     """
     pieces = []
-    for spoke, step in itertools.product(range(cycles), range(arc_steps)):
-        a, b = (math.pi / cycles * (2 * spoke + (step + k) / arc_steps) for k in (0, 1))
-        corners = ((inner_radius, a), (outer_radius, a), (outer_radius, b), (inner_radius, b))
-        pieces.append([(radius * math.cos(angle), radius * math.sin(angle)) for radius, angle in corners])
+    for spoke in range(cycles):
+        for step in range(arc_steps):
+            a, b = (math.pi / cycles * (2 * spoke + (step + k) / arc_steps) for k in (0, 1))
+            pieces.append(
+                [
+                    (inner_radius * math.cos(a), inner_radius * math.sin(a)),
+                    (outer_radius * math.cos(a), outer_radius * math.sin(a)),
+                    (outer_radius * math.cos(b), outer_radius * math.sin(b)),
+                    (inner_radius * math.cos(b), inner_radius * math.sin(b)),
+                ]
+            )
     return pieces
 
 
-def bar_group(frequency: float, left: float, top: float, gap: float) -> tuple[list[Piece], float]:
+def bar_group(frequency: float, left: float, top: float, gap: float) -> tuple[list[list[Point]], float]:
     """Three upright and three level bars of `frequency` line pairs per mm, the upright ones at the left.
 
     Returns
@@ -238,9 +260,9 @@ def bar_group(frequency: float, left: float, top: float, gap: float) -> tuple[li
     return upright + level, second + size
 
 
-def chart_bars() -> list[Piece]:
+def chart_bars() -> list[list[Point]]:
     """Bar groups of 1.5; 2 and 6; 3 and 4 line pairs per mm in three rows, the finest at the right."""
-    pieces: list[Piece] = []
+    pieces: list[list[Point]] = []
     top = 2.1
     for row in ((1.5,), (2.0, 6.0), (3.0, 4.0)):
         left = -1.95
@@ -252,19 +274,25 @@ def chart_bars() -> list[Piece]:
     return pieces
 
 
-def slanted_square(side: float, degrees: float) -> list[Piece]:
+def slanted_square(side: float, degrees: float) -> list[list[Point]]:
     """Return a square turned by a few degrees: slanted edges along both axes, as ISO 12233 wants them."""
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     h = side / 2
     return [[(c * u - s * v, s * u + c * v) for u, v in rectangle(-h, h, -h, h)]]
 
 
-# -- Solid objects of the still life -------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------------------
+# Solid objects of the still life
+# ------------------------------------------------------------------------------------------------------------
 
 
 def grid_faces(rows: int, columns: int, *, wrap_rows: bool = False, wrap_columns: bool = False) -> NDArray[np.int64]:
     """Triangles of a grid of rows x columns vertices, optionally closed along an axis."""
-    i, j = np.indices((rows if wrap_rows else rows - 1, columns if wrap_columns else columns - 1))
+    i, j = np.meshgrid(
+        np.arange(rows if wrap_rows else rows - 1),
+        np.arange(columns if wrap_columns else columns - 1),
+        indexing="ij",
+    )
     i1, j1 = (i + 1) % rows, (j + 1) % columns
     a, b, c, d = (p * columns + q for p, q in ((i, j), (i, j1), (i1, j1), (i1, j)))
     return np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], -2).reshape(-1, 3)
@@ -296,16 +324,22 @@ def lathe(profile: Array, segments: int) -> Mesh:
     tangent = np.gradient(profile, axis=0)
     angle = np.arange(segments) * (2 * math.pi / segments)
     c, s = np.cos(angle)[None, :], np.sin(angle)[None, :]
-
-    def turned(radius: Array, height: Array) -> Array:
-        return np.stack(np.broadcast_arrays(radius * c, height, radius * s), -1).reshape(-1, 3)
-
-    vertices, normal = turned(profile[:, :1], profile[:, 1:]), turned(tangent[:, 1:], -tangent[:, :1])
+    radius, height = profile[:, :1], profile[:, 1:]
+    vertices = np.stack([radius * c, np.broadcast_to(height, (len(profile), segments)), radius * s], -1)
+    normal = np.stack(
+        [tangent[:, 1:] * c, np.broadcast_to(-tangent[:, :1], vertices.shape[:2]), tangent[:, 1:] * s], -1
+    )
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
     faces = grid_faces(len(profile), segments, wrap_columns=True)[:, ::-1]
-    # Those at the poles have no area.
-    p, q, r = (vertices[faces[:, k]] for k in range(3))
-    return Mesh(vertices, faces[np.linalg.norm(np.cross(q - p, r - p), axis=1) > 1e-9], normal)
+    return drop_empty_faces(Mesh(vertices.reshape(-1, 3), faces, normal.reshape(-1, 3)))
+
+
+def drop_empty_faces(mesh: Mesh) -> Mesh:
+    """Remove triangles without area (at the poles of a turned object)."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    mesh.faces = mesh.faces[area > 1e-9]
+    return mesh
 
 
 def pawn() -> Mesh:
@@ -352,8 +386,14 @@ def torus_knot(radius: float, tube: float, rows: int, columns: int) -> Mesh:
     """Return a trefoil knot of round section, its axis along z, standing on y = 0."""
 
     def curve(t: Array) -> Array:
-        around = 2 + np.cos(3 * t)
-        return np.stack([around * np.cos(2 * t), around * np.sin(2 * t), np.sin(3 * t)], -1) * (radius / 3)
+        return np.stack(
+            [
+                (2 + np.cos(3 * t)) * np.cos(2 * t),
+                (2 + np.cos(3 * t)) * np.sin(2 * t),
+                np.sin(3 * t),
+            ],
+            -1,
+        ) * (radius / 3)
 
     def unit(x: Array) -> Array:
         return x / np.linalg.norm(x, axis=-1, keepdims=True)
@@ -377,8 +417,9 @@ def torus_knot(radius: float, tube: float, rows: int, columns: int) -> Mesh:
 
 def solid_lambda(height: float, depth: float) -> Mesh:
     """Return the letter lambda, cut from a plate of the given depth, standing on y = 0."""
-    h, z = height, depth / 2
+    h = height
     stroke = 0.2 * h
+    # Outline in picture coordinates, counter-clockwise: short leg, long leg, head.
     foot_right, head = 0.36 * h, -0.22 * h
 
     def long_leg(v: float) -> float:
@@ -387,96 +428,229 @@ def solid_lambda(height: float, depth: float) -> Mesh:
 
     join_high, join_low = 0.66 * h, 0.41 * h
     left_foot = -0.46 * h
-    long_piece = [(long_leg(0), 0.0), (long_leg(0) + stroke, 0.0), (long_leg(h) + stroke, h), (long_leg(h), h)]
+    long_piece = [
+        (long_leg(0), 0.0),
+        (long_leg(0) + stroke, 0.0),
+        (long_leg(h) + stroke, h),
+        (long_leg(h), h),
+    ]
     short_piece = [
         (left_foot, 0.0),
         (left_foot + stroke, 0.0),
         (long_leg(join_low), join_low),
         (long_leg(join_high), join_high),
     ]
-    # In picture coordinates, counter-clockwise: short leg, long leg, head.
-    outline = [*short_piece[:3], *long_piece, short_piece[3]]
+    outline = [
+        short_piece[0],
+        short_piece[1],
+        short_piece[2],
+        *long_piece,
+        short_piece[3],
+    ]
     front = flat_mesh([short_piece, long_piece])
-    front.vertices[:, 2] = -z
-    sides = polygons(
-        [(-u0, v0, -z), (-u0, v0, z), (-u1, v1, z), (-u1, v1, -z)]
-        for (u0, v0), (u1, v1) in zip(outline, [*outline[1:], outline[0]], strict=True)
-    )
-    count = len(front.vertices)
-    vertices = np.vstack([front.vertices, front.vertices * [1, 1, -1], sides.vertices])
-    return Mesh(vertices, np.vstack([front.faces, front.faces[:, ::-1] + count, sides.faces + 2 * count]))
+    front.vertices[:, 2] = -depth / 2
+    back = Mesh(front.vertices * [1, 1, -1], front.faces[:, ::-1])
+    vertices, faces = [front.vertices, back.vertices], [front.faces, back.faces + len(front.vertices)]
+    count = 2 * len(front.vertices)
+    for (u0, v0), (u1, v1) in zip(outline, [*outline[1:], outline[0]], strict=True):
+        z = depth / 2
+        vertices.append(np.array([(-u0, v0, -z), (-u0, v0, z), (-u1, v1, z), (-u1, v1, -z)]))
+        faces.append(np.array([(0, 1, 2), (0, 2, 3)]) + count)
+        count += 4
+    return Mesh(np.vstack(vertices), np.vstack(faces))
 
 
-# -- Textures ------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------------------
+# Textures
+# ------------------------------------------------------------------------------------------------------------
 
 
-def ramp(dark: Colour, light: Colour) -> list[Colour]:
+def ramp(dark: tuple[int, int, int], light: tuple[int, int, int]) -> list[tuple[int, int, int]]:
     """Sixteen colours from dark to light."""
-    return [tuple(round(a + (b - a) * i / 15) for a, b in zip(dark, light, strict=True)) for i in range(16)]
+    red, green, blue = ([round(a + (b - a) * i / 15) for i in range(16)] for a, b in zip(dark, light, strict=True))
+    return list(zip(red, green, blue, strict=True))
 
 
-def supersample(shade: Callable[[Array, Array], Array], rows: int, columns: int) -> NDArray[np.uint8]:
+def supersample(rows: int, columns: int, shade: Callable[[Array, Array], Array], factor: int = 4) -> NDArray[np.uint8]:
     """Average a function of (u, v) in [0, 1) over each pixel and return 4-bit levels.
 
     The first row of the picture is at v = 0, as Mitsuba reads bitmaps.
     """
-    factor = 4
-    v, u = ((np.arange(count * factor) + 0.5) / (count * factor) for count in (rows, columns))
-    v, u = np.meshgrid(v, u, indexing="ij")
+    v, u = np.meshgrid(
+        (np.arange(rows * factor) + 0.5) / (rows * factor),
+        (np.arange(columns * factor) + 0.5) / (columns * factor),
+        indexing="ij",
+    )
     image = shade(u, v).reshape(rows, factor, columns, factor).mean(axis=(1, 3))
     # The small offset keeps exact halves from rounding differently.
     return np.floor(np.clip(image, 0, 1) * 15 + 0.500001).astype(np.uint8)
 
 
-def waves(u: Array, v: Array) -> Array:
+def waves_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
     """One period of the Japanese wave pattern: overlapping discs of concentric rings, in rows."""
-    # Discs of radius 1/2, one apart; rows 1/4 apart, every other one shifted by 1/2.
-    value = np.zeros_like(u)
-    # Rows from the top down: each disc hides those of the row above it.
-    for row, column in itertools.product(range(5, -3, -1), range(-1, 3)):
-        r = np.hypot(u - (column + 0.5 * (row % 2)), v - 0.25 * row)
-        value = np.where(r < 0.5, np.where((r * 10) % 2 < 1, 0.0, 1.0), value)
-    return value
+
+    def shade(u: Array, v: Array) -> Array:
+        # Discs of radius 1/2, one apart; rows 1/4 apart, every other one shifted by 1/2.
+        value = np.zeros_like(u)
+        # Rows from the top down: each disc hides those of the row above it.
+        for row in range(5, -3, -1):
+            for column in range(-1, 3):
+                r = np.hypot(u - (column + 0.5 * (row % 2)), v - 0.25 * row)
+                ring = np.where((r * 10) % 2 < 1, 0.0, 1.0)
+                value = np.where(r < 0.5, ring, value)
+        return value
+
+    return supersample(256, 256, shade), ramp((54, 88, 138), (240, 234, 216))
 
 
-def wood(u: Array, v: Array) -> Array:
+def wood_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
     """Planks along v, with grain made of a few sines, each plank its own."""
-    plank = np.floor(u * 6)
-    across = u * 6 - plank
-    phase = 2.399 * plank + 0.7 * plank**2
-    bend = 0.35 * np.sin(2 * math.pi * v * 2 + phase) + 0.18 * np.sin(2 * math.pi * v * 5 + 2.3 * phase)
-    grain = across * 5 + bend + 1.5 * np.sin(phase)
-    rings = 0.5 + 0.5 * np.sin(2 * math.pi * grain + 1.2 * np.sin(2 * math.pi * grain * 0.37 + phase))
-    fine = 0.5 + 0.5 * np.sin(2 * math.pi * (grain * 4.3 + 3 * np.sin(2 * math.pi * v * 3 + phase)))
-    tone = 0.55 + 0.2 * np.sin(1.9 * plank + 0.4)
-    gap = (across < 0.018) | (across > 0.982)
-    return np.where(gap, 0.0, tone + 0.28 * (rings - 0.5) + 0.1 * (fine - 0.5))
+    planks = 6
+
+    def shade(u: Array, v: Array) -> Array:
+        plank = np.floor(u * planks)
+        across = u * planks - plank
+        phase = 2.399 * plank + 0.7 * plank**2
+        bend = 0.35 * np.sin(2 * math.pi * v * 2 + phase) + 0.18 * np.sin(2 * math.pi * v * 5 + 2.3 * phase)
+        grain = across * 5 + bend + 1.5 * np.sin(phase)
+        rings = 0.5 + 0.5 * np.sin(2 * math.pi * grain + 1.2 * np.sin(2 * math.pi * grain * 0.37 + phase))
+        fine = 0.5 + 0.5 * np.sin(2 * math.pi * (grain * 4.3 + 3 * np.sin(2 * math.pi * v * 3 + phase)))
+        tone = 0.55 + 0.2 * np.sin(1.9 * plank + 0.4)
+        value = tone + 0.28 * (rings - 0.5) + 0.1 * (fine - 0.5)
+        gap = (across < 0.018) | (across > 0.982)
+        return np.where(gap, 0.0, value)
+
+    return supersample(384, 384, shade), ramp((72, 42, 26), (238, 194, 138))
 
 
-def die(u: Array, v: Array) -> Array:
+def die_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
     """Return the six faces of a die, 3 x 2; opposite faces add up to seven."""
     near, far, middle = 0.27, 0.73, 0.5
-    centre, diagonal = [(middle, middle)], [(near, far), (far, near)]
+    diagonal = [(near, far), (far, near)]
     corners = [*diagonal, (near, near), (far, far)]
-    faces = (
-        [*corners, *centre],
-        diagonal,
-        [*corners, (near, middle), (far, middle)],
-        centre,
-        [*diagonal, *centre],
-        corners,
-    )
-    value = np.ones_like(u)
-    for k, face in enumerate(faces):
-        for x, y in face:
-            value[np.hypot(u * 3 - k % 3 - x, v * 2 - k // 3 - y) < 0.105] = 0.0
-    return value
+    faces = {
+        1: [(middle, middle)],
+        2: diagonal,
+        3: [*diagonal, (middle, middle)],
+        4: corners,
+        5: [*corners, (middle, middle)],
+        6: [*corners, (near, middle), (far, middle)],
+    }
+    order = (5, 2, 6, 1, 3, 4)
+
+    def shade(u: Array, v: Array) -> Array:
+        value = np.ones_like(u)
+        for k, count in enumerate(order):
+            for x, y in faces[count]:
+                value[np.hypot(u * 3 - k % 3 - x, v * 2 - k // 3 - y) < 0.105] = 0.0
+        return value
+
+    return supersample(192, 288, shade), ramp((26, 20, 24), (240, 236, 226))
 
 
-def stripes(u: Array, v: Array) -> Array:
+def stripes_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
     """Twisted stripes and two plain caps, for a glazed ball (u around, v from pole to pole)."""
-    swirl = u * 8 + 1.4 * np.sin(2 * math.pi * (v - 0.5))
-    return np.where((swirl % 1 < 0.5) | (v < 0.1) | (v > 0.9), 1.0, 0.0)
+
+    def shade(u: Array, v: Array) -> Array:
+        swirl = u * 8 + 1.4 * np.sin(2 * math.pi * (v - 0.5))
+        value = np.where(swirl % 1 < 0.5, 1.0, 0.0)
+        return np.where((v < 0.1) | (v > 0.9), 1.0, value)
+
+    return supersample(128, 256, shade), ramp((164, 38, 34), (242, 230, 208))
+
+
+def tiles_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
+    """Four stone tiles, two dark and two light, with veins and dark joints."""
+
+    def shade(u: Array, v: Array) -> Array:
+        dark = (np.floor(2 * u) + np.floor(2 * v)) % 2
+        x, y = 2 * math.pi * u, 2 * math.pi * v
+        bend = np.sin(x + 1.7 * np.sin(2 * y) + 0.8 * np.sin(3 * x + y))
+        veins = np.exp(-((bend + 0.6 * np.sin(2 * y - x + 1.1 * np.sin(2 * x))) ** 2) / 0.01)
+        cloud = 0.06 * np.sin(3 * x + 2 * y + np.sin(4 * y)) + 0.04 * np.sin(5 * y - 4 * x)
+        value = np.where(dark == 1, 0.24 + cloud + 0.3 * veins, 0.86 + cloud - 0.3 * veins)
+        joint = np.minimum((2 * u) % 1, (2 * v) % 1) < 0.02
+        return np.where(joint, 0.05, value)
+
+    return supersample(256, 256, shade), ramp((38, 34, 36), (236, 226, 208))
+
+
+def _leaf(u: Array, v: Array) -> tuple[Array, Array]:
+    """Return how far points are inside a leaf's outline, over its half-width, and how far from its veins."""
+    side = np.abs(u - 0.5 - 0.04 * np.sin(5 * v))
+    width = 0.47 * np.sin(math.pi * np.clip((v - 0.14) / 0.84, 0, 1) ** 0.72) ** 0.85
+    width = width * (1 - 0.07 * ((11 * v - 2.5 * side) % 1))
+    inside = np.where(v < 0.18, 0.016 - side, width - side)
+    twigs = np.abs((9 * (v - 0.9 * side)) % 1 - 0.5) / 9
+    return inside, np.minimum(side / 0.6, np.where(side < 0.9 * width, twigs, 1))
+
+
+def leaf_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
+    """Return a leaf with light veins."""
+
+    def shade(u: Array, v: Array) -> Array:
+        _, vein = _leaf(u, 1 - v)
+        return 0.3 + 0.12 * np.sin(9 * u + 7 * v) + 0.6 * np.exp(-((vein / 0.012) ** 2))
+
+    return supersample(192, 128, shade), ramp((30, 74, 22), (190, 214, 96))
+
+
+def leaf_mask_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
+    """Return where the leaf is opaque: within its outline, but for two holes."""
+
+    def shade(u: Array, v: Array) -> Array:
+        inside, _ = _leaf(u, 1 - v)
+        holes = (np.hypot(u - 0.34, v - 0.42) > 0.055) & (np.hypot(u - 0.62, 0.8 * (v - 0.6)) > 0.04)
+        return np.where((inside > 0) & holes, 1.0, 0.0)
+
+    return supersample(192, 128, shade), ramp((0, 0, 0), (255, 255, 255))
+
+
+def surroundings() -> Array:
+    """Return radiances from all directions: a sky over dark hills, a window, a strip of light (64 x 128 x 3).
+
+    Rows run from the zenith down and columns around, as Mitsuba's ``envmap`` reads them; what a camera that looks
+    along +z sees is in the middle.
+    """
+    factor = 4
+    v, u = np.meshgrid((np.arange(64 * factor) + 0.5) / (64 * factor), (np.arange(128 * factor) + 0.5) / (128 * factor),
+                       indexing="ij")  # fmt: skip
+    x = np.sin(2 * math.pi * u) * np.sin(math.pi * v)
+    y, z = np.cos(math.pi * v), -np.cos(2 * math.pi * u) * np.sin(math.pi * v)
+
+    def mix(a: Sequence[float], b: Sequence[float], t: Array) -> Array:
+        return np.array(a) + (np.array(b) - np.array(a)) * np.clip(t, 0, 1)[..., None]
+
+    image = mix((0.66, 0.7, 0.76), (0.2, 0.34, 0.62), 2 * y)
+    around = 2 * math.pi * u
+    # None straight ahead, where the sky is seen above the ground.
+    hills = (0.14 + 0.05 * np.sin(5 * around) + 0.03 * np.sin(13 * around + 1)) * np.clip(0.8 - z, 0, 1)
+    image = np.where((y < hills)[..., None], mix((0.1, 0.14, 0.06), (0.2, 0.26, 0.12), 7 * y), image)
+    image = np.where((y < 0)[..., None], mix((0.3, 0.25, 0.2), (0.12, 0.1, 0.09), -3 * y), image)
+
+    def panel(towards: Sequence[float], half: Point, panes: tuple[int, int], radiance: Sequence[float]) -> None:
+        """Put a bright rectangle with bars between its panes before what is there."""
+        middle = np.array(towards) / np.linalg.norm(towards)
+        right = np.cross(middle, [0, 1, 0])
+        right /= np.linalg.norm(right)
+        up = np.cross(right, middle)
+        depth = x * middle[0] + y * middle[1] + z * middle[2]
+        a, b = (
+            (x * axis[0] + y * axis[1] + z * axis[2]) / np.maximum(depth, 1e-3) / size
+            for axis, size in ((right, half[0]), (up, half[1]))
+        )
+        inside = (depth > 0) & (np.abs(a) < 1) & (np.abs(b) < 1)
+        for place, count in ((a, panes[0]), (b, panes[1])):
+            part = ((place + 1) / 2 * count) % 1
+            inside &= (part > 0.06) & (part < 0.94)
+        image[inside] = radiance
+
+    panel((0.75, 0.75, -0.6), (0.42, 0.55), (2, 3), (5.2, 5.4, 5.8))
+    panel((-0.7, 0.8, 0.3), (0.12, 0.6), (1, 1), (6.0, 4.8, 3.4))
+    return image.reshape(64, factor, 128, factor, 3).mean(axis=(1, 3))
+
+
+# ------------------------------------------------------------------------------------------------------------
 
 
 def write_all(directory: Path) -> list[Path]:
@@ -494,10 +668,13 @@ def write_all(directory: Path) -> list[Path]:
         "lambda": solid_lambda(4.2, 1.0),
     }
     textures = {
-        "waves": (supersample(waves, 256, 256), ramp((54, 88, 138), (240, 234, 216))),
-        "wood": (supersample(wood, 384, 384), ramp((72, 42, 26), (238, 194, 138))),
-        "die": (supersample(die, 192, 288), ramp((26, 20, 24), (240, 236, 226))),
-        "stripes": (supersample(stripes, 128, 256), ramp((164, 38, 34), (242, 230, 208))),
+        "waves": waves_texture(),
+        "wood": wood_texture(),
+        "die": die_texture(),
+        "stripes": stripes_texture(),
+        "tiles": tiles_texture(),
+        "leaf": leaf_texture(),
+        "leaf_mask": leaf_mask_texture(),
     }
     folder = directory / "meshes"
     folder.mkdir(parents=True, exist_ok=True)
@@ -505,9 +682,11 @@ def write_all(directory: Path) -> list[Path]:
     for name, mesh in meshes.items():
         paths.append(folder / f"{name}.ply")
         mesh.write_ply(paths[-1])
-    for name, picture in textures.items():
+    for name, (indices, palette) in textures.items():
         paths.append(directory / f"{name}.png")
-        write_png(paths[-1], *picture)
+        write_png(paths[-1], indices, palette)
+    paths.append(directory / "surroundings.hdr")
+    write_hdr(paths[-1], surroundings())
     return paths
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -31,8 +31,11 @@ from .visibility import LANES, PUPIL_CELLS, sampled_fraction, visible_cells
 _LANE_BYTES = 256
 """Memory of a light path on its way."""
 
-_RADIATOR_BYTES = 2 * (40 + PUPIL_CELLS**2 // 8)
+RADIATOR_BYTES = 2 * (40 + PUPIL_CELLS**2 // 8)
 """Memory of a radiator with the bits of its visible cells, while the parts are put together."""
+
+_ROUNDING = 1e-6
+"""Relative deviation of a radiance that is none."""
 
 _INFINITY = 1e6
 """Where the radiator of a ray that leaves the scene is put, in main lens images: far enough to be collimated."""
@@ -62,6 +65,17 @@ class Radiators:
     variance: np.ndarray
     fraction: np.ndarray
     pupil_weights: PupilWeights | None
+
+    def take(self, which: np.ndarray) -> Radiators:
+        """Return some of them."""
+        weights = self.pupil_weights
+        return Radiators(
+            self.positions[which],
+            self.radiance[which],
+            self.variance[which],
+            self.fraction[which],
+            None if weights is None else weights.take(which),
+        )
 
 
 def sample_pairs(per_lens: int, shift: np.ndarray) -> np.ndarray:
@@ -98,6 +112,7 @@ def find_radiators(
     seed: int,
     occlusion: bool,
     weight: Callable[[np.ndarray], np.ndarray] | None = None,
+    lenses: np.ndarray | None = None,
 ) -> Radiators:
     """Trace the pairs of every lens into the scene and keep what shines.
 
@@ -117,22 +132,23 @@ def find_radiators(
         Whether to find by shadow rays which part of the pupil each radiator sees.
     weight : callable, optional
         Returns, for the vergences of the radiators' images, what fraction of their light counts.
+    lenses : int array, optional
+        Numbers, in `LensWindow.index`, of the lenses whose pairs are traced. Default: all.
     """
     window, lens = LensWindow.of(camera), main_lens(camera)
     camera.require_resolved()
     optics = sight.optics
-    _require_memory(window, len(pairs), spp, optics)
-    lenses = max(1, _lanes(optics) // (len(pairs) * spp))
+    traced = window if lenses is None else replace(window, index=window.index[lenses])
+    _require_memory(traced, len(pairs), spp, optics)
+    together = max(1, _lanes(optics) // (len(pairs) * spp))
     found: list[tuple[np.ndarray, ...]] = []
     held = 0
-    for start in range(0, len(window.index), lenses):
-        some = range(start, min(start + lenses, len(window.index)))
-        found.append(_trace_lenses(sight, lens, window, pairs, some, spp, seed + start, occlusion, weight))
+    for start in range(0, len(traced.index), together):
+        some = range(start, min(start + together, len(traced.index)))
+        found.append(_trace_lenses(sight, lens, traced, pairs, some, spp, seed + start, occlusion, weight))
         # How many shine is known as they are found; the parts and their concatenation are alive at once.
         held += 2 * sum(array.nbytes for array in found[-1])
-        require_memory(
-            held, f"{held // _RADIATOR_BYTES} radiators or more in {some.stop} of {len(window.index)} lenses"
-        )
+        require_memory(held, f"{held // RADIATOR_BYTES} radiators or more in {some.stop} of {len(traced.index)} lenses")
     positions, radiance, variance, astigmatism, bits = (np.concatenate(parts) for parts in zip(*found, strict=True))
     _judge_astigmatism(camera, lens, astigmatism, radiance)
     weights = PupilWeights.from_bits(bits, PUPIL_CELLS) if occlusion and not (bits == 255).all() else None

@@ -18,6 +18,7 @@ from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job
 from ..runtime.limits import largest_fitting, require_memory
+from .noise import PARTS, PassSpread, require_samples
 from .scene import mitsuba_sentence
 
 # Rays traced at once: their random states take 16 bytes each, so that the paper's 4096 x 4096 pixels with one
@@ -43,6 +44,7 @@ def render_capture(
     progress: Callable[[int, int], None] | None = None,
     checkpoint: Checkpoint | None = None,
     batch_map: BatchMap | None = None,
+    noise: bool = False,
     **wave: Any,
 ) -> Capture:
     """Render what the scene's first sensor, a plenoptic camera, records.
@@ -63,7 +65,16 @@ def render_capture(
     checkpoint : Checkpoint, optional
         By waves: what has been done is kept in its file, and taken from there. Rays are too quick to need one.
     batch_map : callable, optional
-        By waves: computes the parts of the sums, for example `distributed.Cluster`. Default: threads of this process.
+        By waves: computes the parts of the sums, for example `runtime.cluster.Cluster`. Default: threads of this
+        process.
+    noise : bool
+        Whether to estimate, too, the standard deviation that the pixels have from seed to seed, as `Capture.noise`;
+        each pixel's figure has itself a relative error of 18 %. By rays it comes from the spread of up to 16 passes,
+        whose random numbers make another image than one pass does; by waves from the spread of each radiator's light
+        paths. It takes two samples at least. That radiators sample the scene in the same pattern in every lens and for
+        every seed is no noise, and not in it; nor is what the shifts of further `passes` change. A film of luminance in
+        an rgb variant gets, by waves, the sum of its channels' deviations: an upper bound, reached where they deviate
+        together, as those of grey things do.
     **wave
         Parameters of ``plenoptic_wave``: ``wavelength``, ``radiators_per_lens``, ``passes``, ``method``,
         ``occlusion``, ``accuracy``.
@@ -76,6 +87,48 @@ def render_capture(
     PhysicsError
         If too much of the light is lost; the fractions that the guards found are in the metadata under ``guards``.
     """
+    sensor, integrator = plenoptic_sensor(scene), chosen_integrator(scene, model, wave)
+    camera = PlenopticCamera.from_sensor(sensor)
+    spp = sample_count(sensor, spp)
+    seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
+    if noise:
+        require_samples(spp)
+    wavelengths = getattr(integrator, "wavelengths", None)
+    _require_film_memory(camera, spp)
+    metadata = _provenance(scene, integrator, seed=seed, spp=spp)
+    deviation = None
+    with guards.watch() as fractions:
+        if wavelengths is None:
+            if batch_map:
+                raise InputError("batch_map: workers are of use for model 'wave' only")
+            guards.judge(guards.CROSSTALK, sensor.crosstalk_missed())
+            image, deviation = _render_passes(scene, sensor, integrator, camera, spp, seed, progress, noise)
+        else:
+            if checkpoint:
+                checkpoint.run = {**metadata, "camera": camera.to_dict(), **({"noise": True} if noise else {})}
+            job = Job(progress, batch_map, checkpoint)
+            film = integrator.record(scene, sensor, seed=seed, spp=spp, job=job, noise=noise)
+            image = np.array(film.develop())
+            if noise:
+                image, deviation = _split(image, film.base_channels_count())
+    metadata["guards"] = fractions
+    if image.shape[2] not in (1, 3):
+        raise InputError(
+            f"film: it has {image.shape[2]} channels; a capture needs pixel_format 'luminance' or 'rgb' and an "
+            "integrator without extra outputs"
+        )
+    if image.shape[2] == 1:
+        image, deviation = image[..., 0], None if deviation is None else deviation[..., 0]
+    if wavelengths is None:
+        return Capture(image, camera, None, "ray", metadata, deviation)
+    if len(set(wavelengths)) == 1:
+        return Capture(image, camera, wavelengths[0], "wave", metadata, deviation)
+    # A film of luminance adds the three up, and no wavelength is left to tell.
+    return Capture(image, camera, wavelengths if image.ndim == 3 else None, "wave", metadata, deviation)
+
+
+def plenoptic_sensor(scene: Any) -> Any:
+    """Return a scene's first sensor, or refuse a scene of another variant or without a sensor."""
     if not isinstance(scene, mi.Scene):
         raise InputError(
             f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant {mi.variant()}, "
@@ -83,43 +136,28 @@ def render_capture(
         )
     if not scene.sensors():
         raise InputError("scene: it has no sensor; add one of type 'plenoptic'")
-    sensor = scene.sensors()[0]
-    camera = PlenopticCamera.from_sensor(sensor)
+    return scene.sensors()[0]
+
+
+def sample_count(sensor: Any, spp: int | None) -> int:
+    """Return the samples that are asked for, or those of the sensor's sampler."""
+    return require_count("spp", sensor.sampler().sample_count() if spp is None else spp, maximum=MOST_SAMPLES)
+
+
+def chosen_integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
+    """Return the scene's integrator, wrapped into a wave integrator or taken out of one.
+
+    Raises
+    ------
+    InputError
+        If there is none, a parameter is wrong, or it has extra outputs.
+    """
     integrator = _integrator(scene, model, wave)
     if integrator.aov_names():
         raise InputError(
             f"integrator: it has the extra outputs {', '.join(integrator.aov_names())}; a capture needs one without"
         )
-    spp = require_count("spp", sensor.sampler().sample_count() if spp is None else spp, maximum=MOST_SAMPLES)
-    seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
-    wavelengths = getattr(integrator, "wavelengths", None)
-    _require_film_memory(camera, spp)
-    metadata = _provenance(scene, integrator, seed=seed, spp=spp)
-    with guards.watch() as fractions:
-        if wavelengths is None:
-            if batch_map:
-                raise InputError("batch_map: workers are of use for model 'wave' only")
-            guards.judge(guards.CROSSTALK, sensor.crosstalk_missed())
-            image = _render_passes(scene, sensor, integrator, camera, spp, seed, progress)
-        else:
-            if checkpoint:
-                checkpoint.run = {**metadata, "camera": camera.to_dict()}
-            integrator.job = Job(progress, batch_map, checkpoint)
-            image = np.array(integrator.render(scene, sensor, seed=seed, spp=spp))
-    metadata["guards"] = fractions
-    if image.shape[2] == 1:
-        image = image[..., 0]
-    elif image.shape[2] != 3:
-        raise InputError(
-            f"film: it has {image.shape[2]} channels; a capture needs pixel_format 'luminance' or 'rgb' and an "
-            "integrator without extra outputs"
-        )
-    if wavelengths is None:
-        return Capture(image, camera, None, "ray", metadata)
-    if len(set(wavelengths)) == 1:
-        return Capture(image, camera, wavelengths[0], "wave", metadata)
-    # A film of luminance adds the three up, and no wavelength is left to tell.
-    return Capture(image, camera, wavelengths if image.ndim == 3 else None, "wave", metadata)
+    return integrator
 
 
 def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
@@ -146,13 +184,20 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
         raise InputError(mitsuba_sentence(error)) from None
 
 
+def film_memory(camera: PlenopticCamera, spp: int, columns: int | None = None) -> float:
+    """Return the bytes that a capture by rays takes, of the camera's film or one with other columns."""
+    pixels = float(camera.shape[0]) * camera.shape[1]
+    if columns is not None:
+        pixels = float(columns) * max(1, round(columns * camera.shape[0] / camera.shape[1]))
+    return _PIXEL_BYTES * pixels + _RAY_BYTES * max(min(_RAYS_PER_PASS, pixels * spp), pixels)
+
+
 def _require_film_memory(camera: PlenopticCamera, spp: int) -> None:
     """Refuse a film too large to render, before Mitsuba allocates it."""
     rows, columns = camera.shape
 
     def memory(width: int) -> float:
-        pixels = float(width) * max(1, round(width * rows / columns))
-        return _PIXEL_BYTES * pixels + _RAY_BYTES * max(min(_RAYS_PER_PASS, pixels * spp), pixels)
+        return film_memory(camera, spp, width)
 
     def fitting(limit: float) -> str | None:
         width = largest_fitting(memory, limit, columns)
@@ -169,21 +214,36 @@ def _render_passes(
     spp: int,
     seed: int,
     progress: Callable[[int, int], None] | None,
-) -> np.ndarray:
-    """Render in passes whose memory does not grow with the number of samples."""
+    noise: bool,
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Render in passes whose memory does not grow with the number of samples; return the noise if it is asked for."""
     per_pass = min(spp, max(1, _RAYS_PER_PASS // (camera.shape[0] * camera.shape[1])))
+    if noise:
+        per_pass = min(per_pass, -(-spp // PARTS))
     # Seeds of neighbouring runs must not share passes, or their average would be no better than either.
     seeds = np.random.SeedSequence(seed).generate_state(-(-spp // per_pass))
-    image = np.zeros(())
+    image, spread = np.zeros(()), PassSpread()
     for index, pass_seed in enumerate(seeds):
         count = min(per_pass, spp - index * per_pass)
         # `integrator.render` rather than `mi.render`, which hides the cause of an error.
         part = np.array(integrator.render(scene, sensor, seed=int(pass_seed), spp=count, develop=True))
-        part *= count / spp
-        image = np.add(image, part, out=image) if index else part
+        if noise:
+            spread.add(part, count)
+        else:
+            part *= count / spp
+            image = np.add(image, part, out=image) if index else part
         if progress:
             progress(min((index + 1) * per_pass, spp), spp)
-    return image
+    return (spread.image, spread.deviation()) if noise else (image, None)
+
+
+def _split(image: np.ndarray, channels: int) -> tuple[np.ndarray, np.ndarray]:
+    """Split the channels of a film from those of their noise, in the film's colours."""
+    image, deviation = image[..., :channels], image[..., channels:]
+    if channels < deviation.shape[2]:
+        weights = [mi.luminance(mi.ScalarColor3f(unit)) for unit in np.eye(3).tolist()]
+        deviation = deviation @ np.array(weights, np.float32)
+    return image, deviation
 
 
 def _provenance(scene: Any, integrator: Any, **settings: Any) -> dict[str, Any]:

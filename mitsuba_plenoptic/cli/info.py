@@ -65,7 +65,8 @@ def info(
 
 def _origin(capture: Capture) -> dict[str, str]:
     """Tell how a capture was made, as far as its header says."""
-    facts = {"model": capture.model, "wavelength": capture.wavelength, **capture.metadata}
+    noise = None if capture.noise is None else f"{capture.relative_noise:.2%} of the mean"
+    facts = {"model": capture.model, "wavelength": capture.wavelength, "noise": noise, **capture.metadata}
     return {
         name: value if isinstance(value, str) else json.dumps(value)
         for name, value in facts.items()

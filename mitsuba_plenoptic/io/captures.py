@@ -36,12 +36,15 @@ class Capture:
         How light was propagated.
     metadata : dict
         How it was made: scene, seed, samples, software versions. Plain JSON values.
+    noise : array like the image, optional
+        Standard deviation of each pixel from the samples of which it is made, as `render_capture` estimates it; kept
+        as float32.
 
     Raises
     ------
     InputError
-        If the image does not fit the camera or holds a pixel that is not allowed, or the model, a wavelength or the
-        metadata is not a valid one.
+        If image or noise does not fit the camera or holds a pixel that is not allowed, or the model, a wavelength or
+        the metadata is not a valid one.
     """
 
     image: np.ndarray
@@ -49,6 +52,7 @@ class Capture:
     wavelength: float | tuple[float, ...] | None = None
     model: str = "ray"
     metadata: dict[str, Any] = field(default_factory=dict)
+    noise: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.camera, PlenopticCamera):
@@ -73,6 +77,22 @@ class Capture:
             object.__setattr__(self, "wavelength", require_wavelength(self.wavelength))
         if not isinstance(self.metadata, dict):
             raise InputError(f"metadata = {shown(self.metadata)}: it must be a dictionary")
+        if self.noise is not None:
+            noise = as_array("noise", self.noise)
+            if noise.dtype.kind not in "fiu" or noise.shape != image.shape:
+                raise InputError(f"noise of type {noise.dtype} and shape {noise.shape}: it must be as the image")
+            require_pixels("noise", noise)
+            if noise.min(initial=0) < 0:
+                raise InputError(f"noise: {np.count_nonzero(noise < 0)} of its pixels are negative")
+            object.__setattr__(self, "noise", np.asarray(noise, dtype=np.float32))
+
+    @property
+    def relative_noise(self) -> float | None:
+        """Root mean square of the noise over the mean of the pixels; None if the noise is not known."""
+        if self.noise is None:
+            return None
+        mean = float(self.image.mean(dtype=np.float64))
+        return float(np.sqrt(np.mean(np.square(self.noise, dtype=np.float64)))) / mean if mean else 0.0
 
 
 def as_array(name: str, values: Any) -> np.ndarray:
@@ -106,6 +126,8 @@ def require_pixels(name: str, image: np.ndarray) -> None:
 def write_capture(path: str | Path, capture: Capture) -> None:
     """Write a capture as float32 OpenEXR: channel Y, or R, G and B, with all about it in the header.
 
+    The noise, if it has any, is a layer of the same file: noise.Y, or noise.R, noise.G and noise.B.
+
     The header attribute ``mitsuba_plenoptic`` is a JSON object with ``camera``, ``wavelength``, ``model`` and
     ``metadata``. Any EXR viewer shows the image. An existing file is replaced only by a complete one.
 
@@ -122,7 +144,8 @@ def write_capture(path: str | Path, capture: Capture) -> None:
         "model": capture.model,
         "metadata": capture.metadata,
     }
-    write_exr(path, capture.image, attributes, offset=camera.crop_offset, full_size=camera.resolution)
+    window = {"offset": camera.crop_offset, "full_size": camera.resolution}
+    write_exr(path, capture.image, attributes, noise=capture.noise, **window)
 
 
 def read_capture(path: str | Path) -> Capture:
@@ -133,7 +156,7 @@ def read_capture(path: str | Path) -> Capture:
     InputError
         If the file does not exist, is damaged, or is not a capture.
     """
-    image, attributes = read_exr(path)
+    image, noise, attributes = read_exr(path)
     try:
         if attributes.get("kind") != "capture":
             raise InputError(f"it holds a {shown(attributes.get('kind'))}, not a capture")
@@ -145,6 +168,7 @@ def read_capture(path: str | Path) -> Capture:
             wavelength=attributes.get("wavelength"),
             model=attributes.get("model", ""),
             metadata=attributes.get("metadata", {}),
+            noise=noise,
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from None

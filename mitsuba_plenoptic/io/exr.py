@@ -16,6 +16,8 @@ from .files import atomic_output, native_output_dropped, require_file
 
 ATTRIBUTE = "mitsuba_plenoptic"
 
+_NOISE = "noise."
+
 # The others lose precision, which is not for captures.
 _LOSSLESS = (
     OpenEXR.NO_COMPRESSION,
@@ -41,6 +43,7 @@ def write_exr(
     image: np.ndarray,
     attributes: dict[str, Any],
     *,
+    noise: np.ndarray | None = None,
     offset: tuple[int, int] = (0, 0),
     full_size: tuple[int, int] | None = None,
 ) -> None:
@@ -54,6 +57,8 @@ def write_exr(
         Written as float32.
     attributes : dict
         Written as JSON into the header attribute ``mitsuba_plenoptic``.
+    noise : array of the image's shape, optional
+        Written as a layer of this name.
     offset, full_size : (columns, rows)
         Place of the image in a larger one: the file's data window within its display window.
 
@@ -62,26 +67,29 @@ def write_exr(
     InputError
         If the file cannot be written.
     """
-    _write(path, {"": image}, attributes, offset, full_size or image.shape[1::-1])
+    channels = _channels(image)
+    if noise is not None:
+        channels |= {_NOISE + name: values for name, values in _channels(noise).items()}
+    _write(path, {"": channels}, attributes, offset, full_size or image.shape[1::-1])
 
 
 def write_exr_parts(path: str | Path, parts: Mapping[str, np.ndarray], attributes: dict[str, Any]) -> None:
     """Write several images as the parts of one OpenEXR file, each as by `write_exr`; the first has the attributes."""
     # All parts of a file must share one display window.
     columns, rows = (max(image.shape[axis] for image in parts.values()) for axis in (1, 0))
-    _write(path, parts, attributes, (0, 0), (columns, rows))
+    _write(path, {name: _channels(image) for name, image in parts.items()}, attributes, (0, 0), (columns, rows))
 
 
 def _write(
     path: str | Path,
-    parts: Mapping[str, np.ndarray],
+    parts: Mapping[str, dict[str, np.ndarray]],
     attributes: dict[str, Any],
     offset: tuple[int, int],
     full_size: tuple[int, ...],
 ) -> None:
     written: list[OpenEXR.Part] = []
-    for name, image in parts.items():
-        rows, columns = image.shape[:2]
+    for name, channels in parts.items():
+        rows, columns = next(iter(channels.values())).shape
         header = {
             "compression": OpenEXR.ZIP_COMPRESSION,
             "type": OpenEXR.scanlineimage,
@@ -90,7 +98,7 @@ def _write(
         }
         if not written:
             header[ATTRIBUTE] = json.dumps(attributes, sort_keys=True)
-        written.append(OpenEXR.Part(header, _channels(image), name))
+        written.append(OpenEXR.Part(header, channels, name))
     try:
         with atomic_output(path) as temporary:
             OpenEXR.File(written).write(str(temporary))
@@ -109,8 +117,8 @@ def _channels(image: np.ndarray) -> dict[str, np.ndarray]:
     return {name: np.ascontiguousarray(image[..., i]) for i, name in enumerate("RGB")}
 
 
-def read_exr(path: str | Path) -> tuple[np.ndarray, dict[str, Any]]:
-    """Read what `write_exr` wrote: the image and the attributes.
+def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str, Any]]:
+    """Read what `write_exr` wrote: the image, its noise if there is any, and the attributes.
 
     Raises
     ------
@@ -131,23 +139,28 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, dict[str, Any]]:
         attributes = json.loads(text)
         if not isinstance(attributes, dict):
             raise ValueError(f"attribute '{ATTRIBUTE}' is not a JSON object")
+        layers = [names]
+        if any(name.startswith(_NOISE) for name in part.channels):
+            layers.append(tuple(_NOISE + name for name in names))
         # The library's arrays of all parts, of at most four bytes a pixel and channel, and ours.
-        samples = sum(one.columns * one.rows * len(one.channels) for one in parts) + part.columns * part.rows * len(
-            names
-        )
+        samples = sum(one.columns * one.rows * len(one.channels) for one in parts)
+        samples += part.columns * part.rows * len(names) * len(layers)
         require_memory(4 * samples, f"{path}: {part.columns} x {part.rows} pixels of {len(part.channels)} channels")
         with native_output_dropped(), OpenEXR.File(str(path), separate_channels=True) as file:
             if len(file.parts) < len(parts):
                 raise ValueError("its pixels are damaged or incomplete")
             found = file.channels()
-            image = np.empty((part.rows, part.columns, len(names)), dtype=np.float32)
-            for index, name in enumerate(names):
-                image[..., index] = found.pop(name).pixels.reshape(part.rows, part.columns)
+            images = []
+            for layer in layers:
+                image = np.empty((part.rows, part.columns, len(layer)), dtype=np.float32)
+                for index, name in enumerate(layer):
+                    image[..., index] = found.pop(name).pixels.reshape(part.rows, part.columns)
+                images.append(image if len(layer) == 3 else image[..., 0])
     except InputError:
         raise
     except Exception as error:
         raise _damaged(path, error) from None
-    return image if len(names) == 3 else image[..., 0], attributes
+    return images[0], images[1] if len(images) == 2 else None, attributes
 
 
 def read_parts(path: Path) -> list[Part]:

@@ -6,7 +6,8 @@ import itertools
 import logging
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -18,8 +19,11 @@ from ..camera import PlenopticCamera
 from ..capture.accuracy import DEFAULT_ACCURACY, check_accuracy
 from ..capture.bank import LensBank, near_weight
 from ..capture.choice import bank_is_quicker
+from ..capture.estimate import estimate_waves
 from ..capture.lens_rays import LensRaySum
+from ..capture.noise import PARTS, keep_spread, keep_variances, with_halves, with_spread
 from ..capture.operator import METHODS, CaptureOperator
+from ..capture.patch_plan import Cost
 from ..capture.radiators import Radiators, find_radiators, sample_pairs
 from ..capture.sight import Sight
 from ..errors import InputError, shown
@@ -100,9 +104,8 @@ def make_class() -> type:
 
         Scalar waves and thin elements: no polarisation, and both lenses are thin parabolic phases, whose geometric
         twin is the sensor's ``lens_model="parabolic"``. Objects before a radiator hide parts of the pupil but do
-        not diffract. What is seen through cut-outs, panes and glass or in mirrors radiates from where its light seems
-        to come from; behind curved surfaces that is the mean of two places, and a guard tells where they lie far
-        apart. Light that a medium scatters radiates from there. Polarized variants compute as if unpolarized.
+        not diffract. A mirror image or a refracted one radiates from the mirror or the glass. Polarized variants
+        compute as if unpolarized.
 
         The same seed gives the same bits, on any number of threads.
 
@@ -140,8 +143,6 @@ def make_class() -> type:
             kind = self.child.class_name() if hasattr(self.child, "class_name") else type(self.child).__name__
             if not isinstance(self.child, mi.SamplingIntegrator) or kind in _LIGHT_TRACERS:
                 raise InputError(f"{NAME}: nested {kind}: it cannot tell the radiance along a ray; use path or direct")
-            # Set by `render_capture` for long runs.
-            self.job = Job()
 
         def render(
             self,
@@ -155,6 +156,30 @@ def make_class() -> type:
             """Render the capture; `spp` is the number of light paths for each radiator."""
             if isinstance(sensor, int):
                 sensor = scene.sensors()[sensor]
+            seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
+            spp = spp or sensor.sampler().sample_count()
+            film = self.record(scene, sensor, seed=seed, spp=spp)
+            return film.develop() if develop else None
+
+        def record(
+            self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False
+        ) -> Any:
+            """Compute the capture, and return the film that holds it.
+
+            Parameters
+            ----------
+            scene, sensor
+                The scene and its plenoptic sensor.
+            seed : int
+                Seed of the random numbers.
+            spp : int
+                Light paths for each radiator.
+            job : Job, optional
+                Who computes, who is told of the progress, where the work is kept. Default: threads of this process.
+            noise : bool
+                Whether the standard deviation of the pixels is computed, too: the film then has it as extra channels,
+                one for each wavelength.
+            """
             camera = PlenopticCamera.from_sensor(sensor)
             film = sensor.film()
             if not film.rfilter().is_box_filter():
@@ -167,42 +192,50 @@ def make_class() -> type:
                     f"{NAME}: variant {mi.variant()} records one wavelength, and the film has the colours of many: use "
                     "pixel_format luminance, or an rgb variant"
                 )
-            seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
             with guards.watch():
-                image = self._capture(scene, sensor, camera, seed, spp or sensor.sampler().sample_count())
+                image = self._capture(scene, sensor, camera, seed, spp, job or Job(), noise)
 
-            film.prepare([])
+            channels = len(self.wavelengths)
+            film.prepare([f"noise.{channel}" for channel in range(channels * noise)])
             rows, columns = camera.shape
-            block = np.ones((rows, columns, 4), dtype=np.float32)
-            block[..., :3] = image
+            block = np.ones((rows, columns, 4 + image.shape[2] - channels), dtype=np.float32)
+            block[..., :3] = image[..., :channels]
+            block[..., 4:] = image[..., channels:]
             film.put_block(mi.ImageBlock(mi.TensorXf(block), film.crop_offset()))
-            return film.develop() if develop else None
+            return film
 
-        def _capture(self, scene: Any, sensor: Any, camera: PlenopticCamera, seed: int, spp: int) -> np.ndarray:
-            """Sum all radiators of all passes: (rows, columns, 1 or 3) pixel values, none negative."""
+        def _capture(
+            self, scene: Any, sensor: Any, camera: PlenopticCamera, seed: int, spp: int, job: Job, noise: bool
+        ) -> np.ndarray:
+            """Sum all radiators of all passes: (rows, columns, 1 or 3) pixel values, none negative.
+
+            With noise there are as many channels of their standard deviations.
+            """
             random = np.random.default_rng(seed)
             # The first pass is not shifted: it is the best single set.
             shifts = [np.zeros(4), *random.random((self.passes - 1, 4))]
             seeds = np.random.SeedSequence(seed).generate_state(self.passes)
-            sight = Sight.of(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
-            method = self._method(camera, sight, seed)
-            near = partial(self._near, camera) if method == "bank" else None
+            sight = self._sight(scene, sensor)
+            method = self._chosen(camera, sight, seed)
             sets = [
-                find_radiators(
-                    sight,
-                    camera,
+                self._find(sight, camera, method)(
                     sample_pairs(self.radiators_per_lens, shift),
                     spp=spp,
                     seed=int(pass_seed) >> 1,
                     occlusion=self.occlusion,
-                    weight=near,
                 )
                 for shift, pass_seed in zip(shifts, seeds, strict=True)
             ]
-            # What the bank records is left out of the radiators.
-            exact = "patch" if method == "bank" else method
-            operators = [self._operator(camera, radiators, exact) for radiators in sets]
-            rays = self._lens_rays(sight, camera, seed, spp * self.passes) if near else []
+            # Columns of the weights: the capture's channels, and what tells the noise of each.
+            columns = self.wavelengths + tuple(np.repeat(self.wavelengths, 1 + PARTS)) if noise else self.wavelengths
+            operators = [self._operator(camera, radiators, method, columns) for radiators in sets]
+            rays = []
+            if method == "bank":
+                runs = min(PARTS, spp * self.passes) if noise else 1
+                rays = [
+                    self._lens_rays(sight, camera, seed=seed + run, spp=spp * self.passes // runs, part=1 / runs)
+                    for run in range(runs)
+                ]
             total = sum(len(operator.points) * operator.sums for operator in operators)
             if total == 0 and not rays:
                 warnings.warn(
@@ -210,29 +243,44 @@ def make_class() -> type:
                     "hide_emitters sees no emitters",
                     stacklevel=2,
                 )
-            if exact == "patch" and total:
-                self._estimate(operators[0])
-            shape = (*camera.shape, len(self.wavelengths))
-            total += sum(task.items for task in rays)
-            tasks = itertools.chain(self._tasks(operators, sets), rays)
-            image = self.job.run(tasks, shape, total, partial(_facts, sets))
+            if method != "full_field" and total:
+                self._estimate(operators[0], job)
+            channels = len(self.wavelengths)
+            shape = (*camera.shape, channels * (1 + noise * (3 if rays else 1)))
+            generator = np.random.default_rng((seed, PARTS)) if noise else None
+            items = total + sum(task.items for task in rays)
+            if noise:
+                rays = [keep_spread(task, channels) for task in rays]
+            tasks = itertools.chain(self._tasks(operators, sets, job, generator, shape[2]), rays)
+            image = job.run(tasks, shape, items, partial(_facts, sets))
+            if noise and rays:
+                image = with_spread(image, channels, len(rays))
             # What interpolation leaves below zero between the samples is not light.
-            return np.maximum(image, 0, out=image)
+            np.maximum(image, 0, out=image)
+            np.sqrt(image[..., channels:], out=image[..., channels:])
+            return image
 
-        def _method(self, camera: PlenopticCamera, sight: Sight, seed: int) -> str:
-            """Return the method that is used: by the bank's rays, everything hides what is behind it."""
+        def _sight(self, scene: Any, sensor: Any) -> Sight:
+            return Sight.of(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
+
+        def _chosen(self, camera: PlenopticCamera, sight: Sight, seed: int) -> str:
+            """Return the method that is used; by the bank's rays, everything hides what is behind it."""
             if self.method != "auto":
                 return self.method
             per_lens = self.passes * self.radiators_per_lens**2
             quicker = self.occlusion and bank_is_quicker(camera, sight, per_lens, self.accuracy, seed)
             return "bank" if quicker else "patch"
 
-        def _near(self, camera: PlenopticCamera, vergence: np.ndarray) -> np.ndarray:
-            """Return the fraction of the light that needs exact point spreads, by the vergences of images."""
-            return np.asarray(near_weight(camera, vergence, self.accuracy))
+        def _find(self, sight: Sight, camera: PlenopticCamera, method: str) -> Callable[..., Radiators]:
+            """Return `find_radiators` of a scene, for the light that needs exact point spreads."""
 
-        def _lens_rays(self, sight: Sight, camera: PlenopticCamera, seed: int, spp: int) -> list[Task]:
-            """Return the sum that records by rays through the lenses' centres what is out of focus."""
+            def near(vergence: np.ndarray) -> np.ndarray:
+                return np.asarray(near_weight(camera, vergence, self.accuracy))
+
+            return partial(find_radiators, sight, camera, weight=near if method == "bank" else None)
+
+        def _lens_rays(self, sight: Sight, camera: PlenopticCamera, *, seed: int, spp: int, part: float = 1.0) -> Task:
+            """Return a part of the sum that records by rays through the lenses' centres what is out of focus."""
             between = sight.vergences(main_lens(camera))
             types = range(len(camera.mla_focal_lengths))
             banks = [
@@ -240,21 +288,45 @@ def make_class() -> type:
                 for wavelength in self.wavelengths
             ]
             work = LensRaySum(camera, sight, banks, accuracy=self.accuracy, spp=spp, seed=seed)
-            return [Task(int(work.items.sum()), lambda: work, lambda image: image)]
+            return Task(int(work.items.sum()), lambda: work, lambda image: image * np.float32(part))
 
-        def _operator(self, camera: PlenopticCamera, radiators: Radiators, method: str) -> CaptureOperator:
+        def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:
+            """Estimate what `record` takes, from some of the lenses."""
+            camera, sight = PlenopticCamera.from_sensor(sensor), self._sight(scene, sensor)
+            method = self._chosen(camera, sight, seed)
+            with guards.watch():
+                cost = estimate_waves(
+                    camera,
+                    partial(self._find(sight, camera, method), seed=seed),
+                    partial(self._operator, camera, method=method, columns=self.wavelengths),
+                    job,
+                    pairs=sample_pairs(self.radiators_per_lens, np.zeros(4)),
+                    spp=spp,
+                    occlusion=self.occlusion,
+                )
+            return replace(
+                cost,
+                radiators=cost.radiators * self.passes,
+                patterns=cost.patterns * self.passes,
+                seconds=cost.seconds * self.passes,
+            )
+
+        def _operator(
+            self, camera: PlenopticCamera, radiators: Radiators, method: str, columns: tuple[float, ...]
+        ) -> CaptureOperator:
+            # What the bank records is left out of the radiators.
             return CaptureOperator(
                 camera,
                 radiators.positions,
-                spectrum=Spectrum.lines(*self.wavelengths),
-                method=method,
+                spectrum=Spectrum.lines(*columns),
+                method="patch" if method == "bank" else method,
                 accuracy=self.accuracy,
                 pupil_weights=radiators.pupil_weights,
             )
 
-        def _estimate(self, operator: CaptureOperator) -> None:
+        def _estimate(self, operator: CaptureOperator, job: Job) -> None:
             """Report what is to come, or refuse it if memory would not do."""
-            cost = operator.estimate(self.job)
+            cost = operator.estimate(job)
             _log.info(
                 "%d radiators, %d point spreads, about %.0f s and %.1f GiB",
                 cost.radiators * self.passes,
@@ -263,12 +335,31 @@ def make_class() -> type:
                 cost.memory / 2**30,
             )
 
-        def _tasks(self, operators: list[CaptureOperator], sets: list[Radiators]) -> Iterator[Task]:
+        def _tasks(
+            self,
+            operators: list[CaptureOperator],
+            sets: list[Radiators],
+            job: Job,
+            noise: np.random.Generator | None,
+            channels: int,
+        ) -> Iterator[Task]:
             """Yield the sums of all passes; what an operator has planned goes when its pass is done."""
             for radiators in sets:
                 operator = operators.pop(0)
-                weights = self._scale(operator.camera) * radiators.radiance / radiators.fraction[:, None]
-                yield from operator.tasks(weights, self.job)
+                scale = self._scale(operator.camera) / radiators.fraction[:, None]
+                weights = scale * radiators.radiance
+                if noise is None:
+                    yield from operator.tasks(weights, job)
+                    continue
+                deviations = scale * np.sqrt(radiators.variance)
+                halves = [with_halves(column, noise) for column in deviations.T]
+                groups = [
+                    [channel for channel, other in enumerate(self.wavelengths) if other == wavelength]
+                    for wavelength in dict.fromkeys(self.wavelengths)
+                ]
+                tasks = operator.tasks(np.hstack([weights, *halves]), job)
+                for task, own in zip(tasks, groups, strict=True):
+                    yield keep_variances(task, own, len(self.wavelengths), channels)
 
         def _scale(self, camera: PlenopticCamera) -> float:
             """Return the weight of a radiator of radiance 1 that lands wholly in the sampled lenses."""

@@ -97,7 +97,7 @@ class StageStore:
             write_exr(path, value[0], {**value[1], "key": key})
 
         def read(path: Path) -> tuple[tuple[np.ndarray, dict[str, Any]], str]:
-            image, attributes = read_exr(path)
+            image, _, attributes = read_exr(path)
             return (image, attributes), attributes["key"]
 
         (image, _), key = self._get(name, ".exr", inputs, make, write, read)

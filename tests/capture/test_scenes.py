@@ -15,7 +15,7 @@ import pytest
 from mitsuba_plenoptic import PlenopticCamera, load_scene, scene_path
 
 ROOT = Path(__file__).resolve().parents[2]
-NAMES = ("letters", "white", "chart", "still_life")
+NAMES = ("letters", "white", "chart", "still_life", "vitrine")
 DISTANCES = {"eight": 210.0, "f": 240.0, "hash": 280.0}
 STILL_LIFE = ("table", "backdrop", "pawn", "die", "ball", "lambda", "knot", "window", "lamp")
 
@@ -247,6 +247,27 @@ def test_still_life_shows_everything_between_200_and_300(variant):
             assert count > 100, name
 
 
+def test_vitrine_shows_the_knot_in_the_mirror_alone():
+    scene = load("vitrine")
+    found = shapes(scene)
+    assert {"ground", "leaf", "plastic_ball", "glass_ball", "pawn", "mirror", "frame", "knot"} == set(found)
+    resolution = 64
+    x, y = dr.meshgrid(*[(dr.arange(mi.Float, resolution) + 0.5) / resolution] * 2)
+    ray, _ = thin_camera(resolution).sample_ray(0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
+    hit = scene.ray_intersect(ray)
+    mirrored = hit.spawn_ray(hit.to_world(mi.reflect(hit.wi)))
+    image = scene.ray_intersect(mirrored, hit.shape == mi.ShapePtr(found["mirror"]))
+    depth = {}
+    for name, shape in found.items():
+        seen = (image if name == "knot" else hit).shape == mi.ShapePtr(shape)
+        depth[name] = np.array((hit.t + image.t if name == "knot" else hit.t) * ray.d.z)[np.array(seen)]
+        assert depth[name].size > 20, name
+    assert not np.array(hit.shape == mi.ShapePtr(found["knot"])).any()
+    assert depth["leaf"].min() < 200 and depth["ground"].max() > 380
+    assert not np.array(hit.is_valid()).all()
+    assert 268 < depth["knot"].mean() < 282
+
+
 def test_flat_figures_face_the_camera_and_do_not_overlap(make_meshes):
     rng = np.random.default_rng(1)
     for outline in (
@@ -288,8 +309,13 @@ def test_solid_meshes_are_closed_and_turned_outwards(make_meshes):
 def test_meshes_and_textures_come_out_the_same(make_meshes, tmp_path):
     made = {path.relative_to(tmp_path) for path in make_meshes.write_all(tmp_path)}
     scenes = ROOT / "scenes"
-    committed = {path.relative_to(scenes) for pattern in ("*.png", "meshes/*.ply") for path in scenes.glob(pattern)}
+    committed = {
+        path.relative_to(scenes) for pattern in ("*.png", "*.hdr", "meshes/*.ply") for path in scenes.glob(pattern)
+    }
     assert made == committed
     for path in made:
         assert (tmp_path / path).read_bytes() == (scenes / path).read_bytes(), path
-    assert sum(path.stat().st_size for path in scenes.rglob("*") if path.suffix in (".png", ".ply", ".xml")) < 2**20
+    assert (
+        sum(path.stat().st_size for path in scenes.rglob("*") if path.suffix in (".png", ".hdr", ".ply", ".xml"))
+        < 2**20
+    )

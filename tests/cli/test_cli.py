@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -167,3 +168,12 @@ def test_console_script():
     result = subprocess.run([script, "info", "nosuch"], capture_output=True, text=True, check=False)
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1
+
+
+def test_noise_is_kept_and_told_and_an_estimate_writes_nothing(run, tmp_path):
+    path = tmp_path / "raw.exr"
+    small = ("letters", "-D", "resolution=64", "--spp", "2")
+    assert "% of the mean" in run("render", *small, "-o", path, "--noise")
+    assert "noise:" in run("info", path)
+    assert re.search(r"letters: about [\d.e-]+ s and [\d.e-]+ GiB", run("render", *small, "--estimate"))
+    assert list(tmp_path.iterdir()) == [path]

@@ -1,0 +1,55 @@
+"""What a capture is estimated to take."""
+
+from __future__ import annotations
+
+import logging
+import time
+
+import pytest
+
+from mitsuba_plenoptic import InputError, estimate_capture, load_scene, render_capture
+
+
+@pytest.mark.parametrize("name", ["letters", "still_life"])
+def test_by_waves_a_fraction_of_the_lenses_tells_of_all(name, monkeypatch):
+    scene = load_scene(name, parameters={"resolution": "512", "detector_width": "4.096", "mla_pitch": "0.064"})
+    options = {"model": "wave", "spp": 1, "radiators_per_lens": 2}
+    monkeypatch.setattr("mitsuba_plenoptic.capture.estimate._PATHS", 2**40)
+    whole = estimate_capture(scene, **options)
+    monkeypatch.setattr("mitsuba_plenoptic.capture.estimate._PATHS", 2**12)
+    monkeypatch.setattr("mitsuba_plenoptic.capture.estimate._SECONDS", 1e-3)
+    part = estimate_capture(scene, **options)
+    assert part.radiators == pytest.approx(whole.radiators, rel=0.1)
+    assert part.patterns == pytest.approx(whole.patterns, rel=0.4)
+    assert part.seconds > 0 and part.memory > 0
+
+
+def test_by_waves_what_little_there_is_is_counted_exactly(caplog):
+    scene = load_scene("letters", parameters={"resolution": "256", "detector_width": "1.024", "letter_scale": "0.2"})
+    options = {"model": "wave", "spp": 1, "radiators_per_lens": 4}
+    cost = estimate_capture(scene, **options)
+    with caplog.at_level(logging.INFO, logger="mitsuba_plenoptic"):
+        render_capture(scene, **options)
+    assert f"{cost.radiators} radiators, {cost.patterns} point spreads" in caplog.text
+
+
+def test_by_rays_the_time_is_about_right():
+    scene = load_scene("still_life", parameters={"resolution": "512"})
+    render_capture(scene, spp=2)  # compiles the kernels
+    # Other work on the machine counts in neither.
+    clock, time.perf_counter = time.perf_counter, time.process_time
+    try:
+        estimate = estimate_capture(scene, spp=64).seconds
+        start = time.perf_counter()
+        render_capture(scene, spp=64)
+        taken = time.perf_counter() - start
+    finally:
+        time.perf_counter = clock
+    assert estimate == pytest.approx(taken, rel=0.5)
+
+
+def test_what_would_be_refused_is_refused():
+    with pytest.raises(InputError, match="workers are of use for model 'wave' only"):
+        estimate_capture(load_scene("letters"), batch_map=lambda batches: iter(()))
+    with pytest.raises(InputError, match="spp = 0"):
+        estimate_capture(load_scene("letters"), spp=0)

@@ -1,0 +1,103 @@
+"""The noise of captures: that the estimate is the spread of seeds, and how it is kept and told."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import Capture, Detector, InputError, expose, read_capture, render_capture, write_capture
+
+
+def lit_wall(sensor):
+    """A matte wall lit from the side: every light path brings something else."""
+    transform = mi.ScalarTransform4f()
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "direct"},
+            "camera": sensor,
+            "wall": {
+                "type": "rectangle",
+                "to_world": transform.translate([0, 0, 236]).rotate([0, 1, 0], 180).scale(20),
+            },
+            "lamp": {
+                "type": "rectangle",
+                "to_world": transform.look_at(origin=[30, 30, 220], target=[0, 0, 236], up=[0, 1, 0]).scale(20),
+                "emitter": {"type": "area", "radiance": 20.0},
+            },
+        }
+    )
+
+
+def rms(image):
+    return np.sqrt(np.mean(np.square(image), axis=(0, 1)))
+
+
+@pytest.mark.parametrize(
+    ("variant", "pixels", "options"),
+    [
+        ("llvm_ad_mono", "luminance", {"model": "ray", "spp": 16}),
+        ("llvm_ad_rgb", "rgb", {"model": "ray", "spp": 40}),
+        ("llvm_ad_mono", "luminance", {"model": "wave", "spp": 4, "radiators_per_lens": 2, "accuracy": 0.2}),
+        (
+            "llvm_ad_rgb",
+            "rgb",
+            {"model": "wave", "spp": 4, "radiators_per_lens": 2, "accuracy": 0.2, "wavelength": "600, 500, 600"},
+        ),
+    ],
+)
+def test_the_noise_is_the_spread_of_seeds(camera_dict, variant, pixels, options):
+    mi.set_variant(variant)
+    # Wide apertures give rays weights of their own.
+    radius = 8.0 if options["model"] == "ray" else 3.0
+    film = {"pixel_format": pixels}
+    scene = lit_wall(camera_dict(resolution=32, detector_width=0.128, aperture_radius=radius, film=film))
+    captures = [render_capture(scene, seed=seed, noise=seed < 3, **options) for seed in range(10)]
+    noise = np.mean([rms(capture.noise) for capture in captures[:3]], axis=0)
+    spread = rms(np.std([capture.image for capture in captures], axis=0, ddof=1))
+    np.testing.assert_allclose(noise, spread, rtol=0.1)
+    assert captures[0].noise.shape == captures[0].image.shape
+
+
+def test_by_waves_the_noise_is_an_addition(camera_dict):
+    scene = lit_wall(camera_dict(resolution=32, detector_width=0.128))
+    options = {"model": "wave", "spp": 4, "radiators_per_lens": 2}
+    with_noise = render_capture(scene, noise=True, **options)
+    np.testing.assert_allclose(with_noise.image, render_capture(scene, **options).image, rtol=1e-5)
+    assert with_noise.metadata["guards"].keys() == render_capture(scene, **options).metadata["guards"].keys()
+
+
+@pytest.mark.parametrize("model", ["ray", "wave"])
+def test_what_does_not_vary_has_no_noise_and_one_sample_tells_none(camera_dict, model):
+    options = {"radiators_per_lens": 1} if model == "wave" else {}
+    glow = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, 240]).rotate([0, 1, 0], 180)}
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path"},
+            "camera": camera_dict(resolution=32, detector_width=0.128),
+            "wall": {**glow, "emitter": {"type": "area", "radiance": 1.0}},
+        }
+    )
+    noise = render_capture(scene, model=model, spp=3, noise=True, **options).noise
+    # By rays chance decides at the rim of the pupil alone.
+    assert (noise == 0).mean() > 0.4 if model == "ray" else not noise.any()
+    with pytest.raises(InputError, match="spp = 1: it must be at least 2 for an estimate of the noise"):
+        render_capture(scene, model=model, spp=1, noise=True)
+
+
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_noise_survives_the_disk_and_not_an_exposure(tmp_path, camera_dict, channels):
+    camera = mi.load_dict(camera_dict(resolution=64)).camera
+    image, noise = np.random.default_rng(0).random((2, 64, 64, *channels), dtype=np.float32)
+    capture = Capture(image, camera, noise=noise)
+    write_capture(tmp_path / "raw.exr", capture)
+    read = read_capture(tmp_path / "raw.exr")
+    np.testing.assert_array_equal(read.image, image)
+    np.testing.assert_array_equal(read.noise, noise)
+    assert read.relative_noise == pytest.approx(np.sqrt((noise.astype(float) ** 2).mean()) / image.mean())
+    assert expose(read, Detector(), photons=100.0).noise is None
+    for bad, message in ((noise[:5], "it must be as the image"), (-noise, "are negative")):
+        with pytest.raises(InputError, match=message):
+            Capture(image, camera, noise=bad)
