@@ -28,7 +28,7 @@ SECOND = PlenopticCamera(
     focal_length=50, aperture_radius=4, mla_distance=70, mla_focal_length=0.4, mla_pitch=0.05,
     detector_width=5, resolution=(2000, 2000),
 )  # fmt: skip
-PATCH_LIMIT = 0.0035
+PATCH_LIMIT = 0.0036
 FULL_FIELD_LIMIT = 0.002
 
 SMALL = PAPER.replace(detector_width=0.512, resolution=(256, 256))
