@@ -53,7 +53,7 @@ def test_is_the_sum_of_point_spreads():
 def test_patches_against_full_fields(weights, limit):
     positions = np.array([(0.05, -0.03, 240.0), (0.1, 0.1, 225.0)])
     options = {"pupil_weights": None if weights is None else [weights, weights], "accuracy": 0}
-    patch, full = (capture(SMALL, positions, [1.0, -2.0], method=name, **options) for name in PLANS)
+    patch, full = (capture(SMALL, positions, [1.0, -2.0], method=name, **options) for name in ("patch", "full_field"))
     assert error(patch, full) < limit
 
 
