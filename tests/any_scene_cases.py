@@ -184,3 +184,11 @@ def glass_sphere(angle=20.0):
     sphere = {"type": "sphere", "center": centre, "radius": 20.0, "bsdf": {"type": "dielectric"}}
     lamp = {"type": "sphere", "center": place, "radius": 3.0, **radiating(100.0)}
     return scene_of(sensor(16, 16), sphere=sphere, lamp=lamp)
+
+
+def half_lit(roughness, edge=0.0):
+    """Return the scene of a metal at 240 mm that shows half of the pupil a lamp, with its edge at an angle in degrees."""
+    metal = {"type": "roughconductor", "material": "none", "alpha": roughness} if roughness else MIRROR
+    T = mi.ScalarTransform4f()
+    lamp = {"type": "rectangle", "to_world": T.rotate([0, 0, 1], edge).translate([30, 0, -1]).scale(30), **radiating()}
+    return scene_of(sensor(8, 32), metal=facing(240.0, 20.0, bsdf=metal), lamp=lamp)

@@ -153,12 +153,13 @@ class _Walk:
     """Chains on their way to a known end."""
 
     chain: Chain
+    weight: Any
     arrived: Any
     going: Any
 
 
-def leads_to(optics: Optics, ray: Any, key: Any, place: Any, tolerance: Any) -> Any:
-    """Whether chains, by the same choices, end where others have ended.
+def leads_to(optics: Optics, ray: Any, key: Any, place: Any, tolerance: Any) -> tuple[Any, Chain, Any]:
+    """Follow chains, by the same choices, to where others have ended.
 
     Parameters
     ----------
@@ -175,7 +176,12 @@ def leads_to(optics: Optics, ray: Any, key: Any, place: Any, tolerance: Any) -> 
 
     Returns
     -------
-    Bool
+    arrived : Bool
+        Whether they end there, too.
+    chain : Chain
+        The chains, with the ray that arrives.
+    weight : UnpolarizedSpectrum
+        What the events on the way leave of the light.
     """
 
     def step(walk: _Walk) -> _Walk:
@@ -190,11 +196,12 @@ def leads_to(optics: Optics, ray: Any, key: Any, place: Any, tolerance: Any) -> 
         sample, weight = chain.sample(si, branches)
         passes = branches & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta) & (dr.max(weight) > 0)
         onward = dr.select(passes, chain.turn(si, sample), dr.select(hidden, chain.pass_on(si), chain))
-        return _Walk(onward, walk.arrived | arrived, passes | hidden)
+        weight = dr.select(passes, walk.weight * weight, walk.weight)
+        return _Walk(onward, weight, walk.arrived | arrived, passes | hidden)
 
-    start = _Walk(Chain.start(ray, key, None), mi.Bool(False), mi.Bool(True))
+    start = _Walk(Chain.start(ray, key, None), mi.UnpolarizedSpectrum(1), mi.Bool(False), mi.Bool(True))
     (end,) = dr.while_loop((start,), lambda walk: walk.going, lambda walk: (step(walk),), label="shadow rays")
-    return end.arrived
+    return end.arrived, end.chain, end.weight
 
 
 def _branches(shape: Any) -> bool:

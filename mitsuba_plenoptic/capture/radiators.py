@@ -23,6 +23,8 @@ from ..optics.main_lens import MainLens, main_lens
 from ..runtime.limits import largest_fitting, require_memory
 from .chains import Optics
 from .draws import Found, draw
+from .first_vertex import Vertex
+from .gloss import glossy, pupil_radiance
 from .lens_window import LensWindow
 from .pupil_weights import PupilWeights
 from .sight import Sight
@@ -149,9 +151,11 @@ def find_radiators(
         # How many shine is known as they are found; the parts and their concatenation are alive at once.
         held += 2 * sum(array.nbytes for array in found[-1])
         require_memory(held, f"{held // RADIATOR_BYTES} radiators or more in {some.stop} of {len(traced.index)} lenses")
-    positions, radiance, variance, astigmatism, bits = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    positions, radiance, variance, astigmatism, *over_pupil = (
+        np.concatenate(parts) for parts in zip(*found, strict=True)
+    )
     _judge_astigmatism(camera, lens, astigmatism, radiance)
-    weights = PupilWeights.from_bits(bits, PUPIL_CELLS) if occlusion and not (bits == 255).all() else None
+    weights = _pupil_weights(*over_pupil)
     fraction = sampled_fraction(positions, weights, lens, window)
     return Radiators(positions, radiance, variance, fraction, weights)
 
@@ -202,7 +206,8 @@ def _trace_lenses(
     Returns
     -------
     tuple of arrays
-        Positions, radiance, its variance, by how much each is astigmatic, and the bits of the visible cells.
+        Positions, radiance, its variance, by how much each is astigmatic, the bits of the visible cells; which are
+        glossy, and the power of those over the pupil.
     """
     lane = dr.arange(mi.UInt32, len(lenses) * len(pairs) * spp)
     radiator = lane // spp
@@ -230,17 +235,23 @@ def _trace_lenses(
     first = mi.UInt32(found.lane)
     P, slope = (dr.gather(mi.Point2f, mi.Point2f(v), first).numpy().astype(np.float64).T for v in (P, slope))
     positions = np.column_stack([P + slope * depth[:, None], depth])
-    bits = np.empty((0, PUPIL_CELLS**2 // 8), np.uint8)
+    bits, shiny, power = _over_pupil(len(P))
+    to_world = sight.sensor.world_transform()
     if occlusion:
-        to_world = sight.sensor.world_transform()
-        bits = visible_cells(sight.optics, to_world, found.vertex, dr.gather(mi.Ray3f, ray, first), P, lens)
+        rays = dr.gather(mi.Ray3f, ray, first)
+        bits = visible_cells(sight.optics, to_world, found.vertex, rays, P, lens)
+        shiny = glossy(sight.optics, found.vertex, rays, lens)
+    if shiny.any():
+        some = mi.UInt32(np.flatnonzero(shiny).astype(np.uint32))
+        vertex, rays = dr.gather(Vertex, found.vertex, some), dr.gather(mi.Ray3f, rays, some)
+        power = pupil_radiance(sight.optics, to_world, vertex, rays, lens, seed)
     astigmatism = found.vertex.place.astigmatism.numpy() + np.zeros(len(P))
-    return positions, found.radiance, found.variance, astigmatism, bits
+    return positions, found.radiance, found.variance, astigmatism, bits, shiny, power
 
 
 def _nothing(channels: int) -> tuple[np.ndarray, ...]:
     """Return what is found where nothing shines."""
-    return np.empty((0, 3)), *np.empty((2, 0, channels)), np.empty(0), np.empty((0, PUPIL_CELLS**2 // 8), np.uint8)
+    return np.empty((0, 3)), *np.empty((2, 0, channels)), np.empty(0), *_over_pupil(0)
 
 
 def _depth(found: Found, cosine: Any, lens: MainLens) -> np.ndarray:
@@ -249,3 +260,23 @@ def _depth(found: Found, cosine: Any, lens: MainLens) -> np.ndarray:
     farthest = _INFINITY / float(lens.vergence(math.inf))
     numbers = depth.numpy().astype(np.float64)
     return np.where(np.abs(numbers) < farthest, numbers, farthest)
+
+
+def _over_pupil(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return bits, glossiness and power over the pupil of radiators of which all see all of it evenly."""
+    bits = np.full((count, PUPIL_CELLS**2 // 8), 255, np.uint8)
+    return bits, np.zeros(count, bool), np.empty((0, PUPIL_CELLS, PUPIL_CELLS), np.float32)
+
+
+def _pupil_weights(bits: np.ndarray, shiny: np.ndarray, power: np.ndarray) -> PupilWeights | None:
+    """Gather what is visible and, of glossy radiators, the power over the pupil; None if all see all evenly."""
+    # Where no light path of the few has found light, all that is visible counts the same.
+    lit = power.max(axis=(1, 2), initial=0) > 0
+    which = np.flatnonzero(shiny)[lit]
+    if not which.size:
+        return None if (bits == 255).all() else PupilWeights.from_bits(bits, PUPIL_CELLS)
+    masks = PupilWeights.from_bits(bits, PUPIL_CELLS)
+    rows = power[lit] / power[lit].max(axis=(1, 2), keepdims=True)
+    index = masks.index.copy()
+    index[which] = len(masks.table) + np.arange(len(which))
+    return PupilWeights(np.concatenate([masks.table, rows]), index)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..optics.main_lens import MainLens
 from .chains import Optics, leads_to
-from .first_vertex import Vertex
+from .first_vertex import Place, Vertex
 from .lens_window import LensWindow
 from .pupil_weights import PupilWeights
 
@@ -85,11 +85,29 @@ def _blocked(optics: Optics, target: Any, vertex: Vertex, ray: Any) -> Any:
         towards = point.spawn_ray_to(target)
         away = mi.Ray3f(target, ray.d)
         return optics.scene.ray_test(dr.select(place.escaped, away, towards))
-    # from the pupil point to the place from which light seems to come, be it beyond infinity
-    direction = dr.normalize(ray.d + (ray.o - target) * dr.rcp(place.distance))
-    shadow = mi.Ray3f(target, direction, ray.time, ray.wavelengths)
-    tolerance = dr.select(place.curved, _CURVED_TOLERANCE, _PLANE_TOLERANCE)
-    return ~leads_to(optics, shadow, vertex.key, place, tolerance)
+    arrived, _, _ = leads_to(optics, aimed_at(vertex, ray, target), vertex.key, place, tolerance(place))
+    return ~arrived
+
+
+def aimed_at(vertex: Vertex, ray: Any, point: Any) -> Any:
+    """Return rays from points of the pupil towards the places from which light seems to come, be it beyond infinity.
+
+    Parameters
+    ----------
+    vertex : Vertex
+        The places.
+    ray : Ray3f
+        The rays that have found them.
+    point : Point3f
+        Points of the pupil in the world.
+    """
+    direction = dr.normalize(ray.d + (ray.o - point) * dr.rcp(vertex.place.distance))
+    return mi.Ray3f(point, direction, ray.time, ray.wavelengths)
+
+
+def tolerance(place: Place) -> Any:
+    """Return how far from places, over the distance, rays may pass that count as coming from there."""
+    return dr.select(place.curved, _CURVED_TOLERANCE, _PLANE_TOLERANCE)
 
 
 def sampled_fraction(

@@ -1,0 +1,83 @@
+"""Radiance over the pupil of what shines by gloss: surfaces whose lobes are hardly wider than the pupil."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..optics.main_lens import MainLens
+from .chains import Optics, leads_to
+from .first_vertex import Vertex
+from .visibility import LANES, PUPIL_CELLS, aimed_at, tolerance
+
+NARROW = 1 / 16
+"""Part of a lobe that goes through the pupil, from which on the radiance counts as different over the pupil."""
+
+_SAMPLES = 4
+"""Light paths of a cell of the pupil."""
+
+
+def glossy(optics: Optics, vertex: Vertex, ray: Any, lens: MainLens) -> NDArray[np.bool_]:
+    """Return which places lie on surfaces with narrow lobes, and without null or delta ones.
+
+    Parameters
+    ----------
+    optics : Optics
+        Scene and child.
+    vertex : Vertex
+        The places.
+    ray : Ray3f
+        The rays that have found them.
+    lens : MainLens
+        The main lens.
+    """
+    place = vertex.place
+    _, chain, _ = leads_to(optics, ray, vertex.key, place, tolerance(place))
+    si = optics.scene.ray_intersect(chain.ray)
+    bsdf = si.bsdf(chain.ray)
+    candidate = si.is_valid() & ~place.escaped & ~place.scattered & ~mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta)
+    candidate &= mi.has_flag(bsdf.flags(), mi.BSDFFlags.Glossy)
+    context = mi.BSDFContext()
+    densest = dr.maximum(*(bsdf.pdf(context, si, wo, candidate) for wo in (mi.reflect(si.wi), -si.wi)))
+    pupil = math.pi * lens.pupil_radius**2 / dr.square(place.distance)
+    return np.asarray((candidate & (densest * pupil > NARROW)).numpy())
+
+
+def pupil_radiance(
+    optics: Optics, to_world: Any, vertex: Vertex, ray: Any, lens: MainLens, seed: int
+) -> NDArray[np.float32]:
+    """Return the radiance of places towards the cells of the pupil, (n, PUPIL_CELLS, PUPIL_CELLS).
+
+    It is the mean of a few light paths from points of each cell; 0 where the place is hidden.
+    """
+    cells, radius = PUPIL_CELLS**2, lens.pupil_radius
+    count = dr.width(ray)
+    result = np.empty((count, cells), np.float32)
+    batch = max(1, LANES // (16 * cells * _SAMPLES))
+    for start in range(0, count, batch):
+        stop = min(start + batch, count)
+        lane = dr.arange(mi.UInt32, (stop - start) * cells * _SAMPLES)
+        which, cell = lane // (cells * _SAMPLES) + start, lane // _SAMPLES % cells
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed + start, dr.width(lane))
+        within = sampler.next_2d()
+        x, y = (
+            (mi.Float(index) + number) * (2 * radius / PUPIL_CELLS) - radius
+            for index, number in ((cell % PUPIL_CELLS, within.x), (cell // PUPIL_CELLS, within.y))
+        )
+        found, primary = dr.gather(Vertex, vertex, which), dr.gather(mi.Ray3f, ray, which)
+        shadow = aimed_at(found, primary, to_world @ mi.Point3f(x, y, 0))
+        arrived, chain, weight = leads_to(optics, shadow, found.key, found.place, tolerance(found.place))
+        child = optics.child
+        dr.eval(arrived, chain, weight, sampler)
+        hidden = child.lamps_hidden(chain.events, chain.null_events)
+        radiance = child.sample(
+            optics.scene, sampler, chain.ray, chain.medium, chain.used(child), hidden, arrived, optics.media
+        )
+        result[start:stop] = dr.block_sum(dr.mean(weight * radiance), _SAMPLES).numpy().reshape(-1, cells) / _SAMPLES
+    return result.reshape(-1, PUPIL_CELLS, PUPIL_CELLS)
