@@ -28,7 +28,7 @@ In units of :math:`\\lambda z / D_2`, a lens's diffraction.
 _PIXELS_PER_SPOT = 1.25
 """Samples across the spot of a lens at least."""
 
-_LEFT = 0.7
+_LEFT = 0.5
 """Error of the patterns that are learnt from over the allowed error of sums over many points."""
 
 
