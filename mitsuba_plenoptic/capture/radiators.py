@@ -32,6 +32,9 @@ from .visibility import LANES, PUPIL_CELLS, sampled_fraction, visible_cells
 _LANE_BYTES = 256
 """Memory of a light path on its way."""
 
+_CHAIN_BYTES = 1024
+"""The same where null and delta lobes are followed."""
+
 _RADIATOR_BYTES = 2 * (40 + PUPIL_CELLS**2 // 8)
 """Memory of a radiator with the bits of its visible cells, while the parts are put together."""
 
@@ -163,9 +166,8 @@ def _require_memory(window: LensWindow, pairs: int, spp: int, optics: Optics) ->
 
     def memory(per_lens: int) -> float:
         paths = float(per_lens) ** 2 * spp
-        lanes = _lanes(optics)
-        each = _LANE_BYTES * LANES / lanes / 4
-        return each * max(min(lanes, paths * len(window.index)), paths)
+        each = _LANE_BYTES if optics.plain else _CHAIN_BYTES
+        return each * max(min(_lanes(optics), paths * len(window.index)), paths)
 
     def fitting(limit: float) -> str | None:
         largest = largest_fitting(memory, limit, per_lens)
