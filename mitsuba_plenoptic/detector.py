@@ -151,4 +151,4 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
         electrons = (numbers.astype(np.float64) - detector.black_level) / detector.gain - detector.dark_electrons
         result[start : start + rows] = electrons / (detector.quantum_efficiency * photons)
     exposure = {**asdict(detector), "photons": photons, "seed": seed}
-    return replace(capture, image=result, metadata={**capture.metadata, "exposure": exposure})
+    return replace(capture, image=result, noise=None, metadata={**capture.metadata, "exposure": exposure})

@@ -187,7 +187,7 @@ def glass_sphere(angle=20.0):
 
 
 def half_lit(roughness, edge=0.0):
-    """Return the scene of a metal at 240 mm that shows half of the pupil a lamp, with its edge at an angle in degrees."""
+    """Return the scene of a metal that shows half of the pupil a lamp, whose edge is at an angle in degrees."""
     metal = {"type": "roughconductor", "material": "none", "alpha": roughness} if roughness else MIRROR
     T = mi.ScalarTransform4f()
     lamp = {"type": "rectangle", "to_world": T.rotate([0, 0, 1], edge).translate([30, 0, -1]).scale(30), **radiating()}

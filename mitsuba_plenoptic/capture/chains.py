@@ -32,6 +32,8 @@ class Optics:
         All media; empty for an integrator that sees none.
     plain : bool
         Whether all light that the child sees is scattered or emitted where a ray first hits.
+    gloss : bool
+        Whether anything has glossy lobes.
     """
 
     scene: Any
@@ -39,6 +41,7 @@ class Optics:
     start: Any
     media: list[Any]
     plain: bool
+    gloss: bool
 
     @classmethod
     def of(cls, scene: Any, child: Child, sensor: Any) -> Optics:
@@ -60,8 +63,9 @@ class Optics:
             kind = points[0].class_name()
             raise InputError(f"scene: it has a {kind} and a scattering medium: by waves its emitters need an area")
         lamps = child.hides and any(shape.is_emitter() for shape in shapes)
-        plain = not media and not lamps and not any(_branches(shape) for shape in shapes)
-        return cls(scene, child, sensor.get_medium() if media else None, media, plain)
+        plain = not media and not lamps and not any(_has(shape, mi.BSDFFlags.Delta) for shape in shapes)
+        gloss = any(_has(shape, mi.BSDFFlags.Glossy) for shape in shapes)
+        return cls(scene, child, sensor.get_medium() if media else None, media, plain, gloss)
 
 
 @dataclass
@@ -204,10 +208,10 @@ def leads_to(optics: Optics, ray: Any, key: Any, place: Any, tolerance: Any) -> 
     return end.arrived, end.chain, end.weight
 
 
-def _branches(shape: Any) -> bool:
-    """Whether a shape has null or delta lobes, or holds shapes of which that is not known."""
+def _has(shape: Any, lobes: Any) -> bool:
+    """Whether a shape has some kind of lobes, or holds shapes of which that is not known."""
     bsdf = shape.bsdf()
-    return bsdf is None or mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta)
+    return bsdf is None or mi.has_flag(bsdf.flags(), lobes)
 
 
 def _scatters(medium: Any) -> bool:

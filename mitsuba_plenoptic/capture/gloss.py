@@ -15,7 +15,7 @@ from .chains import Optics, leads_to
 from .first_vertex import Vertex
 from .visibility import LANES, PUPIL_CELLS, aimed_at, tolerance
 
-NARROW = 1 / 16
+NARROW = 1 / 4
 """Part of a lobe that goes through the pupil, from which on the radiance counts as different over the pupil."""
 
 _SAMPLES = 4
@@ -37,9 +37,13 @@ def glossy(optics: Optics, vertex: Vertex, ray: Any, lens: MainLens) -> NDArray[
         The main lens.
     """
     place = vertex.place
-    _, chain, _ = leads_to(optics, ray, vertex.key, place, tolerance(place))
-    si = optics.scene.ray_intersect(chain.ray)
-    bsdf = si.bsdf(chain.ray)
+    if not optics.gloss:
+        return np.zeros(dr.width(ray), bool)
+    if not optics.plain:
+        _, chain, _ = leads_to(optics, ray, vertex.key, place, tolerance(place))
+        ray = chain.ray
+    si = optics.scene.ray_intersect(ray)
+    bsdf = si.bsdf(ray)
     candidate = si.is_valid() & ~place.escaped & ~place.scattered & ~mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta)
     candidate &= mi.has_flag(bsdf.flags(), mi.BSDFFlags.Glossy)
     context = mi.BSDFContext()

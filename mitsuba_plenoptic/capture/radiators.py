@@ -33,11 +33,11 @@ from .visibility import LANES, PUPIL_CELLS, sampled_fraction, visible_cells
 _LANE_BYTES = 256
 """Memory of a light path on its way."""
 
+_CHAIN_BYTES = 1024
+"""The same where null and delta lobes are followed."""
+
 RADIATOR_BYTES = 2 * (40 + PUPIL_CELLS**2 // 8)
 """Memory of a radiator with the bits of its visible cells, while the parts are put together."""
-
-_ROUNDING = 1e-6
-"""Relative deviation of a radiance that is none."""
 
 _INFINITY = 1e6
 """Where the radiator of a ray that leaves the scene is put, in main lens images: far enough to be collimated."""
@@ -178,9 +178,8 @@ def _require_memory(window: LensWindow, pairs: int, spp: int, optics: Optics) ->
 
     def memory(per_lens: int) -> float:
         paths = float(per_lens) ** 2 * spp
-        lanes = _lanes(optics)
-        each = _LANE_BYTES * LANES / lanes / 4
-        return each * max(min(lanes, paths * len(window.index)), paths)
+        each = _LANE_BYTES if optics.plain else _CHAIN_BYTES
+        return each * max(min(_lanes(optics), paths * len(window.index)), paths)
 
     def fitting(limit: float) -> str | None:
         largest = largest_fitting(memory, limit, per_lens)

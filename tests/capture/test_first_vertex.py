@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from any_scene_cases import ABSORBING_FOG, MIRROR, PANES, THIN_FOG, facing, radiating, scene_of, sensor
 
-from mitsuba_plenoptic import InputError
+from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.capture import child as children
 from mitsuba_plenoptic.capture.chains import Optics
 from mitsuba_plenoptic.capture.child import Child
 from mitsuba_plenoptic.capture.first_vertex import first_vertex
+from mitsuba_plenoptic.capture.radiators import find_radiators, sample_pairs
 
 GREY = {"type": "diffuse", "reflectance": 0.5}
 TWOSIDED = {"type": "twosided", "nested": GREY}
@@ -156,6 +157,18 @@ def test_what_leaves_the_scene_is_at_infinity_also_in_a_plane_mirror():
     }
     scene = scene_of(sensor(2), sky={"type": "constant"}, mirror={**plane, "bsdf": MIRROR})
     assert place_of(scene) == (math.inf, 0)
+
+
+def test_radiators_tell_the_variance_of_their_radiance():
+    """Half of the light paths are stopped by the card: each mean of 64 has a variance of 1 / 4 / 63."""
+    scene = scene_of(sensor(2), pane=facing(200, 60, bsdf=PANES["half-open mask"]), wall=facing(300, 60, **radiating()))
+    camera = PlenopticCamera.from_sensor(scene.sensors()[0])
+    found = find_radiators(
+        scene, scene.sensors()[0], scene.integrator(), camera, sample_pairs(2, np.zeros(4)),
+        spp=64, seed=1, wavelength=None, occlusion=False,
+    )  # fmt: skip
+    assert found.radiance.mean() == pytest.approx(0.5, abs=0.02)
+    assert found.variance.mean() == pytest.approx(0.25 / 63, rel=0.05)
 
 
 def test_lamps_without_area_are_refused_where_a_medium_scatters():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mitsuba as mi
+import numpy as np
 import pytest
 from any_scene_cases import (
     TRANSPARENT,
@@ -12,15 +13,17 @@ from any_scene_cases import (
     contrast,
     energy,
     glass_sphere,
+    half_lit,
     in_fog,
     lamp_behind_glass,
     lit_mirror,
     plastic,
     square_behind,
 )
-from wave_cases import error
+from scipy.ndimage import convolve1d
+from wave_cases import WAVELENGTH, error
 
-from mitsuba_plenoptic import reconstruct, render_capture
+from mitsuba_plenoptic import design, reconstruct, render_capture
 
 
 @pytest.fixture(scope="module")
@@ -73,3 +76,16 @@ def test_energy_is_that_of_rays(scene, per_lens):
 def test_the_highlight_of_a_glass_sphere_is_as_bright_as_by_rays():
     by_rays, by_waves = (reconstruct(capture, 250.0).image for capture in captures(glass_sphere(), per_lens=5))
     assert by_waves.max() == pytest.approx(by_rays.max(), rel=0.15)
+
+
+def test_a_shiny_metal_lights_the_half_of_the_pupil_that_its_lamp_shines_to():
+    """Rays, blurred by the diffraction of a square microlens."""
+    by_rays, by_waves = captures(half_lit(0.005), spp=16, per_lens=4)
+    camera = by_rays.camera
+    x = (np.arange(9 * 65) - 9 * 32 - 4) / 9 * camera.pixel_size
+    spot = (np.sinc(x / design.spot_radius(camera, WAVELENGTH)) ** 2).reshape(65, 9).sum(axis=1)
+    blurred = convolve1d(convolve1d(by_rays.image, spot / spot.sum(), axis=0), spot / spot.sum(), axis=1)
+    inside = (slice(32, -32), slice(32, -32))
+    assert error(by_waves.image[inside], blurred[inside]) <= 0.08
+    left, right = (half.mean() for half in np.split(by_waves.image[inside].reshape(-1, 2, 16).mean(axis=0), 2))
+    assert max(left, right) > 4 * min(left, right)

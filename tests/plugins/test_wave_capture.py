@@ -219,7 +219,7 @@ def test_models_wrap_and_unwrap_the_scenes_integrator(camera_dict):
         ({"radiators_per_lens": 0}, "plenoptic_wave: radiators_per_lens = 0: it must be at least 1"),
         ({"radiators_per_lens": "many"}, "radiators_per_lens = 'many': it must be a number"),
         ({"passes": 1.5}, "passes = 1.5: it must be a whole number"),
-        ({"method": "magic"}, "method = 'magic': it must be one of patch, full_field"),
+        ({"method": "magic"}, "method = 'magic': it must be one of auto, patch, full_field, bank"),
         ({"occlusion": "no"}, "occlusion = 'no': it must be true or false"),
         ({"accuracy": -0.01}, "accuracy = -0.01: it must be from 0"),
         ({"child": {"type": "ptracer"}}, "it cannot tell the radiance along a ray"),
