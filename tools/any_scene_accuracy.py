@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -42,7 +43,7 @@ from any_scenes import (
 )
 from when_do_rays_fail import diffract
 
-from mitsuba_plenoptic import load_scene, reconstruct, render_capture
+from mitsuba_plenoptic import InputError, load_scene, reconstruct, render_capture
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,10 @@ def energies() -> Iterator[Row]:
         "vitrine": lambda: load_scene("vitrine", parameters={"resolution": "256", "detector_width": "1.024"}),
     }
     for name, make in scenes.items():
-        yield _energy(name, *captures(make(), spp=16, per_lens=4))
+        try:
+            yield _energy(name, *captures(make(), spp=16, per_lens=4))
+        except InputError as refusal:
+            yield Row(f"{name}: {refusal}", math.nan, 1.0, 0.015)
 
 
 def _half_hidden_wall() -> Any:
@@ -139,11 +143,12 @@ def highlights() -> Iterator[Row]:
 def radiance_over_the_pupil() -> Iterator[Row]:
     """Compare micro-images of half-lit pupils with those by rays, blurred by the microlenses' diffraction."""
     rough = {"type": "roughconductor", "material": "none", "alpha": 0.005}
-    for name, bsdf in (("mirror", MIRROR), ("rough conductor", rough)):
+    # The lamp in the mirror is far from focus, and each pixel must be met by many of its radiators.
+    for name, bsdf, per_lens in (("mirror", MIRROR, 8), ("rough conductor", rough, 4)):
         for angle in (0.0, 30.0, 90.0):
-            by_rays, by_waves = captures(half_lit(bsdf, angle), spp=16, per_lens=4)
+            by_rays, by_waves = captures(half_lit(bsdf, angle), spp=16, per_lens=per_lens)
             # What lies beyond the detector blurs into its rim.
-            inner = (slice(32, -32), slice(32, -32))
+            inner = (slice(16, -16), slice(16, -16))
             expected = diffract(by_rays.image, by_rays.camera)[inner]
             yield Row(f"half-lit {name}, {angle:g} degrees: relative L2", _difference(by_waves.image[inner], expected),
                       0.0, 0.08)  # fmt: skip

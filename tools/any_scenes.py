@@ -203,4 +203,4 @@ def half_lit(bsdf: Scene, angle: float) -> Any:
     T = mi.ScalarTransform4f()
     to_world = T.translate([0, 0, -10]) @ T.rotate([0, 0, 1], angle) @ T.translate([100, 0, 0]) @ T.scale(100)
     lamp = {"type": "rectangle", "to_world": to_world, **radiating()}
-    return scene_of(sensor(4, 32), plane=facing(240.0, 20.0, bsdf=bsdf), lamp=lamp)
+    return scene_of(sensor(8, 16), plane=facing(240.0, 20.0, bsdf=bsdf), lamp=lamp)
