@@ -118,18 +118,28 @@ class LensRaySum:
         """Trace the rays of a band; return for each channel the images (ranks, rows, columns) of its box."""
         widest = max(boxes, key=lambda box: box.columns)
         ranks, size = [sum(bank.rank for bank in banks) for banks in self._banks], widest.rows * widest.columns
-        images = [np.zeros((rank, size), np.float32) for rank in ranks]
+        images = [np.empty((rank, size), np.float32) for rank in ranks]
         step = max(1, _LANES // self._spp)
         seeds = np.random.SeedSequence([self._seed, band])
-        for steps in self._candidates:
-            for start in range(0, size, 2 * _LANES):
-                bins = dr.arange(mi.UInt32, start, min(start + 2 * _LANES, size))
+        for start in range(0, size, step):
+            stop = min(start + step, size)
+            bins = dr.arange(mi.UInt32, start, stop)
+            sums = [[dr.zeros(mi.Float, stop - start) for _ in range(rank)] for rank in ranks]
+            dr.eval(bins, sums)
+            for steps in self._candidates:
                 (Px, Py), _, _ = self._pupil_points(widest, bins, steps)
                 lit = dr.compress(Px * Px + Py * Py < self._widest**2)
-                for first in range(0, dr.width(lit), step):
-                    some = dr.arange(mi.UInt32, first, min(first + step, dr.width(lit)))
-                    chosen = dr.gather(mi.UInt32, bins, dr.gather(mi.UInt32, lit, some))
-                    self._add(images, widest, chosen, steps, int(seeds.spawn(1)[0].generate_state(1)[0]))
+                if dr.width(lit):
+                    seed = int(seeds.spawn(1)[0].generate_state(1)[0])
+                    brought = self._trace_bins(widest, dr.gather(mi.UInt32, bins, lit), steps, seed)
+                    for targets, parts in zip(sums, brought, strict=True):
+                        for target, part in zip(targets, parts, strict=True):
+                            # Every bin is in it once.
+                            dr.scatter_reduce(dr.ReduceOp.Add, target, part, lit, mode=dr.ReduceMode.NoConflicts)
+                    dr.eval(sums)
+            for image, targets in zip(images, sums, strict=True):
+                for samples, target in zip(image, targets, strict=True):
+                    samples[start:stop] = target.numpy()
         shaped = [image.reshape(-1, widest.rows, widest.columns) for image in images]
         return [
             image[:, box.top - widest.top :, box.left - widest.left :][:, : box.rows, : box.columns]
@@ -158,8 +168,8 @@ class LensRaySum:
         (Px, Py, _), slope, _ = self._lens.trace(centre, slope)
         return (Px, Py), slope, lattice.lens_type(i, j) if len(self._banks[0]) > 1 else None
 
-    def _add(self, images: list[NDArray[np.float32]], box: Box, bins: Any, steps: NDArray[np.int64], seed: int) -> None:
-        """Trace the rays of some bins through one of the lenses near them, and add them to the images."""
+    def _trace_bins(self, box: Box, bins: Any, steps: NDArray[np.int64], seed: int) -> list[list[Any]]:
+        """Trace the rays of some bins through one of the lenses near them; return what they bring of each kernel."""
         lane = dr.arange(mi.UInt32, dr.width(bins) * self._spp)
         own, sample = dr.gather(mi.UInt32, bins, lane // self._spp), mi.Float(lane % self._spp)
         shift = dr.opaque(mi.UInt32, seed)
@@ -180,10 +190,7 @@ class LensRaySum:
                 brought += [coefficient * kept for coefficient in bank.coefficients(*pupil, vergence)]
             sums.append([dr.block_sum(part, self._spp) for part in brought])
         dr.eval(sums)
-        places = bins.numpy()
-        for image, parts in zip(images, sums, strict=True):
-            for target, added in zip(image, parts, strict=True):
-                target[places] += added.numpy()
+        return sums
 
 
 @dataclass(frozen=True)
