@@ -69,8 +69,10 @@ def estimate_capture(
     PhysicsError
         If too much of the light would be lost.
     """
-    sensor, integrator = plenoptic_sensor(scene), chosen_integrator(scene, model, wave)
-    camera, spp = PlenopticCamera.from_sensor(sensor), sample_count(sensor, spp)
+    sensor = plenoptic_sensor(scene)
+    camera = PlenopticCamera.from_sensor(sensor)
+    integrator = chosen_integrator(scene, model, wave)
+    spp = sample_count(sensor, spp)
     if hasattr(integrator, "wavelengths"):
         return integrator.estimate(scene, sensor, seed=seed, spp=spp, job=Job(batch_map=batch_map))
     if batch_map:

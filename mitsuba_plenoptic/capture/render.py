@@ -87,8 +87,9 @@ def render_capture(
     PhysicsError
         If too much of the light is lost; the fractions that the guards found are in the metadata under ``guards``.
     """
-    sensor, integrator = plenoptic_sensor(scene), chosen_integrator(scene, model, wave)
+    sensor = plenoptic_sensor(scene)
     camera = PlenopticCamera.from_sensor(sensor)
+    integrator = chosen_integrator(scene, model, wave)
     spp = sample_count(sensor, spp)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
     if noise:
