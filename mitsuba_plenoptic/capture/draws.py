@@ -21,6 +21,10 @@ _SAME_PLACE = 1e-4
 """Relative difference of distances below which places of equal chains are the same."""
 
 
+_ROUNDING = 1e-6
+"""Relative variance of light paths that is none."""
+
+
 @dataclass(frozen=True)
 class Found:
     """Places that shine, of the rays of some radiators.
@@ -136,4 +140,6 @@ def _moments(sums: NDArray[Any], squares: NDArray[Any], spp: int) -> tuple[NDArr
     mean = (sums / spp).astype(np.float64)
     if spp == 1:
         return mean, np.full_like(mean, np.nan)
-    return mean, np.maximum(squares / spp - mean**2, 0) / (spp - 1)
+    spread = squares / spp - mean**2
+    # What rounding leaves of paths that are all the same is no spread.
+    return mean, np.where(spread > _ROUNDING * mean**2, spread, 0) / (spp - 1)

@@ -16,6 +16,7 @@ from mitsuba_plenoptic.capture.chains import Optics
 from mitsuba_plenoptic.capture.child import Child
 from mitsuba_plenoptic.capture.first_vertex import first_vertex
 from mitsuba_plenoptic.capture.radiators import find_radiators, sample_pairs
+from mitsuba_plenoptic.capture.sight import Sight
 
 GREY = {"type": "diffuse", "reflectance": 0.5}
 TWOSIDED = {"type": "twosided", "nested": GREY}
@@ -164,8 +165,8 @@ def test_radiators_tell_the_variance_of_their_radiance():
     scene = scene_of(sensor(2), pane=facing(200, 60, bsdf=PANES["half-open mask"]), wall=facing(300, 60, **radiating()))
     camera = PlenopticCamera.from_sensor(scene.sensors()[0])
     found = find_radiators(
-        scene, scene.sensors()[0], scene.integrator(), camera, sample_pairs(2, np.zeros(4)),
-        spp=64, seed=1, wavelength=None, occlusion=False,
+        Sight.of(scene, scene.sensors()[0], scene.integrator(), None), camera, sample_pairs(2, np.zeros(4)),
+        spp=64, seed=1, occlusion=False,
     )  # fmt: skip
     assert found.radiance.mean() == pytest.approx(0.5, abs=0.02)
     assert found.variance.mean() == pytest.approx(0.25 / 63, rel=0.05)

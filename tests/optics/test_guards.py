@@ -179,7 +179,7 @@ class TestReconstruction:
         assert 0 < result.guards["outside_pupil"] < 0.5
         assert 0 <= result.guards["object_window"] < 0.05
         write_reconstruction(tmp_path / "out.exr", result)
-        assert read_exr(tmp_path / "out.exr")[1]["guards"] == result.guards
+        assert read_exr(tmp_path / "out.exr")[2]["guards"] == result.guards
 
 
 class TestCrosstalk:

@@ -276,7 +276,7 @@ def test_the_command_writes_method_and_camera_into_the_header(tmp_path, capfd):
     write_capture(raw, Capture(np.ones(camera.shape), camera, 633.0, "wave"))
     arguments = ["reconstruct", str(raw), "-o", str(out), "--distance", "230", "--method", "partial"]
     assert main([*arguments, "--interleave", "auto", "--oversample", "2", "--no-relay"]) == 0
-    image, header = read_exr(out)
+    image, _, header = read_exr(out)
     assert image.shape == (8, 8)
     assert (header["method"], header["distance"]) == ("partial", 230.0)
     assert header["options"] == {"interleave": "auto", "oversample": 2, "relay": False, "wavelength": [633.0]}
