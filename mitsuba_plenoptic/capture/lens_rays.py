@@ -37,6 +37,12 @@ _BAND_BYTES = 2**29
 _LANES = 2**21
 """Rays that are traced at once."""
 
+_RIM = 1.1
+"""Distance from the axis in the pupil, in its radii, beyond which fewer rays are traced."""
+
+_FEWER = 8
+"""By how much fewer."""
+
 _JITTER = (0.7548776662466927, 0.5698402909980532)
 """Steps of the R2 sequence (Roberts 2018) from sample to sample of a bin."""
 
@@ -128,10 +134,15 @@ class LensRaySum:
             dr.eval(bins, sums)
             for steps in self._candidates:
                 (Px, Py), _, _ = self._pupil_points(widest, bins, steps)
-                lit = dr.compress(Px * Px + Py * Py < self._widest**2)
-                if dr.width(lit):
+                square = Px * Px + Py * Py
+                inner = square < (_RIM * self._camera.aperture_radius) ** 2
+                # Beyond the rim there is little light, for which few rays do.
+                for kept, spp in ((inner, self._spp), (~inner & (square < self._widest**2), -(-self._spp // _FEWER))):
+                    lit = dr.compress(kept)
+                    if not dr.width(lit):
+                        continue
                     seed = int(seeds.spawn(1)[0].generate_state(1)[0])
-                    brought = self._trace_bins(widest, dr.gather(mi.UInt32, bins, lit), steps, seed)
+                    brought = self._trace_bins(widest, dr.gather(mi.UInt32, bins, lit), steps, spp, seed)
                     for targets, parts in zip(sums, brought, strict=True):
                         for target, part in zip(targets, parts, strict=True):
                             # Every bin is in it once.
@@ -168,10 +179,10 @@ class LensRaySum:
         (Px, Py, _), slope, _ = self._lens.trace(centre, slope)
         return (Px, Py), slope, lattice.lens_type(i, j) if len(self._banks[0]) > 1 else None
 
-    def _trace_bins(self, box: Box, bins: Any, steps: NDArray[np.int64], seed: int) -> list[list[Any]]:
+    def _trace_bins(self, box: Box, bins: Any, steps: NDArray[np.int64], spp: int, seed: int) -> list[list[Any]]:
         """Trace the rays of some bins through one of the lenses near them; return what they bring of each kernel."""
-        lane = dr.arange(mi.UInt32, dr.width(bins) * self._spp)
-        own, sample = dr.gather(mi.UInt32, bins, lane // self._spp), mi.Float(lane % self._spp)
+        lane = dr.arange(mi.UInt32, dr.width(bins) * spp)
+        own, sample = dr.gather(mi.UInt32, bins, lane // spp), mi.Float(lane % spp)
         shift = dr.opaque(mi.UInt32, seed)
         # Every bin has a shift of its own, so that neighbours are not jittered alike.
         jitter = mi.Point2f(
@@ -181,14 +192,14 @@ class LensRaySum:
         radiance, distance = self._sight.look(pupil, slope, seed)
         vergence = self._lens.vergence(distance)
         dr.eval(radiance, vergence, pupil)
-        weight = (1 - near_weight(self._camera, vergence, self._accuracy)) / self._spp
+        weight = (1 - near_weight(self._camera, vergence, self._accuracy)) / spp
         sums = []
         for light, banks in zip(radiance, self._banks, strict=True):
             brought: list[Any] = []
             for number, bank in enumerate(banks):
                 kept = weight * light if lens_type is None else dr.select(lens_type == number, weight * light, 0)
                 brought += [coefficient * kept for coefficient in bank.coefficients(*pupil, vergence)]
-            sums.append([dr.block_sum(part, self._spp) for part in brought])
+            sums.append([dr.block_sum(part, spp) for part in brought])
         dr.eval(sums)
         return sums
 
