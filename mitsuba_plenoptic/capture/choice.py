@@ -23,7 +23,8 @@ _BLUR = 13.0
 _WORTH = 150_000
 """Radiators blurred over `_BLUR` lenses whose patches take as long as learning a bank and tracing its rays, about.
 
-Measured by `tools/benchmark.py --only captures` for the camera of the paper.
+A rough figure for the camera of the paper: full letters, of 70,000 radiators, are quicker by patches, and a full still
+life, of 1,150,000, by the bank.
 """
 
 

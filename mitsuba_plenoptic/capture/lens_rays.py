@@ -192,14 +192,16 @@ class LensRaySum:
         radiance, distance = self._sight.look(pupil, slope, seed)
         vergence = self._lens.vergence(distance)
         dr.eval(radiance, vergence, pupil)
-        weight = (1 - near_weight(self._camera, vergence, self._accuracy)) / spp
+        # A pixel is the mean of its bins, of which the convolution takes the sum.
+        part = (self._pitch / self._camera.pixel_size) ** 2 / spp
+        weight = (1 - near_weight(self._camera, vergence, self._accuracy)) * part
         sums = []
         for light, banks in zip(radiance, self._banks, strict=True):
             brought: list[Any] = []
             for number, bank in enumerate(banks):
                 kept = weight * light if lens_type is None else dr.select(lens_type == number, weight * light, 0)
                 brought += [coefficient * kept for coefficient in bank.coefficients(*pupil, vergence)]
-            sums.append([dr.block_sum(part, spp) for part in brought])
+            sums.append([dr.block_sum(samples, spp) for samples in brought])
         dr.eval(sums)
         return sums
 

@@ -17,7 +17,7 @@ import numpy as np
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..capture.accuracy import DEFAULT_ACCURACY, check_accuracy
-from ..capture.bank import LensBank, near_weight
+from ..capture.bank import LensBank, finest_pitch, near_weight
 from ..capture.choice import bank_is_quicker
 from ..capture.estimate import estimate_waves
 from ..capture.lens_rays import LensRaySum
@@ -233,8 +233,9 @@ def make_class() -> type:
             if method == "bank":
                 runs = min(PARTS, spp * self.passes) if noise else 1
                 rays = [
-                    self._lens_rays(sight, camera, seed=seed + run, spp=spp * self.passes // runs, part=1 / runs)
-                    for run in range(runs)
+                    self._lens_rays(sight, camera, seed=int(run_seed), spp=spp * self.passes // runs, part=1 / runs)
+                    # Neighbouring seeds must not share runs.
+                    for run_seed in np.random.SeedSequence([seed, runs]).generate_state(runs)
                 ]
             total = sum(len(operator.points) * operator.sums for operator in operators)
             if total == 0 and not rays:
@@ -283,8 +284,9 @@ def make_class() -> type:
             """Return a part of the sum that records by rays through the lenses' centres what is out of focus."""
             between = sight.vergences(main_lens(camera))
             types = range(len(camera.mla_focal_lengths))
+            pitch = finest_pitch(camera, self.wavelengths)
             banks = [
-                [LensBank.learn(camera, wavelength, self.accuracy, between, type_) for type_ in types]
+                [LensBank.learn(camera, wavelength, self.accuracy, between, type_, pitch) for type_ in types]
                 for wavelength in self.wavelengths
             ]
             work = LensRaySum(camera, sight, banks, accuracy=self.accuracy, spp=spp, seed=seed)

@@ -2,6 +2,6 @@
 
 from .blend import near_weight
 from .convolution import Convolution
-from .lens_bank import LensBank
+from .lens_bank import LensBank, finest_pitch
 
-__all__ = ["Convolution", "LensBank", "near_weight"]
+__all__ = ["Convolution", "LensBank", "finest_pitch", "near_weight"]

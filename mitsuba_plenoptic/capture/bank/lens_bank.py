@@ -75,6 +75,7 @@ class LensBank:
         accuracy: float,
         vergences: tuple[float, float],
         lens_type: int = 0,
+        pitch: float | None = None,
     ) -> LensBank:
         """Make the bank of a camera, or return it if it is among the last few that were made.
 
@@ -90,6 +91,9 @@ class LensBank:
             Least and greatest vergence 1 / b' of the images of points, in 1/mm.
         lens_type : int
             Which of the types of lenses of a multi-focus array.
+        pitch : float, optional
+            Distance of the kernels' samples, a whole part of a pixel; banks that are used together must share it.
+            Default: `finest_pitch` at this wavelength.
         """
         optics = camera.replace(
             detector_width=camera.pixel_size,
@@ -99,7 +103,8 @@ class LensBank:
             mla_offset=(0.0, 0.0),
             lens_model="ideal",
         )
-        return _learn(optics, wavelength, accuracy, vergences, lens_type)
+        pitch = pitch or finest_pitch(camera, (wavelength,))
+        return _learn(optics, wavelength, accuracy, vergences, lens_type, pitch)
 
     def coefficients(self, Px: Any, Py: Any, vergence: Any, ranks: slice = slice(None)) -> list[Any]:
         """Return how much of each kernel a point's light brings through a lens.
@@ -128,12 +133,15 @@ class LensBank:
 
 @functools.lru_cache(maxsize=8)
 def _learn(
-    camera: PlenopticCamera, wavelength: float, accuracy: float, vergences: tuple[float, float], lens_type: int
+    camera: PlenopticCamera,
+    wavelength: float,
+    accuracy: float,
+    vergences: tuple[float, float],
+    lens_type: int,
+    pitch: float,
 ) -> LensBank:
-    origin = camera, wavelength, accuracy, vergences, lens_type
-    lattice, focal_length = camera.lattice, camera.mla_focal_lengths[lens_type]
-    diffraction = in_millimetres(wavelength) * camera.detector_distance / min(lattice.aperture_widths)
-    defocused = float(lattice.aperture_width) * abs(1 - camera.detector_distance / focal_length)
+    origin = camera, wavelength, accuracy, vergences, lens_type, pitch
+    diffraction, defocused = _spot(camera, wavelength, lens_type)
     coordinates = Coordinates.between(camera, wavelength, vergences, blur_limits(accuracy)[0])
     core, wide = (
         LensPatterns(camera, wavelength, spots * diffraction + 2 * defocused, lens_type) for spots in (_CORE, _SPOTS)
@@ -142,8 +150,21 @@ def _learn(
     learner = Learner(core, wide, fields, coordinates.nodes(distance), coordinates.shape)
     cores, kernels = learner.kernels(_LEFT * accuracy)
     table = Table.finer(coordinates, learner.coefficients(cores))
-    pitch = camera.pixel_size / math.ceil(camera.pixel_size * _PIXELS_PER_SPOT / math.hypot(diffraction, defocused))
     return LensBank(_on_grid(kernels, wide.pitch, pitch, camera.mla_rotation), pitch, table, origin)
+
+
+def finest_pitch(camera: PlenopticCamera, wavelengths: tuple[float, ...]) -> float:
+    """Return the distance of samples, a whole part of a pixel, that holds the spots of all lenses and wavelengths."""
+    types = range(len(camera.mla_focal_lengths))
+    spot = min(math.hypot(*_spot(camera, wavelength, type_)) for wavelength in wavelengths for type_ in types)
+    return camera.pixel_size / math.ceil(camera.pixel_size * _PIXELS_PER_SPOT / spot)
+
+
+def _spot(camera: PlenopticCamera, wavelength: float, lens_type: int) -> tuple[float, float]:
+    """Return the widths of a lens's spot on the detector by diffraction, and by the detector's defocus."""
+    lattice, z = camera.lattice, camera.detector_distance
+    diffraction = in_millimetres(wavelength) * z / min(lattice.aperture_widths)
+    return diffraction, float(lattice.aperture_width) * abs(1 - z / camera.mla_focal_lengths[lens_type])
 
 
 def _on_grid(kernels: NDArray[np.float32], fine: float, pitch: float, rotation: float) -> NDArray[np.float32]:

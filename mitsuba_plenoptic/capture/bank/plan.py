@@ -23,7 +23,7 @@ from ..patch_plan import Cost
 from ..pupil_weights import PupilWeights
 from .blend import blur_of
 from .convolution import Convolution
-from .lens_bank import LensBank
+from .lens_bank import LensBank, finest_pitch
 from .rays import Rays, Traced
 from .table import SHADOW
 
@@ -55,7 +55,8 @@ class BankPlan:
         vergence = main_lens(camera).vergence(points[:, 2])
         between = float(vergence.min()), float(vergence.max())
         types = range(len(camera.mla_focal_lengths))
-        self.banks = [LensBank.learn(camera, wavelength, accuracy, between, kind) for kind in types]
+        pitch = finest_pitch(camera, (wavelength,))
+        self.banks = [LensBank.learn(camera, wavelength, accuracy, between, kind, pitch) for kind in types]
         self.convolution = Convolution(camera, self.banks, order=2)
         self._chunks = self._sort(np.abs(blur_of(camera, vergence)))
 
