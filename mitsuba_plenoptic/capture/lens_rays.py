@@ -12,7 +12,9 @@ known of how a scene point shines over the pupil, nor of what hides it.
 
 from __future__ import annotations
 
+import itertools
 import math
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -34,14 +36,20 @@ from .sight import Sight
 _BAND_BYTES = 2**29
 """Memory of the images of one band of detector rows."""
 
-_LANES = 2**21
-"""Rays that are traced at once."""
+_LANES, _BINS = 2**21, 2**18
+"""Rays that are traced at once, and bins of a strip, about."""
 
 _RIM = 1.1
 """Distance from the axis in the pupil, in its radii, beyond which fewer rays are traced."""
 
-_FEWER = 8
+_FEWER = 16
 """By how much fewer."""
+
+_TRIAL, _TRIAL_BINS = 512, 2**18
+"""Pixels across whose convolution, and bins whose rays are timed for an estimate."""
+
+_RAY_BYTES = 200
+"""Memory of a ray, about."""
 
 _JITTER = (0.7548776662466927, 0.5698402909980532)
 """Steps of the R2 sequence (Roberts 2018) from sample to sample of a bin."""
@@ -85,7 +93,7 @@ class LensRaySum:
         rows, columns = camera.shape
         self.box = Box(0, 0, columns, rows)
         ranks = sum(bank.rank for of_channel in banks for bank in of_channel)
-        band = max(1, _BAND_BYTES // (4 * ranks * columns * round(camera.pixel_size / self._pitch) ** 2))
+        band = max(1, _BAND_BYTES // (4 * ranks * columns * self._parts**2))
         self._tops = list(range(0, rows, math.ceil(rows / math.ceil(rows / band))))
         self.items = np.diff([*self._tops, rows]) * columns
         # The aberrations of the parabolic phase that waves pass displace the spots.
@@ -93,16 +101,21 @@ class LensRaySum:
 
     def batches(self, first: int) -> Iterator[Band]:
         """Trace the rays of the bands from one on, and yield what is left to do."""
-        left, top = self._camera.crop_offset
+        strips: dict[int, list[NDArray[np.float32]]] = {}
         for band in range(first, len(self._tops)):
-            rows = int(self.items[band]) // self.box.columns
-            box = Box(0, self._tops[band], self.box.columns, rows)
-            camera = self._camera.replace(crop_offset=(left, top + box.top), crop_size=(box.columns, rows))
+            camera = self._band(band)
+            box = Box(0, self._tops[band], self.box.columns, camera.shape[0])
             convolutions = [Convolution(camera, banks, order=1) for banks in self._banks]
             # The threads that compute the batches have put Dr.Jit's own to rest.
             with busy_drjit():
-                images = self._trace([convolution.box for convolution in convolutions], band)
+                images = self._images([convolution.box for convolution in convolutions], box, strips)
             yield Band(box, images, convolutions)
+
+    def _band(self, band: int) -> PlenopticCamera:
+        """Return the camera cropped to a band."""
+        (left, top), columns = self._camera.crop_offset, self.box.columns
+        rows = int(self.items[band]) // columns
+        return self._camera.replace(crop_offset=(left, top + self._tops[band]), crop_size=(columns, rows))
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
         """Return the sum of all bands."""
@@ -115,54 +128,137 @@ class LensRaySum:
         scale = camera.detector_distance / (camera.mla_distance + camera.detector_distance)
         return camera.lattice.neighbours(self._widest * scale)
 
+    def cost(self) -> tuple[float, float]:
+        """Estimate the time, in seconds, from some of the rays and squares, and tell the bytes that it takes."""
+        bands = [self._band(band) for band in range(len(self._tops))]
+        # A part of the middle band whose convolution is a few squares.
+        rows, columns = (min(size, _TRIAL) for size in bands[len(bands) // 2].shape)
+        trial = bands[len(bands) // 2].replace(crop_size=(columns, rows))
+        start = time.perf_counter()
+        convolutions = [Convolution(trial, banks, order=1) for banks in self._banks]
+        made = time.perf_counter() - start
+        start = time.perf_counter()
+        for convolution in convolutions:
+            blank = np.zeros((convolution.box.rows, convolution.box.columns), np.float32)
+            convolution.forward(itertools.repeat(blank, convolution.ranks))
+        convolved = (time.perf_counter() - start) * math.prod(self._camera.shape) / (rows * columns)
+
+        margin = max(convolution.box.rows for convolution in convolutions) - rows * self._parts
+        sizes = [[size * self._parts + margin for size in band.shape] for band in bands]
+        bins = float(sum(map(math.prod, sizes)))
+        images = 4.0 * sum(convolution.ranks for convolution in convolutions) * max(map(math.prod, sizes))
+        memory = 2 * images + sum(convolution.memory for convolution in convolutions) + _RAY_BYTES * _LANES
+        return made * len(bands) + convolved + bins * self._seconds_per_bin(), memory
+
+    def _seconds_per_bin(self) -> float:
+        """Time the rays of some rows of bins, evenly over the detector."""
+        left, top = (offset * self._parts for offset in self._camera.crop_offset)
+        rows, columns = (size * self._parts for size in self._camera.shape)
+        box = Box(left, top, columns, rows)
+        lines = min(rows, max(1, _TRIAL_BINS // columns))
+        seconds = 0.0
+        with busy_drjit():
+            for count in (1, lines):  # The first compiles the kernels.
+                index = dr.arange(mi.UInt32, count * columns)
+                line = index // columns
+                bins = index + line * ((rows // count - 1) * columns)
+                dr.eval(bins)
+                start = time.perf_counter()
+                dr.eval(self._trace_bins(box, bins, self._candidates, np.random.SeedSequence(0)))
+                dr.sync_thread()
+                seconds = time.perf_counter() - start
+        return seconds / (lines * columns)
+
+    @property
+    def _parts(self) -> int:
+        """Bins across a pixel."""
+        return round(self._camera.pixel_size / self._pitch)
+
+    @property
+    def _rim(self) -> float:
+        """Distance from the axis in the pupil beyond which fewer rays are traced."""
+        return min(_RIM * self._camera.aperture_radius, self._widest)
+
+    @property
+    def _few(self) -> int:
+        """How many rays to each bin and lens are traced there."""
+        return -(-self._spp // _FEWER)
+
     @cached_property
     def _widest(self) -> float:
         """Distance from the axis in the pupil beyond which no ray counts."""
         return max(bank.widest for of_channel in self._banks for bank in of_channel)
 
-    def _trace(self, boxes: list[Box], band: int) -> list[NDArray[np.float32]]:
-        """Trace the rays of a band; return for each channel the images (ranks, rows, columns) of its box."""
+    def _images(
+        self, boxes: list[Box], band: Box, strips: dict[int, list[NDArray[np.float32]]]
+    ) -> list[NDArray[np.float32]]:
+        """Trace the rays of a band; return for each channel the images (ranks, rows, columns) of its box.
+
+        Strips of bins that the next band needs, too, are kept, and those that the last one left are taken.
+        """
         widest = max(boxes, key=lambda box: box.columns)
-        ranks, size = [sum(bank.rank for bank in banks) for banks in self._banks], widest.rows * widest.columns
-        images = [np.empty((rank, size), np.float32) for rank in ranks]
-        step = max(1, _LANES // self._spp)
-        seeds = np.random.SeedSequence([self._seed, band])
-        for start in range(0, size, step):
-            stop = min(start + step, size)
-            bins = dr.arange(mi.UInt32, start, stop)
-            sums = [[dr.zeros(mi.Float, stop - start) for _ in range(rank)] for rank in ranks]
-            dr.eval(bins, sums)
-            for steps in self._candidates:
-                (Px, Py), _, _ = self._pupil_points(widest, bins, steps)
-                square = Px * Px + Py * Py
-                inner = square < (_RIM * self._camera.aperture_radius) ** 2
-                # Beyond the rim there is little light, for which few rays do.
-                for kept, spp in ((inner, self._spp), (~inner & (square < self._widest**2), -(-self._spp // _FEWER))):
-                    lit = dr.compress(kept)
-                    if not dr.width(lit):
-                        continue
+        # The strips are those of all bands together, so that they are the same wherever a sum goes on.
+        top = widest.top - band.top * self._parts
+        bottom = top + widest.rows + (self.box.rows - band.rows) * self._parts
+        height = -(-_BINS // widest.columns)
+        after = widest.top + band.rows * self._parts
+        ranks = [sum(bank.rank for bank in banks) for banks in self._banks]
+        images = [np.empty((rank, widest.rows, widest.columns), np.float32) for rank in ranks]
+        for number in range((widest.top - top) // height, -(-(widest.top + widest.rows - top) // height)):
+            low, high = top + number * height, min(top + (number + 1) * height, bottom)
+            strip = strips.pop(number, None) or self._strip(Box(widest.left, low, widest.columns, high - low), number)
+            first, last = max(low, widest.top), min(high, widest.top + widest.rows)
+            for image, part in zip(images, strip, strict=True):
+                image[:, first - widest.top : last - widest.top] = part[:, first - low : last - low]
+            if high > after:
+                strips[number] = strip
+        return [
+            image[:, box.top - widest.top :, box.left - widest.left :][:, : box.rows, : box.columns]
+            for image, box in zip(images, boxes, strict=True)
+        ]
+
+    def _strip(self, box: Box, number: int) -> list[NDArray[np.float32]]:
+        """Trace the rays of a strip; return for each channel (ranks, rows, columns)."""
+        seeds = np.random.SeedSequence([self._seed, number])
+        sums = self._trace_bins(box, dr.arange(mi.UInt32, box.rows * box.columns), self._candidates, seeds)
+        return [np.stack([part.numpy().reshape(box.rows, box.columns) for part in parts]) for parts in sums]
+
+    def _trace_bins(
+        self, box: Box, bins: Any, candidates: NDArray[np.int64], seeds: np.random.SeedSequence
+    ) -> list[list[Any]]:
+        """Trace the rays of some bins through lenses near them; return what they bring of each kernel."""
+        count = dr.width(bins)
+        sums = [[dr.zeros(mi.Float, count) for bank in banks for _ in range(bank.rank)] for banks in self._banks]
+        dr.eval(bins, sums)
+        for steps in candidates:
+            (Px, Py), _, _ = self._pupil_points(box, bins, steps)
+            square = Px * Px + Py * Py
+            inner = square < self._rim**2
+            # Beyond the rim there is little light, for which few rays do.
+            for kept, spp in ((inner, self._spp), (~inner & (square < self._widest**2), self._few)):
+                lit = dr.compress(kept)
+                step = max(1, _LANES // spp)
+                for start in range(0, dr.width(lit), step):
                     seed = int(seeds.spawn(1)[0].generate_state(1)[0])
-                    brought = self._trace_bins(widest, dr.gather(mi.UInt32, bins, lit), steps, spp, seed)
+                    some = dr.gather(
+                        mi.UInt32,
+                        lit,
+                        dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, min(step, dr.width(lit) - start)),
+                    )
+                    brought = self._trace_lit(box, dr.gather(mi.UInt32, bins, some), steps, spp, seed)
                     for targets, parts in zip(sums, brought, strict=True):
                         for target, part in zip(targets, parts, strict=True):
                             # Every bin is in it once.
-                            dr.scatter_reduce(dr.ReduceOp.Add, target, part, lit, mode=dr.ReduceMode.NoConflicts)
+                            dr.scatter_reduce(dr.ReduceOp.Add, target, part, some, mode=dr.ReduceMode.NoConflicts)
                     dr.eval(sums)
-            for image, targets in zip(images, sums, strict=True):
-                for samples, target in zip(image, targets, strict=True):
-                    samples[start:stop] = target.numpy()
-        shaped = [image.reshape(-1, widest.rows, widest.columns) for image in images]
-        return [
-            image[:, box.top - widest.top :, box.left - widest.left :][:, : box.rows, : box.columns]
-            for image, box in zip(shaped, boxes, strict=True)
-        ]
+        return sums
 
     def _pupil_points(
         self, box: Box, bins: Any, steps: NDArray[np.int64], jitter: Any = None
     ) -> tuple[tuple[Any, Any], tuple[Any, Any], Any]:
         """Return where rays through the centre of a lens near the bins' own pass the pupil; slopes; lens types."""
         camera, lattice = self._camera, self._camera.lattice
-        b, z = camera.mla_distance, camera.detector_distance
+        b, z = camera.mla_distance, self._banks[0][0].arrival
         # Opaque numbers do not compile the kernels again.
         columns = dr.opaque(mi.UInt32, box.columns)
         left, top = (dr.opaque(mi.Int32, number) for number in (box.left, box.top))
@@ -179,7 +275,7 @@ class LensRaySum:
         (Px, Py, _), slope, _ = self._lens.trace(centre, slope)
         return (Px, Py), slope, lattice.lens_type(i, j) if len(self._banks[0]) > 1 else None
 
-    def _trace_bins(self, box: Box, bins: Any, steps: NDArray[np.int64], spp: int, seed: int) -> list[list[Any]]:
+    def _trace_lit(self, box: Box, bins: Any, steps: NDArray[np.int64], spp: int, seed: int) -> list[list[Any]]:
         """Trace the rays of some bins through one of the lenses near them; return what they bring of each kernel."""
         lane = dr.arange(mi.UInt32, dr.width(bins) * spp)
         own, sample = dr.gather(mi.UInt32, bins, lane // spp), mi.Float(lane % spp)

@@ -118,7 +118,7 @@ def keep_variances(task: Task, channels: list[int], count: int, total: int) -> T
     return replace(task, combine=combine)
 
 
-def keep_spread(task: Task, count: int) -> Task:
+def keep_spread(task: Task) -> Task:
     """Let one of several independent runs, whose images are to be added, bring what `with_spread` needs of it."""
 
     def combine(sums: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -128,8 +128,8 @@ def keep_spread(task: Task, count: int) -> Task:
     return replace(task, combine=combine)
 
 
-def with_spread(image: NDArray[np.float32], count: int, runs: int) -> NDArray[np.float32]:
-    """Return capture and variances, `count` channels each, with that from the spread of some runs."""
+def with_spread(image: NDArray[np.float32], runs: int) -> NDArray[np.float32]:
+    """Return capture and variances, with that from the spread of some runs by `keep_spread`."""
     whole, variance, sums, squares = np.split(image, 4, axis=-1)
     spread = (squares - sums**2 / runs) * np.float32(runs / max(1, runs - 1))
     return np.concatenate([whole, variance + np.maximum(spread, 0)], axis=-1)

@@ -91,7 +91,7 @@ def test_convolution_in_squares_and_its_adjoint():
     camera = small_camera(crop_offset=(2, 3), crop_size=(200, 61)).replace(resolution=(512, 512))
     generator = np.random.default_rng(0)
     kernels = generator.random((2, 9, 9), dtype=np.float32)
-    bank = LensBank(kernels, camera.pixel_size / 2, None, ())
+    bank = LensBank(kernels, camera.pixel_size / 2, camera.detector_distance, None, ())
     plain, shared = Convolution(camera, [bank], 0), Convolution(camera, [bank], 2)
     images = generator.random((2, plain.box.rows, plain.box.columns), dtype=np.float32)
     m = -plain.box.left + 4

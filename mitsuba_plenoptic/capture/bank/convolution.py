@@ -22,7 +22,7 @@ from .lens_bank import LensBank
 _TAIL = 8
 """Samples by which kernels grow when what collecting the rays has smoothed is sharpened again."""
 
-_SQUARE = 512
+_SQUARE = 768
 """Samples across a square, about."""
 
 
@@ -36,8 +36,8 @@ class Convolution:
     banks : sequence of LensBank
         One for each type of lenses, of the same pitch.
     order : int
-        How rays were collected in the images: 1 in the sample in which they arrive, 2 shared linearly by the
-        nearest two along each axis. This smooths by :math:`\mathrm{sinc}^{order}` along each axis.
+        How rays were collected in the images: 1 in the sample in which they arrive, 4 shared by the nearest four
+        along each axis, by a cubic B-spline. This smooths by :math:`\mathrm{sinc}^{order}` along each axis.
 
     Attributes
     ----------

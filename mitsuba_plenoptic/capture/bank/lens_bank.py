@@ -28,7 +28,7 @@ In units of :math:`\\lambda z / D_2`, a lens's diffraction.
 _PIXELS_PER_SPOT = 1.25
 """Samples across the spot of a lens at least."""
 
-_LEFT = 0.5
+_LEFT = 0.3
 """Error of the patterns that are learnt from over the allowed error of sums over many points."""
 
 
@@ -42,6 +42,8 @@ class LensBank:
         Fractions of a lens's power on each sample; the ray through the lens's centre arrives in the middle one.
     pitch : float
         Distance of the samples, in millimetres: a pixel, or a whole part of one.
+    arrival : float
+        Distance behind the array at which the ray meets that middle one, in millimetres; see `LensPatterns.arrival`.
     table : Table
         The coefficients.
     origin : tuple
@@ -50,6 +52,7 @@ class LensBank:
 
     kernels: NDArray[np.float32]
     pitch: float
+    arrival: float
     table: Table
     origin: tuple[Any, ...]
 
@@ -150,7 +153,8 @@ def _learn(
     learner = Learner(core, wide, fields, coordinates.nodes(distance), coordinates.shape)
     cores, kernels = learner.kernels(_LEFT * accuracy)
     table = Table.finer(coordinates, learner.coefficients(cores))
-    return LensBank(_on_grid(kernels, wide.pitch, pitch, camera.mla_rotation), pitch, table, origin)
+    upright = _on_grid(kernels, wide.pitch, pitch, camera.mla_rotation)
+    return LensBank(upright, pitch, core.arrival, table, origin)
 
 
 def finest_pitch(camera: PlenopticCamera, wavelengths: tuple[float, ...]) -> float:

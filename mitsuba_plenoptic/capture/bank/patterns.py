@@ -128,6 +128,19 @@ class LensPatterns:
         sign = 1 - 2 * (np.arange(n) % 2)
         return result * (sign * sign[:, None])
 
+    @property
+    def arrival(self) -> float:
+        r"""Distance behind the array at which straight rays meet the spots, in millimetres.
+
+        In oblique light of slope s, the path from a place :math:`\mu` of the lens to the detector has the coma
+        :math:`\mu^2 (\mu \cdot s) / 2 z^2`, which the patterns leave out. Its tilt moves the spot outwards by
+        :math:`s \langle\mu^4\rangle / 2 z \langle\mu^2\rangle`, means over the lens.
+        """
+        place = (np.arange(self.samples) - self.samples // 2) * self._step
+        square, z = place**2 + place[:, None] ** 2, self._camera.detector_distance
+        power = np.abs(self.window[1].astype(np.complex128)) ** 2
+        return float(z + (power * square**2).sum() / (power * square).sum() / (2 * z))
+
     def compute(self, fields: RadialFields, nodes: Nodes) -> NDArray[np.float32]:
         """Compute the patterns of some nodes.
 

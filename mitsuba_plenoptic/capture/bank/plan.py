@@ -57,7 +57,7 @@ class BankPlan:
         types = range(len(camera.mla_focal_lengths))
         pitch = finest_pitch(camera, (wavelength,))
         self.banks = [LensBank.learn(camera, wavelength, accuracy, between, kind, pitch) for kind in types]
-        self.convolution = Convolution(camera, self.banks, order=2)
+        self.convolution = Convolution(camera, self.banks, order=4)
         self._chunks = self._sort(np.abs(blur_of(camera, vergence)))
 
     def _sort(self, blur: NDArray[np.float64]) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
@@ -108,7 +108,7 @@ class BankPlan:
         """Return the bytes that a sum takes, or refuse them."""
         box, ranks = self.convolution.box, self.convolution.ranks
         images = 4.0 * channels * ranks * box.rows * box.columns
-        memory = images + self.convolution.memory + (batch_map.threads + 1) * 16.0 * _PAIRS * (ranks * channels + 16)
+        memory = images + self.convolution.memory + (batch_map.threads + 1) * 16.0 * _PAIRS * (ranks * channels + 48)
         check_memory(memory, f"{len(self._points)} radiators by {ranks} images of {box.columns} x {box.rows} samples")
         return memory
 

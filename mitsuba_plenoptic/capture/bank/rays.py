@@ -92,7 +92,7 @@ class Rays:
             coefficients += [part * factor for part in found]
         size = (camera.detector_width, camera.detector_height)
         place = [
-            (c + (c - p) * (camera.detector_distance / b) + width / 2) / self.pitch - 0.5
+            (c + (c - p) * (self.banks[0].arrival / b) + width / 2) / self.pitch - 0.5
             for c, p, width in zip(centre, P, size, strict=True)
         ]
         dr.eval(coefficients, place, number)
@@ -139,19 +139,29 @@ class Traced:
         """The samples that they reach."""
         if not len(self.x):
             return Box(0, 0, 1, 1)
-        low = np.floor([self.x.min(), self.y.min()]).astype(np.int64)
-        return Box.between(low, np.floor([self.x.max(), self.y.max()]).astype(np.int64) + 2)
+        low = np.floor([self.x.min(), self.y.min()]).astype(np.int64) - 1
+        return Box.between(low, np.floor([self.x.max(), self.y.max()]).astype(np.int64) + 3)
 
     def shares(self, box: Box) -> Any:
-        """Return the matrix (samples, rays) by which each ray is shared linearly by the nearest samples of a box."""
+        """Return the matrix (samples, rays) by which each ray is shared by the nearest samples of a box.
+
+        The parts are those of a cubic B-spline along both axes (Unser 1999, "Splines").
+        """
         left, top = np.floor(self.x), np.floor(self.y)
-        right, below = (self.x - left).astype(np.float32), (self.y - top).astype(np.float32)
-        corner = ((top - box.top) * box.columns + left - box.left).astype(np.int32)
-        rows = np.concatenate([corner, corner + 1, corner + box.columns, corner + box.columns + 1])
-        parts = [(1 - right) * (1 - below), right * (1 - below), (1 - right) * below, right * below]
-        columns = np.tile(np.arange(len(corner), dtype=np.int32), 4)
+        corner = ((top - 1 - box.top) * box.columns + left - 1 - box.left).astype(np.int32)
+        across, down = _spline(self.x - left), _spline(self.y - top)
+        rows = np.concatenate([corner + (row * box.columns + column) for row in range(4) for column in range(4)])
+        parts = [down[row] * across[column] for row in range(4) for column in range(4)]
+        columns = np.tile(np.arange(len(corner), dtype=np.int32), 16)
         shape = box.rows * box.columns, len(corner)
         return scipy.sparse.coo_array((np.concatenate(parts), (rows, columns)), shape=shape).tocsr()
+
+
+def _spline(place: NDArray[np.float64]) -> list[NDArray[np.float32]]:
+    """Return the cubic B-spline at the four nearest samples, for places between the middle two."""
+    left = 1 - place
+    parts = left**3 / 6, 2 / 3 - place**2 + place**3 / 2, 2 / 3 - left**2 + left**3 / 2, place**3 / 6
+    return [part.astype(np.float32) for part in parts]
 
 
 def _mean(weights: PupilWeights) -> NDArray[np.float64]:

@@ -35,7 +35,7 @@ _RIPPLES = 6.0
 _DEPTH_STEP, _EDGES, _ANGLES = 0.02, 73, 16
 """Distance of the table's nodes in 1 / N, and numbers of nodes in the distance from the rim and in its direction."""
 
-_FINER = (2, 2, 3)
+_FINER = (4, 2, 2)
 """How much finer than its nodes a table is."""
 
 _MOST_BLUR = 64.0

@@ -1,0 +1,247 @@
+"""A capture by waves: radiators and their point spreads, and what a kernel bank records by rays."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import math
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..io.checkpoints import digest
+from ..optics.main_lens import main_lens
+from ..optics.spectrum import Spectrum
+from ..runtime.jobs import Job, Task
+from .bank import LensBank, finest_pitch, near_weight
+from .choice import Probes, bank_is_quicker
+from .estimate import estimate_waves
+from .lens_rays import LensRaySum
+from .noise import PARTS, keep_spread, keep_variances, with_halves, with_spread
+from .operator import CaptureOperator
+from .patch_plan import Cost
+from .radiators import Radiators, find_radiators, sample_pairs
+from .sight import Sight
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class WaveCapture:
+    """What is recorded, and how it is computed.
+
+    Attributes
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    sight : Sight
+        The scene.
+    wavelengths : tuple of float
+        Of each channel, in nanometres.
+    radiators_per_lens, passes, method, occlusion, accuracy
+        Parameters of the integrator ``plenoptic_wave``.
+    """
+
+    camera: PlenopticCamera
+    sight: Sight
+    wavelengths: tuple[float, ...]
+    radiators_per_lens: int
+    passes: int
+    method: str
+    occlusion: bool
+    accuracy: float
+
+    def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
+        """Sum all radiators of all passes.
+
+        Parameters
+        ----------
+        seed, spp, job, noise
+            As of the integrator's `record`.
+
+        Returns
+        -------
+        float32 array (rows, columns, channels)
+            Pixel values, none negative; with noise twice as many channels, those of the standard deviations last.
+        """
+        method = self._chosen(seed)
+        sets = self._radiators(method, seed, spp)
+        # Columns of the weights: the capture's channels, and what tells the noise of each.
+        columns = self.wavelengths + tuple(np.repeat(self.wavelengths, 1 + PARTS)) if noise else self.wavelengths
+        operators = [self._operator(radiators, method, columns) for radiators in sets]
+        rays = self._lens_rays(seed, spp, runs=PARTS if noise else 1) if method == "bank" else []
+        total = sum(len(operator.points) * operator.sums for operator in operators)
+        if total == 0 and not rays:
+            warnings.warn(
+                "plenoptic_wave: no ray from the pupil meets anything that shines; a nested integrator with "
+                "hide_emitters sees no emitters",
+                stacklevel=2,
+            )
+        if method != "full_field" and total:
+            self._tell(operators[0].estimate(job), rays)
+        channels = len(self.wavelengths)
+        tasks = [_task(work, len(rays)) for work in rays]
+        items = total + sum(task.items for task in tasks)
+        shape = (*self.camera.shape, channels * (1 + noise * (3 if rays else 1)))
+        if noise:
+            tasks = [keep_spread(task) for task in tasks]
+        generator = np.random.default_rng((seed, PARTS)) if noise else None
+        sums = itertools.chain(self._sums(operators, sets, job, generator, shape[2]), tasks)
+        image = job.run(sums, shape, items, partial(self._facts, sets, seed))
+        if noise and rays:
+            image = with_spread(image, len(rays))
+        # What interpolation leaves below zero between the samples is not light.
+        np.maximum(image, 0, out=image)
+        np.sqrt(image[..., channels:], out=image[..., channels:])
+        return image
+
+    def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
+        """Estimate what `compute` takes, from some of the lenses and some of the rays."""
+        method = self._chosen(seed)
+        cost = estimate_waves(
+            self.camera,
+            partial(find_radiators, self.sight, self.camera, weight=self._near(method), seed=seed),
+            partial(self._operator, method=method, columns=self.wavelengths),
+            job,
+            pairs=sample_pairs(self.radiators_per_lens, np.zeros(4)),
+            spp=spp,
+            occlusion=self.occlusion,
+        )
+        rays = self._lens_rays(seed, spp) if method == "bank" else []
+        return self._whole(cost, rays)
+
+    def _whole(self, cost: Cost, rays: list[LensRaySum]) -> Cost:
+        """Return the cost of all passes, and of what the bank records, from that of one pass."""
+        own = [work.cost() for work in rays[:1]]
+        return replace(
+            cost,
+            radiators=cost.radiators * self.passes,
+            patterns=cost.patterns * self.passes,
+            seconds=cost.seconds * self.passes + len(rays) * sum(seconds for seconds, _ in own),
+            memory=max([cost.memory, *(memory for _, memory in own)]),
+        )
+
+    def _tell(self, cost: Cost, rays: list[LensRaySum]) -> None:
+        """Report what is to come."""
+        cost = self._whole(cost, rays)
+        _log.info(
+            "%d radiators, %d point spreads, about %.0f s and %.1f GiB",
+            cost.radiators,
+            cost.patterns,
+            cost.seconds,
+            cost.memory / 2**30,
+        )
+
+    def _chosen(self, seed: int) -> str:
+        """Return the method that is used; by the bank's rays, everything hides what is behind it."""
+        if self.method != "auto":
+            return self.method
+        per_lens = self.passes * self.radiators_per_lens**2
+        quicker = self.occlusion and bank_is_quicker(self.camera, self.sight, per_lens, self.accuracy, seed)
+        return "bank" if quicker else "patch"
+
+    def _near(self, method: str) -> Any:
+        """Return the function that tells how much of the light needs exact point spreads, None if all does."""
+        if method != "bank":
+            return None
+        return lambda vergence: np.asarray(near_weight(self.camera, vergence, self.accuracy))
+
+    def _radiators(self, method: str, seed: int, spp: int) -> list[Radiators]:
+        """Find the radiators of all passes."""
+        # The first pass is not shifted: it is the best single set.
+        shifts = [np.zeros(4), *np.random.default_rng(seed).random((self.passes - 1, 4))]
+        seeds = np.random.SeedSequence(seed).generate_state(self.passes)
+        return [
+            find_radiators(
+                self.sight,
+                self.camera,
+                sample_pairs(self.radiators_per_lens, shift),
+                spp=spp,
+                seed=int(pass_seed) >> 1,
+                occlusion=self.occlusion,
+                weight=self._near(method),
+            )
+            for shift, pass_seed in zip(shifts, seeds, strict=True)
+        ]
+
+    def _operator(self, radiators: Radiators, method: str, columns: tuple[float, ...]) -> CaptureOperator:
+        # What the bank records is left out of the radiators.
+        return CaptureOperator(
+            self.camera,
+            radiators.positions,
+            spectrum=Spectrum.lines(*columns),
+            method="patch" if method == "bank" else method,
+            accuracy=self.accuracy,
+            pupil_weights=radiators.pupil_weights,
+        )
+
+    def _lens_rays(self, seed: int, spp: int, runs: int = 1) -> list[LensRaySum]:
+        """Return the sums that record by rays through the lenses' centres what is out of focus, to be averaged."""
+        paths = spp * self.passes
+        runs = min(runs, paths)
+        between = self.sight.vergences(main_lens(self.camera))
+        types = range(len(self.camera.mla_focal_lengths))
+        pitch = finest_pitch(self.camera, self.wavelengths)
+        banks = [
+            [LensBank.learn(self.camera, wavelength, self.accuracy, between, type_, pitch) for type_ in types]
+            for wavelength in self.wavelengths
+        ]
+        # Neighbouring seeds must not share runs.
+        seeds = np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
+        options: dict[str, Any] = {"accuracy": self.accuracy, "spp": -(-paths // runs)}
+        return [LensRaySum(self.camera, self.sight, banks, seed=run_seed, **options) for run_seed in seeds]
+
+    def _sums(
+        self,
+        operators: list[CaptureOperator],
+        sets: list[Radiators],
+        job: Job,
+        noise: np.random.Generator | None,
+        channels: int,
+    ) -> Iterator[Task]:
+        """Yield the radiators' sums of all passes; what an operator has planned goes when its pass is done."""
+        for radiators in sets:
+            operator = operators.pop(0)
+            scale = self._scale() / radiators.fraction[:, None]
+            weights = scale * radiators.radiance
+            if noise is None:
+                yield from operator.tasks(weights, job)
+                continue
+            deviations = scale * np.sqrt(radiators.variance)
+            halves = [with_halves(column, noise) for column in deviations.T]
+            groups = [
+                [channel for channel, other in enumerate(self.wavelengths) if other == wavelength]
+                for wavelength in dict.fromkeys(self.wavelengths)
+            ]
+            tasks = operator.tasks(np.hstack([weights, *halves]), job)
+            for task, own in zip(tasks, groups, strict=True):
+                yield keep_variances(task, own, len(self.wavelengths), channels)
+
+    def _facts(self, sets: list[Radiators], seed: int) -> dict[str, Any]:
+        """Return by what a capture is known as the same: its radiators, and the light along some rays."""
+        probes = Probes.of(self.camera, self.sight, seed)
+        arrays: list[np.ndarray | None] = [probes.radiance, probes.vergence]
+        for radiators in sets:
+            weights = radiators.pupil_weights
+            arrays += [radiators.positions, radiators.radiance, radiators.fraction]
+            arrays += [None, None] if weights is None else [weights.table, weights.index]
+        return {"radiators": sum(len(radiators.positions) for radiators in sets), "scene_digest": digest(*arrays)}
+
+    def _scale(self) -> float:
+        """Return the weight of a radiator of radiance 1 that lands wholly in the sampled lenses."""
+        camera = self.camera
+        b, z, lattice = camera.mla_distance, camera.detector_distance, camera.lattice
+        cell = lattice.cell_area / self.radiators_per_lens**2
+        pupil = math.pi * camera.aperture_radius**2
+        return float(cell * pupil * z**2 / (b**2 * lattice.lens_area * camera.pixel_size**2 * self.passes))
+
+
+def _task(work: LensRaySum, runs: int) -> Task:
+    """Return one of some sums of which the mean is taken."""
+    return Task(int(work.items.sum()), lambda: work, lambda image: image * np.float32(1 / runs))
