@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..errors import InputError
 from ..optics import rays
 from ..optics.main_lens import ThinLens
 from ..runtime.batches import Box, Part, PartialSum
@@ -275,6 +276,13 @@ class LensRaySum:
         (Px, Py, _), slope, _ = self._lens.trace(centre, slope)
         return (Px, Py), slope, lattice.lens_type(i, j) if len(self._banks[0]) > 1 else None
 
+    def _counts(self, pupil: tuple[Any, Any], distance: Any) -> Any:
+        """Whether what rays meet at some distances is out of focus, and brings light where they pass the pupil."""
+        vergence = self._lens.vergence(distance)
+        return (near_weight(self._camera, vergence, self._accuracy) < 1) & (
+            dr.hypot(*pupil) < self._camera.aperture_radius + self._banks[0][0].reach(vergence)
+        )
+
     def _trace_lit(self, box: Box, bins: Any, steps: NDArray[np.int64], spp: int, seed: int) -> list[list[Any]]:
         """Trace the rays of some bins through one of the lenses near them; return what they bring of each kernel."""
         lane = dr.arange(mi.UInt32, dr.width(bins) * spp)
@@ -285,9 +293,12 @@ class LensRaySum:
             *(sample * step + mi.sample_tea_float32(own, shift ^ axis) for axis, step in enumerate(_JITTER))
         )
         pupil, slope, lens_type = self._pupil_points(box, own, steps, jitter - dr.floor(jitter))
-        radiance, distance = self._sight.look(pupil, slope, seed)
+        radiance, distance = self._sight.look(pupil, slope, seed, partial(self._counts, pupil))
         vergence = self._lens.vergence(distance)
-        dr.eval(radiance, vergence, pupil)
+        finite = dr.all([dr.isfinite(light) for light in radiance], axis=0)
+        dr.eval(radiance, vergence, pupil, finite)
+        if not dr.all(finite):
+            raise InputError("scene: the radiance of some rays is NaN or infinite: all must be finite")
         # A pixel is the mean of its bins, of which the convolution takes the sum.
         part = (self._pitch / self._camera.pixel_size) ** 2 / spp
         weight = (1 - near_weight(self._camera, vergence, self._accuracy)) * part

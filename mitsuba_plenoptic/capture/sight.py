@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,7 +60,9 @@ class Sight:
             ray.wavelengths = dr.full(type(ray.wavelengths), self.wavelength)
         return ray, direction.z
 
-    def look(self, pupil: tuple[Any, Any], slope: tuple[Any, Any], seed: int) -> tuple[list[Any], Any]:
+    def look(
+        self, pupil: tuple[Any, Any], slope: tuple[Any, Any], seed: int, counts: Callable[[Any], Any] | None = None
+    ) -> tuple[list[Any], Any]:
         """Sample the light along rays.
 
         Parameters
@@ -68,6 +71,8 @@ class Sight:
             Where the rays pass the pupil, and their slopes.
         seed : int
             Of the random numbers.
+        counts : callable, optional
+            Tells from the distances on which rays light counts; where it does not, it may be left out.
 
         Returns
         -------
@@ -78,12 +83,27 @@ class Sight:
         """
         ray, cosine = self.ray(pupil, slope)
         sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(seed, dr.width(ray))
-        if self.optics.plain:
-            integrator = self.optics.child.integrator
-            radiance = child.sample(integrator, self.optics.scene, sampler, ray, None, mi.Bool(True))
-            place = seen_directly(self.optics.scene.ray_intersect(ray))
-        else:
+        if not self.optics.plain:
+            sampler.seed(seed, dr.width(ray))
             vertex = first_vertex(self.optics, sampler, ray)
-            radiance, place = vertex.radiance, vertex.place
-        return channels(radiance), place.distance * cosine
+            return channels(vertex.radiance), vertex.place.distance * cosine
+        distance = seen_directly(self.optics.scene.ray_intersect(ray)).distance * cosine
+        if counts is None:
+            return self._light(ray, sampler, seed), distance
+        mask = counts(distance)
+        dr.eval(distance, mask, ray)
+        some = dr.compress(mask)
+        radiance = channels(dr.zeros(mi.UnpolarizedSpectrum, dr.width(ray)))
+        if dr.width(some):
+            for channel, light in zip(
+                radiance, self._light(dr.gather(mi.Ray3f, ray, some), sampler, seed), strict=True
+            ):
+                dr.scatter(channel, light, some)
+        return radiance, distance
+
+    def _light(self, ray: Any, sampler: Any, seed: int) -> list[Any]:
+        """Sample the light of rays that nothing branches, by channel."""
+        sampler.seed(seed, dr.width(ray))
+        return channels(
+            child.sample(self.optics.child.integrator, self.optics.scene, sampler, ray, None, mi.Bool(True))
+        )
