@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -241,12 +239,11 @@ def test_a_scaled_transform_and_light_tracing_are_refused(camera_dict):
         mi.load_dict({"type": "ptracer"}).render(scene, scene.sensors()[0], spp=1)
 
 
-def test_a_smearing_filter_is_warned_of(camera_dict):
-    with pytest.warns(UserWarning, match="smears the micro-images"):
+def test_a_smearing_filter_and_a_missing_film_are_refused_with_the_line_to_add(camera_dict):
+    with pytest.raises(RuntimeError, match=r'GaussianFilter smears .*; add the line <rfilter type="box"/>'):
         mi.load_dict(camera_dict(film={"rfilter": {"type": "gaussian"}}))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        mi.load_dict(camera_dict())
+    with pytest.raises(RuntimeError, match='it has no film; add the line <film type="hdrfilm"> <rfilter type="box"/>'):
+        mi.load_dict({"type": "plenoptic"})
 
 
 @pytest.mark.parametrize(
