@@ -20,6 +20,7 @@ from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
 from ..runtime.batches import BatchMap
 from ..runtime.cluster import Cluster
+from ..runtime.variant import DEFAULT_VARIANT
 
 _log = logging.getLogger(__name__)
 
@@ -81,8 +82,8 @@ def open_scene(scene: str, parameters: dict[str, str], variant: str | None, came
     return loaded
 
 
-def _variant_of_film(scene: str, parameters: dict[str, str]) -> str | None:
-    """Return the variant for a film that records colours, and say so; None for any other."""
+def _variant_of_film(scene: str, parameters: dict[str, str]) -> str:
+    """Return the variant for a film that records colours, and say so, or the default for any other."""
     path = Path(scene) if Path(scene).exists() else scene_path(scene)
     text = re.sub(r"<!--.*?-->", "", check_scene_file(path, parameters), flags=re.DOTALL)
     tags = [tag for tag in re.findall(r"<string\b[^>]*>", text) if re.search(r"""name=["']pixel_format["']""", tag)]
@@ -93,7 +94,7 @@ def _variant_of_film(scene: str, parameters: dict[str, str]) -> str | None:
         if colours in ("rgb", "rgba"):
             _log.info("variant llvm_ad_rgb, as the film records %s; --variant chooses another", colours)
             return "llvm_ad_rgb"
-    return None
+    return DEFAULT_VARIANT
 
 
 def parse_definitions(definitions: list[str] | None) -> dict[str, str]:

@@ -38,7 +38,11 @@ def with_camera(scene: Any, camera: PlenopticCamera) -> Any:
     """
     # Emitters of surfaces come with their shapes.
     lamps = [lamp for lamp in scene.emitters() if not mi.has_flag(lamp.flags(), mi.EmitterFlags.Surface)]
-    objects = {re.sub(r"\W", "_", item.id()): item for item in (*scene.shapes(), *lamps)}
+    objects: dict[str, Any] = {}
+    for number, item in enumerate((*scene.shapes(), *lamps)):
+        # What has no name of its own in the file has none here, or one that Mitsuba made and does not take again.
+        named = re.fullmatch(r"[A-Za-z]\w*", item.id()) and item.id() not in objects
+        objects[item.id() if named else f"object_{number}"] = item
     sensor = camera.to_sensor()
     if mi.is_rgb:
         sensor["film"]["pixel_format"] = "rgb"

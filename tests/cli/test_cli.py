@@ -77,8 +77,8 @@ def test_the_variant_follows_the_film_unless_told(tmp_path, remarks):
     assert remarks(scene) == ["variant llvm_ad_rgb, as the film records rgb; --variant chooses another"]
     assert read_capture(tmp_path / "raw.exr").image.shape == (64, 64, 3)
     parameter = '<default name="colours" value="rgb"/><!-- <string name="pixel_format" value="rgb"/> -->'
-    text = '<emitter type="constant"/>' + parameter
-    scene = write_scene(tmp_path, text, pixel_format="$colours", sensor=SMALL_SENSOR)
+    scene = write_scene(tmp_path, pixel_format="$colours", sensor=SMALL_SENSOR)
+    scene.write_text(scene.read_text().replace("<integrator", f"{parameter}<integrator"))
     assert len(remarks(scene)) == 1
     assert remarks(scene, "-D", "colours=luminance") == []
     assert read_capture(tmp_path / "raw.exr").metadata["variant"] == "llvm_ad_mono"
@@ -104,7 +104,7 @@ def test_any_camera_renders_any_scene_with_its_white_image(tmp_path, run, compla
     (tmp_path / "camera.json").write_text(camera.to_json())
     scene = tmp_path / "scene.xml"
     place = '<lookat origin="20, 0, 0" target="20, 0, 1" up="0, 1, 0"/>'
-    wall = '<lookat origin="20, 0, 245" target="20, 0, 0" up="0, 1, 0"/>'
+    wall = '<scale value="30"/><lookat origin="20, 0, 245" target="20, 0, 0" up="0, 1, 0"/>'
     scene.write_text(f"""<scene version="3.0.0"><integrator type="path"/>
         <sensor type="perspective"><transform name="to_world">{place}</transform></sensor>
         <shape type="rectangle"><transform name="to_world">{wall}</transform>
@@ -122,8 +122,6 @@ def test_any_camera_renders_any_scene_with_its_white_image(tmp_path, run, compla
     assert "512 x 512" not in run("info", tmp_path / "camera.json")
     (tmp_path / "bad.json").write_text('{"zoom": 2}')
     assert "bad.json: zoom: it is not" in complaint("render", scene, "-o", raw, "--camera", tmp_path / "bad.json")
-    scene.write_text(scene.read_text().replace('name="to_world">', 'name="to_world"><scale value="2"/>', 1))
-    assert "it must not scale" in complaint("render", scene, "-o", raw, "--camera", "lytro")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals differ")
@@ -155,7 +153,7 @@ def test_interrupt_leaves_nothing(tmp_path):
 def test_interrupted_waves_write_a_checkpoint_and_say_how_to_go_on(tmp_path):
     # The small detector shows little of the letters, with many radiators.
     words = ["render", "letters", "-o", tmp_path / "raw.exr", "--model", "wave", "--spp", "1", "--resume"]
-    words += ["--checkpoint", tmp_path / "kept", "--radiators-per-lens", "64"]
+    words += ["--checkpoint", tmp_path / "kept", "--radiators-per-lens", "32"]
     words += definitions(letters(8))
     process = start_command(*words)
     # Batches have begun once there is a checkpoint, which this command writes after each.
