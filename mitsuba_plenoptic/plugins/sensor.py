@@ -173,7 +173,9 @@ def make_class() -> type:
                         f"{NAME}: {name} = {props[name]:g}: this camera has no clipping planes, its rays start "
                         "at the main lens; remove the parameter"
                     )
-            has_film = any(isinstance(props[name], mi.Film) for name in props)
+            # Only objects: numbers that are looked at here would no longer be refused as unknown.
+            objects = [name for name in props.keys() if props.type(name) == mi.Properties.Type.Object]  # noqa: SIM118
+            has_film = any(isinstance(props[name], mi.Film) for name in objects)
             super().__init__(props)
             film = self.film()
             if not film.rfilter().is_box_filter():
