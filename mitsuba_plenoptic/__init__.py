@@ -40,15 +40,22 @@ from .io.captures import Capture, read_capture, write_capture
 from .io.checkpoints import Checkpoint
 from .optics.guards import PhysicsError, PhysicsWarning
 from .optics.spectrum import Spectrum
+from .plugins.other_camera import with_camera
 from .runtime.cluster import Cluster
 from .runtime.jobs import Job
 
 if TYPE_CHECKING:
     from .lightfield import decode
     from .reconstruction import Reconstruction, reconstruct
+    from .runtime.progress import progress_bar
 
 # Whole parts that bring large libraries, imported when they are first asked for.
-_LATER = {"decode": "lightfield", "Reconstruction": "reconstruction", "reconstruct": "reconstruction"}
+_LATER = {
+    "decode": "lightfield",
+    "Reconstruction": "reconstruction",
+    "reconstruct": "reconstruction",
+    "progress_bar": "runtime.progress",
+}
 
 __version__ = importlib.metadata.version("mitsuba-plenoptic")
 
@@ -70,10 +77,12 @@ __all__ = [
     "expose",
     "load_scene",
     "point_spread_function",
+    "progress_bar",
     "read_capture",
     "reconstruct",
     "render_capture",
     "scene_path",
+    "with_camera",
     "write_capture",
 ]
 

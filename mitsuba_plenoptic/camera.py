@@ -9,6 +9,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -293,6 +294,23 @@ class PlenopticCamera:
             "component_format": "float32",
         }
         return sensor
+
+    def to_xml(self) -> str:
+        """Write the sensor plugin ``plenoptic`` of this camera, film included, as text for a scene file."""
+
+        def element(tag: str, values: dict[str, Any], **attributes: str) -> ElementTree.Element:
+            made = ElementTree.Element(tag, {"type": values["type"], **attributes})
+            for name, value in values.items():
+                if isinstance(value, dict):
+                    made.append(element(name, value))
+                elif name != "type":
+                    kind = {int: "integer", float: "float", str: "string"}[type(value)]
+                    ElementTree.SubElement(made, kind, name=name, value=str(value))
+            return made
+
+        tree = element("sensor", self.to_sensor(), id="camera")
+        ElementTree.indent(tree, "    ")
+        return ElementTree.tostring(tree, encoding="unicode") + "\n"
 
     def __repr__(self) -> str:
         return f"PlenopticCamera({', '.join(f'{name}={value!r}' for name, value in self.to_dict().items())})"

@@ -50,6 +50,15 @@ def film(columns, rows):
     }
 
 
+def disk(position, radius):
+    """Describe a radiating disk that faces the camera."""
+    return {
+        "type": "disk",
+        "to_world": mi.ScalarTransform4f().translate(position).rotate([0, 1, 0], 180).scale(radius),
+        "emitter": {"type": "area", "radiance": 1.0},
+    }
+
+
 def pinhole_picture(scene, columns, rows, width, x=0.0, y=0.0, **options):
     """Render what a point (x, y) of the main lens sees of the plane at 240 mm, whose image is of this width."""
     sensor = {

@@ -66,6 +66,8 @@ def test_a_camera_survives_its_other_forms(numbers):
     assert PlenopticCamera.from_dict(json.loads(json.dumps(camera.to_dict()))) == camera
     assert PlenopticCamera.from_json(camera.to_json()) == camera
     assert eval(repr(camera)) == camera
+    written = mi.load_string(f'<scene version="3.0.0">{camera.to_xml()}</scene>')
+    assert PlenopticCamera.from_sensor(written.sensors()[0]) == camera
     sensor = mi.load_dict(camera.to_sensor(mi.ScalarTransform4f().translate([1, 2, 3])))
     assert PlenopticCamera.from_sensor(sensor) == camera
     assert tuple(sensor.film().crop_size()) == camera.shape[::-1]

@@ -8,6 +8,8 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
+from any_scenes import facing, radiating, scene_of
+from scene_cases import disk
 
 from mitsuba_plenoptic import (
     InputError,
@@ -229,26 +231,18 @@ def test_refocused_to_the_best_distance_it_is_the_thin_lenses_image(name):
 
 def grating(period, count=9):
     """Radiating bars of half a period, upright, about the axis at 240 mm."""
-    bars = {
-        f"bar_{i}": {
-            "type": "rectangle",
-            "to_world": mi.ScalarTransform4f()
-            .translate([(i - count // 2) * period, 0, 240])
-            .rotate([0, 1, 0], 180)
-            .scale([period / 4, 0.5, 1]),
-            "emitter": {"type": "area", "radiance": 1.0},
-        }
+    return {
+        f"bar_{i}": facing(240.0, (period / 4, 0.5), ((i - count // 2) * period, 0.0), **radiating())
         for i in range(count)
     }
-    return {"type": "scene", "integrator": {"type": "path"}, **bars}
 
 
 def test_a_focused_camera_resolves_what_an_unfocused_one_does_not(camera_dict):
     """Ten line pairs per mm, where a lens is 0.128 mm wide: two and a half samples per lens at least."""
     contrast = {}
     for name, numbers in (("unfocused", {}), ("keplerian", KEPLERIAN), ("galilean", GALILEAN)):
-        scene = mi.load_dict({**grating(0.1), "camera": camera_dict(**numbers)})
-        result = reconstruct(render_capture(scene, spp=64), 240, oversample=10)
+        capture = render_capture(scene_of(camera_dict(**numbers), **grating(0.1)), spp=64)
+        result = reconstruct(capture, 240, oversample=10)
         rows, columns = result.image.shape
         x = (np.arange(columns) + 0.5 - columns / 2) * result.bin_size
         middle = np.abs(x) < 0.3
@@ -264,14 +258,6 @@ def test_a_focused_camera_resolves_what_an_unfocused_one_does_not(camera_dict):
 # -- waves ------------------------------------------------------------------------------------------
 
 
-def disk(position, radius):
-    return {
-        "type": "disk",
-        "to_world": mi.ScalarTransform4f().translate(position).rotate([0, 1, 0], 180).scale(radius),
-        "emitter": {"type": "area", "radiance": 1.0},
-    }
-
-
 @FOCUSED
 def test_patch_is_the_full_field(numbers):
     camera = PlenopticCamera(**numbers, detector_width=0.512, resolution=(256, 256))
@@ -283,15 +269,8 @@ def test_patch_is_the_full_field(numbers):
 
 @FOCUSED
 def test_wave_and_ray_captures_hold_the_same_energy(camera_dict, numbers):
-    scene = mi.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "path"},
-            "camera": camera_dict(**numbers),
-            "near": disk((0.3, 0.2, 238.0), 0.25),
-            "best": disk((-0.3, -0.2, 240.0), 0.25),
-        }
-    )
+    disks = {"near": disk((0.3, 0.2, 238.0), 0.25), "best": disk((-0.3, -0.2, 240.0), 0.25)}
+    scene = scene_of(camera_dict(**numbers), **disks)
     ray = render_capture(scene, spp=128)
     wave = render_capture(scene, model="wave", spp=1)
     assert wave.image.sum() == pytest.approx(ray.image.sum(), rel=0.02)

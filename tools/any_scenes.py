@@ -84,9 +84,9 @@ PANES = {
 }
 
 
-def bars_through(way: str) -> Any:
+def bars_through(way: str, lenses: int = 32) -> Any:
     """Return the scene of bars that are 300 mm away, as the camera sees them, through something at 240 mm."""
-    camera = sensor(focus_distance=270.0)
+    camera = sensor(lenses, focus_distance=270.0)
     if way == "directly":
         return scene_of(camera, **bars(300.0))
     if way in PANES:
@@ -114,7 +114,7 @@ def contrast(capture: Capture, distance: float) -> float:
     columns = image[4:-4].mean(axis=0)
     x = (np.arange(len(columns)) + 0.5 - len(columns) / 2) * capture.camera.bin_size(distance)
     # A whole number of periods
-    half = math.floor(x[-4] / PERIOD) * PERIOD
+    half = math.floor(x[-2] / PERIOD) * PERIOD
     inside = np.abs(x) <= half
     wave = np.exp(2j * np.pi * x[inside] / PERIOD)
     return float(2 * abs((columns[inside] * wave).mean()) / columns[inside].mean())
@@ -145,10 +145,11 @@ TRANSPARENT = {
 """Cards that change nothing."""
 
 
-def card_before(**background: Scene) -> Any:
+def card_before(lenses: int = 16, aperture_radius: float = 5.0, **background: Scene) -> Any:
     """Return the scene of a black card, in focus at 1000 mm, that hides the left half of what is behind it."""
     card = facing(1000.0, 100.0, (100.0, 0.0), bsdf={"type": "diffuse", "reflectance": 0.0})
-    return scene_of(sensor(16, 16, focus_distance=1000.0), card=card, **background)
+    camera = sensor(lenses, 16, focus_distance=1000.0, aperture_radius=aperture_radius)
+    return scene_of(camera, card=card, **background)
 
 
 def in_fog() -> Any:
@@ -178,11 +179,11 @@ def lit_mirror(max_depth: int) -> Any:
     )
 
 
-def plastic() -> Any:
+def plastic(lenses: int = 16) -> Any:
     """Return the scene of a smooth plastic, dimly lit, that shows radiating bars."""
     plane, there = turned_plane({"type": "plastic", "diffuse_reflectance": 0.02})
     light = {"type": "point", "position": [0.0, 30.0, 100.0], "intensity": 1e4}
-    return scene_of(sensor(16, 16), plane=plane, light=light, **bars(300.0, there))
+    return scene_of(sensor(lenses, 16), plane=plane, light=light, **bars(300.0, there))
 
 
 def glass_sphere(angle: float = 20.0) -> Any:

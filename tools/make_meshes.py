@@ -17,6 +17,7 @@ the plane y = 0, y up.
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import struct
 import zlib
@@ -30,6 +31,8 @@ from numpy.typing import NDArray
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
 
 Point = tuple[float, float]
+Piece = Sequence[Point]
+Colour = tuple[int, int, int]
 Array = NDArray[np.float64]
 
 LETTER_HEIGHT = 4.0
@@ -63,35 +66,28 @@ class Mesh:
 
     def write_ply(self, path: Path) -> None:
         """Write a binary little-endian PLY file with the property names that Mitsuba reads."""
-        names = ["x", "y", "z"]
-        columns = [self.vertices]
-        if self.normals is not None:
-            names += ["nx", "ny", "nz"]
-            columns.append(self.normals)
-        if self.texcoords is not None:
-            names += ["u", "v"]
-            columns.append(self.texcoords)
+        parts = [("x y z", self.vertices), ("nx ny nz", self.normals), ("u v", self.texcoords)]
+        columns = [(names, part) for names, part in parts if part is not None]
         header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(self.vertices)}"]
-        header += [f"property float {name}" for name in names]
+        header += [f"property float {name}" for names, _ in columns for name in names.split()]
         header += [f"element face {len(self.faces)}", "property list uchar int vertex_indices", "end_header"]
         # Rounding hides last-digit differences between maths libraries; adding 0 turns -0 into 0.
-        rows = (np.round(np.hstack(columns), 6) + 0.0).astype("<f4")
+        rows = (np.round(np.hstack([part for _, part in columns]), 6) + 0.0).astype("<f4")
         faces = np.empty(len(self.faces), dtype=[("count", "u1"), ("indices", "<i4", 3)])
         faces["count"] = 3
         faces["indices"] = self.faces
         path.write_bytes("\n".join([*header, ""]).encode("ascii") + rows.tobytes() + faces.tobytes())
 
 
-def write_png(path: Path, indices: NDArray[np.uint8], palette: Sequence[tuple[int, int, int]]) -> None:
+def write_png(path: Path, indices: NDArray[np.uint8], palette: Sequence[Colour]) -> None:
     """Write a PNG of 4 bits per pixel with a palette of up to 16 sRGB colours, uncompressed."""
     rows, columns = indices.shape
     packed = (indices[:, 0::2] << 4) | indices[:, 1::2]
     raw = np.hstack([np.zeros((rows, 1), np.uint8), packed.astype(np.uint8)]).tobytes()
-    stored = [raw[i : i + 65535] for i in range(0, len(raw), 65535)]
     stream = b"\x78\x01"
-    for number, block in enumerate(stored):
-        last = number == len(stored) - 1
-        stream += struct.pack("<BHH", last, len(block), len(block) ^ 0xFFFF) + block
+    for start in range(0, len(raw), 65535):
+        block = raw[start : start + 65535]
+        stream += struct.pack("<BHH", start + 65535 >= len(raw), len(block), len(block) ^ 0xFFFF) + block
     stream += struct.pack(">I", zlib.adler32(raw))
 
     def chunk(kind: bytes, data: bytes) -> bytes:
@@ -120,26 +116,28 @@ def write_hdr(path: Path, image: Array) -> None:
 # ------------------------------------------------------------------------------------------------------------
 
 
-def flat_mesh(pieces: Iterable[Sequence[Point]]) -> Mesh:
-    """Make a mesh that faces the camera.
+def flat_mesh(pieces: Iterable[Piece]) -> Mesh:
+    """Make a mesh that faces the camera of convex, counter-clockwise, disjoint polygons in picture coordinates."""
+    return polygons([(-u, v, 0.0) for u, v in piece] for piece in pieces)
 
-    The pieces are convex, counter-clockwise, disjoint polygons in picture coordinates.
-    """
+
+def polygons(pieces: Iterable[Sequence[tuple[float, float, float]]]) -> Mesh:
+    """Make a mesh of convex polygons, each a fan of triangles about its first corner."""
     vertices: list[tuple[float, float, float]] = []
     faces: list[tuple[int, int, int]] = []
     for piece in pieces:
         first = len(vertices)
-        vertices += [(-u, v, 0.0) for u, v in piece]
+        vertices += piece
         faces += [(first, first + i, first + i + 1) for i in range(1, len(piece) - 1)]
     return Mesh(np.array(vertices), np.array(faces))
 
 
-def rectangle(left: float, right: float, bottom: float, top: float) -> list[Point]:
+def rectangle(left: float, right: float, bottom: float, top: float) -> Piece:
     """Corners of an upright rectangle."""
     return [(left, bottom), (right, bottom), (right, top), (left, top)]
 
 
-def clipped_ring(centre: Point, outer: Point, inner: Point, level: float, segments: int) -> list[list[Point]]:
+def clipped_ring(centre: Point, outer: Point, inner: Point, level: float, segments: int) -> list[Piece]:
     """Quadrilaterals of an elliptical ring, cut off at a level that lies between hole and rim.
 
     Parameters
@@ -174,7 +172,7 @@ def clipped_ring(centre: Point, outer: Point, inner: Point, level: float, segmen
     return quads
 
 
-def letter_eight() -> list[list[Point]]:
+def letter_eight() -> list[Piece]:
     """Return the '8': two elliptical rings that share a stroke at the waist, each cut at the waist line."""
     stroke, waist, half_width, top = 0.74, 0.12, 1.1, LETTER_HEIGHT / 2
     lower = (half_width, (waist + stroke / 2 + top) / 2)
@@ -190,7 +188,7 @@ def letter_eight() -> list[list[Point]]:
     return pieces
 
 
-def letter_f() -> list[list[Point]]:
+def letter_f() -> list[Piece]:
     """Return the 'F': a stem and two bars that touch it."""
     half, top, stroke = 1.05, LETTER_HEIGHT / 2, 0.72
     return [
@@ -200,7 +198,7 @@ def letter_f() -> list[list[Point]]:
     ]
 
 
-def letter_hash() -> list[list[Point]]:
+def letter_hash() -> list[Piece]:
     """Return the '#': two slanted bars whole, and two level ones in pieces between and beside them."""
     half, top, stroke, slant = 1.4, LETTER_HEIGHT / 2, 0.62, 0.16
     stems = [(-0.55 - stroke / 2, -0.55 + stroke / 2), (0.55 - stroke / 2, 0.55 + stroke / 2)]
@@ -222,27 +220,20 @@ def letter_hash() -> list[list[Point]]:
     return pieces
 
 
-def siemens_star(cycles: int, inner_radius: float, outer_radius: float, arc_steps: int) -> list[list[Point]]:
+def siemens_star(cycles: int, inner_radius: float, outer_radius: float, arc_steps: int) -> list[Piece]:
     """Spokes of a Siemens star: `cycles` bright sectors, each half a period wide.
 
     The frequency at radius r is cycles / (2 pi r). Arcs are polygons of `arc_steps` sides per spoke.
     """
     pieces = []
-    for spoke in range(cycles):
-        for step in range(arc_steps):
-            a, b = (math.pi / cycles * (2 * spoke + (step + k) / arc_steps) for k in (0, 1))
-            pieces.append(
-                [
-                    (inner_radius * math.cos(a), inner_radius * math.sin(a)),
-                    (outer_radius * math.cos(a), outer_radius * math.sin(a)),
-                    (outer_radius * math.cos(b), outer_radius * math.sin(b)),
-                    (inner_radius * math.cos(b), inner_radius * math.sin(b)),
-                ]
-            )
+    for spoke, step in itertools.product(range(cycles), range(arc_steps)):
+        a, b = (math.pi / cycles * (2 * spoke + (step + k) / arc_steps) for k in (0, 1))
+        corners = ((inner_radius, a), (outer_radius, a), (outer_radius, b), (inner_radius, b))
+        pieces.append([(radius * math.cos(angle), radius * math.sin(angle)) for radius, angle in corners])
     return pieces
 
 
-def bar_group(frequency: float, left: float, top: float, gap: float) -> tuple[list[list[Point]], float]:
+def bar_group(frequency: float, left: float, top: float, gap: float) -> tuple[list[Piece], float]:
     """Three upright and three level bars of `frequency` line pairs per mm, the upright ones at the left.
 
     Returns
@@ -260,9 +251,9 @@ def bar_group(frequency: float, left: float, top: float, gap: float) -> tuple[li
     return upright + level, second + size
 
 
-def chart_bars() -> list[list[Point]]:
+def chart_bars() -> list[Piece]:
     """Bar groups of 1.5; 2 and 6; 3 and 4 line pairs per mm in three rows, the finest at the right."""
-    pieces: list[list[Point]] = []
+    pieces: list[Piece] = []
     top = 2.1
     for row in ((1.5,), (2.0, 6.0), (3.0, 4.0)):
         left = -1.95
@@ -274,7 +265,7 @@ def chart_bars() -> list[list[Point]]:
     return pieces
 
 
-def slanted_square(side: float, degrees: float) -> list[list[Point]]:
+def slanted_square(side: float, degrees: float) -> list[Piece]:
     """Return a square turned by a few degrees: slanted edges along both axes, as ISO 12233 wants them."""
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     h = side / 2
@@ -288,11 +279,7 @@ def slanted_square(side: float, degrees: float) -> list[list[Point]]:
 
 def grid_faces(rows: int, columns: int, *, wrap_rows: bool = False, wrap_columns: bool = False) -> NDArray[np.int64]:
     """Triangles of a grid of rows x columns vertices, optionally closed along an axis."""
-    i, j = np.meshgrid(
-        np.arange(rows if wrap_rows else rows - 1),
-        np.arange(columns if wrap_columns else columns - 1),
-        indexing="ij",
-    )
+    i, j = np.indices((rows if wrap_rows else rows - 1, columns if wrap_columns else columns - 1))
     i1, j1 = (i + 1) % rows, (j + 1) % columns
     a, b, c, d = (p * columns + q for p, q in ((i, j), (i, j1), (i1, j1), (i1, j)))
     return np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], -2).reshape(-1, 3)
@@ -324,22 +311,16 @@ def lathe(profile: Array, segments: int) -> Mesh:
     tangent = np.gradient(profile, axis=0)
     angle = np.arange(segments) * (2 * math.pi / segments)
     c, s = np.cos(angle)[None, :], np.sin(angle)[None, :]
-    radius, height = profile[:, :1], profile[:, 1:]
-    vertices = np.stack([radius * c, np.broadcast_to(height, (len(profile), segments)), radius * s], -1)
-    normal = np.stack(
-        [tangent[:, 1:] * c, np.broadcast_to(-tangent[:, :1], vertices.shape[:2]), tangent[:, 1:] * s], -1
-    )
+
+    def turned(radius: Array, height: Array) -> Array:
+        return np.stack(np.broadcast_arrays(radius * c, height, radius * s), -1).reshape(-1, 3)
+
+    vertices, normal = turned(profile[:, :1], profile[:, 1:]), turned(tangent[:, 1:], -tangent[:, :1])
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
     faces = grid_faces(len(profile), segments, wrap_columns=True)[:, ::-1]
-    return drop_empty_faces(Mesh(vertices.reshape(-1, 3), faces, normal.reshape(-1, 3)))
-
-
-def drop_empty_faces(mesh: Mesh) -> Mesh:
-    """Remove triangles without area (at the poles of a turned object)."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    mesh.faces = mesh.faces[area > 1e-9]
-    return mesh
+    # Those at the poles have no area.
+    p, q, r = (vertices[faces[:, k]] for k in range(3))
+    return Mesh(vertices, faces[np.linalg.norm(np.cross(q - p, r - p), axis=1) > 1e-9], normal)
 
 
 def pawn() -> Mesh:
@@ -386,14 +367,8 @@ def torus_knot(radius: float, tube: float, rows: int, columns: int) -> Mesh:
     """Return a trefoil knot of round section, its axis along z, standing on y = 0."""
 
     def curve(t: Array) -> Array:
-        return np.stack(
-            [
-                (2 + np.cos(3 * t)) * np.cos(2 * t),
-                (2 + np.cos(3 * t)) * np.sin(2 * t),
-                np.sin(3 * t),
-            ],
-            -1,
-        ) * (radius / 3)
+        around = 2 + np.cos(3 * t)
+        return np.stack([around * np.cos(2 * t), around * np.sin(2 * t), np.sin(3 * t)], -1) * (radius / 3)
 
     def unit(x: Array) -> Array:
         return x / np.linalg.norm(x, axis=-1, keepdims=True)
@@ -417,9 +392,8 @@ def torus_knot(radius: float, tube: float, rows: int, columns: int) -> Mesh:
 
 def solid_lambda(height: float, depth: float) -> Mesh:
     """Return the letter lambda, cut from a plate of the given depth, standing on y = 0."""
-    h = height
+    h, z = height, depth / 2
     stroke = 0.2 * h
-    # Outline in picture coordinates, counter-clockwise: short leg, long leg, head.
     foot_right, head = 0.36 * h, -0.22 * h
 
     def long_leg(v: float) -> float:
@@ -428,36 +402,24 @@ def solid_lambda(height: float, depth: float) -> Mesh:
 
     join_high, join_low = 0.66 * h, 0.41 * h
     left_foot = -0.46 * h
-    long_piece = [
-        (long_leg(0), 0.0),
-        (long_leg(0) + stroke, 0.0),
-        (long_leg(h) + stroke, h),
-        (long_leg(h), h),
-    ]
+    long_piece = [(long_leg(0), 0.0), (long_leg(0) + stroke, 0.0), (long_leg(h) + stroke, h), (long_leg(h), h)]
     short_piece = [
         (left_foot, 0.0),
         (left_foot + stroke, 0.0),
         (long_leg(join_low), join_low),
         (long_leg(join_high), join_high),
     ]
-    outline = [
-        short_piece[0],
-        short_piece[1],
-        short_piece[2],
-        *long_piece,
-        short_piece[3],
-    ]
+    # In picture coordinates, counter-clockwise: short leg, long leg, head.
+    outline = [*short_piece[:3], *long_piece, short_piece[3]]
     front = flat_mesh([short_piece, long_piece])
-    front.vertices[:, 2] = -depth / 2
-    back = Mesh(front.vertices * [1, 1, -1], front.faces[:, ::-1])
-    vertices, faces = [front.vertices, back.vertices], [front.faces, back.faces + len(front.vertices)]
-    count = 2 * len(front.vertices)
-    for (u0, v0), (u1, v1) in zip(outline, [*outline[1:], outline[0]], strict=True):
-        z = depth / 2
-        vertices.append(np.array([(-u0, v0, -z), (-u0, v0, z), (-u1, v1, z), (-u1, v1, -z)]))
-        faces.append(np.array([(0, 1, 2), (0, 2, 3)]) + count)
-        count += 4
-    return Mesh(np.vstack(vertices), np.vstack(faces))
+    front.vertices[:, 2] = -z
+    sides = polygons(
+        [(-u0, v0, -z), (-u0, v0, z), (-u1, v1, z), (-u1, v1, -z)]
+        for (u0, v0), (u1, v1) in zip(outline, [*outline[1:], outline[0]], strict=True)
+    )
+    count = len(front.vertices)
+    vertices = np.vstack([front.vertices, front.vertices * [1, 1, -1], sides.vertices])
+    return Mesh(vertices, np.vstack([front.faces, front.faces[:, ::-1] + count, sides.faces + 2 * count]))
 
 
 # ------------------------------------------------------------------------------------------------------------
@@ -465,114 +427,84 @@ def solid_lambda(height: float, depth: float) -> Mesh:
 # ------------------------------------------------------------------------------------------------------------
 
 
-def ramp(dark: tuple[int, int, int], light: tuple[int, int, int]) -> list[tuple[int, int, int]]:
+def ramp(dark: Colour, light: Colour) -> list[Colour]:
     """Sixteen colours from dark to light."""
-    red, green, blue = ([round(a + (b - a) * i / 15) for i in range(16)] for a, b in zip(dark, light, strict=True))
-    return list(zip(red, green, blue, strict=True))
+    return [tuple(round(a + (b - a) * i / 15) for a, b in zip(dark, light, strict=True)) for i in range(16)]
 
 
-def supersample(rows: int, columns: int, shade: Callable[[Array, Array], Array], factor: int = 4) -> NDArray[np.uint8]:
-    """Average a function of (u, v) in [0, 1) over each pixel and return 4-bit levels.
+def average(shade: Callable[[Array, Array], Array], rows: int, columns: int) -> Array:
+    """Average a function of (u, v) in [0, 1) over each pixel; the first row is at v = 0, as Mitsuba reads bitmaps."""
+    v, u = (np.indices((4 * rows, 4 * columns)) + 0.5) / np.array([4 * rows, 4 * columns])[:, None, None]
+    image = shade(u, v)
+    return image.reshape(rows, 4, columns, 4, *image.shape[2:]).mean(axis=(1, 3))
 
-    The first row of the picture is at v = 0, as Mitsuba reads bitmaps.
-    """
-    v, u = np.meshgrid(
-        (np.arange(rows * factor) + 0.5) / (rows * factor),
-        (np.arange(columns * factor) + 0.5) / (columns * factor),
-        indexing="ij",
-    )
-    image = shade(u, v).reshape(rows, factor, columns, factor).mean(axis=(1, 3))
+
+def levels(shade: Callable[[Array, Array], Array], rows: int, columns: int) -> NDArray[np.uint8]:
+    """Return the averages as 4-bit levels."""
     # The small offset keeps exact halves from rounding differently.
-    return np.floor(np.clip(image, 0, 1) * 15 + 0.500001).astype(np.uint8)
+    return np.floor(np.clip(average(shade, rows, columns), 0, 1) * 15 + 0.500001).astype(np.uint8)
 
 
-def waves_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
+def waves(u: Array, v: Array) -> Array:
     """One period of the Japanese wave pattern: overlapping discs of concentric rings, in rows."""
-
-    def shade(u: Array, v: Array) -> Array:
-        # Discs of radius 1/2, one apart; rows 1/4 apart, every other one shifted by 1/2.
-        value = np.zeros_like(u)
-        # Rows from the top down: each disc hides those of the row above it.
-        for row in range(5, -3, -1):
-            for column in range(-1, 3):
-                r = np.hypot(u - (column + 0.5 * (row % 2)), v - 0.25 * row)
-                ring = np.where((r * 10) % 2 < 1, 0.0, 1.0)
-                value = np.where(r < 0.5, ring, value)
-        return value
-
-    return supersample(256, 256, shade), ramp((54, 88, 138), (240, 234, 216))
+    # Discs of radius 1/2, one apart; rows 1/4 apart, every other one shifted by 1/2.
+    value = np.zeros_like(u)
+    # Rows from the top down: each disc hides those of the row above it.
+    for row, column in itertools.product(range(5, -3, -1), range(-1, 3)):
+        r = np.hypot(u - (column + 0.5 * (row % 2)), v - 0.25 * row)
+        value = np.where(r < 0.5, np.where((r * 10) % 2 < 1, 0.0, 1.0), value)
+    return value
 
 
-def wood_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
+def wood(u: Array, v: Array) -> Array:
     """Planks along v, with grain made of a few sines, each plank its own."""
-    planks = 6
-
-    def shade(u: Array, v: Array) -> Array:
-        plank = np.floor(u * planks)
-        across = u * planks - plank
-        phase = 2.399 * plank + 0.7 * plank**2
-        bend = 0.35 * np.sin(2 * math.pi * v * 2 + phase) + 0.18 * np.sin(2 * math.pi * v * 5 + 2.3 * phase)
-        grain = across * 5 + bend + 1.5 * np.sin(phase)
-        rings = 0.5 + 0.5 * np.sin(2 * math.pi * grain + 1.2 * np.sin(2 * math.pi * grain * 0.37 + phase))
-        fine = 0.5 + 0.5 * np.sin(2 * math.pi * (grain * 4.3 + 3 * np.sin(2 * math.pi * v * 3 + phase)))
-        tone = 0.55 + 0.2 * np.sin(1.9 * plank + 0.4)
-        value = tone + 0.28 * (rings - 0.5) + 0.1 * (fine - 0.5)
-        gap = (across < 0.018) | (across > 0.982)
-        return np.where(gap, 0.0, value)
-
-    return supersample(384, 384, shade), ramp((72, 42, 26), (238, 194, 138))
+    plank = np.floor(u * 6)
+    across = u * 6 - plank
+    phase = 2.399 * plank + 0.7 * plank**2
+    bend = 0.35 * np.sin(2 * math.pi * v * 2 + phase) + 0.18 * np.sin(2 * math.pi * v * 5 + 2.3 * phase)
+    grain = across * 5 + bend + 1.5 * np.sin(phase)
+    rings = 0.5 + 0.5 * np.sin(2 * math.pi * grain + 1.2 * np.sin(2 * math.pi * grain * 0.37 + phase))
+    fine = 0.5 + 0.5 * np.sin(2 * math.pi * (grain * 4.3 + 3 * np.sin(2 * math.pi * v * 3 + phase)))
+    tone = 0.55 + 0.2 * np.sin(1.9 * plank + 0.4)
+    gap = (across < 0.018) | (across > 0.982)
+    return np.where(gap, 0.0, tone + 0.28 * (rings - 0.5) + 0.1 * (fine - 0.5))
 
 
-def die_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
+def die(u: Array, v: Array) -> Array:
     """Return the six faces of a die, 3 x 2; opposite faces add up to seven."""
     near, far, middle = 0.27, 0.73, 0.5
-    diagonal = [(near, far), (far, near)]
+    centre, diagonal = [(middle, middle)], [(near, far), (far, near)]
     corners = [*diagonal, (near, near), (far, far)]
-    faces = {
-        1: [(middle, middle)],
-        2: diagonal,
-        3: [*diagonal, (middle, middle)],
-        4: corners,
-        5: [*corners, (middle, middle)],
-        6: [*corners, (near, middle), (far, middle)],
-    }
-    order = (5, 2, 6, 1, 3, 4)
-
-    def shade(u: Array, v: Array) -> Array:
-        value = np.ones_like(u)
-        for k, count in enumerate(order):
-            for x, y in faces[count]:
-                value[np.hypot(u * 3 - k % 3 - x, v * 2 - k // 3 - y) < 0.105] = 0.0
-        return value
-
-    return supersample(192, 288, shade), ramp((26, 20, 24), (240, 236, 226))
+    faces = (
+        [*corners, *centre],
+        diagonal,
+        [*corners, (near, middle), (far, middle)],
+        centre,
+        [*diagonal, *centre],
+        corners,
+    )
+    value = np.ones_like(u)
+    for k, face in enumerate(faces):
+        for x, y in face:
+            value[np.hypot(u * 3 - k % 3 - x, v * 2 - k // 3 - y) < 0.105] = 0.0
+    return value
 
 
-def stripes_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
+def stripes(u: Array, v: Array) -> Array:
     """Twisted stripes and two plain caps, for a glazed ball (u around, v from pole to pole)."""
-
-    def shade(u: Array, v: Array) -> Array:
-        swirl = u * 8 + 1.4 * np.sin(2 * math.pi * (v - 0.5))
-        value = np.where(swirl % 1 < 0.5, 1.0, 0.0)
-        return np.where((v < 0.1) | (v > 0.9), 1.0, value)
-
-    return supersample(128, 256, shade), ramp((164, 38, 34), (242, 230, 208))
+    swirl = u * 8 + 1.4 * np.sin(2 * math.pi * (v - 0.5))
+    return np.where((swirl % 1 < 0.5) | (v < 0.1) | (v > 0.9), 1.0, 0.0)
 
 
-def tiles_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
+def tiles(u: Array, v: Array) -> Array:
     """Four stone tiles, two dark and two light, with veins and dark joints."""
-
-    def shade(u: Array, v: Array) -> Array:
-        dark = (np.floor(2 * u) + np.floor(2 * v)) % 2
-        x, y = 2 * math.pi * u, 2 * math.pi * v
-        bend = np.sin(x + 1.7 * np.sin(2 * y) + 0.8 * np.sin(3 * x + y))
-        veins = np.exp(-((bend + 0.6 * np.sin(2 * y - x + 1.1 * np.sin(2 * x))) ** 2) / 0.01)
-        cloud = 0.06 * np.sin(3 * x + 2 * y + np.sin(4 * y)) + 0.04 * np.sin(5 * y - 4 * x)
-        value = np.where(dark == 1, 0.24 + cloud + 0.3 * veins, 0.86 + cloud - 0.3 * veins)
-        joint = np.minimum((2 * u) % 1, (2 * v) % 1) < 0.02
-        return np.where(joint, 0.05, value)
-
-    return supersample(256, 256, shade), ramp((38, 34, 36), (236, 226, 208))
+    dark = (np.floor(2 * u) + np.floor(2 * v)) % 2
+    x, y = 2 * math.pi * u, 2 * math.pi * v
+    bend = np.sin(x + 1.7 * np.sin(2 * y) + 0.8 * np.sin(3 * x + y))
+    veins = np.exp(-((bend + 0.6 * np.sin(2 * y - x + 1.1 * np.sin(2 * x))) ** 2) / 0.01)
+    cloud = 0.06 * np.sin(3 * x + 2 * y + np.sin(4 * y)) + 0.04 * np.sin(5 * y - 4 * x)
+    value = np.where(dark == 1, 0.24 + cloud + 0.3 * veins, 0.86 + cloud - 0.3 * veins)
+    return np.where(np.minimum((2 * u) % 1, (2 * v) % 1) < 0.02, 0.05, value)
 
 
 def _leaf(u: Array, v: Array) -> tuple[Array, Array]:
@@ -585,36 +517,25 @@ def _leaf(u: Array, v: Array) -> tuple[Array, Array]:
     return inside, np.minimum(side / 0.6, np.where(side < 0.9 * width, twigs, 1))
 
 
-def leaf_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
+def leaf(u: Array, v: Array) -> Array:
     """Return a leaf with light veins."""
-
-    def shade(u: Array, v: Array) -> Array:
-        _, vein = _leaf(u, 1 - v)
-        return 0.3 + 0.12 * np.sin(9 * u + 7 * v) + 0.6 * np.exp(-((vein / 0.012) ** 2))
-
-    return supersample(192, 128, shade), ramp((30, 74, 22), (190, 214, 96))
+    _, vein = _leaf(u, 1 - v)
+    return 0.3 + 0.12 * np.sin(9 * u + 7 * v) + 0.6 * np.exp(-((vein / 0.012) ** 2))
 
 
-def leaf_mask_texture() -> tuple[NDArray[np.uint8], list[tuple[int, int, int]]]:
+def leaf_mask(u: Array, v: Array) -> Array:
     """Return where the leaf is opaque: within its outline, but for two holes."""
-
-    def shade(u: Array, v: Array) -> Array:
-        inside, _ = _leaf(u, 1 - v)
-        holes = (np.hypot(u - 0.34, v - 0.42) > 0.055) & (np.hypot(u - 0.62, 0.8 * (v - 0.6)) > 0.04)
-        return np.where((inside > 0) & holes, 1.0, 0.0)
-
-    return supersample(192, 128, shade), ramp((0, 0, 0), (255, 255, 255))
+    inside, _ = _leaf(u, 1 - v)
+    holes = (np.hypot(u - 0.34, v - 0.42) > 0.055) & (np.hypot(u - 0.62, 0.8 * (v - 0.6)) > 0.04)
+    return np.where((inside > 0) & holes, 1.0, 0.0)
 
 
-def surroundings() -> Array:
-    """Return radiances from all directions: a sky over dark hills, a window, a strip of light (64 x 128 x 3).
+def surroundings(u: Array, v: Array) -> Array:
+    """Return radiances from all directions: a sky over dark hills, a window, a strip of light.
 
     Rows run from the zenith down and columns around, as Mitsuba's ``envmap`` reads them; what a camera that looks
     along +z sees is in the middle.
     """
-    factor = 4
-    v, u = np.meshgrid((np.arange(64 * factor) + 0.5) / (64 * factor), (np.arange(128 * factor) + 0.5) / (128 * factor),
-                       indexing="ij")  # fmt: skip
     x = np.sin(2 * math.pi * u) * np.sin(math.pi * v)
     y, z = np.cos(math.pi * v), -np.cos(2 * math.pi * u) * np.sin(math.pi * v)
 
@@ -647,7 +568,7 @@ def surroundings() -> Array:
 
     panel((0.75, 0.75, -0.6), (0.42, 0.55), (2, 3), (5.2, 5.4, 5.8))
     panel((-0.7, 0.8, 0.3), (0.12, 0.6), (1, 1), (6.0, 4.8, 3.4))
-    return image.reshape(64, factor, 128, factor, 3).mean(axis=(1, 3))
+    return image
 
 
 # ------------------------------------------------------------------------------------------------------------
@@ -668,13 +589,13 @@ def write_all(directory: Path) -> list[Path]:
         "lambda": solid_lambda(4.2, 1.0),
     }
     textures = {
-        "waves": waves_texture(),
-        "wood": wood_texture(),
-        "die": die_texture(),
-        "stripes": stripes_texture(),
-        "tiles": tiles_texture(),
-        "leaf": leaf_texture(),
-        "leaf_mask": leaf_mask_texture(),
+        "waves": (levels(waves, 256, 256), ramp((54, 88, 138), (240, 234, 216))),
+        "wood": (levels(wood, 384, 384), ramp((72, 42, 26), (238, 194, 138))),
+        "die": (levels(die, 192, 288), ramp((26, 20, 24), (240, 236, 226))),
+        "stripes": (levels(stripes, 128, 256), ramp((164, 38, 34), (242, 230, 208))),
+        "tiles": (levels(tiles, 256, 256), ramp((38, 34, 36), (236, 226, 208))),
+        "leaf": (levels(leaf, 192, 128), ramp((30, 74, 22), (190, 214, 96))),
+        "leaf_mask": (levels(leaf_mask, 192, 128), ramp((0, 0, 0), (255, 255, 255))),
     }
     folder = directory / "meshes"
     folder.mkdir(parents=True, exist_ok=True)
@@ -682,11 +603,11 @@ def write_all(directory: Path) -> list[Path]:
     for name, mesh in meshes.items():
         paths.append(folder / f"{name}.ply")
         mesh.write_ply(paths[-1])
-    for name, (indices, palette) in textures.items():
+    for name, picture in textures.items():
         paths.append(directory / f"{name}.png")
-        write_png(paths[-1], indices, palette)
+        write_png(paths[-1], *picture)
     paths.append(directory / "surroundings.hdr")
-    write_hdr(paths[-1], surroundings())
+    write_hdr(paths[-1], average(surroundings, 64, 128))
     return paths
 
 

@@ -60,11 +60,10 @@ def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Map
     path = _find(scene)
     set_variant(variant)
     parameters = {str(name): str(value) for name, value in (parameters or {}).items()}
-    check_scene_file(path, parameters)
-    text = path.read_text()
+    text = check_scene_file(path, parameters)
     for name in parameters:
         # Mitsuba takes a misspelled name in silence.
-        if f"${name}" not in text and "<include" not in text:
+        if f"${name}" not in text:
             known = sorted(set(re.findall(r"<default\s+name=\"(\w+)\"", text)))
             raise InputError(f"parameter {name}: the scene {path} has none of that name ({', '.join(known)})")
     parameters = _with_rows(text, parameters)

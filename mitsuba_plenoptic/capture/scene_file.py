@@ -43,7 +43,7 @@ _Element = tuple[str, dict[str, str]]
 """Tag and those attributes, empty where it has none."""
 
 
-def check_scene_file(path: Path, parameters: Mapping[str, str]) -> None:
+def check_scene_file(path: Path, parameters: Mapping[str, str]) -> str:
     """Refuse a scene file that does what none needs to do; the module's text says what.
 
     Parameters
@@ -53,6 +53,11 @@ def check_scene_file(path: Path, parameters: Mapping[str, str]) -> None:
     parameters : mapping
         Values for its ``$name`` parameters, where they differ from its defaults.
 
+    Returns
+    -------
+    str
+        The text of the file, and of those that it includes.
+
     Raises
     ------
     InputError
@@ -61,6 +66,7 @@ def check_scene_file(path: Path, parameters: Mapping[str, str]) -> None:
     folders = [Path.cwd(), path.parent]
     files: list[Path] = []
     _check(path, dict(parameters), folders, files, ())
+    return "".join(file.read_text("utf-8-sig") for file in files)
 
 
 def _check(

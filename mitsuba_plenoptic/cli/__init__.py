@@ -17,7 +17,7 @@ from . import compare, convert, depth, doctor, epi, expose, info, reconstruct, r
 
 PROGRAM = "mitsuba-plenoptic"
 
-app = typer.Typer(add_completion=False, rich_markup_mode="rich", pretty_exceptions_enable=False)
+app = typer.Typer(rich_markup_mode="rich", pretty_exceptions_enable=False)
 
 
 def _print_version(wanted: bool) -> None:

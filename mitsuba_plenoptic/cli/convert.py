@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ..io.files import require_writable
-from ..lightfield.exchange import open_light_field, save_light_field
+from ..lightfield.exchange import open_light_field, require_light_field_path, save_light_field
 from .options import LightFieldSource, Linear, ViewCount, White, output_option
 
 
@@ -18,17 +17,22 @@ def convert(
         Path,
         output_option(
             "FILE",
-            "File to write: .mat for LFToolbox, .eslf.png for the samples of each lens together, .png for a "
-            "16-bit mosaic of views.",
+            "File to write: .nc or .zarr for NetCDF or Zarr, .mat for LFToolbox, .eslf.png for the samples of each "
+            "lens together, .png for a 16-bit mosaic of views.",
         ),
     ],
     white: White = None,
     view_count: ViewCount = None,
     linear: Linear = False,
 ) -> None:
-    """Decode a capture for other programs, or translate between their light fields.
+    """Decode a capture into a light field, or translate between formats of light fields.
+
+    NetCDF and Zarr keep all about it, axes, weights and camera, for xarray and
+    for the other commands.
 
     [bold]Examples:[/bold]
+
+      mitsuba-plenoptic convert raw.exr -o lf.nc
 
       mitsuba-plenoptic convert raw.exr -o lf.mat
 
@@ -36,7 +40,7 @@ def convert(
 
       mitsuba-plenoptic convert lytro.eslf.png --view-count 14 -o lf.mat
     """
-    require_writable(output)
+    require_light_field_path(output)
     lf = open_light_field(source, white=white, views=view_count, linear=linear)
     save_light_field(output, lf)
     typer.echo(f"{output}: {lf.sizes['u']} x {lf.sizes['v']} views of {lf.sizes['s']} x {lf.sizes['t']} pixels")

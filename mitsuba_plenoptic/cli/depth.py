@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -10,8 +11,11 @@ import typer
 from ..lightfield import depth_map
 from ..lightfield.exchange import open_light_field
 from ..report.output_files import require_picture_path, write_depth
+from ..runtime.progress import progress_bar
 from .options import LightFieldSource, Linear, ViewCount, White, number, output_option
-from .terminal import progress_bar
+
+_LITTLE = 0.1
+"""Fraction of the bins with a confidence above half, below which a user is warned."""
 
 
 def depth(
@@ -53,5 +57,11 @@ def depth(
     sure = found.confidence > 0.5
     where = found.depth.where(sure)
     fraction = f"{100 * float(sure.mean()):.0f} % of the bins with a confidence above half"
+    if float(sure.mean()) < _LITTLE:
+        warnings.warn(
+            "depth: hardly any bin tells it: the scene has too little texture, or is nearer than --near or farther "
+            "than --far; look at the confidence before you use a depth",
+            stacklevel=2,
+        )
     span = f", from {float(where.min()):.4g} to {float(where.max()):.4g} mm" if bool(sure.any()) else ""
     typer.echo(f"{output}: {fraction}{span}")

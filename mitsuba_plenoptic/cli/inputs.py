@@ -1,17 +1,28 @@
-"""What the options name, checked and made: files to write, cameras, scene parameters, workers."""
+"""What the options name, checked and made: files to write, cameras, scenes and their parameters, workers."""
 
 from __future__ import annotations
 
+import logging
+import re
+import warnings
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
+from typing import Any
 
 from ..camera import PlenopticCamera
-from ..capture.scene import load_scene
+from ..capture.render import plenoptic_sensor
+from ..capture.scene import load_scene, scene_path
+from ..capture.scene_file import check_scene_file
+from ..design import design_warnings
 from ..errors import InputError
-from ..io.files import require_writable
+from ..io.files import require_file, require_writable
+from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
 from ..runtime.batches import BatchMap
 from ..runtime.cluster import Cluster
+from ..runtime.variant import DEFAULT_VARIANT
+
+_log = logging.getLogger(__name__)
 
 
 def require_capture_output(path: Path) -> None:
@@ -22,13 +33,68 @@ def require_capture_output(path: Path) -> None:
 
 
 def load_camera(source: str, parameters: dict[str, str]) -> PlenopticCamera:
-    """Return the camera of a preset or of a scene; a file takes precedence over a preset of its name."""
+    """Return the camera of a preset, a JSON file or a scene; a file takes precedence over a preset of its name."""
+    if source.lower().endswith(".json"):
+        try:
+            return PlenopticCamera.from_json(require_file(source).read_text())
+        except (InputError, UnicodeDecodeError) as error:
+            raise InputError(str(error) if source in str(error) else f"{source}: {error}") from None
     if source in PRESETS and not parameters and not Path(source).is_file():
         return PlenopticCamera.preset(source)
     sensors = load_scene(source, parameters=parameters).sensors()
     if not sensors:
         raise InputError(f"{source}: it has no sensor; add one of type 'plenoptic'")
     return PlenopticCamera.from_sensor(sensors[0])
+
+
+def open_scene(scene: str, parameters: dict[str, str], variant: str | None, camera: str | None = None) -> Any:
+    """Load a scene to be rendered, in the variant of its film's colours unless told, and say what is poor about it.
+
+    Parameters
+    ----------
+    scene : str
+        A file or the name of a built-in scene.
+    parameters : dict
+        Values for its ``$name`` parameters.
+    variant : str, optional
+        Mitsuba variant.
+    camera : str, optional
+        What `load_camera` takes, to be put in the place of the scene's own.
+    """
+    other = load_camera(camera, {}) if camera else None
+    loaded = load_scene(scene, variant=variant or _variant_of_film(scene, parameters), parameters=parameters)
+    if other:
+        loaded = with_camera(loaded, other)
+    sensor = plenoptic_sensor(loaded)
+    seen = PlenopticCamera.from_sensor(sensor)
+    for text in design_warnings(seen):
+        warnings.warn(text, stacklevel=2)
+    box = loaded.bbox()
+    if box.valid():
+        to_camera = sensor.world_transform().inverse()
+        farthest = max(float((to_camera @ box.corner(index)).z[0]) for index in range(8))
+        if farthest < seen.focal_length:
+            warnings.warn(
+                f"the whole scene is nearer than {farthest:.4g} mm, within the main lens's focal length of "
+                f"{seen.focal_length:.4g} mm: lengths are taken as millimetres; if the scene's are metres, scale it",
+                stacklevel=2,
+            )
+    return loaded
+
+
+def _variant_of_film(scene: str, parameters: dict[str, str]) -> str:
+    """Return the variant for a film that records colours, and say so, or the default for any other."""
+    path = Path(scene) if Path(scene).exists() else scene_path(scene)
+    text = re.sub(r"<!--.*?-->", "", check_scene_file(path, parameters), flags=re.DOTALL)
+    tags = [tag for tag in re.findall(r"<string\b[^>]*>", text) if re.search(r"""name=["']pixel_format["']""", tag)]
+    formats = [found[1] for tag in tags if (found := re.search(r"""value=["']([^"']*)""", tag))]
+    defaults = dict(re.findall(r"""<default\s+name=["'](\w+)["']\s+value=["']([^"']*)""", text)[::-1]) | parameters
+    for name in formats:
+        colours = str(defaults.get(name.removeprefix("$"), name)).lower()
+        if colours in ("rgb", "rgba"):
+            _log.info("variant llvm_ad_rgb, as the film records %s; --variant chooses another", colours)
+            return "llvm_ad_rgb"
+    return DEFAULT_VARIANT
 
 
 def parse_definitions(definitions: list[str] | None) -> dict[str, str]:

@@ -103,8 +103,8 @@ LightFieldSource = Annotated[
     Path,
     typer.Argument(
         metavar="SOURCE",
-        help="A capture (.exr), a light field of LFToolbox (.mat), a mosaic (.png with --view-count, .eslf.png for "
-        "the samples of each lens together), or a raw picture of a real camera (.png with --white).",
+        help="A capture (.exr), a light field (.nc, .zarr, or LFToolbox's .mat), a mosaic (.png with --view-count, "
+        ".eslf.png for the samples of each lens together), or a raw picture of a real camera (.png with --white).",
     ),
 ]
 

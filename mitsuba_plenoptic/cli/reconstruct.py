@@ -10,9 +10,9 @@ import typer
 from .. import reconstruction
 from ..io.captures import read_capture
 from ..report.output_files import reconstruction_paths, write_reconstructions
+from ..runtime.progress import progress_bar
 from ..runtime.variant import set_variant
 from .options import CaptureFile, Distances, Variant, number, output_option
-from .terminal import progress_bar
 
 
 def reconstruct(

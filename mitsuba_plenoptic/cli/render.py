@@ -10,11 +10,12 @@ import typer
 
 from ..capture.estimate import estimate_capture
 from ..capture.render import render_capture
-from ..capture.scene import load_scene
-from ..io.captures import write_capture
+from ..io.captures import Capture, write_capture
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import remove_leftovers, require_writable
-from .inputs import batches_on, parse_definitions, require_capture_output
+from ..presets import PRESETS
+from ..runtime.progress import progress_bar
+from .inputs import batches_on, open_scene, parse_definitions, require_capture_output
 from .options import (
     Definitions,
     Model,
@@ -24,12 +25,11 @@ from .options import (
     Scene,
     Scheduler,
     Seed,
-    Variant,
     Workers,
     number,
     output_option,
 )
-from .terminal import progress_bar
+from .terminal import stopped_by_hand
 
 
 def render(
@@ -65,15 +65,35 @@ def render(
     ] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE.json",
+            show_default="the scene's",
+            help=f"Camera in the place of the scene's own, on any scene: {', '.join(PRESETS)}, a JSON file of its "
+            "parameters, or another scene's.",
+        ),
+    ] = None,
+    white: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.exr", help="Write the camera's white image, too, computed from its parameters."),
+    ] = None,
     define: Definitions = None,
-    variant: Variant = None,
+    variant: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            show_default="llvm_ad_rgb if the film records rgb, else llvm_ad_mono",
+            help="Mitsuba variant, for example llvm_ad_rgb or cuda_ad_mono.",
+        ),
+    ] = None,
 ) -> None:
     """Render what a scene's plenoptic camera records.
 
     The scene needs a sensor of type [bold]plenoptic[/bold]. The capture is
     written as float32 OpenEXR, which any EXR viewer shows; its header holds
     the camera and how it was made. A long wave capture keeps a checkpoint
-    beside the output, from which [bold]--resume[/bold] goes on after a crash.
+    beside the output, from which [bold]--resume[/bold] goes on after Ctrl-C or a crash.
 
     [bold]Examples:[/bold]
 
@@ -87,14 +107,14 @@ def render(
 
       mitsuba-plenoptic render letters -o wave.exr --model wave --resume
 
-      mitsuba-plenoptic render my_scene.xml -o colour.exr --variant llvm_ad_rgb
+      mitsuba-plenoptic render my_scene.xml -o raw.exr --camera lytro --white white.exr
     """
     parameters = parse_definitions(define)
     options = {"wavelength": wavelength, "radiators_per_lens": radiators_per_lens}
     wave = {name: value for name, value in options.items() if value is not None}
     if estimate:
         with batches_on(workers, scheduler) as batch_map:
-            loaded = load_scene(scene, variant=variant, parameters=parameters)
+            loaded = open_scene(scene, parameters, variant, camera)
             cost = estimate_capture(loaded, model=model, spp=spp, seed=seed, batch_map=batch_map, **wave)
         what = f"{cost.radiators} radiators, {cost.patterns} point spreads, " if cost.radiators else ""
         typer.echo(f"{scene}: {what}about {cost.seconds:.3g} s and {cost.memory / 2**30:.2g} GiB")
@@ -102,14 +122,15 @@ def render(
     if output is None:
         raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
     # Before the rendering, which may take long.
-    require_capture_output(output)
+    for path in filter(None, (output, white)):
+        require_capture_output(path)
     if resume:
         remove_leftovers(output)
     checkpoint = require_writable(checkpoint or output.with_name(output.name + SUFFIX))
     with Checkpoint(checkpoint, "resume" if resume else "refuse") as kept, batches_on(workers, scheduler) as batch_map:
-        loaded = load_scene(scene, variant=variant, parameters=parameters)
-        start = time.perf_counter()
-        with progress_bar("Rendering") as progress:
+        with progress_bar("Rendering") as progress, stopped_by_hand(kept, progress):
+            loaded = open_scene(scene, parameters, variant, camera)
+            start = time.perf_counter()
             capture = render_capture(
                 loaded,
                 model=model,
@@ -123,6 +144,12 @@ def render(
             )
         seconds = time.perf_counter() - start
         write_capture(output, capture)
+    if white:
+        # Brings libraries that take a second to load.
+        from ..lightfield import white_image
+
+        write_capture(white, Capture(white_image(capture.camera), capture.camera, metadata={"scene": "white image"}))
+        typer.echo(f"{white}: white image")
     rows, columns = capture.camera.shape
     deviation = "" if capture.noise is None else f", noise {capture.relative_noise:.2%} of the mean"
     typer.echo(f"{output}: capture of {columns} x {rows} pixels, rendered in {seconds:.1f} s{deviation}")

@@ -11,8 +11,8 @@ from ..lightfield import focal_stack
 from ..lightfield.exchange import open_light_field
 from ..lightfield.refocus import METHODS
 from ..report.output_files import require_picture_path, write_stack
+from ..runtime.progress import progress_bar
 from .options import Distances, LightFieldSource, Linear, ViewCount, White, output_option
-from .terminal import progress_bar
 
 
 def stack(
@@ -33,11 +33,15 @@ def stack(
     view_count: ViewCount = None,
     linear: Linear = False,
 ) -> None:
-    """Refocus to several distances from the decoded light field.
+    """Make a focal stack: one image for each distance, in focus there and blurred elsewhere.
+
+    The capture is decoded into views, which are moved against each other and
+    added. All images have the same size, one pixel per microlens.
+    'reconstruct' refocuses the capture itself, by rays and by waves.
 
     [bold]Example:[/bold]
 
-      mitsuba-plenoptic stack raw.exr -o stack.png --distance 210 --distance 240 --distance 280
+      mitsuba-plenoptic stack raw.exr -o stack.exr --distance 210 --distance 240 --distance 280
     """
     require_picture_path(output)
     lf = open_light_field(source, white=white, views=view_count, linear=linear)

@@ -1,24 +1,48 @@
-"""What commands show on the terminal while they compute; all of it on standard error."""
+"""What commands show on the terminal while they compute, on standard error, and what Ctrl-C does then."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+import logging
+import signal
+import threading
+from collections.abc import Iterator
+from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
+from ..io.checkpoints import Checkpoint
 from ..report.stage_store import StageOptions
+from ..runtime.progress import ProgressBar
+
+_log = logging.getLogger(__name__)
 
 
 @contextlib.contextmanager
-def progress_bar(label: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a bar, if standard error is a terminal; yields a callable(done, total)."""
-    console = Console(stderr=True)
-    columns = (TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(label, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+def stopped_by_hand(checkpoint: Checkpoint, progress: ProgressBar) -> Iterator[None]:
+    """Let Ctrl-C end a run with its checkpoint written, and say how to go on; a second Ctrl-C ends it at once."""
+    # Only the main thread is told of signals.
+    on_main = threading.current_thread() is threading.main_thread()
+    before: Any = signal.getsignal(signal.SIGINT)
+
+    def stop(number: int, frame: Any) -> None:
+        signal.signal(signal.SIGINT, before)
+        if not checkpoint.stop():
+            raise KeyboardInterrupt
+        _log.info("stopping after the batch under way; Ctrl-C again stops at once")
+
+    if on_main:
+        signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    except KeyboardInterrupt:
+        way_on = ": --resume goes on" if checkpoint.path.exists() else ""
+        _log.info("stopped at %.0f %%%s", 100 * progress.fraction, way_on)
+        raise
+    finally:
+        if on_main:
+            signal.signal(signal.SIGINT, before)
 
 
 @contextlib.contextmanager

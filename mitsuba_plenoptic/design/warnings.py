@@ -8,6 +8,9 @@ from ..camera import PlenopticCamera
 from .focus import best_distances, best_images, focus_type, lenses_across
 from .micro_images import crosstalk_lenses, direction_count, micro_image_distance, mla_fresnel_number, spot_radius
 
+_SMALLEST_PIXEL = 2e-4
+"""Of detectors, in millimetres."""
+
 
 def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
     """Say in one sentence each what is poor about a design."""
@@ -37,6 +40,11 @@ def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) ->
             f"within its focal length of {camera.focal_length:.4g} mm; lengthen mla_distance"
         )
     found += _coverage_warnings(camera)
+    if camera.pixel_size < _SMALLEST_PIXEL:
+        found.append(
+            f"a pixel is {camera.pixel_size:.3g} mm wide, less than a wavelength of light: lengths are taken as "
+            "millimetres; if these are metres, multiply them by 1000"
+        )
     directions = direction_count(camera, wavelength)
     if directions < 2:
         found.append(f"no refocusing: across its diameter a micro-image tells only {directions:.2g} directions apart")

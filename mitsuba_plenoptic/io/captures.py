@@ -19,7 +19,7 @@ BRIGHTEST = 1e30
 """Magnitude of a pixel at most: what is summed and squared of it stays within single precision's 3e38."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Capture:
     """What the detector of a plenoptic camera recorded.
 
@@ -85,6 +85,16 @@ class Capture:
             if noise.min(initial=0) < 0:
                 raise InputError(f"noise: {np.count_nonzero(noise < 0)} of its pixels are negative")
             object.__setattr__(self, "noise", np.asarray(noise, dtype=np.float32))
+
+    def __repr__(self) -> str:
+        """Describe the capture in one line."""
+        rows, columns = self.camera.shape
+        colours = " x 3" if self.image.ndim == 3 else ""
+        light = "" if self.wavelength is None else f", {shown(self.wavelength)} nm"
+        noise = "" if self.noise is None else f", noise {self.relative_noise:.2%}"
+        return (
+            f"Capture({columns} x {rows}{colours} pixels by {self.model}s{light}, mean {self.image.mean():.4g}{noise})"
+        )
 
     @property
     def relative_noise(self) -> float | None:

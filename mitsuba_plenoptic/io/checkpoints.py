@@ -69,11 +69,13 @@ class Checkpoint:
         self._existing = existing
         self._due = math.inf
         self._complained = False
+        self._stopping = False
 
     def __enter__(self) -> Checkpoint:
         if self._existing == "refuse" and self.path.exists():
             raise InputError(
-                f"{self.path}: the checkpoint of a run that was stopped; resume that run, or remove the file"
+                f"{self.path}: the checkpoint of a run that was stopped; go on from it (--resume, or in Python "
+                "existing='resume'), or remove the file"
             )
         return self
 
@@ -114,13 +116,29 @@ class Checkpoint:
         _log.info("%s: going on from there", self.path)
         return found
 
+    def stop(self) -> bool:
+        """Have the next state written whenever the last one was, and the run end there with a KeyboardInterrupt.
+
+        Returns
+        -------
+        bool
+            Whether a run has begun; if none has, nothing happens.
+        """
+        self._stopping = self._due < math.inf
+        return self._stopping
+
     def save(self, snapshot: Snapshot) -> None:
         """Write the state, if it is time to.
 
         A disk that is full costs a warning, not the run: the checkpoint of before stays.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            After `stop`.
         """
         start = time.monotonic()
-        if start < self._due:
+        if start < self._due and not self._stopping:
             return
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -133,6 +151,8 @@ class Checkpoint:
                 self._complained = True
         now = time.monotonic()
         self._due = now + max(INTERVAL, (now - start) / FRACTION)
+        if self._stopping:
+            raise KeyboardInterrupt
 
 
 def digest(*arrays: NDArray[Any] | None) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import drjit as dr
@@ -34,6 +33,8 @@ NUMBERS = (*POSITIVE, *SEVERAL, "mla_rotation", "mla_offset")
 WORDS = ("mla_lattice", "mla_aperture", "lens_model")
 
 _CROSSTALK_RAYS = 2**16
+
+_BOX = '<rfilter type="box"/>'
 
 
 def make_class() -> type:
@@ -172,8 +173,15 @@ def make_class() -> type:
                         f"{NAME}: {name} = {props[name]:g}: this camera has no clipping planes, its rays start "
                         "at the main lens; remove the parameter"
                     )
+            # Only objects: numbers that are looked at here would no longer be refused as unknown.
+            objects = [name for name in props.keys() if props.type(name) == mi.Properties.Type.Object]  # noqa: SIM118
+            has_film = any(isinstance(props[name], mi.Film) for name in objects)
             super().__init__(props)
             film = self.film()
+            if not film.rfilter().is_box_filter():
+                fault = f"the film's filter {film.rfilter().class_name()} smears the micro-images into each other"
+                line = _BOX if has_film else f'<film type="hdrfilm"> {_BOX} </film>'
+                raise InputError(f"{NAME}: {fault if has_film else 'it has no film'}; add the line {line}")
             given: dict[str, Any] = {
                 **{name: read_number(props, NAME, name, None) for name in (*POSITIVE, "focus_distance")},
                 **{name: read_plain(props, name, None) for name in WORDS},
@@ -201,12 +209,6 @@ def make_class() -> type:
             self.mla_offset = mi.Point2f(camera.mla_offset)
             self.m_needs_sample_3 = True
             self._update()
-            if not film.rfilter().is_box_filter():
-                warnings.warn(
-                    f"{NAME}: the film's filter {film.rfilter().class_name()} smears the micro-images into each "
-                    'other; use <rfilter type="box"/>',
-                    stacklevel=2,
-                )
 
         def traverse(self, callback: Any) -> None:
             """Expose the parameters to `mi.traverse`."""

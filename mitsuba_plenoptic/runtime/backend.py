@@ -160,6 +160,6 @@ def _cuda() -> Backend:
     except ImportError as missing:
         raise InputError(
             f"variant {mi.variant()}: waves on CUDA need CuPy, which does not load ({missing}); "
-            'pip install "mitsuba-plenoptic[cuda]"'
+            "pip install cupy-cuda12x, or cupy-cuda13x by the driver's CUDA"
         ) from None
     return Backend(dr.cuda, cupy, transforms, sparse, is_cuda=True)

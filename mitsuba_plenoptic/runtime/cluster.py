@@ -69,9 +69,7 @@ class Cluster:
         try:
             import distributed
         except ImportError:
-            raise InputError(
-                "workers: they need dask.distributed: pip install 'mitsuba-plenoptic[distributed]'"
-            ) from None
+            raise InputError("workers: they need dask.distributed: pip install distributed") from None
         with contextlib.ExitStack() as opened:
             opened.enter_context(_quiet())
             try:

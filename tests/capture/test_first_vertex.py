@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from any_scene_cases import ABSORBING_FOG, MIRROR, PANES, THIN_FOG, facing, radiating, scene_of, sensor
+from any_scenes import ABSORBING_FOG, MIRROR, PANES, THIN_FOG, facing, radiating, scene_of, sensor
 
 from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.capture import child as children

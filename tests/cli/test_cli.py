@@ -17,7 +17,8 @@ import numpy as np
 import OpenEXR
 import pytest
 from PIL import Image
-from scene_cases import write_scene
+from scene_cases import SMALL_SENSOR, definitions, letters, write_scene
+from stopped_runs import start_command
 
 from mitsuba_plenoptic import PlenopticCamera, read_capture, write_capture
 from mitsuba_plenoptic.cli import app, main
@@ -58,18 +59,69 @@ def test_seed_and_samples_reach_the_renderer(tmp_path, run):
     assert "64 x 64 pixels" in told
 
 
-def test_colour_variant(tmp_path, run):
-    path = tmp_path / "raw.exr"
-    run("render", write_scene(tmp_path, pixel_format="rgb"), "-o", path, "--spp", "1", "--variant", "llvm_ad_rgb")
-    assert read_capture(path).image.shape == (64, 64, 3)
+@pytest.fixture
+def remarks(tmp_path, capfd):
+    """Render a scene to ``raw.exr`` and return the lines on standard error."""
+
+    def remarks(scene, *options):
+        assert main(["render", str(scene), "-o", str(tmp_path / "raw.exr"), "--spp", "1", *options]) == 0
+        lines = capfd.readouterr().err.splitlines()
+        assert all(line.startswith("mitsuba-plenoptic: ") for line in lines)
+        return [line.removeprefix("mitsuba-plenoptic: ") for line in lines]
+
+    return remarks
 
 
-def test_a_warning_takes_one_line(tmp_path, capfd):
-    path = write_scene(tmp_path, rfilter="gaussian")
-    assert main(["render", str(path), "-o", str(tmp_path / "raw.exr"), "--spp", "1"]) == 0
-    error = capfd.readouterr().err
-    assert error.startswith("mitsuba-plenoptic: warning: plenoptic: ")
-    assert error.count("\n") == 1
+def test_the_variant_follows_the_film_unless_told(tmp_path, remarks):
+    scene = write_scene(tmp_path, pixel_format="rgb", sensor=SMALL_SENSOR)
+    assert remarks(scene) == ["variant llvm_ad_rgb, as the film records rgb; --variant chooses another"]
+    assert read_capture(tmp_path / "raw.exr").image.shape == (64, 64, 3)
+    parameter = '<default name="colours" value="rgb"/><!-- <string name="pixel_format" value="rgb"/> -->'
+    scene = write_scene(tmp_path, pixel_format="$colours", sensor=SMALL_SENSOR)
+    scene.write_text(scene.read_text().replace("<integrator", f"{parameter}<integrator"))
+    assert len(remarks(scene)) == 1
+    assert remarks(scene, "-D", "colours=luminance") == []
+    assert read_capture(tmp_path / "raw.exr").metadata["variant"] == "llvm_ad_mono"
+    remarks(scene, "--variant", "llvm_ad_spectral")
+    assert read_capture(tmp_path / "raw.exr").metadata["variant"] == "llvm_ad_spectral"
+
+
+def test_rendering_shows_the_warnings_of_info(tmp_path, remarks):
+    (warning,) = remarks("letters", "-D", "resolution=2048", "-D", "aperture_radius=10")
+    assert warning.startswith("warning: micro-images overlap: ")
+    ball = '<shape type="sphere"><float name="radius" value="0.01"/><point name="center" z="0.24" x="0" y="0"/></shape>'
+    (warning,) = remarks(write_scene(tmp_path, ball, sensor=SMALL_SENSOR))
+    assert "the whole scene is nearer than 0.25 mm" in warning
+    metres = {"focal_length": 0.08, "aperture_radius": 5e-3, "mla_distance": 0.12, "mla_focal_length": 5.12e-4,
+              "mla_pitch": 6.4e-5, "detector_width": 1.28e-4}  # fmt: skip
+    sensor = "".join(f'<float name="{name}" value="{value}"/>' for name, value in metres.items())
+    (warning,) = remarks(write_scene(tmp_path, sensor=sensor))
+    assert "a pixel is 2e-06 mm wide" in warning
+
+
+def test_any_camera_renders_any_scene_with_its_white_image(tmp_path, run, complaint):
+    camera = PlenopticCamera(detector_width=0.256, resolution=(128, 96), focus_distance=245.0)
+    (tmp_path / "camera.json").write_text(camera.to_json())
+    scene = tmp_path / "scene.xml"
+    place = '<lookat origin="20, 0, 0" target="20, 0, 1" up="0, 1, 0"/>'
+    wall = '<scale value="30"/><lookat origin="20, 0, 245" target="20, 0, 0" up="0, 1, 0"/>'
+    scene.write_text(f"""<scene version="3.0.0"><integrator type="path"/>
+        <sensor type="perspective"><transform name="to_world">{place}</transform></sensor>
+        <shape type="rectangle"><transform name="to_world">{wall}</transform>
+        <bsdf type="diffuse"/></shape>
+        <emitter type="point"><point name="position" x="20" y="0" z="0"/></emitter></scene>""")
+    raw, white = tmp_path / "raw.exr", tmp_path / "white.exr"
+    told = run("render", scene, "-o", raw, "--camera", tmp_path / "camera.json", "--white", white, "--spp", "16")
+    assert f"{white}: white image" in told
+    capture, even = read_capture(raw), read_capture(white)
+    assert capture.camera == even.camera == camera
+    # The wall is lit evenly and fills the view.
+    ratio = capture.image[even.image > 0.9] / capture.image.max()
+    assert ratio.mean() == pytest.approx(1, abs=0.02)
+    assert not capture.image[even.image == 0].any()
+    assert "512 x 512" not in run("info", tmp_path / "camera.json")
+    (tmp_path / "bad.json").write_text('{"zoom": 2}')
+    assert "bad.json: zoom: it is not" in complaint("render", scene, "-o", raw, "--camera", tmp_path / "bad.json")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals differ")
@@ -95,6 +147,35 @@ def test_interrupt_leaves_nothing(tmp_path):
     assert process.returncode == 130
     assert "Traceback" not in error
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals differ")
+def test_interrupted_waves_write_a_checkpoint_and_say_how_to_go_on(tmp_path):
+    # The small detector shows little of the letters, with many radiators.
+    words = ["render", "letters", "-o", tmp_path / "raw.exr", "--model", "wave", "--spp", "1", "--resume"]
+    words += ["--checkpoint", tmp_path / "kept", "--radiators-per-lens", "32"]
+    words += definitions(letters(8))
+    process = start_command(*words)
+    # Batches have begun once there is a checkpoint, which this command writes after each.
+    while process.poll() is None and not (tmp_path / "kept").exists():
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 130, error
+    stopping, stopped = error.splitlines()[-2:]
+    assert "stopping after the batch under way" in stopping
+    assert re.fullmatch(r"mitsuba-plenoptic: stopped at \d+ %: --resume goes on", stopped)
+    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
+
+
+def test_the_package_runs_as_the_command_does():
+    command = [sys.executable, "-m", "mitsuba_plenoptic"]
+    assert subprocess.run([*command, "--version"], capture_output=True, text=True, check=True).stdout.startswith(
+        "mitsuba-plenoptic"
+    )
+    asked = {"_MITSUBA_PLENOPTIC_COMPLETE": "complete_bash", "COMP_WORDS": "mitsuba-plenoptic re", "COMP_CWORD": "1"}
+    found = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ | asked).stdout
+    assert found.split() == ["render", "reconstruct", "reproduce"]
 
 
 def test_one_distance_goes_into_the_named_file(raw, tmp_path, run):

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, read_capture, write_capture
+from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.lightfield import decode, depth_map, epipolar_image, focal_stack, refocus, white_image
 
 CAMERA = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
@@ -93,6 +94,14 @@ def test_depth(raw, lf, tmp_path, run):
     assert (header["near"], header["far"], header["planes"]) == (200, 300, 8)
     assert "confidence above half" in run("depth", raw, "-o", tmp_path / "a.png", *options)
     assert Image.open(tmp_path / "a.png").size == (3 * 4 * 8, 4 * 8)
+
+
+def test_depth_warns_when_it_knows_little(tmp_path, capfd):
+    write_capture(tmp_path / "even.exr", Capture(white_image(CAMERA), CAMERA))
+    assert main(["depth", str(tmp_path / "even.exr"), "-o", str(tmp_path / "a.png"), "--planes", "8"]) == 0
+    output, error = capfd.readouterr()
+    assert "0 % of the bins" in output
+    assert error.startswith("mitsuba-plenoptic: warning: depth: hardly any bin tells it")
 
 
 def test_expose(raw, tmp_path, run):

@@ -31,6 +31,14 @@ def test_a_capture_survives_the_disk(tmp_path, camera, channels):
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_capture_is_described_in_one_line(camera):
+    grey = np.full((32, 40), 0.25)
+    assert repr(Capture(grey, camera)) == "Capture(40 x 32 pixels by rays, mean 0.25)"
+    colours = grey[..., None].repeat(3, axis=2)
+    waves = Capture(colours, camera, (600, 550, 450), "wave", noise=0.1 * colours)
+    assert repr(waves) == "Capture(40 x 32 x 3 pixels by waves, (600.0, 550.0, 450.0) nm, mean 0.25, noise 10.00%)"
+
+
 def test_any_viewer_sees_the_window_and_the_pixels(tmp_path, camera):
     write_capture(tmp_path / "raw.exr", Capture(np.ones((32, 40)), camera))
     with OpenEXR.File(str(tmp_path / "raw.exr")) as file:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from dataclasses import asdict
 
+import h5py
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -241,6 +243,28 @@ class TestFiles:
         assert open_light_field(tmp_path / "raw.exr", white=tmp_path / "white.exr").values.max() == pytest.approx(
             2, rel=1e-4
         )
+
+    @pytest.mark.parametrize("name", ["a.nc", "a.zarr"])
+    def test_labelled_formats_keep_all(self, lf, name, tmp_path):
+        if name == "a.zarr":
+            pytest.importorskip("zarr")
+        save_light_field(tmp_path / name, lf)
+        assert open_light_field(tmp_path / name).identical(lf)
+
+    def test_labelled_files_that_are_none_are_refused(self, lf, tmp_path, monkeypatch):
+        save_light_field(tmp_path / "a.nc", lf)
+        (tmp_path / "cut.nc").write_bytes((tmp_path / "a.nc").read_bytes()[:3000])
+        lf.isel(u=0).to_netcdf(tmp_path / "view.nc", engine="scipy")
+        with h5py.File(tmp_path / "hdf5.nc", "w") as file:
+            file["x"] = 1.0
+        refusals = {"cut.nc": "cannot be read", "view.nc": "dimensions", "hdf5.nc": "not NetCDF 3", "b.zarr": "no such"}
+        for name, words in refusals.items():
+            with pytest.raises(InputError, match=f"{name}: .*{words}"):
+                open_light_field(tmp_path / name)
+        monkeypatch.setitem(sys.modules, "zarr", None)
+        with pytest.raises(InputError, match="pip install zarr"):
+            save_light_field(tmp_path / "a.zarr", lf)
+        assert not (tmp_path / "a.zarr").exists()
 
     @pytest.mark.parametrize("name", ["a.mat", "a.eslf.png", "a.png"])
     def test_suffixes(self, lf, name, tmp_path):

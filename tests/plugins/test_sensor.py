@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from any_scenes import scene_of
+from scene_cases import disk
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, design, render_capture
 from mitsuba_plenoptic.lightfield import white_image
@@ -21,9 +21,7 @@ VARIANTS = [
 
 
 def white_scene(sensor, **extra):
-    return mi.load_dict(
-        {"type": "scene", "integrator": {"type": "path"}, "camera": sensor, "sky": {"type": "constant"}, **extra}
-    )
+    return scene_of(sensor, sky={"type": "constant"}, **extra)
 
 
 def picture_wall(texture, distance, half_width):
@@ -88,13 +86,7 @@ def test_mean_of_a_white_capture_is_the_closed_form(camera_dict, aperture_radius
 
 def test_a_point_lights_the_lenses_that_its_blur_covers(camera_dict):
     """A small source's image on the MLA is a disc of the thin lens's blur diameter about its conjugate."""
-    patch = {
-        "type": "disk",
-        "to_world": mi.ScalarTransform4f().translate([0.2, -0.15, 210]).rotate([0, 1, 0], 180).scale(0.02),
-        "emitter": {"type": "area", "radiance": 1.0},
-    }
-    scene = mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "camera": camera_dict(), "source": patch})
-    capture = render_capture(scene, spp=64)
+    capture = render_capture(scene_of(camera_dict(), source=disk([0.2, -0.15, 210], 0.02)), spp=64)
     camera = capture.camera
     _, centre = pupil_of_pixels(camera)
     lit = capture.image > 0
@@ -132,8 +124,7 @@ def test_moving_camera_and_scene_together_changes_nothing(camera_dict):
         wall = picture_wall(smooth_texture(), 250.0, 1.5)
         wall["to_world"] = transform @ wall["to_world"]
         sensor = camera_dict(to_world=transform)
-        scene = {"type": "scene", "integrator": {"type": "direct"}, "camera": sensor, "wall": wall}
-        return render_capture(mi.load_dict(scene), spp=16).image
+        return render_capture(scene_of(sensor, "direct", wall=wall), spp=16).image
 
     np.testing.assert_allclose(render(motion), render(mi.ScalarTransform4f()), atol=5e-3)
 
@@ -153,9 +144,7 @@ def test_an_rgb_variant_records_three_channels(camera_dict):
     mi.set_variant("llvm_ad_rgb")
     sensor = camera_dict(resolution=64, detector_width=0.128, film={"pixel_format": "rgb"})
     sky = {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 0.5, 0.25]}}
-    capture = render_capture(
-        mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "camera": sensor, "sky": sky}), spp=16
-    )
+    capture = render_capture(scene_of(sensor, sky=sky), spp=16)
     assert capture.image.shape == (64, 64, 3)
     np.testing.assert_allclose(capture.image.reshape(-1, 3).max(axis=0), [1, 0.5, 0.25], rtol=1e-3)
 
@@ -250,12 +239,11 @@ def test_a_scaled_transform_and_light_tracing_are_refused(camera_dict):
         mi.load_dict({"type": "ptracer"}).render(scene, scene.sensors()[0], spp=1)
 
 
-def test_a_smearing_filter_is_warned_of(camera_dict):
-    with pytest.warns(UserWarning, match="smears the micro-images"):
+def test_a_smearing_filter_and_a_missing_film_are_refused_with_the_line_to_add(camera_dict):
+    with pytest.raises(RuntimeError, match=r'GaussianFilter smears .*; add the line <rfilter type="box"/>'):
         mi.load_dict(camera_dict(film={"rfilter": {"type": "gaussian"}}))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        mi.load_dict(camera_dict())
+    with pytest.raises(RuntimeError, match='it has no film; add the line <film type="hdrfilm"> <rfilter type="box"/>'):
+        mi.load_dict({"type": "plenoptic"})
 
 
 @pytest.mark.parametrize(
@@ -274,14 +262,8 @@ def test_a_smearing_filter_is_warned_of(camera_dict):
     ],
 )
 def test_gradients_agree_with_finite_differences(camera_dict, parameter, integrator, numbers):
-    scene = mi.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": integrator},
-            "camera": camera_dict(resolution=64, detector_width=0.128, **numbers),
-            "wall": picture_wall(smooth_texture(128), 210.0, 1.2),
-        }
-    )
+    sensor = camera_dict(resolution=64, detector_width=0.128, **numbers)
+    scene = scene_of(sensor, integrator, wall=picture_wall(smooth_texture(128), 210.0, 1.2))
     parameters = mi.traverse(scene)
     key = f"camera.{parameter}"
     Number, start = type(parameters[key]), np.array(parameters[key], dtype=np.float64).ravel()

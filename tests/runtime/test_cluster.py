@@ -213,5 +213,5 @@ def test_rays_need_no_workers(cluster):
 
 def test_without_dask_the_error_tells_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(InputError, match=r"pip install 'mitsuba-plenoptic\[distributed\]'"), Cluster(workers=2):
+    with pytest.raises(InputError, match="pip install distributed"), Cluster(workers=2):
         pass

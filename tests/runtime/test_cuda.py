@@ -145,7 +145,7 @@ def test_the_benchmark_of_the_device_runs_or_says_that_there_is_none(tmp_path):
 def test_without_cupy_waves_on_cuda_are_refused_with_the_remedy(monkeypatch):
     monkeypatch.setitem(sys.modules, "cupy", None)
     _backend._cuda.cache_clear()
-    with pytest.raises(InputError, match=r"waves on CUDA need CuPy.*pip install \"mitsuba-plenoptic\[cuda\]\""):
+    with pytest.raises(InputError, match=r"waves on CUDA need CuPy.*pip install cupy-cuda12x"):
         _backend._cuda()
 
 

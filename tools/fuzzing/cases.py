@@ -96,7 +96,7 @@ KINDS = tuple(
         ! render(('<sampler', '<sensor type="plenoptic"/><sampler'))
         ! render(('type="path"', 'type="ptracer"'))
         ! render(('type="path"/>', 'type="aov"><string name="aovs" value="d:depth"/></integrator>'))
-        ! render(('type="path"', 'type="plenoptic_wave"'), ('"box"', '"gaussian"'))
+        ! render(('"box"', '"gaussian"'))
         ! render(('<emitter', '<ref id="nowhere"/><emitter'))
         ! render(('<default name="resolution" value="16"/>', ''))
         ! render(('type="constant"/>', 'type="constant"><spectrum name="radiance" value="<<nan | inf>>"/></emitter>'))

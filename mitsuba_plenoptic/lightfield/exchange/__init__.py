@@ -1,6 +1,7 @@
-"""Light fields and captures of other programs: LFToolbox files, mosaics of views or lenses, plain raw pictures."""
+"""Light fields in files: NetCDF and Zarr, and those of other programs, LFToolbox, mosaics and plain raw pictures."""
 
-from .files import open_light_field, save_light_field
+from .files import open_light_field, require_light_field_path, save_light_field
+from .labelled import read_labelled, write_labelled
 from .lftoolbox import read_lftoolbox, write_lftoolbox
 from .mosaic import LAYOUTS, read_mosaic, write_mosaic
 from .pictures import read_picture
@@ -8,10 +9,13 @@ from .pictures import read_picture
 __all__ = [
     "LAYOUTS",
     "open_light_field",
+    "read_labelled",
     "read_lftoolbox",
     "read_mosaic",
     "read_picture",
+    "require_light_field_path",
     "save_light_field",
+    "write_labelled",
     "write_lftoolbox",
     "write_mosaic",
 ]

@@ -9,7 +9,9 @@ import xarray as xr
 
 from ...errors import InputError
 from ...io.captures import read_capture
+from ...io.files import require_writable
 from .. import decode, estimate_lens_grid
+from .labelled import read_labelled, write_labelled
 from .lftoolbox import read_lftoolbox, write_lftoolbox
 from .mosaic import read_mosaic, write_mosaic
 from .pictures import read_picture
@@ -26,7 +28,8 @@ def open_light_field(
     Parameters
     ----------
     path : path
-        ``.exr``: a capture of this package; ``.mat``: a light field of LFToolbox; ``.eslf.png`` with `views`: samples
+        ``.exr``: a capture of this package; ``.nc``, ``.zarr``: a light field with its axes, weights and camera, as
+        `save_light_field` writes it; ``.mat``: a light field of LFToolbox; ``.eslf.png`` with `views`: samples
         of each lens together; ``.png`` with `views`: a mosaic of views; ``.png`` with `white`: a raw picture of some
         plenoptic camera.
     white : path, optional
@@ -53,6 +56,9 @@ def open_light_field(
     if name.endswith(".mat"):
         _refuse(path, white=white, views=views)
         return read_lftoolbox(path)
+    if name.endswith((".nc", ".zarr")):
+        _refuse(path, white=white, views=views)
+        return read_labelled(path)
     if name.endswith(".png"):
         if views is not None:
             layout = "lenses" if name.endswith(_LENSES) else "views"
@@ -61,16 +67,17 @@ def open_light_field(
             raise InputError(f"{path}: give the white image of a raw picture, or the number of views of a mosaic")
         reference = _white(white, linear)
         return decode(read_picture(path, linear=linear), white=reference, grid=estimate_lens_grid(reference))
-    raise InputError(f"{path}: a capture or light field has a name that ends in .exr, .mat or .png")
+    raise InputError(f"{path}: a capture or light field has a name that ends in .exr, .nc, .zarr, .mat or .png")
 
 
 def save_light_field(path: str | Path, lf: xr.DataArray) -> None:
-    """Write a light field for another program.
+    """Write a light field to keep, or for another program.
 
     Parameters
     ----------
     path : path
-        ``.mat``: LFToolbox; ``.eslf.png``: samples of each lens together; ``.png``: a mosaic of views.
+        ``.nc`` or ``.zarr``: NetCDF or Zarr, with axes, weights and camera; ``.mat``: LFToolbox; ``.eslf.png``:
+        samples of each lens together; ``.png``: a mosaic of views.
     lf : xarray.DataArray
         The light field.
 
@@ -79,13 +86,26 @@ def save_light_field(path: str | Path, lf: xr.DataArray) -> None:
     InputError
         If the name's suffix is unknown or the file cannot be written.
     """
-    name = Path(path).name.lower()
-    if name.endswith(".mat"):
+    name = require_light_field_path(path).name.lower()
+    if name.endswith((".nc", ".zarr")):
+        write_labelled(path, lf)
+    elif name.endswith(".mat"):
         write_lftoolbox(path, lf)
-    elif name.endswith(".png"):
-        write_mosaic(path, lf, layout="lenses" if name.endswith(_LENSES) else "views")
     else:
-        raise InputError(f"{path}: give a name that ends in .mat, .eslf.png or .png")
+        write_mosaic(path, lf, layout="lenses" if name.endswith(_LENSES) else "views")
+
+
+def require_light_field_path(path: str | Path) -> Path:
+    """Check, before a long computation, that a light field can be written there, in a format that the name tells.
+
+    Raises
+    ------
+    InputError
+        If the name's suffix is unknown or the file cannot be written.
+    """
+    if not Path(path).name.lower().endswith((".nc", ".zarr", ".mat", ".png")):
+        raise InputError(f"{path}: give a name that ends in .nc, .zarr, .mat, .eslf.png or .png")
+    return require_writable(path)
 
 
 def _white(path: str | Path, linear: bool) -> np.ndarray:

@@ -1,0 +1,61 @@
+"""Any scene before a plenoptic camera."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ..camera import PlenopticCamera
+from ..capture.scene import mitsuba_sentence
+from ..errors import InputError
+from ..runtime.backend import one_at_a_time
+
+
+@one_at_a_time
+def with_camera(scene: Any, camera: PlenopticCamera) -> Any:
+    """Return a scene of the same objects, seen by a plenoptic camera in the place of the first sensor.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        A scene with any sensor, or with none: then the camera is at the origin and looks along +z.
+    camera : PlenopticCamera
+        The camera. Its lengths are in the scene's units. Its film has the three channels of an rgb variant, and
+        luminance in others.
+
+    Returns
+    -------
+    mitsuba.Scene
+        It shares its objects with the other one.
+
+    Raises
+    ------
+    InputError
+        If the first sensor's transform scales, or the camera is not one that Mitsuba can render.
+    """
+    # Emitters of surfaces come with their shapes.
+    lamps = [lamp for lamp in scene.emitters() if not mi.has_flag(lamp.flags(), mi.EmitterFlags.Surface)]
+    objects: dict[str, Any] = {}
+    for number, item in enumerate((*scene.shapes(), *lamps)):
+        # What has no name of its own in the file has none here, or one that Mitsuba made and does not take again.
+        named = re.fullmatch(r"[A-Za-z]\w*", item.id()) and item.id() not in objects
+        objects[item.id() if named else f"object_{number}"] = item
+    sensor = camera.to_sensor()
+    if mi.is_rgb:
+        sensor["film"]["pixel_format"] = "rgb"
+    for old in scene.sensors()[:1]:
+        sensor["to_world"] = mi.ScalarTransform4f(np.array(old.world_transform().matrix, np.float64).reshape(4, 4))
+        sensor["sampler"] = {"type": "independent", "sample_count": old.sampler().sample_count()}
+        if old.get_medium() is not None:
+            sensor["medium"] = old.get_medium()
+    if scene.integrator() is not None:
+        objects["integrator"] = scene.integrator()
+    try:
+        made = mi.load_dict({"type": "scene", **objects, "camera": sensor}, optimize=False)
+    except RuntimeError as error:
+        raise InputError(mitsuba_sentence(error)) from None
+    made.set_id(scene.id())
+    return made
