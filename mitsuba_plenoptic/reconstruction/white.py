@@ -1,4 +1,4 @@
-"""What a white scene gives by waves, by which images are divided: 1 then is the radiance of white."""
+"""How much of a white micro-image's light comes back through the main lens by waves."""
 
 from __future__ import annotations
 
@@ -6,66 +6,20 @@ import functools
 import math
 
 import numpy as np
-import scipy
 
 from ..bounds import MOST_PIXELS
 from ..camera import PlenopticCamera
-from ..design import focus_type
 from ..errors import InputError
 from ..optics import rays
 from ..optics.phase import soft_edge
 from ..optics.pupil import PupilFraction
 from ..optics.sampling import check_memory
 from ..runtime.backend import backend
-from .lens_by_lens import object_patches, on_bins, pupil_fields
-from .lens_sets import AlignedLenses, LensSet, lens_set
-from .lens_tiles import Tile, tile_lenses
-from .radiance import at_least, pixels_per_bin, white_bins
-from .spread import lens_scale, over_lenses
+from .lens_by_lens import pupil_fields
+from .lens_sets import LensSet, lens_set
+from .lens_tiles import Tile
 
 _THROUGHPUT_LENSES = 25
-
-_RAY_BINS = 36
-"""Fine bins across a lens in which the rays of a white scene are counted."""
-
-
-def white_light(
-    camera: PlenopticCamera, wavelength: float, distance: float, oversample: int, *, fine: int, relay: bool
-) -> np.ndarray | float:
-    """Return the power that comes to each bin from a white scene, in pixel values times pixels.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
-    distance : float
-        Object distance.
-    oversample : int
-        Bins per lens along each axis.
-    fine : int
-        Fine bins across a bin, in which power is summed before it is spread over lenses.
-    relay : bool
-        Whether the microlenses act in the MLA plane.
-
-    Returns
-    -------
-    (rows, columns) float64 array, or float if it is the same for all bins
-    """
-    unfocused = focus_type(camera) == "unfocused"
-    if camera.lenses_are_bins and not unfocused:
-        return at_least(
-            white_power(camera, wavelength, distance, relay=relay, oversample=oversample), camera, oversample
-        )
-    throughput = white_throughput(camera, wavelength, relay=relay)
-    if camera.lenses_like_bins and unfocused:
-        return pixels_per_bin(camera, oversample) * throughput
-    # Rays go to points, where waves go to spots: the grid on which they are counted must not show.
-    fine *= -(-_RAY_BINS // (oversample * fine))
-    white = white_bins(camera, distance, oversample * fine)
-    white = over_lenses(white, camera, oversample, fine, lens_scale(camera, distance))
-    return at_least(white, camera, oversample) * throughput
 
 
 @functools.lru_cache(maxsize=16)
@@ -122,33 +76,6 @@ def _mean_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) ->
         sent += float(image[np.hypot(Px, Py) <= camera.lit_radius].sum()) * camera.pixel_size**2
         back += _power(image, lenses, (i, j), relay)
     return back, sent
-
-
-def white_power(
-    camera: PlenopticCamera, wavelength: float, distance: float, *, relay: bool = True, oversample: int = 1
-) -> np.ndarray:
-    """Return the power in each bin from a white scene, for an aligned lattice and if no two lenses interfere.
-
-    For a focused camera the bins of a lens overlap with those of a few others. Light from the rim of its micro-image,
-    which came from within the pupil through a part of the lens, returns as if through the lens's centre and misses the
-    pupil. So some bins get more light than others. All lenses are taken for the one beside the axis.
-    """
-    part = _around_axis(camera, 2)
-    count = tile_lenses(camera, [distance])
-    tile = Tile(part, wavelength, count, oversample)
-    lenses = lens_set(tile)
-    centre = rays.chief_detector_point(camera.mla_pitch / 2, camera.mla_distance, camera.detector_distance)
-    to_pupil = camera.mla_distance / camera.detector_distance
-    Px, Py = ((centre - part.pixel_coordinates(axis)) * to_pupil for axis in (0, 1))
-    image = PupilFraction(camera)(Px, Py[:, None])
-    batch = lenses.batch(np.array([lenses.find(0, 0)]))
-    libraries = backend()
-    fields = pupil_fields(libraries.arrays.asarray(np.sqrt(image)), tile, batch, relay=relay)
-    patch = libraries.to_host(object_patches(fields, tile, batch, distance)[0]).astype(np.float64)
-    everywhere = AlignedLenses(Tile(camera, wavelength, count, oversample))
-    comb = np.zeros([(count - 1) * oversample + 1 for count in everywhere.bins[::-1]])
-    comb[::oversample, ::oversample] = 1
-    return on_bins(libraries.arrays.asarray(scipy.signal.oaconvolve(comb, patch)), everywhere)
 
 
 def _around_axis(camera: PlenopticCamera, lenses: int) -> PlenopticCamera:
