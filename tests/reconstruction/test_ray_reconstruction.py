@@ -79,7 +79,7 @@ def test_energy_of_what_passes_the_pupil_is_kept():
     image[200:312, 200:312] = np.random.default_rng(3).random((112, 112))
     sums = [
         ray_sums(image[..., None], camera, g, camera.lit_radius, f, 1).sum()
-        for g in (215.0, 240.0, math.inf)
+        for g in (215.0, 240.0)
         for f in ("lens", "point")
     ]
     np.testing.assert_allclose(sums, sums[0], rtol=1e-4)

@@ -96,7 +96,9 @@ def test_a_lit_pixel_goes_where_geometry_says(options, column, row):
 @pytest.mark.parametrize("lens", [(0, 0), (-7, 5), (8, -9)])
 def test_a_lit_lens_goes_where_geometry_says(options, lens):
     for result in refocus(micro_image(SMALL, *lens), DISTANCES, **options):
-        np.testing.assert_allclose(centroid(result.image), [k + 0.5 for k in lens], atol=0.1)
+        # Images are divided by white, which is less near the border.
+        light = result.image * white_sums(SMALL, result.distance, SMALL.lit_radius, "lens", 1)
+        np.testing.assert_allclose(centroid(light), [k + 0.5 for k in lens], atol=0.1)
 
 
 @wave_methods

@@ -14,7 +14,7 @@ FAIR = {"coherent": (0.08, 0.05), "partial": (0.015, 0.01), "seconds": (9.0, 1.0
 
 
 def verdicts(coherent, partial, seconds, mesh):
-    """Verdicts by the beginning of the statement; `mesh` is how far the coherent and the partial image are from rays."""
+    """Verdicts by statement; `mesh` is how far the coherent and the partial image are from that by rays."""
     camera = PlenopticCamera(detector_width=2.048, resolution=(1024, 1024))
     ray = np.add.outer(np.arange(32.0), np.arange(32.0)) / 62
     noise = np.random.default_rng(0).normal(0, 1, ray.shape)
