@@ -234,9 +234,11 @@ def test_a_crop_lands_on_the_full_grid_of_bins(options):
         refocus(pixels, 220.0, camera, **options).image * white_sums(camera, 220.0, camera.lit_radius, "lens", 1)
         for pixels, camera in ((image, SMALL), (image[290:540, 200:440], crop))
     )
-    # What is not reached is dark here, and dividing by white left the same light.
-    assert np.isnan(part).any()
-    np.testing.assert_allclose(np.nan_to_num(part), whole, atol=2e-3 * whole.max())
+    # Dividing by white left the same light; where rays do not reach there is some that was diffracted.
+    reached = ~np.isnan(part)
+    assert 0.1 < reached.mean() < 0.9
+    np.testing.assert_allclose(part[reached], whole[reached], atol=1e-4 * whole.max())
+    assert whole[~reached].sum() < 0.05 * whole.sum()
 
 
 @wave_methods
@@ -255,13 +257,13 @@ def test_pixels_below_zero_leave_no_light_on_average(options):
 @wave_methods
 @pytest.mark.parametrize("distance", [1000.0, math.inf])
 def test_far_planes(options, distance):
-    """A point there, captured by waves, comes back; a lens's light lands where the tangent of its direction says."""
+    """A point there, captured by waves, comes back; pixels see three bins of so far a plane."""
     far = min(distance, 1e7)
     X, Y = -4.5 * SMALL.mla_pitch / 120 * far, 6.5 * SMALL.mla_pitch / 120 * far
     spread = point_spread_function(SMALL, (X, Y, far), wavelength=WAVELENGTH)
     result = refocus(spread, distance, **options)
     row, column = np.unravel_index(np.argmax(result.image), result.image.shape)
-    assert (column - 16, row - 16) == (4, -7)
+    assert abs(column - 16 - 4) <= 2 and abs(row - 16 + 7) <= 2
 
 
 def test_strips_of_the_detector_add_up_to_the_whole(monkeypatch):
