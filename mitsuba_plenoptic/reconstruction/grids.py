@@ -361,8 +361,8 @@ def _main_lens_steps(
     start = -(wanted - 1) / 2 * new_pitch
     ways = [AxisStep(step.start, pitch, step.wanted, padded, kept, start, wanted) for step in detector]
 
-    # The intensity, which has twice the bandwidth of the field, is interpolated linearly: to 0.2 % of a bin.
-    length = fast_length(max(GUARD * 6 * radius / new_pitch, wanted))
+    # The intensity, which has twice the bandwidth of the field, is interpolated linearly: to 0.2 %.
+    length = fast_length(max(GUARD * 7 * radius / new_pitch, wanted))
     cosine = wave / (length * new_pitch)
     directions = []
     for _, seen in extents:
