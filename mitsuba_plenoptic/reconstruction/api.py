@@ -72,7 +72,7 @@ def reconstruct(
     """Refocus a capture to one or several object distances.
 
     Images are in units of radiance, whatever the method: bins are divided by what they get of white, at the borders
-    too. Bins that less than a hundredth of the rays of an average bin reach are NaN.
+    too. Bins that get less than a hundredth of the rays that the best one gets are NaN.
 
     Parameters
     ----------

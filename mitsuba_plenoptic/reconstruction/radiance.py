@@ -1,31 +1,23 @@
-r"""From sums over bins to radiance, by one rule for all methods and lattices.
+"""From sums over bins to radiance, by one rule for all methods and lattices.
 
 A bin is divided by what it gets of white in the same way: of a white capture of the same camera where there is one,
 else of the white that the camera would record. So a white scene reads 1 everywhere, at the borders too, where part of
-the light misses the detector. A bin that gets less than a hundredth of the rays that a bin gets on average within the
-detector is not reached: there is nothing to be divided, and it is NaN, for every method alike.
+the light misses the detector. A bin that gets less than a hundredth of the rays that the best one gets is not reached:
+there is next to nothing to be divided, and it is NaN, for every method alike.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ..camera import PlenopticCamera
 from .methods import Progress, Task
 
 _LEAST_REACHED = 0.01
 
 Sums = Callable[[np.ndarray, Progress], list[np.ndarray]]
 """From a capture (rows, columns, channels) to the sums (rows, columns, channels) over the bins of every distance."""
-
-
-def pixels_per_bin(camera: PlenopticCamera, oversample: int) -> float:
-    r"""Pixels of micro-images that go to one bin: :math:`(\pi/4) (D_1 z / b)^2` over the pixel's area for each lens."""
-    lenses = camera.mla_pitch**2 / camera.lattice.cell_area
-    return lenses * math.pi / 4 * (camera.micro_image_diameter / camera.pixel_size / oversample) ** 2
 
 
 def to_radiance(
@@ -55,11 +47,10 @@ def to_radiance(
     else:
         light = sums(task.image, lambda done: task.progress(done / 2))
         whites = sums(task.white, lambda done: task.progress((1 + done) / 2))
-    least = _LEAST_REACHED * pixels_per_bin(task.camera, task.oversample)
     images = []
     for total, white, rays in zip(light, whites, reach, strict=True):
         white = np.atleast_3d(white)
-        reached = (rays[..., None] >= least) & (white > 0)
+        reached = (rays[..., None] >= _LEAST_REACHED * rays.max()) & (white > 0)
         image = np.full(total.shape, np.nan, np.float32)
         np.divide(total, white, out=image, where=np.broadcast_to(reached, total.shape), casting="same_kind")
         images.append(image)
