@@ -60,13 +60,13 @@ def ray_sums(
 @functools.lru_cache(maxsize=32)
 def white_sums(camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int) -> np.ndarray:
     """Return `ray_sums` of what the camera records of a scene of uniform radiance 1; (rows, columns) float64 array."""
-    white = _white_image(camera)[..., None]
+    white = white_pixels(camera)[..., None]
     return ray_sums(white, camera, distance, radius, footprint, oversample)[..., 0].astype(np.float64)
 
 
 @functools.lru_cache(maxsize=1)
-def _white_image(camera: PlenopticCamera) -> np.ndarray:
-    """Keep the white image of the last camera, for the next distance."""
+def white_pixels(camera: PlenopticCamera) -> np.ndarray:
+    """Return the camera's white image; the last one is kept, for the next distance."""
     return white_image(camera)
 
 

@@ -13,7 +13,7 @@ from .methods import Progress, Task
 from .radiance import to_radiance
 from .ray_sums import white_sums
 from .spread import lens_scale, over_lenses
-from .white import white_throughput
+from .white import white_light
 
 
 class Power(Protocol):
@@ -74,7 +74,6 @@ def refocus_by_waves(task: Task, power: Power, *, relay: bool) -> list[np.ndarra
         Radiance.
     """
     camera = task.camera
-    # A smooth wave goes back through a lens's centre alone, and so passes the pupil where the central ray does.
     rays = [white_sums(camera, g, camera.lit_radius, "lens", task.oversample) for g in task.distances]
 
     def sums(image: np.ndarray, progress: Progress) -> list[np.ndarray]:
@@ -88,8 +87,16 @@ def refocus_by_waves(task: Task, power: Power, *, relay: bool) -> list[np.ndarra
         return [np.stack(planes, axis=-1) for planes in zip(*channels, strict=True)]
 
     def model() -> list[np.ndarray]:
-        throughputs = [white_throughput(camera, wavelength, relay=relay) for wavelength in task.wavelengths]
-        return [white[..., None] * throughputs for white in rays]
+        return [
+            np.stack(
+                [
+                    white_light(camera, w, g, task.oversample, fine=_fine(camera, w, task.oversample), relay=relay)
+                    for w in task.wavelengths
+                ],
+                axis=-1,
+            )
+            for g in task.distances
+        ]
 
     return to_radiance(task, sums, model=model, reach=rays)
 
@@ -120,7 +127,7 @@ def _of_amplitudes(
 ) -> list[np.ndarray]:
     """Return the power in bins of pixels that are not negative."""
     camera, oversample = task.camera, task.oversample
-    fine = 1 if camera.lenses_are_bins else Tile(camera, wavelength, 1, oversample).samples // oversample
+    fine = _fine(camera, wavelength, oversample)
     totals = power(
         image,
         camera,
@@ -137,3 +144,8 @@ def _of_amplitudes(
         over_lenses(total, camera, oversample, fine, lens_scale(camera, distance))
         for total, distance in zip(totals, task.distances, strict=True)
     ]
+
+
+def _fine(camera: PlenopticCamera, wavelength: float, oversample: int) -> int:
+    """Return how many fine bins across a bin power is summed in, before it is spread over lenses."""
+    return 1 if camera.lenses_are_bins else Tile(camera, wavelength, 1, oversample).samples // oversample

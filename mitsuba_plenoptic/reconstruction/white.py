@@ -1,4 +1,4 @@
-"""How much of a white micro-image's light comes back through the main lens by waves."""
+"""What a white scene gives by waves, by which images are divided: 1 then is the radiance of white."""
 
 from __future__ import annotations
 
@@ -6,20 +6,74 @@ import functools
 import math
 
 import numpy as np
+import scipy
 
 from ..bounds import MOST_PIXELS
 from ..camera import PlenopticCamera
+from ..design import focus_type
 from ..errors import InputError
 from ..optics import rays
 from ..optics.phase import soft_edge
 from ..optics.pupil import PupilFraction
 from ..optics.sampling import check_memory
 from ..runtime.backend import backend
-from .lens_by_lens import pupil_fields
-from .lens_sets import LensSet, lens_set
-from .lens_tiles import Tile
+from .lens_by_lens import object_patches, on_bins, pupil_fields
+from .lens_sets import AlignedLenses, LensSet, lens_set
+from .lens_tiles import Tile, tile_lenses
+from .ray_sums import ray_sums, white_pixels, white_sums
+from .spread import lens_scale, over_lenses
 
 _THROUGHPUT_LENSES = 25
+
+_RAY_BINS = 36
+"""Fine bins across a lens in which the rays of a white scene are counted, where they are not too many."""
+
+_MOST_RAY_BINS = 2**26
+
+
+def white_light(
+    camera: PlenopticCamera, wavelength: float, distance: float, oversample: int, *, fine: int, relay: bool
+) -> np.ndarray:
+    """Return the power that comes to each bin from a white scene, in pixel values times pixels.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    distance : float
+        Object distance.
+    oversample : int
+        Bins per lens along each axis.
+    fine : int
+        Fine bins across a bin, in which power is summed before it is spread over lenses.
+    relay : bool
+        Whether the microlenses act in the MLA plane.
+
+    Returns
+    -------
+    (rows, columns) float64 array
+    """
+    if camera.lenses_are_bins and focus_type(camera) != "unfocused":
+        return white_power(camera, wavelength, distance, relay=relay, oversample=oversample)
+    return _white_rays(camera, distance, oversample, fine) * white_throughput(camera, wavelength, relay=relay)
+
+
+@functools.lru_cache(maxsize=32)
+def _white_rays(camera: PlenopticCamera, distance: float, oversample: int, fine: int) -> np.ndarray:
+    """Return the pixels of white whose rays come to each bin, spread over lenses as the light of waves is.
+
+    A ray must pass the pupil, by half a pixel: a smooth wave goes back through the lens's centre alone.
+    """
+    if camera.lenses_like_bins or focus_type(camera) != "unfocused":
+        return white_sums(camera, distance, camera.lit_radius, "lens", oversample)
+    # Rays go to points, where waves go to spots: the grid on which they are counted must not show.
+    bins = math.prod(camera.bin_count) * (oversample * fine) ** 2
+    fine *= max(1, min(-(-_RAY_BINS // (oversample * fine)), math.isqrt(_MOST_RAY_BINS // bins)))
+    white = white_pixels(camera)[..., None]
+    counted = ray_sums(white, camera, distance, camera.lit_radius, "point", oversample * fine)[..., 0]
+    return over_lenses(counted, camera, oversample, fine, lens_scale(camera, distance))
 
 
 @functools.lru_cache(maxsize=16)
@@ -76,6 +130,33 @@ def _mean_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) ->
         sent += float(image[np.hypot(Px, Py) <= camera.lit_radius].sum()) * camera.pixel_size**2
         back += _power(image, lenses, (i, j), relay)
     return back, sent
+
+
+def white_power(
+    camera: PlenopticCamera, wavelength: float, distance: float, *, relay: bool = True, oversample: int = 1
+) -> np.ndarray:
+    """Return the power in each bin from a white scene, for an aligned lattice and if no two lenses interfere.
+
+    For a focused camera the bins of a lens overlap with those of a few others. Light from the rim of its micro-image,
+    which came from within the pupil through a part of the lens, returns as if through the lens's centre and misses the
+    pupil. So some bins get more light than others. All lenses are taken for the one beside the axis.
+    """
+    part = _around_axis(camera, 2)
+    count = tile_lenses(camera, [distance])
+    tile = Tile(part, wavelength, count, oversample)
+    lenses = lens_set(tile)
+    centre = rays.chief_detector_point(camera.mla_pitch / 2, camera.mla_distance, camera.detector_distance)
+    to_pupil = camera.mla_distance / camera.detector_distance
+    Px, Py = ((centre - part.pixel_coordinates(axis)) * to_pupil for axis in (0, 1))
+    image = PupilFraction(camera)(Px, Py[:, None])
+    batch = lenses.batch(np.array([lenses.find(0, 0)]))
+    libraries = backend()
+    fields = pupil_fields(libraries.arrays.asarray(np.sqrt(image)), tile, batch, relay=relay)
+    patch = libraries.to_host(object_patches(fields, tile, batch, distance)[0]).astype(np.float64)
+    everywhere = AlignedLenses(Tile(camera, wavelength, count, oversample))
+    comb = np.zeros([(count - 1) * oversample + 1 for count in everywhere.bins[::-1]])
+    comb[::oversample, ::oversample] = 1
+    return on_bins(libraries.arrays.asarray(scipy.signal.oaconvolve(comb, patch)), everywhere)
 
 
 def _around_axis(camera: PlenopticCamera, lenses: int) -> PlenopticCamera:
