@@ -158,7 +158,7 @@ def test_single_lenses_are_full_fields_of_one_lens(camera):
         full = reconstruct_subsets(image, camera, distances, WAVELENGTH)
         single = reconstruct_lens_by_lens(image, camera, distances, WAVELENGTH)
         for a, b in zip(full, single, strict=True):
-            assert np.linalg.norm(a - b) <= 6e-3 * np.linalg.norm(a)
+            assert np.linalg.norm(a - b) <= 7e-3 * np.linalg.norm(a)
             assert b.sum() == pytest.approx(a.sum(), rel=4e-3)
 
 
@@ -223,7 +223,7 @@ def test_finer_bins_add_up_to_the_coarse_ones(options):
     assert fine.image.shape == (96, 96)
     assert fine.bin_size == pytest.approx(coarse.bin_size / 3)
     means = fine.image.reshape(32, 3, 32, 3).mean((1, 3))
-    np.testing.assert_allclose(means, coarse.image, atol=2e-3 * coarse.image.max())
+    np.testing.assert_allclose(means, coarse.image, atol=5e-3 * coarse.image.max())
 
 
 @wave_methods
