@@ -135,7 +135,7 @@ def test_a_ray_through_both_lenses_obeys_the_lens_equation():
     for distance, X, P in ((210.0, 1.0, -3.0), (280.0, -2.0, 4.0)):
         q = rays.mla_point(X, P, distance, b, f1)
         t = (P - q) / b
-        assert rays.object_point(P, rays.main_lens_slope(t, P, f1), distance) == pytest.approx(X)
+        assert rays.object_direction(P, rays.main_lens_slope(t, P, f1), distance) == pytest.approx(X / distance)
     # In focus every pupil point leads to the same place.
     assert rays.mla_point(1.0, 5.0, 240.0, b, f1) == pytest.approx(rays.conjugate_coordinate(1.0, 240.0, b))
 

@@ -54,10 +54,22 @@ def compare(
         radiators_per_lens=require_count("radiators_per_lens", radiators_per_lens, maximum=MOST_RADIATORS),
         spp=require_count("spp", spp, maximum=MOST_SAMPLES),
         paths=spp,
+        noise=spp > 1,
         variant=variant,
     )
     with stage_lines(resume) as stages:
         results = compute(settings, output, stages=stages)
     found = results["captures"]
     typer.echo(f"Rays against waves: {found['psnr']:.1f} dB, SSIM {found['ssim']:.3f}, energy {found['energy']:.3f}")
+    found = found["difference"]
+    if found["all"]["noise"] is None:
+        typer.echo("Noise: not known of one sample; use --spp 2 or more")
+    elif found["all"]["noise_alone"]:
+        typer.echo(f"They differ by {found['all']['measured']:.2%}, which noise alone explains; use more --spp")
+    else:
+        typer.echo(
+            f"They differ by {found['all']['measured']:.2%}: noise {found['all']['noise']:.2%}, diffraction "
+            f"{found['all']['true']:.2%} ({found['middle']['true']:.2%} in the middle of micro-images, "
+            f"{found['rim']['true']:.2%} at their rim)"
+        )
     typer.echo(f"{output / 'report.html'}: open it in a browser")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -58,13 +59,22 @@ def reconstruct(
         ),
     ] = True,
     oversample: Annotated[int, number("Bins per microlens along each axis; info tells what suits.")] = 1,
+    white: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="WHITE.exr",
+            show_default="computed from the camera",
+            help="A capture of a white scene by the same camera; the result is divided by it.",
+        ),
+    ] = None,
     variant: Variant = None,
 ) -> None:
     """Refocus a capture to one or several distances.
 
     A reconstruction has one bin per microlens, unless told otherwise, and the
-    orientation of an ordinary photograph. Pictures of one run share one scale,
-    so that their brightness compares.
+    orientation of an ordinary photograph. The distance may be inf. Pictures of one run share one scale,
+    so that their brightness compares. Bins that no light can reach, at the
+    borders of a crop, are NaN in OpenEXR and black in a picture.
 
     [bold]Examples:[/bold]
 
@@ -73,9 +83,12 @@ def reconstruct(
       mitsuba-plenoptic reconstruct raw.exr -o out.exr --distance 210 --distance 240
 
       mitsuba-plenoptic reconstruct raw.exr -o out.png --method partial --distance 280
+
+      mitsuba-plenoptic reconstruct raw.exr -o far.png --distance inf --white white.exr
     """
     paths = reconstruction_paths(output, distance)
     recorded = read_capture(capture)
+    reference = None if white is None else read_capture(white)
     set_variant(variant)
     with progress_bar("Refocusing") as progress:
         results = reconstruction.reconstruct(
@@ -87,9 +100,11 @@ def reconstruct(
             footprint=footprint,
             relay=relay,
             oversample=oversample,
+            white=reference,
             progress=progress,
         )
     write_reconstructions(paths, results, recorded.metadata)
     for path, result in zip(paths, results, strict=True):
         rows, columns = result.image.shape[:2]
-        typer.echo(f"{path}: {columns} x {rows} bins of {result.bin_size:.4g} mm at {result.distance:g} mm")
+        where = "rad at infinity" if math.isinf(result.distance) else f"mm at {result.distance:g} mm"
+        typer.echo(f"{path}: {columns} x {rows} bins of {result.bin_size:.4g} {where}")

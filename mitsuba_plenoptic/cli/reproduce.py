@@ -40,5 +40,5 @@ def reproduce(
     with stage_lines(resume) as stages:
         results = compute(output, preset=preset, stages=stages)
     for claim in results["claims"]:
-        typer.echo(f"{claim['verdict']:<10} {claim['statement']}")
+        typer.echo(f"{claim['verdict']:<15} {claim['statement']}")
     typer.echo(f"{output / 'report.html'}: open it in a browser")

@@ -48,9 +48,9 @@ def main_lens_slope(t: Any, P: Any, focal_length: Any) -> Any:
     return t - P / focal_length
 
 
-def object_point(P: Any, slope: Any, distance: Any) -> Any:
-    """Where a ray of this slope from the pupil point meets the object plane: P + g t'."""
-    return P + distance * slope
+def object_direction(P: Any, slope: Any, distance: Any) -> Any:
+    """Where a ray of this slope from the pupil point meets the object plane, over its distance: X/g = P/g + t'."""
+    return P / distance + slope
 
 
 def mla_point(X: Any, P: Any, distance: Any, mla_distance: Any, focal_length: Any) -> Any:
@@ -66,7 +66,7 @@ def conjugate_coordinate(X: Any, distance: Any, mla_distance: Any) -> Any:
 def follow_back(
     p: Any, m: Any, c: Any, distance: float, camera: PlenopticCamera, *, mla_focal_length: float | None = None
 ) -> tuple[Any, Any]:
-    """Follow the ray from a detector point through a point of a lens back to an object plane.
+    """Follow the ray from a detector point through a point of a lens back to an object plane, which may be at infinity.
 
     Returns
     -------
@@ -78,8 +78,7 @@ def follow_back(
     f2 = camera.mla_focal_length if mla_focal_length is None else mla_focal_length
     t = microlens_slope(p, m, c, camera.detector_distance, f2)
     P = pupil_point(m, t, camera.mla_distance)
-    X = object_point(P, main_lens_slope(t, P, camera.focal_length), distance)
-    return P, conjugate_coordinate(X, distance, camera.mla_distance)
+    return P, -camera.mla_distance * object_direction(P, main_lens_slope(t, P, camera.focal_length), distance)
 
 
 def slopes_to_cosines(tx: Any, ty: Any) -> tuple[Any, Any]:

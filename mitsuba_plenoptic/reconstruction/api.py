@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, overload
 
@@ -10,7 +11,7 @@ import numpy as np
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_count, require_number, shown
-from ..io.captures import Capture, as_array
+from ..io.captures import Capture, as_array, require_pixels
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
 from ..runtime.limits import largest_fitting, require_memory
@@ -35,6 +36,7 @@ def reconstruct(
     footprint: str = ...,
     relay: bool = ...,
     oversample: int = ...,
+    white: Capture | np.ndarray | None = ...,
     progress: Callable[[int, int], None] | None = ...,
 ) -> Reconstruction: ...
 @overload
@@ -49,6 +51,7 @@ def reconstruct(
     footprint: str = ...,
     relay: bool = ...,
     oversample: int = ...,
+    white: Capture | np.ndarray | None = ...,
     progress: Callable[[int, int], None] | None = ...,
 ) -> list[Reconstruction]: ...
 @one_at_a_time
@@ -63,18 +66,21 @@ def reconstruct(
     footprint: str = "lens",
     relay: bool = True,
     oversample: int = 1,
+    white: Capture | np.ndarray | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Reconstruction | list[Reconstruction]:
     """Refocus a capture to one or several object distances.
 
-    Images are in units of radiance, whatever the method: a capture of a white scene gives about 1.
+    Images are in units of radiance, whatever the method: bins are divided by what they get of white, at the borders
+    too. Bins that get less than a hundredth of the rays that the best one gets are NaN.
 
     Parameters
     ----------
     capture : Capture or (rows, columns[, channels]) array
         What the detector recorded. A plain array needs `camera`.
     distance : float or sequence of floats
-        Object distances in scene units, beyond the focal length. Several share the way up to the main lens.
+        Object distances in scene units, beyond the focal length; may be infinite, where bins are directions. Several
+        share the way up to the main lens.
     method : {"ray", "coherent", "partial"}
         How light is followed back: by one ray a pixel; as one coherent wave, whose amplitude is the square root of
         the capture; or as one such wave for each interleaved subset of lenses, whose intensities are added. Waves
@@ -95,6 +101,10 @@ def reconstruct(
     oversample : int
         Bins per lens along each axis. A focused camera tells more than one apart:
         `mitsuba_plenoptic.design.suitable_oversample` and ``mitsuba-plenoptic info`` say how many.
+    white : Capture or array, optional
+        What the same camera recorded of a scene of uniform radiance 1, in one channel or as many as the capture has. It
+        is refocused in the same way, and images are divided by it. Default: what the camera would record by rays; a
+        capture by waves, whose micro-images lose light at their edges, then reads less (0.85 for the paper's camera).
     progress : callable, optional
         Called with the steps done and their number.
 
@@ -107,10 +117,15 @@ def reconstruct(
     ------
     InputError
         If there is no camera, or no wavelength for a wave method; if the array does not fit the camera or holds NaN or
-        infinity; for a wave method, if pixels are negative or wider than lenses; or if an option is out of range.
+        infinity; for a wave method, if pixels are wider than lenses; or if an option is out of range.
     PhysicsError
         If next to none of a capture's light goes back through the main lens by waves, or too much of it misses the
         object plane's window.
+
+    Notes
+    -----
+    Wave methods refocus pixels below zero, as `expose` makes them, by their magnitude and subtract the result: noise of
+    mean zero leaves no light on average.
     """
     capture = _as_capture(capture, camera)
     camera = capture.camera
@@ -126,7 +141,7 @@ def reconstruct(
     image = capture.image if capture.image.ndim == 3 else capture.image[..., None]
     if chosen.waves:
         camera.require_resolved()
-        _require_positive(image)
+    reference = None if white is None else _white(white, image)
     _require_memory(camera, distances, oversample, image.shape)
     wavelengths = _wavelengths(capture, wavelength, image.shape[2]) if chosen.waves else []
 
@@ -136,13 +151,14 @@ def reconstruct(
 
     report(0)
     with guards.watch() as found:
-        images = chosen.refocus(Task(image, camera, distances, oversample, wavelengths, report), **options)
+        images = chosen.refocus(Task(image, camera, distances, oversample, wavelengths, reference, report), **options)
     options |= {"oversample": oversample} | ({"wavelength": wavelengths} if chosen.waves else {})
+    options |= {"white": "capture"} if reference is not None else {}
     results = [
         Reconstruction(
             image=made.reshape(*made.shape[:2], *capture.image.shape[2:]),
             distance=value,
-            bin_size=camera.bin_size(value) / oversample,
+            bin_size=_bin_size(camera, value) / oversample,
             method=method,
             camera=camera,
             options=options,
@@ -199,7 +215,8 @@ def _interleave(interleave: Any, camera: PlenopticCamera) -> int | str:
 def _distances(distance: Any, camera: PlenopticCamera) -> list[float]:
     if isinstance(distance, (str, bytes)):
         raise InputError(f"distance = {shown(distance)}: it must be a number or several")
-    distances = [require_number("distance", value) for value in ([distance] if np.ndim(distance) == 0 else distance)]
+    given = [distance] if np.ndim(distance) == 0 else distance
+    distances = [require_number("distance", value, finite=False) for value in given]
     for value in distances:
         image_distance(camera.focal_length, value)
     if not distances:
@@ -207,10 +224,17 @@ def _distances(distance: Any, camera: PlenopticCamera) -> list[float]:
     return distances
 
 
-def _require_positive(image: np.ndarray) -> None:
-    if image.min() < 0:
-        bad = int((image < 0).sum())
-        raise InputError(f"capture: {bad} of its pixels are negative: a wave's amplitude is their square root")
+def _bin_size(camera: PlenopticCamera, distance: float) -> float:
+    return camera.bin_size(1.0 if math.isinf(distance) else distance)
+
+
+def _white(white: Any, image: np.ndarray) -> np.ndarray:
+    """Return a white capture as an array of the image's shape."""
+    pixels = white.image if isinstance(white, Capture) else as_array("white", white)
+    require_pixels("white", pixels)
+    if pixels.shape not in {image.shape[:2], (*image.shape[:2], 1), image.shape}:
+        raise InputError(f"white of shape {pixels.shape}: it must have the pixels of the capture, {image.shape[:2]}")
+    return np.ascontiguousarray(np.broadcast_to(np.atleast_3d(pixels), image.shape), np.float32)
 
 
 def _wavelengths(capture: Capture, wavelength: Any, channels: int) -> list[float]:

@@ -10,12 +10,13 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..optics import rays
+from ..optics.main_lens import MainLens
 from ..optics.microlenses import is_separable, transmission, transmission_along
 from ..optics.phase import parabola, phasor
 from ..runtime.backend import array_module, backend
 from ..runtime.fft import Field, as_field, pack
 from ..runtime.indexing import split
-from .grids import Step
+from .grids import Directions, Step
 from .steps import Rows
 
 # -- along one axis of an upright square lattice -----------------------------------------------------
@@ -50,11 +51,9 @@ def through_axes(field: Rows, x_factor: np.ndarray, y_factor: np.ndarray) -> Row
             yield lit, product
 
 
-def through_lens(field: Rows, step: Step, focal_length: float, wavelength: float) -> Rows:
-    """Take a field at the source of a step through a thin parabolic lens about the axis."""
-    return through_axes(
-        field, *(phasor(parabola(axis.source**2, focal_length, wavelength)) for axis in (step.x, step.y))
-    )
+def to_object(field: Rows, step: Directions, main: MainLens, distance: float, wavelength: float) -> Rows:
+    """Take a field at the main lens through it, and take out the path to the object plane's point on the axis."""
+    return _through_plane(field, step, lambda x, y: phasor(main.path((x, y), (0.0, 0.0, distance), wavelength)))
 
 
 def through_microlenses(field: Rows, step: Step, camera: PlenopticCamera, wavelength: float) -> Rows:
@@ -109,7 +108,7 @@ def converging(
     return _through_plane(amplitude, step, phase)
 
 
-def _through_plane(field: Rows, step: Step, function: Callable[[Any, Any], Any]) -> Rows:
+def _through_plane(field: Rows, step: Step | Directions, function: Callable[[Any, Any], Any]) -> Rows:
     """Multiply a field by a function of Dr.Jit's x and y, evaluated for the rows that come."""
     for rows, samples in field:
         factor = _evaluate(step.x.source, step.y.source[rows], function)

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-import scipy.sparse
 
 from ..camera import PlenopticCamera
-from ..optics import guards, rays
+from ..optics import guards
+from ..optics.main_lens import main_lens
 from ..optics.power import fraction, power
 from ..optics.sampling import check_memory
 from ..runtime.backend import backend
 from ..runtime.fft import Field, resting_drjit
-from .binning import axis_bins
-from .elements import converging, through_lens, through_microlenses
-from .grids import AxisStep, Plan, Step, Window, object_extent, plan, require_feasible
-from .steps import Rows, Workspace, propagate
+from .direction_bins import power_in_bins
+from .elements import converging, through_microlenses, to_object
+from .grids import Directions, Plan, Strip, Window, object_extent, plan, require_feasible
+from .methods import Progress
+from .steps import Rows, Workspace, propagate, to_directions
 
 
 def reconstruct_subsets(
@@ -28,7 +29,8 @@ def reconstruct_subsets(
     interleave: int = 1,
     relay: bool = True,
     oversample: int = 1,
-    progress: Callable[[float], None] = lambda done: None,
+    judged: bool = True,
+    progress: Progress = lambda done: None,
 ) -> list[np.ndarray]:
     """Propagate interleaved subsets of lenses coherently and add their intensities.
 
@@ -41,7 +43,7 @@ def reconstruct_subsets(
     lit = lit_window(image, camera)
     if lit is not None:
         grids = plan(camera, wavelength, distances, lit)
-        require_feasible(grids, camera, wavelength, distances, lit)
+        require_feasible(grids)
         fields = FullFields(image, camera, wavelength, grids, lit, interleave=interleave, relay=relay)
         passed = 0.0
         for done, subset in enumerate(np.ndindex(interleave, interleave)):
@@ -51,12 +53,12 @@ def reconstruct_subsets(
                 for total, distance, step in zip(totals, distances, grids.to_objects, strict=True):
                     total += fields.in_bins(field, distance, step, oversample)
             progress((done + 1) / interleave**2)
-        guards.judge(guards.PUPIL, 1 - passed / float(image.sum(dtype=np.float64)))
-        for total, distance in zip(totals, distances, strict=True):
-            # where the detector's edge cuts the light there is no telling
-            axes = ((0, grids.to_mla.x), (1, grids.to_mla.y))
-            if all(light == kept for light, kept in (object_extent(camera, distance, *axis) for axis in axes)):
-                guards.judge(guards.OBJECT, 1 - fraction(float(total.sum()), passed))
+        if judged:
+            guards.judge(guards.PUPIL, 1 - passed / float(image.sum(dtype=np.float64)))
+            for total, distance in zip(totals, distances, strict=True):
+                # where the detector's edge cuts the light there is no telling
+                if all(light == seen for light, seen in (object_extent(camera, distance, i, lit[i]) for i in (0, 1))):
+                    guards.judge(guards.OBJECT, 1 - fraction(float(total.sum()), passed))
     return [libraries.to_host(total) for total in totals]
 
 
@@ -121,61 +123,46 @@ class FullFields:
         complex64 array
             Zero outside the pupil; it holds until the next one is asked for.
         """
-        camera, wavelength, workspace = self._camera, self._wavelength, self._workspace
-        to_mla, to_main_lens = self._grids.to_mla, self._grids.to_main_lens
-        rows = converging(self._amplitude(), to_mla, camera, wavelength, self._interleave, subset)
-        rows = propagate(rows, to_mla, camera.detector_distance, wavelength, workspace)
-        if self._relay:
-            rows = through_microlenses(rows, to_main_lens, camera, wavelength)
-        rows = propagate(rows, to_main_lens, camera.mla_distance, wavelength, workspace)
-        arrays, field = workspace.libraries.arrays, workspace.array("pupil", to_main_lens.shape)
-        x, y = (arrays.asarray(axis.destination) ** 2 for axis in (to_main_lens.x, to_main_lens.y))
-        for place, samples in rows:
-            arrays.multiply(samples, x + y[place, None] <= camera.aperture_radius**2, out=field[place])
+        workspace, step = self._workspace, self._grids.main_lens
+        field = workspace.array("pupil", step.shape)
+        field[...] = 0
+        x, y = step.x.destination, step.y.destination
+        half = np.sqrt(np.maximum(self._camera.aperture_radius**2 - y**2, 0))
+        first, end = (np.searchsorted(x, edge, side) for edge, side in ((-half, "left"), (half, "right")))
+        for strip in self._grids.strips:
+            for place, samples in self._up(strip, subset):
+                # A row's chord of the pupil: a mask would cost several times that.
+                for row, line in zip(range(place.start, place.stop), samples, strict=True):
+                    chord = slice(int(first[row]), int(end[row]))
+                    field[row, chord] += line[chord]
         return field
 
-    def _amplitude(self) -> Rows:
-        """Square root of the lit pixels, sample by sample."""
+    def _up(self, strip: Strip, subset: tuple[int, int]) -> Rows:
+        """Take the light of a strip of the detector up to the main lens."""
+        camera, wavelength, workspace = self._camera, self._wavelength, self._workspace
+        rows = converging(self._amplitude(strip.rows), strip.to_mla, camera, wavelength, self._interleave, subset)
+        rows = propagate(rows, strip.to_mla, camera.detector_distance, wavelength, workspace)
+        if self._relay:
+            rows = through_microlenses(rows, strip.to_main_lens, camera, wavelength)
+        return propagate(rows, strip.to_main_lens, camera.mla_distance, wavelength, workspace)
+
+    def _amplitude(self, strip: slice) -> Rows:
+        """Square root of lit pixels, sample by sample."""
         arrays, subsamples = self._workspace.libraries.arrays, self._grids.subsamples
-        together = max(1, self._workspace.block // subsamples)
-        for first in range(0, len(self._lit), together):
-            amplitude = arrays.sqrt(self._lit[first : first + together])
+        together, lit = max(1, self._workspace.block // subsamples), self._lit[strip]
+        for first in range(0, len(lit), together):
+            amplitude = arrays.sqrt(lit[first : first + together])
             for axis in (0, 1) if subsamples > 1 else ():
                 amplitude = arrays.repeat(amplitude, subsamples, axis)
             yield slice(first * subsamples, first * subsamples + len(amplitude)), amplitude
 
     def power(self, field: Field) -> float:
         """Power that passes the pupil, in pixel values times pixels."""
-        return power(field) * self._grids.to_main_lens.sample_area / self._camera.pixel_size**2
+        return power(field) * self._grids.main_lens.sample_area / self._camera.pixel_size**2
 
-    def in_bins(self, field: Field, distance: float, step: Step, oversample: int) -> np.ndarray:
+    def in_bins(self, field: Field, distance: float, step: Directions, oversample: int) -> np.ndarray:
         """Power in each bin of an object plane, of a field just before the main lens; (rows, columns) float32 array."""
         camera, workspace = self._camera, self._workspace
-        rows = through_lens(workspace.blocks(field), step, camera.focal_length, self._wavelength)
-        rows = propagate(rows, step, distance, self._wavelength, workspace)
-        in_columns, in_rows = (
-            _bin_matrix(camera, distance, axis, count * oversample, oversample)
-            for axis, count in zip((step.x, step.y), camera.bin_count, strict=True)
-        )
-        return _sum_power(rows, in_columns, in_rows) * (step.sample_area / camera.pixel_size**2)
-
-
-def _bin_matrix(
-    camera: PlenopticCamera, distance: float, axis: AxisStep, count: int, oversample: int
-) -> scipy.sparse.csr_array:
-    """Fraction of each object-plane sample in each bin, both taken as intervals; (bins, samples)."""
-    X = axis.destination[:, None] + np.array([-0.5, 0.5]) * axis.new_pitch
-    u = rays.conjugate_coordinate(X, distance, camera.mla_distance) * (oversample / camera.mla_pitch) + count / 2
-    bins = axis_bins(u[:, 0], u[:, 1], np.zeros(axis.wanted), count, 1.0)
-    return scipy.sparse.csr_array((bins.weight, bins.pixel, bins.start), shape=(count, axis.wanted))
-
-
-def _sum_power(field: Rows, in_columns: scipy.sparse.csr_array, in_rows: scipy.sparse.csr_array) -> np.ndarray:
-    """Sum the squared moduli of a field over bins, rows first."""
-    libraries = backend()
-    # Real and imaginary parts lie side by side.
-    total = libraries.arrays.zeros((in_rows.shape[0], 2 * in_columns.shape[1]), np.float32)
-    for place, samples in field:
-        total += libraries.sparse.csr_matrix(in_rows[:, place]) @ libraries.arrays.square(samples.view(np.float32))
-    power = total.reshape(len(total), -1, 2).sum(-1)
-    return (libraries.sparse.csr_matrix(in_columns) @ power.T).T
+        rows = to_object(workspace.blocks(field), step, main_lens(camera), distance, self._wavelength)
+        spectrum = to_directions(rows, step, workspace)
+        return power_in_bins(spectrum, step, camera, oversample) / camera.pixel_size**2

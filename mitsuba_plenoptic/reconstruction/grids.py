@@ -1,6 +1,6 @@
 r"""How finely and how widely the fields of a back-propagation are sampled: plain numbers, one axis at a time.
 
-Every propagation step goes by the angular spectrum, and its window is periodic. The rules:
+Detector to MLA and MLA to main lens go by the angular spectrum, whose windows are periodic. The rules:
 
 - *Pitch*: a grid of pitch d holds direction cosines up to :math:`\lambda / 2d`. Light between a point of one plane
   and a point of the next has the direction that the two points give, and nothing else is needed.
@@ -8,11 +8,22 @@ Every propagation step goes by the angular spectrum, and its window is periodic.
   round falls outside the part of the next plane that is used.
 
 A step pads its source with zeros to the window, and cuts the spectrum to the directions that the next plane needs:
-this resamples the field exactly.
+this resamples the field exactly. What does not fit into memory goes up to the main lens in strips of the detector,
+whose fields are added there.
+
+The last step, to an object plane, is one Fourier transform over the pupil. In the direction of the point X, with the
+cosines :math:`s = X / |X|`, a wave from the pupil point P is behind that from the pupil's centre by
+
+.. math:: |P - X| - |X| = -s \cdot P + \frac{P^2 - (s \cdot P)^2}{2 |X|} + \dots
+
+The first term is the transform's, the next one is taken on the axis, so that it is the same for all points; at infinity
+it vanishes. This neglects :math:`3 \theta^2 P^2 / 4 g` at the angle :math:`\theta` from the axis, a sixth of a wave at
+the edge of the paper's field; nothing grows with the distance.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,8 +35,8 @@ from ..errors import InputError
 from ..optics import rays
 from ..optics.microlenses import bend
 from ..optics.phase import in_millimetres
-from ..optics.sampling import check_memory, fast_length
-from ..runtime.limits import largest_fitting
+from ..optics.sampling import fast_length
+from ..runtime.limits import memory_limit, require_memory
 
 Span = tuple[int, int]
 Window = tuple[Span, Span]
@@ -34,11 +45,14 @@ Window = tuple[Span, Span]
 GUARD = 1.05
 """Directions held over those that geometry needs, for the light that edges diffract."""
 
-_MOST_TRANSFORMED = 2**33
-"""Samples that one field's transforms go through, at most: some 25 times those of 4096 x 4096 pixels of the paper.
+_MOST_TRANSFORMED = 2**35
+"""Samples that one field's transforms go through, at most: some 100 times those of 4096 x 4096 pixels of the paper.
 
-More takes minutes, for distances so near the focal length, or so large, that their windows are mostly dark.
+More takes many minutes.
 """
+
+_MEMORY = 6 * 2**30
+"""Bytes of fields from which on strips are taken, and beyond which a reconstruction is refused."""
 
 OBJECT_MARGIN = 6.0
 """Bins around the geometric image in which light is kept: the pupil's edge diffracts half a percent beyond three."""
@@ -128,18 +142,86 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Plan:
-    """Field samples across a pixel, and the steps from detector to MLA, to the main lens, and to each object plane."""
+class AxisDirections:
+    """One axis of the last step, from samples of the main lens to direction cosines.
 
-    subsamples: int
-    to_mla: Step
-    to_main_lens: Step
-    to_objects: tuple[Step, ...]
+    Attributes
+    ----------
+    first, pitch, count
+        Samples of the main lens, as `AxisStep` has them.
+    padded : int
+        Length of the transform.
+    kept : int
+        Lowest direction cosines that are kept, an odd number, zero in their middle.
+    step : float
+        From one direction cosine to the next.
+    """
+
+    first: float
+    pitch: float
+    count: int
+    padded: int
+    kept: int
+    step: float
 
     @property
-    def steps(self) -> tuple[Step, ...]:
+    def source(self) -> np.ndarray:
+        """Coordinates of the samples of the main lens, float64 (count,)."""
+        return self.first + self.pitch * np.arange(self.count)
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Both axes of the last step."""
+
+    x: AxisDirections
+    y: AxisDirections
+
+    @property
+    def columns(self) -> tuple[int, int]:
+        """How many columns rows are turned into, and what they hold at most."""
+        return self.x.kept, max(self.y.count, self.y.kept)
+
+    @property
+    def transforms(self) -> tuple[tuple[int, int, bool], ...]:
+        """Fourier transforms of the step, as `Step` has them."""
+        return (self.y.count, self.x.padded, False), (self.x.kept, self.y.padded, False)
+
+
+@dataclass(frozen=True)
+class Strip:
+    """Rows of the detector that go up to the main lens together.
+
+    Attributes
+    ----------
+    rows : slice
+        Of the lit pixels.
+    to_mla, to_main_lens : Step
+        The way; the samples of the main lens are the same for all strips.
+    """
+
+    rows: slice
+    to_mla: Step
+    to_main_lens: Step
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Field samples across a pixel, the strips of the detector, and the steps from the main lens to object planes."""
+
+    subsamples: int
+    strips: tuple[Strip, ...]
+    to_objects: tuple[Directions, ...]
+
+    @property
+    def main_lens(self) -> Step:
+        """A step to the samples of the main lens."""
+        return self.strips[0].to_main_lens
+
+    @property
+    def steps(self) -> tuple[Step | Directions, ...]:
         """All of them."""
-        return self.to_mla, self.to_main_lens, *self.to_objects
+        return (*(step for strip in self.strips for step in (strip.to_mla, strip.to_main_lens)), *self.to_objects)
 
     @property
     def transformed(self) -> int:
@@ -150,7 +232,7 @@ class Plan:
     def memory(self) -> float:
         """Bytes of the arrays that are alive at once: the columns of a step, and the field at the main lens."""
         columns = max(math.prod(step.columns) for step in self.steps)
-        return 8.0 * (columns + math.prod(self.to_main_lens.shape))
+        return 8.0 * (columns + math.prod(self.main_lens.shape))
 
 
 def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
@@ -175,7 +257,7 @@ def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
 
 
 def plan(camera: PlenopticCamera, wavelength: float, distances: Sequence[float], lit: Window) -> Plan:
-    """Choose the grids for one capture and some object distances.
+    """Choose the grids for one capture and some object distances: as few strips as memory allows.
 
     Parameters
     ----------
@@ -188,93 +270,105 @@ def plan(camera: PlenopticCamera, wavelength: float, distances: Sequence[float],
     lit : ((int, int), (int, int))
         First and past-the-last pixel of the full detector that may be lit, in x and in y.
     """
+    rows = lit[1][1] - lit[1][0]
+    count, made = 1, _plan(camera, wavelength, distances, lit, 1)
+    while made.memory > _memory() and 2 * count <= rows:
+        count *= 2
+        finer = _plan(camera, wavelength, distances, lit, count)
+        if finer.memory >= made.memory:
+            break
+        made = finer
+    return made
+
+
+def _memory() -> float:
+    return min(_MEMORY, memory_limit())
+
+
+def _plan(camera: PlenopticCamera, wavelength: float, distances: Sequence[float], lit: Window, count: int) -> Plan:
+    """Choose the grids for so many strips."""
     subsamples = field_subsamples(camera, wavelength)
-    axes = [_axis_steps(camera, wavelength, distances, axis, lit[axis], subsamples) for axis in (0, 1)]
-    (x1, x2, xs), (y1, y2, ys) = axes
-    return Plan(subsamples, Step(x1, y1), Step(x2, y2), tuple(Step(x, y) for x, y in zip(xs, ys, strict=True)))
+    pitch = camera.pixel_size / subsamples
+    across = _detector_step(camera, wavelength, 0, lit[0], pitch)
+    borders = [lit[1][0] + (lit[1][1] - lit[1][0]) * index // count for index in range(count + 1)]
+    spans = list(itertools.pairwise(borders))
+    down = [_detector_step(camera, wavelength, 1, span, pitch) for span in spans]
+    to_main_lens, to_objects = [], []
+    for axis, steps in enumerate(([across], down)):
+        ways, directions = _main_lens_steps(camera, wavelength, distances, axis, lit[axis], steps)
+        to_main_lens.append(ways)
+        to_objects.append(directions)
+    strips = [
+        Strip(slice(low - lit[1][0], high - lit[1][0]), Step(across, detector), Step(to_main_lens[0][0], way))
+        for (low, high), detector, way in zip(spans, down, to_main_lens[1], strict=True)
+    ]
+    return Plan(subsamples, tuple(strips), tuple(Directions(x, y) for x, y in zip(*to_objects, strict=True)))
 
 
-def require_feasible(
-    made: Plan, camera: PlenopticCamera, wavelength: float, distances: Sequence[float], lit: Window
-) -> None:
-    """Refuse a plan that needs more than 4 GiB, and say how many lit pixels would fit; or one of too much work.
+def require_feasible(made: Plan) -> None:
+    """Refuse a plan that needs more memory than is allowed, or one of too much work.
 
     Raises
     ------
     InputError
         If it does.
     """
-
-    def fitting(limit: float) -> str | None:
-        def memory(count: int) -> float:
-            first = [max((low + high) // 2 - count // 2, 0) for low, high in lit]
-            x, y = ((start, start + count) for start in first)
-            return plan(camera, wavelength, distances, (x, y)).memory
-
-        count = largest_fitting(memory, limit, min(end - first for first, end in lit))
-        return f"a window of {count} x {count} lit pixels" if count else None
-
     what = f"camera with {made.subsamples} field samples a pixel; its wave reconstruction"
-    check_memory(made.memory, what, fitting)
+    require_memory(made.memory, what, limit=_memory())
     if made.transformed > _MOST_TRANSFORMED:
         raise InputError(
             f"{what}: {made.transformed:.2g} samples would be transformed, at most {_MOST_TRANSFORMED:.2g} are"
         )
 
 
-def _axis_steps(
-    camera: PlenopticCamera,
-    wavelength: float,
-    distances: Sequence[float],
-    axis: int,
-    lit: Span,
-    subsamples: int,
-) -> tuple[AxisStep, AxisStep, list[AxisStep]]:
-    b, z, radius = camera.mla_distance, camera.detector_distance, camera.aperture_radius
-    wave = in_millimetres(wavelength)
+def _detector_step(camera: PlenopticCamera, wavelength: float, axis: int, lit: Span, pitch: float) -> AxisStep:
+    """Plan the way from some pixels to the cells of their own lenses: light that leaves these misses the pupil.
 
-    # Detector to MLA: every direction is kept, and the window leaves room for them on both sides. Light that leaves
-    # the cells of the lit pixels' own lenses misses the pupil.
-    pitch = camera.pixel_size / subsamples
-    count = (lit[1] - lit[0]) * subsamples
+    Every direction is kept, and the window leaves room for them on both sides.
+    """
+    b, z = camera.mla_distance, camera.detector_distance
+    count = round((lit[1] - lit[0]) * camera.pixel_size / pitch)
     first = (lit[0] - camera.resolution[axis] / 2) * camera.pixel_size + pitch / 2
-    spread = math.ceil(z * wave / (2 * pitch) / pitch)
+    spread = math.ceil(z * in_millimetres(wavelength) / (2 * pitch) / pitch)
     low, high = _cells(camera, rays.chief_point(first + pitch * np.array([0, count - 1.0]), b, z), axis)
     wanted = math.ceil((high - low) / pitch - 1e-6)  # whole cells often are whole numbers of samples
     start = (low + high) / 2 - (wanted - 1) / 2 * pitch
     # Few pixels may belong to wide cells.
     padded = fast_length(max(count + 2 * spread, wanted))
-    detector = AxisStep(first, pitch, count, padded, padded, float(start), wanted)
+    return AxisStep(first, pitch, count, padded, padded, float(start), wanted)
 
-    # MLA to main lens.
-    half_mla = max(abs(low), abs(high))
-    ends = [object_extent(camera, g, axis, detector) for g in distances]
-    slopes = [(radius + half_mla) / b]
-    slopes += [(radius + max(map(abs, light))) / g for g, (light, _) in zip(distances, ends, strict=True)]
-    steepest = GUARD * max(slopes)
-    main_lens = _fast_step(
-        detector.start,
-        pitch,
-        wanted,
-        window=half_mla + b * steepest + radius,
-        new_pitch=wave / (2 * steepest),
-        destination=(-radius, radius),
-    )
 
-    # Main lens to object planes: only light aimed at the image of a lens comes through.
-    objects = []
-    for slope, (light, kept) in zip(slopes[1:], ends, strict=True):
-        objects.append(
-            _fast_step(
-                main_lens.start,
-                main_lens.new_pitch,
-                main_lens.wanted,
-                window=max(light[1] - kept[0], kept[1] - light[0], 2 * radius),
-                new_pitch=wave / (2 * GUARD * slope),
-                destination=kept,
-            )
-        )
-    return detector, main_lens, objects
+def _main_lens_steps(
+    camera: PlenopticCamera,
+    wavelength: float,
+    distances: Sequence[float],
+    axis: int,
+    lit: Span,
+    detector: Sequence[AxisStep],
+) -> tuple[list[AxisStep], list[AxisDirections]]:
+    """Plan the ways from the MLA, in strips, to the main lens, and from there to the object planes."""
+    b, radius, wave = camera.mla_distance, camera.aperture_radius, in_millimetres(wavelength)
+    half_mla = max(abs(end) for step in detector for end in (step.destination[0], step.destination[-1]))
+    extents = [object_extent(camera, distance, axis, lit) for distance in distances]
+    # What comes to the main lens, and what goes on from there.
+    steepest = GUARD * max([(radius + half_mla) / b, *(max(map(abs, light)) for light, _ in extents)])
+    count = max(step.wanted for step in detector)
+    pitch = detector[0].pitch
+    padded = fast_length(max((half_mla + b * steepest + radius) / pitch, count))
+    kept = min(fast_length(padded * pitch / (wave / (2 * steepest))), padded)
+    new_pitch = padded * pitch / kept
+    wanted = min(math.ceil(2 * radius / new_pitch) + 1, kept)
+    start = -(wanted - 1) / 2 * new_pitch
+    ways = [AxisStep(step.start, pitch, step.wanted, padded, kept, start, wanted) for step in detector]
+
+    # The intensity, which has twice the bandwidth of the field, is interpolated linearly: to 0.2 %.
+    length = fast_length(max(GUARD * 7 * radius / new_pitch, wanted))
+    cosine = wave / (length * new_pitch)
+    directions = []
+    for _, seen in extents:
+        most = min(math.ceil(max(map(abs, seen)) / cosine) + 1, (length - 1) // 2)
+        directions.append(AxisDirections(start, new_pitch, wanted, length, 2 * most + 1, cosine))
+    return ways, directions
 
 
 def _cells(camera: PlenopticCamera, ends: np.ndarray, axis: int) -> tuple[float, float]:
@@ -290,32 +384,16 @@ def _cells(camera: PlenopticCamera, ends: np.ndarray, axis: int) -> tuple[float,
 
 
 def object_extent(
-    camera: PlenopticCamera, distance: float, axis: int, detector: AxisStep
+    camera: PlenopticCamera, distance: float, axis: int, lit: Span
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Where the light of the lit lenses arrives in an object plane, and the part of it that lies on bins."""
-    bin_size = camera.bin_size(distance)
-    spread = camera.blur_diameter(distance) / 2 * distance / camera.mla_distance + OBJECT_MARGIN * bin_size
-    edges = detector.first + np.array([-0.5, detector.count - 0.5]) * detector.pitch
-    mla = rays.chief_point(edges, camera.mla_distance, camera.detector_distance)
-    high, low = -mla * distance / camera.mla_distance
+    """Slopes, from the main lens's centre, at which the light of lit pixels goes to an object plane, and goes to bins.
+
+    Where all of it does the two are the same.
+    """
+    b = camera.mla_distance
+    spread = camera.blur_diameter(distance) / 2 / b + OBJECT_MARGIN * camera.mla_pitch / b
+    edges = (np.array(lit) - camera.resolution[axis] / 2) * camera.pixel_size
+    high, low = -rays.chief_point(edges, b, camera.detector_distance) / b
     light = (float(low) - spread, float(high) + spread)
-    half_field = camera.bin_count[axis] / 2 * bin_size
-    return light, (max(light[0], -half_field), min(light[1], half_field))
-
-
-def _fast_step(
-    first: float,
-    pitch: float,
-    count: int,
-    *,
-    window: float,
-    new_pitch: float,
-    destination: tuple[float, float],
-) -> AxisStep:
-    """Round a window and a pitch to lengths that are transformed fast."""
-    padded = fast_length(max(window / pitch, count))
-    kept = min(fast_length(padded * pitch / new_pitch), padded)
-    new_pitch = padded * pitch / kept
-    wanted = min(math.ceil((destination[1] - destination[0]) / new_pitch) + 1, kept)
-    start = (destination[0] + destination[1]) / 2 - (wanted - 1) / 2 * new_pitch
-    return AxisStep(float(first), pitch, count, padded, kept, start, wanted)
+    half_field = camera.bin_count[axis] / 2 * camera.mla_pitch / b
+    return light, (min(max(light[0], -half_field), half_field), max(min(light[1], half_field), -half_field))

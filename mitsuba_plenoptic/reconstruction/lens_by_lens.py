@@ -16,7 +16,7 @@ intensity. The pupil is sampled as finely as the object patch is wide.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import drjit as dr
 import numpy as np
@@ -32,6 +32,10 @@ from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_dr
 from ..runtime.indexing import split
 from .lens_sets import LensBatch, LensSet, lens_set
 from .lens_tiles import Tile, tile_lenses
+from .methods import Progress
+
+_INFINITY = 1e13
+"""Millimetres."""
 
 
 def reconstruct_lens_by_lens(
@@ -42,7 +46,8 @@ def reconstruct_lens_by_lens(
     *,
     relay: bool = True,
     oversample: int = 1,
-    progress: Callable[[float], None] = lambda done: None,
+    judged: bool = True,
+    progress: Progress = lambda done: None,
 ) -> list[np.ndarray]:
     """Propagate every lens alone and add the intensities: the limit of `reconstruct_subsets` for large periods.
 
@@ -69,9 +74,9 @@ def reconstruct_lens_by_lens(
                 top, left = row * oversample, column * oversample
                 total[top : top + patch.shape[0], left : left + patch.shape[1]] += patch
         progress((place + len(batch.bin)) / len(lit))
-    if len(lit):
+    if judged and len(lit):
         guards.judge(guards.PUPIL, 1 - float(totals[0].sum()) / float(image.sum(dtype=np.float64)))
-    for total, rim in zip(totals, in_rim, strict=True):
+    for total, rim in zip(totals, in_rim, strict=True) if judged else ():
         guards.judge(guards.OBJECT, fraction(rim, float(total.sum())))
     return [on_bins(total, lenses) for total in totals]
 
@@ -148,8 +153,9 @@ def object_patches(fields: Field, tile: Tile, batch: LensBatch, distance: float)
     per_bin = tile.samples // tile.oversample
     bins = arrays.repeat(arrays.eye(size // per_bin, dtype=np.float32), per_bin, axis=1)
     sums = arrays.tensordot(arrays.tensordot(intensity, bins, (1, 1)), bins, (1, 1))
-    sample = camera.bin_size(distance) / tile.samples
-    scale = tile.pupil_pitch**2 / (in_millimetres(tile.wavelength) * distance) * sample / camera.pixel_size
+    # Areas over the distance, which may be infinite.
+    slope = camera.mla_pitch / camera.mla_distance / tile.samples
+    scale = tile.pupil_pitch**2 / in_millimetres(tile.wavelength) * slope / camera.pixel_size
     # The object is upside down in camera coordinates: bins grow with -X.
     return sums[:, ::-1, ::-1] * np.float32(scale**2)
 
@@ -164,7 +170,8 @@ def _aim(fields: Field, tile: Tile, batch: LensBatch, distance: float) -> Field:
     P = types.Float64(tile.pupil)
     u, v = dr.gather(types.Float64, P, column), dr.gather(types.Float64, P, row)
     x, y = (dr.gather(types.Float64, types.Float64(np.ascontiguousarray(c)), lens) for c in batch.centre.T)
-    b, g = (dr.opaque(types.Float64, length) for length in (camera.mla_distance, distance))
+    # Infinity is so far that nothing changes with the distance.
+    b, g = (dr.opaque(types.Float64, length) for length in (camera.mla_distance, min(distance, _INFINITY)))
     # Directions change more slowly with P off the axis, on both sides alike: that only stretches the pupil's grid.
     sideways = x * x + y * y + b * b
     chief = dr.sqrt(sideways)

@@ -9,6 +9,9 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 
+Progress = Callable[[float], None]
+"""Called with the fraction of the work that is done."""
+
 
 @dataclass(frozen=True, eq=False)
 class Task:
@@ -26,6 +29,8 @@ class Task:
         Bins per lens along each axis.
     wavelengths : sequence of floats
         Of the channels, in nanometres; empty for a method without waves.
+    white : (rows, columns, 1 or channels) float32 array, or None
+        What the same camera recorded of a scene of uniform radiance 1.
     progress : callable
         Called with the fraction of the work that is done.
     """
@@ -35,7 +40,8 @@ class Task:
     distances: Sequence[float]
     oversample: int
     wavelengths: Sequence[float]
-    progress: Callable[[float], None]
+    white: np.ndarray | None
+    progress: Progress
 
 
 Refocus = Callable[..., list[np.ndarray]]
@@ -55,7 +61,7 @@ class Method:
     options : tuple of str
         The options of `reconstruct` that it takes.
     waves : bool
-        Whether it needs wavelengths, and pixels that are not negative.
+        Whether it needs wavelengths.
     """
 
     name: str

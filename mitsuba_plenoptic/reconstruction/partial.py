@@ -57,8 +57,10 @@ def full_field_period(
         return 1
     blur = max(camera.blur_diameter(g) for g in distances) / min(camera.mla_pitches)
     period = math.ceil(blur - 1e-6) + _APART
-    fields = period**2 * plan(camera, wavelength, distances, lit).transformed
     tile = Tile(camera, wavelength, tile_lenses(camera, distances), 1)
     lenses = math.prod((end - first) / camera.pixels_per_lens for first, end in lit)
     single = lenses * tile.transformed * len(distances)
-    return period if fields < single else None
+    # A field takes at least this; how much more needs grids, of which those of large cameras are not worth planning.
+    if period**2 * math.prod(end - first for first, end in lit) >= single:
+        return None
+    return period if period**2 * plan(camera, wavelength, distances, lit).transformed < single else None

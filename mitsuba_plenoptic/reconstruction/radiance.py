@@ -1,36 +1,57 @@
-"""From sums over bins to radiance: how many pixels of a white scene go to each bin."""
+"""From sums over bins to radiance, by one rule for all methods and lattices.
+
+A bin is divided by what it gets of white in the same way: of a white capture of the same camera where there is one,
+else of the white that the camera would record. So a white scene reads 1 everywhere, at the borders too, where part of
+the light misses the detector. A bin that gets less than a hundredth of the rays that the best one gets is not reached:
+there is next to nothing to be divided, and it is NaN, for every method alike.
+"""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ..camera import PlenopticCamera
-from ..design import focus_type
-from .splatting import splat
+from .methods import Progress, Task
 
-# Bins that get less than this fraction of the light that a bin gets of a white scene on average lie at the border of
-# what was recorded; they are not brightened any further, since they would show little but noise.
-_LEAST_WHITE = 0.25
+_LEAST_REACHED = 0.01
 
-
-def pixels_per_bin(camera: PlenopticCamera, oversample: int) -> float:
-    r"""Pixels of micro-images that go to one bin: :math:`(\pi/4) (D_1 z / b)^2` over the pixel's area for each lens."""
-    lenses = camera.mla_pitch**2 / camera.lattice.cell_area
-    return lenses * math.pi / 4 * (camera.micro_image_diameter / camera.pixel_size / oversample) ** 2
+Sums = Callable[[np.ndarray, Progress], list[np.ndarray]]
+"""From a capture (rows, columns, channels) to the sums (rows, columns, channels) over the bins of every distance."""
 
 
-def at_least(white: np.ndarray, camera: PlenopticCamera, oversample: int) -> np.ndarray:
-    """Return what bins are divided by for a white scene to give 1, where they got this much of it."""
-    return np.maximum(white, _LEAST_WHITE * pixels_per_bin(camera, oversample))
+def to_radiance(
+    task: Task, sums: Sums, *, model: Callable[[], Sequence[np.ndarray]], reach: Sequence[np.ndarray]
+) -> list[np.ndarray]:
+    """Divide the sums of a capture by those of white.
 
+    Parameters
+    ----------
+    task : Task
+        With the capture, and the white capture if there is one.
+    sums : callable
+        Sums of a capture over bins.
+    model : callable
+        Returns what the bins get of the white that the camera would record, for every distance; arrays (rows, columns)
+        or (rows, columns, channels).
+    reach : sequence of (rows, columns) arrays
+        Pixels of white whose rays reach the bins, for every distance.
 
-def white_bins(camera: PlenopticCamera, distance: float, oversample: int) -> np.ndarray:
-    """Return what every bin gets of a white scene, in pixels, by one ray a pixel.
-
-    The ray must pass the pupil, by half a pixel: a smooth wave goes back through the lens's centre alone.
+    Returns
+    -------
+    list of (rows, columns, channels) float32 arrays
+        Radiance; NaN where no light can come from.
     """
-    nothing = np.zeros((*camera.shape, 1), np.float32)
-    footprint = "point" if focus_type(camera) == "unfocused" else "lens"
-    return splat(nothing, camera, distance, camera.lit_radius, footprint=footprint, oversample=oversample)[1]
+    if task.white is None:
+        light, whites = sums(task.image, task.progress), model()
+    else:
+        light = sums(task.image, lambda done: task.progress(done / 2))
+        whites = sums(task.white, lambda done: task.progress((1 + done) / 2))
+    images = []
+    for total, white, rays in zip(light, whites, reach, strict=True):
+        white = np.atleast_3d(white)
+        reached = (rays[..., None] >= _LEAST_REACHED * rays.max()) & (white > 0)
+        image = np.full(total.shape, np.nan, np.float32)
+        np.divide(total, white, out=image, where=np.broadcast_to(reached, total.shape), casting="same_kind")
+        images.append(image)
+    return images

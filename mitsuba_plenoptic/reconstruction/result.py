@@ -20,11 +20,11 @@ class Reconstruction:
     ----------
     image : (rows, columns[, channels]) float32 array
         Upright; one bin per microlens of the full detector, or as many as were asked for, in units of the capture. It
-        lines up with the image of Mitsuba's ``thinlens`` focused at `distance`.
+        lines up with the image of Mitsuba's ``thinlens`` focused at `distance`. NaN where no light can come from.
     distance : float
-        Object distance in scene units.
+        Object distance in scene units; may be infinite.
     bin_size : float
-        Width of a bin in the object plane, in scene units.
+        Width of a bin in the object plane, in scene units; at infinity its slope, the width at a distance of 1.
     method : str
         How it was made.
     options : dict

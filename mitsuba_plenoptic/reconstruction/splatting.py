@@ -1,4 +1,4 @@
-r"""Pixels summed over bins on any lattice, and how much of a white scene each bin would get.
+r"""Pixels summed over bins on any lattice.
 
 A pixel p of the lens with centre c goes to the place u(c) of the bins, through the point P(c) of the pupil. Through
 another point c + d of its lens it goes to u(c) + a d, with the same a for all pixels of one type of lens, so that its
@@ -18,7 +18,6 @@ import scipy.fft
 from ..camera import PlenopticCamera
 from ..design import lens_footprint, pixel_footprint
 from ..optics import rays
-from ..optics.pupil import PupilFraction
 from ..runtime.limits import require_memory
 
 # Samples of the fine grid across a lens pitch; at least so many across a bin.
@@ -34,7 +33,7 @@ _BLOCK = 2**16
 
 def splat(
     image: np.ndarray, camera: PlenopticCamera, distance: float, radius: float, *, footprint: str, oversample: int
-) -> tuple[np.ndarray, np.ndarray]:
+) -> np.ndarray:
     """Follow one ray a pixel back to the object plane and sum the pixels that go to each bin.
 
     Parameters
@@ -54,10 +53,8 @@ def splat(
 
     Returns
     -------
-    light : (rows, columns, channels) float64 array
+    (rows, columns, channels) float64 array
         Sum of the pixels by bin.
-    white : (rows, columns) float64 array
-        The same of a white capture.
     """
     focal_lengths = camera.mla_focal_lengths
     fine, footprints = 1, [np.ones((1, 1, 1, 1))] * len(focal_lengths)
@@ -71,23 +68,23 @@ def splat(
     across, down = columns + 2 * margin, rows + 2 * margin
     require_memory(
         # Counted samples, bins, and what is known of every pixel while those of a block are joined.
-        down * across * (24.0 * fine**2 + 8.0 * (image.shape[2] + 3)) + 100.0 * image.shape[0] * image.shape[1],
+        down * across * (24.0 * fine**2 + 8.0 * (image.shape[2] + 2)) + 100.0 * image.shape[0] * image.shape[1],
         f"{columns} x {rows} bins with footprints of {2 * margin + 1} of them",
     )
 
-    place, lens_type, pixel, white = _landing(camera, distance, radius, oversample, fine, (down, across))
+    place, lens_type, pixel = _landing(camera, distance, radius, oversample, fine, (down, across))
     values = image.reshape(-1, image.shape[2])[pixel]
-    total = np.zeros((image.shape[2] + 1, down + 2 * margin, across + 2 * margin))
+    total = np.zeros((image.shape[2], down + 2 * margin, across + 2 * margin))
     for number, taps in enumerate(footprints):
         mine = slice(None) if len(footprints) == 1 else np.flatnonzero(lens_type == number)
         reach = taps.shape[0] // 2
-        for out, weights in zip(total, (*values.T, white), strict=True):
+        for out, weights in zip(total, values.T, strict=True):
             samples = np.bincount(place[mine], weights=weights[mine], minlength=down * across * fine**2)
             spread = _spread(samples.reshape(down, across, fine**2), taps)
             first = margin - reach
             out[first : first + spread.shape[0], first : first + spread.shape[1]] += spread
     total = total[:, 2 * margin : 2 * margin + rows, 2 * margin : 2 * margin + columns]
-    return np.moveaxis(total[:-1], 0, -1), total[-1]
+    return np.moveaxis(total, 0, -1)
 
 
 def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:
@@ -160,7 +157,7 @@ def _in_bins(blur: np.ndarray, fine: int) -> np.ndarray:
 
 def _landing(
     camera: PlenopticCamera, distance: float, radius: float, oversample: int, fine: int, shape: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find the pixels whose ray passes the pupil and lands on the bins.
 
     Parameters
@@ -176,16 +173,14 @@ def _landing(
     -------
     place, lens_type, pixel : int arrays
         Sample, counted bin by bin, type of lens, and flat index of each pixel.
-    white : float32 array
-        What each pixel reads of a white scene.
     """
     lattice, columns = camera.lattice, camera.crop_size[0]
-    fractions = [PupilFraction(camera, number) for number in range(len(camera.mla_focal_lengths))]
     # All along the ray is linear in the pixel and the lens's centre.
     of_pixel = np.array(rays.follow_back(1.0, 0.0, 0.0, distance, camera))
     of_lens = np.array(rays.follow_back(0.0, 1.0, 1.0, distance, camera))
     scale = oversample / camera.mla_pitch
     px, rows = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
+    several = len(camera.mla_focal_lengths) > 1
     found = []
     height = max(1, _BLOCK // columns)
     for first in range(0, rows.size, height):
@@ -194,8 +189,8 @@ def _landing(
         cx, cy = lattice.centre(i, j)
         Px, Py = (of_pixel[0] * p + of_lens[0] * c for p, c in ((px, cx), (py, cy)))
         lit = np.flatnonzero(Px**2 + Py**2 <= radius**2)
-        i, j, cx, cy, Px, Py, qx, qy = (
-            np.broadcast_to(values, (py.size, columns)).reshape(-1)[lit] for values in (i, j, cx, cy, Px, Py, px, py)
+        i, j, cx, cy, qx, qy = (
+            np.broadcast_to(values, (py.size, columns)).reshape(-1)[lit] for values in (i, j, cx, cy, px, py)
         )
         x, y = (
             (of_pixel[1] * p + of_lens[1] * c) * scale + size / 2
@@ -203,13 +198,9 @@ def _landing(
         )
         column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
         sample = np.floor((y - row) * fine).astype(np.int64) * fine + np.floor((x - column) * fine).astype(np.int64)
-        lens_type = lattice.lens_type(i, j).astype(np.int8) if len(fractions) > 1 else np.zeros(lit.size, np.int8)
-        white = np.empty(lit.size, dtype=np.float32)
-        for number, fraction in enumerate(fractions):
-            mine = lens_type == number
-            white[mine] = fraction(Px[mine], Py[mine])
+        lens_type = lattice.lens_type(i, j).astype(np.int8) if several else np.zeros(lit.size, np.int8)
         inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
         place = (row * shape[1] + column) * fine**2 + sample
-        found.append([values[inside] for values in (place, lens_type, lit + first * columns, white)])
-    place, lens_type, pixel, white = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return place, lens_type, pixel, white
+        found.append([values[inside] for values in (place, lens_type, lit + first * columns)])
+    place, lens_type, pixel = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return place, lens_type, pixel

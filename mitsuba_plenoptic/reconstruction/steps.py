@@ -9,14 +9,14 @@ out, and so are frequencies and destination samples that nobody asks for.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from ..optics.free_space import advance
 from ..runtime.backend import backend
 from ..runtime.fft import Field, fft
-from .grids import Plan, Step
+from .grids import Directions, Plan, Step
 
 Rows = Iterable[tuple[slice, Field]]
 """Blocks of rows of a field, from the first on, with their places. What is left out is dark.
@@ -44,7 +44,7 @@ class Workspace:
         self._columns = self.libraries.arrays.empty((columns, rows + -rows % _PAGE + _STAGGER), np.complex64)
         self._buffers: dict[str, Field] = {}
 
-    def columns(self, step: Step) -> Field:
+    def columns(self, step: Step | Directions) -> Field:
         """Return the memory of a step's columns, which is that of the last step's, too."""
         return self._columns[: step.x.kept]
 
@@ -89,7 +89,32 @@ def propagate(source: Rows, step: Step, distance: float, wavelength: float, work
     yield from _to_rows(columns, step, workspace)
 
 
-def _to_columns(source: Rows, step: Step, columns: Field, workspace: Workspace) -> None:
+def to_directions(source: Rows, step: Directions, workspace: Workspace) -> Field:
+    """Transform a field at the main lens to direction cosines.
+
+    Parameters
+    ----------
+    source : iterable of (slice, complex64 array (n, step.x.count))
+        The field behind the main lens, of which the path to the object plane has been taken out.
+    step : Directions
+        Sampling.
+    workspace : Workspace
+        Where the work is done.
+
+    Returns
+    -------
+    complex64 array (step.x.kept, at least step.y.kept)
+        Contiguous; its second axis is y. Zero comes first on both axes, negative cosines last of the kept ones. Both
+        transforms are divided by their lengths. It holds until the next step.
+    """
+    columns = workspace.columns(step)
+    _to_columns(source, step, columns, workspace)
+    for mine, part in _spectra(columns, step, workspace):
+        columns[mine, : step.y.kept] = part
+    return columns
+
+
+def _to_columns(source: Rows, step: Step | Directions, columns: Field, workspace: Workspace) -> None:
     """Transform rows and keep the lowest frequencies, turned into columns."""
     x = step.x
     block = workspace.array("rows", (workspace.block, x.padded))
@@ -107,31 +132,39 @@ def _to_columns(source: Rows, step: Step, columns: Field, workspace: Workspace) 
     columns[:, end : step.y.count] = 0
 
 
-def _across_space(columns: Field, step: Step, distance: float, wavelength: float, workspace: Workspace) -> None:
-    """Transform columns, multiply by the transfer function, transform back, in place."""
+def _spectra(columns: Field, step: Step | Directions, workspace: Workspace) -> Iterator[tuple[slice, Field]]:
+    """Transform columns block by block and keep the lowest frequencies."""
     x, y, together = step.x, step.y, workspace.block
     block = workspace.array("rows", (together, y.padded))
     spectrum = workspace.array("spectrum", (together, y.kept))
     low, high = _lowest(y.padded, y.kept)
     for place in range(0, x.kept, together):
-        size = min(together, x.kept - place)
+        mine = slice(place, min(place + together, x.kept))
+        size = mine.stop - place
         part = block[:size]
-        part[:, : y.count] = columns[place : place + size, : y.count]
+        part[:, : y.count] = columns[mine, : y.count]
         part[:, y.count :] = 0
         part = _fft(part)
         if y.kept < y.padded:
             spectrum[:size, : low.stop] = part[:, low]
             spectrum[:size, low.stop :] = part[:, high]
             part = spectrum[:size]
+        yield mine, part
+
+
+def _across_space(columns: Field, step: Step, distance: float, wavelength: float, workspace: Workspace) -> None:
+    """Transform columns, multiply by the transfer function, transform back, in place."""
+    x, y = step.x, step.y
+    for mine, part in _spectra(columns, step, workspace):
         part = advance(
             part,
             (x.new_pitch, y.new_pitch),
             distance,
             wavelength,
             shift=(x.start - x.first, y.start - y.first),
-            part=(place, x.kept),
+            part=(mine.start, x.kept),
         )
-        columns[place : place + size, : y.wanted] = _fft(part, inverse=True)[:, : y.wanted]
+        columns[mine, : y.wanted] = _fft(part, inverse=True)[:, : y.wanted]
 
 
 def _to_rows(columns: Field, step: Step, workspace: Workspace) -> Rows:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
 from ..camera import PlenopticCamera
 from .lens_tiles import Tile
-from .methods import Task
+from .methods import Progress, Task
+from .radiance import to_radiance
+from .ray_sums import white_sums
 from .spread import lens_scale, over_lenses
 from .white import white_light
 
@@ -26,7 +28,8 @@ class Power(Protocol):
         *,
         relay: bool,
         oversample: int,
-        progress: Callable[[float], None],
+        judged: bool,
+        progress: Progress,
     ) -> list[np.ndarray]:
         """Return the power in each bin of the object planes.
 
@@ -44,6 +47,8 @@ class Power(Protocol):
             Whether the microlenses act in the MLA plane.
         oversample : int
             Bins per lens along each axis.
+        judged : bool
+            Whether guards are told of the light that is lost.
         progress : callable
             Called with the fraction of the work that is done.
 
@@ -57,39 +62,90 @@ class Power(Protocol):
 def refocus_by_waves(task: Task, power: Power, *, relay: bool) -> list[np.ndarray]:
     """Refocus every channel.
 
+    An amplitude is the square root of a pixel. Pixels below zero, which `expose` makes of dark ones, are refocused
+    apart, by their magnitude, and what they give is subtracted: so noise of mean zero leaves no light on average.
+
+    The white that bins are divided by, if there is no white capture, is that of rays: without interference, less what
+    waves lose of a micro-image at the edge of the pupil.
+
     Returns
     -------
     list of (rows, columns, channels) float32 arrays
         Radiance.
     """
-    channels = []
-    for number, wavelength in enumerate(task.wavelengths):
+    camera = task.camera
+    rays = [white_sums(camera, g, camera.lit_radius, "lens", task.oversample) for g in task.distances]
 
-        def progress(done: float, number: int = number) -> None:
-            task.progress((number + done) / len(task.wavelengths))
+    def sums(image: np.ndarray, progress: Progress) -> list[np.ndarray]:
+        channels = []
+        for number, wavelength in enumerate(task.wavelengths[: image.shape[2]]):
 
-        channels.append(_refocus(task, number, wavelength, power, relay, progress))
-    return [np.stack(planes, axis=-1) for planes in zip(*channels, strict=True)]
+            def part(done: float, number: int = number) -> None:
+                progress((number + done) / image.shape[2])
+
+            channels.append(_in_bins(image[..., number], task, wavelength, power, relay, part))
+        return [np.stack(planes, axis=-1) for planes in zip(*channels, strict=True)]
+
+    def model() -> list[np.ndarray]:
+        return [
+            np.stack(
+                [
+                    white_light(camera, w, g, task.oversample, fine=_fine(camera, w, task.oversample), relay=relay)
+                    for w in task.wavelengths
+                ],
+                axis=-1,
+            )
+            for g in task.distances
+        ]
+
+    return to_radiance(task, sums, model=model, reach=rays)
 
 
-def _refocus(
-    task: Task, channel: int, wavelength: float, power: Power, relay: bool, progress: Callable[[float], None]
+def _in_bins(
+    image: np.ndarray, task: Task, wavelength: float, power: Power, relay: bool, progress: Progress
 ) -> list[np.ndarray]:
+    """Return the power in bins, where the light of lenses that do not lie on them is spread over what these cover."""
+    if image.min() < 0:
+        parts = np.maximum(image, 0), np.maximum(-image, 0)
+        bright = _of_amplitudes(parts[0], task, wavelength, power, relay, lambda done: progress(done / 2))
+        dark = _of_amplitudes(
+            parts[1], task, wavelength, power, relay, lambda done: progress((1 + done) / 2), judged=False
+        )
+        return [more - less for more, less in zip(bright, dark, strict=True)]
+    return _of_amplitudes(image, task, wavelength, power, relay, progress)
+
+
+def _of_amplitudes(
+    image: np.ndarray,
+    task: Task,
+    wavelength: float,
+    power: Power,
+    relay: bool,
+    progress: Progress,
+    *,
+    judged: bool = True,
+) -> list[np.ndarray]:
+    """Return the power in bins of pixels that are not negative."""
     camera, oversample = task.camera, task.oversample
-    fine = 1 if camera.lenses_are_bins else Tile(camera, wavelength, 1, oversample).samples // oversample
+    fine = _fine(camera, wavelength, oversample)
     totals = power(
-        task.image[..., channel],
+        image,
         camera,
         task.distances,
         wavelength,
         relay=relay,
         oversample=oversample * fine,
+        judged=judged,
         progress=progress,
     )
-    images = []
-    for distance, total in zip(task.distances, totals, strict=True):
-        if fine > 1:
-            total = over_lenses(total, camera, oversample, fine, lens_scale(camera, distance))
-        white = white_light(camera, wavelength, distance, oversample, fine=fine, relay=relay)
-        images.append((total / white).astype(np.float32))
-    return images
+    if fine == 1:
+        return totals
+    return [
+        over_lenses(total, camera, oversample, fine, lens_scale(camera, distance))
+        for total, distance in zip(totals, task.distances, strict=True)
+    ]
+
+
+def _fine(camera: PlenopticCamera, wavelength: float, oversample: int) -> int:
+    """Return how many fine bins across a bin power is summed in, before it is spread over lenses."""
+    return 1 if camera.lenses_are_bins else Tile(camera, wavelength, 1, oversample).samples // oversample

@@ -20,18 +20,20 @@ from ..runtime.backend import backend
 from .lens_by_lens import object_patches, on_bins, pupil_fields
 from .lens_sets import AlignedLenses, LensSet, lens_set
 from .lens_tiles import Tile, tile_lenses
-from .radiance import at_least, pixels_per_bin, white_bins
+from .ray_sums import ray_sums, white_pixels, white_sums
 from .spread import lens_scale, over_lenses
 
 _THROUGHPUT_LENSES = 25
 
 _RAY_BINS = 36
-"""Fine bins across a lens in which the rays of a white scene are counted."""
+"""Fine bins across a lens in which the rays of a white scene are counted, where they are not too many."""
+
+_MOST_RAY_BINS = 2**26
 
 
 def white_light(
     camera: PlenopticCamera, wavelength: float, distance: float, oversample: int, *, fine: int, relay: bool
-) -> np.ndarray | float:
+) -> np.ndarray:
     """Return the power that comes to each bin from a white scene, in pixel values times pixels.
 
     Parameters
@@ -51,21 +53,27 @@ def white_light(
 
     Returns
     -------
-    (rows, columns) float64 array, or float if it is the same for all bins
+    (rows, columns) float64 array
     """
-    unfocused = focus_type(camera) == "unfocused"
-    if camera.lenses_are_bins and not unfocused:
-        return at_least(
-            white_power(camera, wavelength, distance, relay=relay, oversample=oversample), camera, oversample
-        )
-    throughput = white_throughput(camera, wavelength, relay=relay)
-    if camera.lenses_like_bins and unfocused:
-        return pixels_per_bin(camera, oversample) * throughput
+    if camera.lenses_are_bins and focus_type(camera) != "unfocused":
+        return white_power(camera, wavelength, distance, relay=relay, oversample=oversample)
+    return _white_rays(camera, distance, oversample, fine) * white_throughput(camera, wavelength, relay=relay)
+
+
+@functools.lru_cache(maxsize=32)
+def _white_rays(camera: PlenopticCamera, distance: float, oversample: int, fine: int) -> np.ndarray:
+    """Return the pixels of white whose rays come to each bin, spread over lenses as the light of waves is.
+
+    A ray must pass the pupil, by half a pixel: a smooth wave goes back through the lens's centre alone.
+    """
+    if camera.lenses_like_bins or focus_type(camera) != "unfocused":
+        return white_sums(camera, distance, camera.lit_radius, "lens", oversample)
     # Rays go to points, where waves go to spots: the grid on which they are counted must not show.
-    fine *= -(-_RAY_BINS // (oversample * fine))
-    white = white_bins(camera, distance, oversample * fine)
-    white = over_lenses(white, camera, oversample, fine, lens_scale(camera, distance))
-    return at_least(white, camera, oversample) * throughput
+    bins = math.prod(camera.bin_count) * (oversample * fine) ** 2
+    fine *= max(1, min(-(-_RAY_BINS // (oversample * fine)), math.isqrt(_MOST_RAY_BINS // bins)))
+    white = white_pixels(camera)[..., None]
+    counted = ray_sums(white, camera, distance, camera.lit_radius, "point", oversample * fine)[..., 0]
+    return over_lenses(counted, camera, oversample, fine, lens_scale(camera, distance))
 
 
 @functools.lru_cache(maxsize=16)

@@ -71,6 +71,8 @@ class Settings:
         Light paths per radiator of the wave capture.
     truth_spp : int
         Samples per pixel of the thin lens.
+    noise : bool
+        Whether the captures keep the noise of their samples, which takes two of each at least.
     variant : str
         A variant of Mitsuba in one colour channel.
     """
@@ -84,6 +86,7 @@ class Settings:
     spp: int = 16
     paths: int = 16
     truth_spp: int = 1024
+    noise: bool = False
     variant: str = DEFAULT_VARIANT
 
 
@@ -163,17 +166,25 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     }
     ray, ray_key = store.capture(
         "capture_ray",
-        {**base, "spp": settings.spp},
-        lambda progress, _: _grey(render_capture(scene, model="ray", spp=settings.spp, progress=progress)),
+        {**base, "spp": settings.spp, "noise": settings.noise},
+        lambda progress, _: _grey(
+            render_capture(scene, model="ray", spp=settings.spp, noise=settings.noise, progress=progress)
+        ),
     )
     if not ray.image.any():
         raise InputError(f"{settings.scene}: the capture is black: its camera sees no light")
     wave, wave_key = store.capture(
         "capture_wave",
-        {**base, **wave_options, "spp": settings.paths},
+        {**base, **wave_options, "spp": settings.paths, "noise": settings.noise},
         lambda progress, checkpoint: _grey(
             render_capture(
-                scene, model="wave", spp=settings.paths, progress=progress, checkpoint=checkpoint, **wave_options
+                scene,
+                model="wave",
+                spp=settings.paths,
+                noise=settings.noise,
+                progress=progress,
+                checkpoint=checkpoint,
+                **wave_options,
             )
         ),
     )
@@ -255,7 +266,8 @@ def _grey(capture: Capture) -> Capture:
     """Keep one channel of a film that records colours of which a mono variant has one."""
     if capture.image.ndim == 2:
         return capture
-    return replace(capture, image=capture.image[..., 1])
+    noise = None if capture.noise is None else capture.noise[..., 1]
+    return replace(capture, image=capture.image[..., 1], noise=noise)
 
 
 def _boxes(scene: Any) -> dict[str, tuple[np.ndarray, np.ndarray]]:

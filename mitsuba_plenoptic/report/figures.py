@@ -155,7 +155,7 @@ def figure_interference(path: Path, experiment: Experiment, notes: Mapping[tuple
     wide, gap, left, title, foot = 3.4, 0.1, 0.45, 0.4, 0.32
     tall = wide * window.aspect
     figure = Canvas(left + len(distances) * (wide + gap) + 0.9, title + len(names) * (tall + foot))
-    bound = 0.15 * max(float(experiment.images["limit", distance].max()) for distance in distances)
+    bound = 0.15 * max(float(np.nanmax(experiment.images["limit", distance])) for distance in distances)
     drawn: Any = None
     for down, name in enumerate(names):
         for across, distance in enumerate(distances):

@@ -56,7 +56,7 @@ def lit_window(images: Sequence[np.ndarray], *, fraction: float = 0.03, margin: 
 
 def common_peak(images: Sequence[np.ndarray], window: Window) -> float:
     """Choose the value that becomes white: all but glints stay below it."""
-    return max(float(np.quantile(window.of(image), 0.997)) for image in images)
+    return max(float(np.nanquantile(window.of(image), 0.997)) for image in images)
 
 
 def letter_zooms(experiment: Experiment, letters: Mapping[str, str], lenses: int = 8) -> list[Zoom]:

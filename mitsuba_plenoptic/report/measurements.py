@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from .difference import capture_difference, middle_of_micro_images
 from .experiment import METHODS, TITLES, Experiment
 from .metrics import common_scale, image_metrics, interference, lit_region, relative_error, shape_window
 from .slanted_edge import square_sharpness
@@ -24,17 +25,31 @@ def measure(experiment: Experiment) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``captures``: the ray capture compared with the wave capture. ``reconstructions``: for each method and
+        ``captures``: the ray capture compared with the wave capture: image metrics, and under ``difference`` how far
+        they are apart and how much of that is noise, over ``all`` pixels, the ``middle`` of micro-images and their
+        ``rim``. ``reconstructions``: for each method and
         distance image metrics against the thin lens (after one scale per method), energy (before it) and, where waves
         interfere, the distance from the one-lens limit over all that is lit. ``interference``: the same over each
         flat shape. ``edges``: sharpness of the chart's slanted edges, empty for other scenes.
     """
     ray, wave = experiment.ray.image, experiment.wave.image
     return {
-        "captures": {**image_metrics(ray, wave).to_dict(), "relative_error": round(relative_error(ray, wave), 5)},
+        "captures": {
+            **image_metrics(ray, wave).to_dict(),
+            "relative_error": round(relative_error(ray, wave), 5),
+            "difference": _difference(experiment),
+        },
         "reconstructions": _reconstructions(experiment),
         "interference": _interference(experiment),
         "edges": _edges(experiment),
+    }
+
+
+def _difference(experiment: Experiment) -> dict[str, Any]:
+    middle = middle_of_micro_images(experiment.camera)
+    pixels = {"all": None, "middle": middle, "rim": ~middle}
+    return {
+        name: capture_difference(experiment.ray, experiment.wave, where).to_dict() for name, where in pixels.items()
     }
 
 

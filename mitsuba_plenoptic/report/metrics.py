@@ -37,14 +37,19 @@ class ImageMetrics:
 
 def common_scale(images: Sequence[np.ndarray], references: Sequence[np.ndarray]) -> float:
     """Find the one factor on all images that brings them closest to their references (least squares)."""
-    products = sum(float(np.vdot(a, b)) for a, b in zip(images, references, strict=True))
-    squares = sum(float(np.vdot(a, a)) for a in images)
+    products = sum(float(np.nansum(a * b)) for a, b in zip(images, references, strict=True))
+    squares = sum(float(np.nansum(np.square(a))) for a in images)
     return products / squares if squares > 0 else 1.0
 
 
 def image_metrics(image: np.ndarray, reference: np.ndarray) -> ImageMetrics:
-    """Compare an image with a reference of the same shape, at least 7 x 7 pixels, brightness and all."""
+    """Compare an image with a reference of the same shape, at least 7 x 7 pixels, brightness and all.
+
+    Pixels that are NaN in the image are not compared.
+    """
     image, reference = np.asarray(image, np.float32), np.asarray(reference, np.float32)
+    unknown = np.isnan(image)
+    image, reference = np.where(unknown, 0, image), np.where(unknown, 0, reference)
     peak = float(reference.max())
     mean_square = float(np.mean((image - reference) ** 2, dtype=np.float64))
     total = float(reference.sum(dtype=np.float64))
@@ -68,13 +73,13 @@ def interference(image: np.ndarray, limit: np.ndarray, region: np.ndarray | tupl
     not do as a measure, because it sees detail where there is any.
     """
     difference = np.asarray(image, np.float64)[region] - limit[region]
-    mean = float(np.mean(limit[region], dtype=np.float64))
-    return float(np.sqrt(np.mean(difference**2)) / mean) if mean > 0 else 0.0
+    mean = float(np.nanmean(limit[region], dtype=np.float64))
+    return float(np.sqrt(np.nanmean(difference**2)) / mean) if mean > 0 else 0.0
 
 
 def lit_region(limit: np.ndarray, fraction: float = 0.1) -> np.ndarray:
     """Mark the bins that are brighter than a fraction of the brightest."""
-    return limit > fraction * limit.max()
+    return limit > fraction * np.nanmax(limit)
 
 
 def shape_window(camera: PlenopticCamera, low: np.ndarray, high: np.ndarray) -> tuple[slice, slice] | None:

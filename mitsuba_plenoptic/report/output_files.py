@@ -54,7 +54,7 @@ def write_reconstructions(
     Pictures share one scale: the brightest bin of all is white. OpenEXR files keep in their headers the metadata of
     the capture, `source`.
     """
-    peak = max(float(result.image.max()) for result in results)
+    peak = max(float(np.nan_to_num(result.image).max()) for result in results)
     for path, result in zip(paths, results, strict=True):
         if path.suffix.lower() == ".png":
             write_png(path, result.image, peak=peak)

@@ -56,7 +56,7 @@ def test_usage_errors_point_to_the_help(line, words, raw, tmp_path, complaint):
         ("reconstruct {raw} -o {out}.exr --distance 80", "distance = 80: it must be greater than the focal length 80"),
         ("reconstruct {raw} -o {out}.exr --distance -240", "distance = -240"),
         ("reconstruct {raw} -o {out}.exr --distance nan", "distance = nan"),
-        ("reconstruct {raw} -o {out}.exr --distance inf", "distance = inf"),
+        ("reconstruct {raw} -o {out}.exr --distance 240 --white nowhere.exr", "nowhere.exr: there is no such file"),
         ("reconstruct {raw} -o {out}.exr --distance 240 --distance 240", "given twice"),
         ("reconstruct {raw} -o {out}.exr --distance 240 --method magic", "method = 'magic'"),
         ("reconstruct {raw} -o {out}.exr --distance 240 --footprint magic", "footprint = 'magic'"),

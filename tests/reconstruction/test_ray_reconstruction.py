@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct
+from mitsuba_plenoptic.lightfield.white import white_image
 from mitsuba_plenoptic.reconstruction.binning import axis_bins, bin_image
 from mitsuba_plenoptic.reconstruction.methods import METHODS, method
+from mitsuba_plenoptic.reconstruction.ray_sums import ray_sums
 
 
 def by_single_rays(image, camera, distance):
@@ -28,7 +30,7 @@ def by_single_rays(image, camera, distance):
     nx, ny = camera.lens_count
     edges = [(np.arange(n + 1) - n / 2) * size for n in (ny, nx)]
     total, _, _ = np.histogram2d(-Y[inside], -X[inside], bins=edges, weights=image[inside])
-    return total / (math.pi / 4 * (camera.micro_image_diameter / camera.pixel_size) ** 2)
+    return total
 
 
 @pytest.mark.parametrize("distance", [210.0, 240.0, 283.0])
@@ -44,17 +46,19 @@ def by_single_rays(image, camera, distance):
 def test_point_version_is_the_direct_sum(camera, distance):
     image = np.random.default_rng(0).random(camera.shape)
     ours = reconstruct(image, distance, camera=camera, footprint="point").image
-    theirs = by_single_rays(image, camera, distance)
+    light, white = (by_single_rays(pixels, camera, distance) for pixels in (image, white_image(camera)))
+    dark = white < 0.01 * white.max()
+    assert np.array_equal(np.isnan(ours), dark)
     # A pixel whose ray meets a bin's edge to within rounding may go to either side.
-    assert np.abs(ours - theirs).sum() <= 1e-3 * theirs.sum()
-    assert ours.sum() == pytest.approx(theirs.sum(), rel=1e-5)
+    theirs = light[~dark] / white[~dark]
+    assert np.abs(ours[~dark] - theirs).sum() <= 2e-3 * theirs.sum()
 
 
 def test_footprint_version_is_the_mean_of_rays_through_the_whole_lens():
     camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
     image = np.zeros(camera.shape)
     image[150, 140] = 1.0
-    ours = reconstruct(image, 280.0, camera=camera, footprint="lens").image
+    ours = ray_sums(image[..., None], camera, 280.0, camera.lit_radius, "lens", 1)[..., 0]
     # Many rays through the lens of this one pixel.
     b, z, f1 = camera.mla_distance, camera.detector_distance, camera.focal_length
     p = (np.array([140, 150]) + 0.5 - 128) * camera.pixel_size
@@ -64,7 +68,7 @@ def test_footprint_version_is_the_mean_of_rays_through_the_whole_lens():
     P = m + b * t
     u = -(P + 280 * (t - P / f1)) * b / 280 / 0.064 + 4
     x, y = (np.histogram(axis, bins=np.arange(9))[0] / 2000 for axis in u)
-    expected = np.outer(y, x) / (math.pi / 4 * (camera.micro_image_diameter / camera.pixel_size) ** 2)
+    expected = np.outer(y, x)
     np.testing.assert_allclose(ours, expected, atol=2e-3 * expected.max())
     assert np.count_nonzero(expected) >= 2
 
@@ -74,7 +78,9 @@ def test_energy_of_what_passes_the_pupil_is_kept():
     image = np.zeros(camera.shape, dtype=np.float32)
     image[200:312, 200:312] = np.random.default_rng(3).random((112, 112))
     sums = [
-        reconstruct(image, g, camera=camera, footprint=f).image.sum() for g in (215, 240) for f in ("lens", "point")
+        ray_sums(image[..., None], camera, g, camera.lit_radius, f, 1).sum()
+        for g in (215.0, 240.0)
+        for f in ("lens", "point")
     ]
     np.testing.assert_allclose(sums, sums[0], rtol=1e-4)
 
@@ -101,6 +107,58 @@ def test_binning_spreads_and_loses_what_it_should():
     np.testing.assert_allclose(dense, [[0.75, 0, 0, 0.5], [0.25, 1, 0.25, 0], [0, 0, 0.5, 0]])
     image = np.arange(16, dtype=np.float32).reshape(4, 4, 1)
     np.testing.assert_allclose(bin_image(image, bins, bins, 1.0)[..., 0], dense @ image[..., 0] @ dense.T, rtol=1e-6)
+
+
+def ramp_capture(camera, distance):
+    """What the camera records of a radiance that rises from 0.5 to 1.5 across the field: what each pixel sees there."""
+    p = camera.pixel_coordinates(0)
+    c, _ = camera.lattice.centre(*camera.lattice.cell(*np.meshgrid(*(camera.pixel_coordinates(i) for i in (0, 1)))))
+    t = (c - p) / camera.detector_distance
+    P = c + camera.mla_distance * t
+    slope = t - P / camera.focal_length + P / distance
+    half_field = camera.bin_count[0] * camera.mla_pitch / 2 / camera.mla_distance
+    return white_image(camera) * (1 - 0.5 * slope / half_field)
+
+
+@pytest.mark.parametrize("distance", [150.0, 210.0, 240.0, 1000.0, math.inf])
+@pytest.mark.parametrize("lattice", [{}, {"mla_lattice": "hexagonal"}], ids=["square", "hexagonal"])
+def test_walls_are_right_to_the_border(lattice, distance):
+    camera = PlenopticCamera(detector_width=1.024, resolution=(512, 512), **lattice)
+    columns = (np.arange(16) + 0.5) / 8 - 1
+    white = reconstruct(white_image(camera), distance, camera=camera)
+    np.testing.assert_allclose(white.image, 1, atol=1e-5)
+    # X / g grows to the left.
+    ramp = reconstruct(ramp_capture(camera, distance), distance, camera=camera)
+    np.testing.assert_allclose(ramp.image, np.tile(1 + 0.5 * columns, (16, 1)), atol=0.03)
+    assert white.bin_size == pytest.approx(0.064 / 120 * (1 if math.isinf(distance) else distance))
+
+
+def test_a_white_capture_takes_out_what_it_tells():
+    """Pixels of unequal gain, which the computed white does not know."""
+    camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
+    gain = np.linspace(0.5, 2, 256)
+    image = white_image(camera) * gain
+    np.testing.assert_allclose(reconstruct(0.7 * image, 240.0, camera=camera, white=image).image, 0.7, rtol=1e-5)
+    colour = np.stack([image, 2 * image, 3 * image], axis=-1)
+    result = reconstruct(colour, 240.0, camera=camera, white=Capture(image, camera))
+    np.testing.assert_allclose(result.image, np.broadcast_to([1, 2, 3], (8, 8, 3)), rtol=1e-5)
+    assert result.options["white"] == "capture"
+    with pytest.raises(InputError, match=r"white of shape \(3, 3\): it must have the pixels of the capture"):
+        reconstruct(image, 240.0, camera=camera, white=np.ones((3, 3)))
+
+
+@pytest.mark.parametrize("lattice", [{}, {"mla_lattice": "hexagonal"}], ids=["square", "hexagonal"])
+def test_bins_that_no_ray_reaches_are_marked(lattice):
+    camera = PlenopticCamera(
+        detector_width=1.024, resolution=(512, 512), crop_offset=(0, 256), crop_size=(128, 256), **lattice
+    )
+    image = reconstruct(white_image(camera), 240.0, camera=camera).image
+    reached = np.zeros((16, 16), bool)
+    reached[8:, :4] = True
+    away = np.ones((16, 16), bool)
+    away[7:, :6] = False
+    assert np.isnan(image[away]).all()
+    np.testing.assert_allclose(image[reached], 1, atol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,11 @@ from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct,
 from mitsuba_plenoptic.capture.point_spread import point_spread_function
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.exr import read_exr
+from mitsuba_plenoptic.reconstruction import full_fields, grids
 from mitsuba_plenoptic.reconstruction.full_fields import FullFields, lit_window, reconstruct_subsets
 from mitsuba_plenoptic.reconstruction.grids import plan
 from mitsuba_plenoptic.reconstruction.lens_by_lens import reconstruct_lens_by_lens
+from mitsuba_plenoptic.reconstruction.ray_sums import white_sums
 
 # Grey or random pixels and single ones are no captures, and a guard says so.
 pytestmark = pytest.mark.filterwarnings("ignore:.*back through the main lens:mitsuba_plenoptic.PhysicsWarning")
@@ -94,7 +96,9 @@ def test_a_lit_pixel_goes_where_geometry_says(options, column, row):
 @pytest.mark.parametrize("lens", [(0, 0), (-7, 5), (8, -9)])
 def test_a_lit_lens_goes_where_geometry_says(options, lens):
     for result in refocus(micro_image(SMALL, *lens), DISTANCES, **options):
-        np.testing.assert_allclose(centroid(result.image), [k + 0.5 for k in lens], atol=0.1)
+        # Images are divided by white, which is less near the border.
+        light = result.image * white_sums(SMALL, result.distance, SMALL.lit_radius, "lens", 1)
+        np.testing.assert_allclose(centroid(light), [k + 0.5 for k in lens], atol=0.1)
 
 
 @wave_methods
@@ -138,8 +142,8 @@ def test_what_passes_the_pupil_lands_in_the_image(camera, interleave):
     focus = camera.focus_distance
     distances = [0.93 * focus, focus, 1.1 * focus]
     lit = lit_window(image, camera)
-    grids = plan(camera, WAVELENGTH, distances, lit)
-    fields = FullFields(image, camera, WAVELENGTH, grids, lit, interleave=interleave, relay=True)
+    made = plan(camera, WAVELENGTH, distances, lit)
+    fields = FullFields(image, camera, WAVELENGTH, made, lit, interleave=interleave, relay=True)
     passed = sum(fields.power(fields.at_main_lens(subset)) for subset in np.ndindex(interleave, interleave))
     assert 0.05 * image.sum() < passed < image.sum()
     for total in reconstruct_subsets(image, camera, distances, WAVELENGTH, interleave=interleave):
@@ -154,7 +158,7 @@ def test_single_lenses_are_full_fields_of_one_lens(camera):
         full = reconstruct_subsets(image, camera, distances, WAVELENGTH)
         single = reconstruct_lens_by_lens(image, camera, distances, WAVELENGTH)
         for a, b in zip(full, single, strict=True):
-            assert np.linalg.norm(a - b) <= 6e-3 * np.linalg.norm(a)
+            assert np.linalg.norm(a - b) <= 7e-3 * np.linalg.norm(a)
             assert b.sum() == pytest.approx(a.sum(), rel=4e-3)
 
 
@@ -219,16 +223,58 @@ def test_finer_bins_add_up_to_the_coarse_ones(options):
     assert fine.image.shape == (96, 96)
     assert fine.bin_size == pytest.approx(coarse.bin_size / 3)
     means = fine.image.reshape(32, 3, 32, 3).mean((1, 3))
-    np.testing.assert_allclose(means, coarse.image, atol=2e-3 * coarse.image.max())
+    np.testing.assert_allclose(means, coarse.image, atol=5e-3 * coarse.image.max())
 
 
 @wave_methods
 def test_a_crop_lands_on_the_full_grid_of_bins(options):
     image = lit_inside(SMALL, 301, 420)
     crop = SMALL.replace(crop_offset=(200, 290), crop_size=(240, 250))
-    whole = refocus(image, 220.0, **options).image
-    part = refocus(image[290:540, 200:440], 220.0, crop, **options).image
-    np.testing.assert_allclose(part, whole, atol=1e-4 * whole.max())
+    whole, part = (
+        refocus(pixels, 220.0, camera, **options).image * white_sums(camera, 220.0, camera.lit_radius, "lens", 1)
+        for pixels, camera in ((image, SMALL), (image[290:540, 200:440], crop))
+    )
+    # Dividing by white left the same light; where rays do not reach there is some that was diffracted.
+    reached = ~np.isnan(part)
+    assert 0.1 < reached.mean() < 0.9
+    np.testing.assert_allclose(part[reached], whole[reached], atol=1e-4 * whole.max())
+    assert whole[~reached].sum() < 0.05 * whole.sum()
+
+
+@wave_methods
+def test_pixels_below_zero_leave_no_light_on_average(options):
+    """Noise of mean zero beside a lit square: cut off at zero it would be light."""
+    dark = np.random.default_rng(1).normal(0, 0.02, SMALL.shape).astype(np.float32)
+    image = lit_inside(SMALL, 448, 576) + dark
+    without, noisy = (refocus(pixels, 240.0, **options).image for pixels in (image - dark, image))
+    cut = refocus(np.maximum(image, 0), 240.0, **options).image
+    beside = np.ones((32, 32), bool)
+    beside[12:20, 12:20] = False
+    assert abs(noisy[beside].mean()) < 0.1 * cut[beside].mean()
+    np.testing.assert_allclose(noisy[14:18, 14:18], without[14:18, 14:18], rtol=0.1)
+
+
+@wave_methods
+@pytest.mark.parametrize("distance", [1000.0, math.inf])
+def test_far_planes(options, distance):
+    """A point there, captured by waves, comes back; pixels see three bins of so far a plane."""
+    camera = wave_cases.small_camera(12)
+    far = min(distance, 1e7)
+    X, Y = -1.5 * camera.mla_pitch / 120 * far, 3.5 * camera.mla_pitch / 120 * far
+    spread = point_spread_function(camera, (X, Y, far), wavelength=WAVELENGTH)
+    image = refocus(spread, distance, camera, **options).image
+    row, column = np.unravel_index(np.argmax(image), image.shape)
+    assert abs(column - 6 - 1) <= 2 and abs(row - 6 + 4) <= 2
+
+
+def test_strips_of_the_detector_add_up_to_the_whole(monkeypatch):
+    image = lit_inside(SMALL, 380, 644)
+    whole = reconstruct_subsets(image, SMALL, [225.0], WAVELENGTH)[0]
+    assert len(plan(SMALL, WAVELENGTH, [225.0], lit_window(image, SMALL)).strips) == 1
+    monkeypatch.setattr(full_fields, "plan", lambda *given: grids._plan(*given, 3))
+    monkeypatch.setattr(full_fields, "require_feasible", lambda made: None)
+    parts = reconstruct_subsets(image, SMALL, [225.0], WAVELENGTH)[0]
+    assert np.linalg.norm(parts - whole) < 2e-3 * np.linalg.norm(whole)
 
 
 @wave_methods
@@ -299,7 +345,6 @@ def test_the_command_writes_method_and_camera_into_the_header(tmp_path, capfd):
         ({"interleave": 1.5}, "interleave = 1.5: it must be 'auto' or a whole number"),
         ({"interleave": "all"}, "interleave = 'all': it must be 'auto' or a whole number"),
         ({"oversample": 0}, "oversample = 0: it must be at least 1"),
-        ({"image": np.full((64, 64), -1.0)}, "4096 of its pixels are negative"),
     ],
 )
 def test_bad_arguments_are_refused(arguments, message):

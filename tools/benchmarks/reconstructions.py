@@ -130,11 +130,12 @@ def _bare_transforms(capture: Capture, distance: float) -> Callable[[], None]:
     lit = lit_window(capture.image, capture.camera)
     assert lit is not None
     grids = plan(capture.camera, _WAVELENGTH, [distance], lit)
-    # Along rows for the first and the last of a step's four, along columns for the two between them.
+    # Along rows for the first and the last of a step's four, along columns for the two between them; the last step has
+    # two, along rows and along columns.
     shapes = [
         ((count, length) if axis else (length, count), axis, inverse)
         for step in grids.steps
-        for (count, length, inverse), axis in zip(step.transforms, (1, 0, 0, 1), strict=True)
+        for (count, length, inverse), axis in zip(step.transforms, (1, 0, 0, 1), strict=False)
     ]
     memory = np.ones(max(rows * columns for (rows, columns), _, _ in shapes), np.complex64)
 

@@ -176,7 +176,7 @@ KINDS = tuple(
         ! reconstruct(capture(), 240, method='partial', interleave=<<$not_count | 10**9 | 'AUTO'>>)
         ! reconstruct(capture(), 240, camera=<<'camera' | 1 | {} | SMALL_CAMERA>>)
         ! reconstruct(image(), 240, camera=CAMERA, method=<<'coherent' | 'partial'>>, wavelength=$not_wavelength)
-        ! reconstruct(image(at=$pixel, to=-1e-3), 240, camera=CAMERA, method='coherent', wavelength=633)
+        reconstruct(image(at=$pixel, to=-1e-3), 240, camera=CAMERA, method='coherent', wavelength=633)
         ! decode(image(), camera=<<None | SMALL_CAMERA | 'x' | 3 | {}>>)
         ! decode(image(), camera=CAMERA, <<white=image()[:5] | grid='x' | grid=3>>)
         ! decode(image(), <<white=image() * 0 | white=None>>, grid=LensGrid((16.0, 16.0), (8.0, 8.0), (4, 4)))

@@ -1,0 +1,90 @@
+"""Sums over bins by one ray a pixel, of a capture and of white: what the ray method divides, and who reaches what."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from ..camera import PlenopticCamera
+from ..design import focus_type, lens_footprint, pixel_footprint
+from ..errors import InputError
+from ..lightfield.white import white_image
+from ..optics import rays
+from .binning import AxisBins, axis_bins, bin_image
+from .splatting import splat
+
+# Dr.Jit counts in 32 bits.
+_MOST_VALUES = 2**32 - 1
+
+
+def ray_sums(
+    image: np.ndarray, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
+) -> np.ndarray:
+    """Follow one ray a pixel back to the object plane and sum the pixels that go to each bin.
+
+    Where pixels and bins are arranged alike, on an upright square lattice without gaps of unfocused lenses, this is
+    done one axis at a time.
+
+    Parameters
+    ----------
+    image : (rows, columns, channels) float32 array
+        The capture.
+    camera : PlenopticCamera
+        The camera.
+    distance : float
+        Object distance; may be infinite.
+    radius : float
+        Pupil radius: pixels whose ray misses it are left out.
+    footprint : {"lens", "point"}
+        Whether a pixel is spread over what its whole lens sees, or goes to one bin.
+    oversample : int
+        Bins per lens pitch.
+
+    Returns
+    -------
+    (rows, columns, channels) array
+        Sum of the pixels by bin.
+    """
+    if focus_type(camera) != "unfocused" or not camera.lenses_like_bins:
+        return splat(image, camera, distance, radius, footprint=footprint, oversample=oversample)
+    x, y = (_axis(camera, distance, radius, axis, footprint, oversample) for axis in (0, 1))
+    values = image.shape[2] * x.count * max(y.count, image.shape[0])
+    if values > _MOST_VALUES:
+        raise InputError(
+            f"images of {x.count} x {y.count} bins: {values} values are summed at once, at most {_MOST_VALUES} can be"
+        )
+    return bin_image(image, x, y, radius)
+
+
+@functools.lru_cache(maxsize=32)
+def white_sums(camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int) -> np.ndarray:
+    """Return `ray_sums` of what the camera records of a scene of uniform radiance 1; (rows, columns) float64 array."""
+    white = white_pixels(camera)[..., None]
+    return ray_sums(white, camera, distance, radius, footprint, oversample)[..., 0].astype(np.float64)
+
+
+@functools.lru_cache(maxsize=1)
+def white_pixels(camera: PlenopticCamera) -> np.ndarray:
+    """Return the camera's white image; the last one is kept, for the next distance."""
+    return white_image(camera)
+
+
+def _axis(
+    camera: PlenopticCamera, distance: float, radius: float, axis: int, footprint: str, oversample: int
+) -> AxisBins:
+    """Where the pixels of one axis go, in bins, and where they meet the pupil."""
+    count = camera.bin_count[axis] * oversample
+    p = camera.pixel_coordinates(axis)
+    chief = rays.chief_point(p, camera.mla_distance, camera.detector_distance)
+    c = camera.lattice.axis_centre(camera.lattice.axis_cell(chief, axis), axis)
+
+    pupil, place = rays.follow_back(p, c, c, distance, camera)
+    centre = place * (oversample / camera.mla_pitch) + count / 2
+    if footprint == "point":
+        return axis_bins(centre, centre, pupil, count, radius)
+    width = max(
+        camera.mla_pitch * lens_footprint(camera, distance, camera.mla_focal_length), pixel_footprint(camera, distance)
+    )
+    half = width / 2 * oversample / camera.mla_pitch
+    return axis_bins(centre - half, centre + half, pupil, count, radius)

@@ -1,0 +1,68 @@
+"""Each verdict of the report comes out both ways, by numbers that are made up."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import PlenopticCamera
+from mitsuba_plenoptic.report.claims import check_claims
+
+FAIR = {"coherent": (0.08, 0.05), "partial": (0.015, 0.01), "seconds": (9.0, 1.0, 3.5), "mesh": (0.3, 0.01)}
+
+
+def verdicts(coherent, partial, seconds, mesh):
+    """Verdicts by statement; `mesh` is how far the coherent and the partial image are from that by rays."""
+    camera = PlenopticCamera(detector_width=2.048, resolution=(1024, 1024))
+    ray = np.add.outer(np.arange(32.0), np.arange(32.0)) / 62
+    noise = np.random.default_rng(0).normal(0, 1, ray.shape)
+    images = {}
+    for distance in (210.0, 280.0):
+        images["ray", distance] = ray
+        for method, share in zip(("coherent", "partial"), mesh, strict=True):
+            images[method, distance] = ray + share * noise
+    interference = [
+        {"shape": shape, "shape_distance": own, "distance": other, "coherent": a, "partial": b}
+        for shape, own, other, a, b in zip(
+            ("near", "far"), (210.0, 280.0), (280.0, 210.0), coherent, partial, strict=True
+        )
+    ]
+    experiment = SimpleNamespace(settings=SimpleNamespace(distances=(210.0, 280.0)), images=images, camera=camera)
+    numbers = {"reconstructions": [{"bins": [32, 32]}], "interference": interference}
+    named = dict(zip(("ray", "coherent", "partial"), seconds, strict=True))
+    return {
+        claim.statement.split(":")[0]: claim.verdict
+        for claim in check_claims(experiment, numbers, named, "near", "far")
+    }
+
+
+@pytest.mark.parametrize(
+    ("statement", "change", "verdict"),
+    [
+        ("Coherent propagation shows", {}, "confirmed"),
+        ("Coherent propagation shows", {"coherent": (0.08, 0.01)}, "partly"),
+        ("Coherent propagation shows", {"coherent": (0.01, 0.01)}, "differs"),
+        ("Partially coherent propagation strongly", {}, "confirmed"),
+        ("Partially coherent propagation strongly", {"partial": (0.015, 0.04)}, "partly"),
+        ("Partially coherent propagation strongly", {"partial": (0.08, 0.05)}, "differs"),
+        ("The partially coherent image", {}, "confirmed"),
+        # as near as before, but no nearer than the coherent one
+        ("The partially coherent image", {"mesh": (0.01, 0.01)}, "differs"),
+        ("The partially coherent image", {"mesh": (0.9, 0.3)}, "differs"),
+        ("Four propagations", {}, "confirmed"),
+        ("Four propagations", {"partial": (0.03, 0.01)}, "partly"),
+        ("Four propagations", {"partial": (0.03, 0.04)}, "differs"),
+        # nothing to be removed
+        ("Four propagations", {"coherent": (0.01, 0.01), "partial": (0.01, 0.01)}, "differs"),
+        ("Reconstruction by waves is faster", {}, "confirmed"),
+        ("Reconstruction by waves is faster", {"seconds": (0.1, 1.0, 3.5)}, "differs"),
+        ("Partially coherent propagation takes", {}, "confirmed"),
+        ("Partially coherent propagation takes", {"seconds": (9.0, 1.0, 1.5)}, "differs"),
+        ("Reconstructions by rays and by waves", {}, "by construction"),
+    ],
+)
+def test_verdicts_come_out_both_ways(statement, change, verdict):
+    found = verdicts(**{**FAIR, **change})
+    assert next(found[name] for name in found if name.startswith(statement)) == verdict
