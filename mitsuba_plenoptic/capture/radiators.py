@@ -23,9 +23,9 @@ from ..optics.main_lens import MainLens, main_lens
 from ..runtime.limits import largest_fitting, require_memory
 from .chains import Optics
 from .draws import Found, draw
-from .first_vertex import Vertex
 from .gloss import glossy, pupil_radiance
 from .lens_window import LensWindow
+from .places import Vertex
 from .pupil_weights import PupilWeights
 from .sight import Sight
 from .visibility import LANES, PUPIL_CELLS, sampled_fraction, visible_cells
@@ -217,9 +217,7 @@ def _trace_lenses(
     q = mi.Point2f(*window.place(i + place[0], j + place[1]))
     slope = mi.Point2f(*lens.aim((P.x, P.y), (q.x, q.y)))
     ray, cosine = sight.ray((P.x, P.y), (slope.x, slope.y))
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(seed, dr.width(lane))
-    found = draw(sight.optics, sampler, ray, spp)
+    found = draw(sight.optics, seed, ray, spp)
     bad = int(np.count_nonzero(~np.isfinite(found.radiance).all(axis=-1)))
     if bad:
         raise InputError(f"scene: the radiance of {bad} radiators is NaN or infinite: all must be finite")

@@ -14,7 +14,8 @@ from ..optics.main_lens import MainLens
 from . import child
 from .chains import Optics
 from .draws import channels
-from .first_vertex import first_vertex, seen_directly
+from .first_vertex import first_vertex
+from .places import seen_directly
 
 
 @dataclass(frozen=True)
@@ -77,13 +78,12 @@ class Sight:
             Distance g of the plane from which the light seems to come; infinite, or negative where it converges.
         """
         ray, cosine = self.ray(pupil, slope)
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(seed, dr.width(ray))
         if self.optics.plain:
+            sampler = child.random_numbers(seed, dr.width(ray))
             integrator = self.optics.child.integrator
             radiance = child.sample(integrator, self.optics.scene, sampler, ray, None, mi.Bool(True))
             place = seen_directly(self.optics.scene.ray_intersect(ray))
         else:
-            vertex = first_vertex(self.optics, sampler, ray)
+            vertex = first_vertex(self.optics, seed, ray)
             radiance, place = vertex.radiance, vertex.place
         return channels(radiance), place.distance * cosine
