@@ -18,7 +18,7 @@ _WINDOW_MARGIN = 1.2
 """Window over what it must hold, on the way to the MLA."""
 
 _AIRY_WIDTHS = 110
-r"""Least width of that window in units of :math:`\lambda b / D_1`: the light that the pupil's edge diffracts is within."""
+r"""Least width of that window in units of :math:`\lambda b / D_1`: it must hold what the pupil's edge diffracts."""
 
 _PUPIL_BAND = 1.5
 """Sampled directions on the way to the MLA over the steepest ray: the pupil's edge diffracts beyond that."""
