@@ -40,7 +40,7 @@ FULL_FIELD = {
     "patch - full field": "{error:.3%}",
 }
 
-PATCH_LIMIT = 0.0036
+PATCH_LIMIT = 0.0035
 FULL_FIELD_LIMIT = 0.002
 
 SMALL = PAPER.replace(detector_width=0.512, resolution=(256, 256))

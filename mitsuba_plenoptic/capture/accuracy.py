@@ -21,7 +21,7 @@ DEFAULT_ACCURACY = 0.01
 """Relative error, L2 over the image, that is allowed unless told."""
 
 _BANDS = (
-    (0.004, Band(cone=2.5, margin=110, bends=3.45, orders=22)),
+    (0.004, Band(cone=2.5, margin=120, bends=3.45, orders=22)),
     (0.02, Band(cone=1.8, margin=60, bends=2.3, orders=10)),
     (1.0, Band(cone=1.5, margin=45, bends=1.8, orders=8)),
 )

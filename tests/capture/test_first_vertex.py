@@ -167,7 +167,8 @@ def test_radiators_tell_the_variance_of_their_radiance():
         Sight.of(scene, scene.sensors()[0], scene.integrator(), None), camera, sample_pairs(2, np.zeros(4)),
         spp=64, seed=1, occlusion=False,
     )  # fmt: skip
-    assert found.radiance.mean() == pytest.approx(0.5, abs=0.02)
+    # Spread evenly, about half of them; independent ones would deviate by 0.06.
+    np.testing.assert_allclose(found.radiance, 0.5, atol=3 / 64)
     assert found.variance.mean() == pytest.approx(0.25 / 63, rel=0.05)
 
 
