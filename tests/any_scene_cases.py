@@ -183,7 +183,7 @@ def glass_sphere(angle=20.0):
     place = [-200 * math.sin(2 * tilt), 0.0, 240 - 200 * math.cos(2 * tilt)]
     sphere = {"type": "sphere", "center": centre, "radius": 20.0, "bsdf": {"type": "dielectric"}}
     lamp = {"type": "sphere", "center": place, "radius": 3.0, **radiating(100.0)}
-    return scene_of(sensor(16, 16), sphere=sphere, lamp=lamp)
+    return scene_of(sensor(6, 16), sphere=sphere, lamp=lamp)
 
 
 def half_lit(roughness, edge=0.0):

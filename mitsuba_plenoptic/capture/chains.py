@@ -212,8 +212,9 @@ def leads_to(optics: Optics, ray: Any, key: Any, place: Any, tolerance: Any) -> 
 
 def _has(shape: Any, lobes: Any) -> bool:
     """Whether a shape has some kind of lobes, or holds shapes of which that is not known."""
-    bsdf = shape.bsdf()
-    return bsdf is None or mi.has_flag(bsdf.flags(), lobes)
+    # The BSDF that an instance itself tells is a dummy.
+    bsdf, holds = shape.bsdf(), shape.class_name() == "Instance"
+    return bsdf is None or holds or mi.has_flag(bsdf.flags(), lobes)
 
 
 def _scatters(medium: Any) -> bool:

@@ -93,7 +93,7 @@ def _draw_plain(optics: Optics, seed: int, ray: Any, spp: int) -> Found:
 
 def _draw_places(optics: Optics, seed: int, ray: Any, spp: int) -> Found:
     """Sample the first vertex of every path."""
-    vertex = first_vertex(optics, seed, ray)
+    vertex = first_vertex(optics, seed, ray, spp)
     dr.eval(vertex)
     values = np.stack([value.numpy() for value in channels(vertex.radiance)], axis=-1).astype(np.float64)
     lane = np.flatnonzero(~(values.max(axis=-1) <= 0))

@@ -15,7 +15,6 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from .bundle import Bundle
 from .chains import Chain, Optics, intersect, start_offset
@@ -63,12 +62,11 @@ class _Met:
     ends: Any
 
 
-def first_vertex(optics: Optics, seed: int, ray: Any) -> Vertex:
+def first_vertex(optics: Optics, seed: int, ray: Any, together: int = 1) -> Vertex:
     """Sample the radiance along rays and the places from which it comes.
 
-    The numbers that choose the first lobe and the first free path are spread evenly over neighbouring lanes: let light
-    paths of one ray be neighbours. Light is unpolarized between the events of a chain. For integrators that are not
-    Mitsuba's own, `max_depth` counts from the last vertex of the chain.
+    Light is unpolarized between the events of a chain. For integrators that are not Mitsuba's own, `max_depth` counts
+    from the last vertex of the chain.
 
     Parameters
     ----------
@@ -78,13 +76,16 @@ def first_vertex(optics: Optics, seed: int, ray: Any) -> Vertex:
         Of the random numbers.
     ray : Ray3f
         Rays from the camera.
+    together : int
+        Neighbouring lanes that are light paths of one ray: the numbers that choose their first lobe and first free path
+        are spread evenly.
 
     Returns
     -------
     Vertex
     """
     child, sampler = optics.child, random_numbers(seed, dr.width(ray))
-    key, free_path = _even_numbers(seed, dr.width(ray))
+    key, free_path = _even_numbers(seed, dr.width(ray), together)
     channel = mi.UInt32(dr.minimum(sampler.next_1d() * 3, 2)) if mi.is_rgb else mi.UInt32(0)
     nowhere = seen_directly(dr.zeros(mi.SurfaceInteraction3f))
     start = _State(
@@ -111,11 +112,12 @@ def first_vertex(optics: Optics, seed: int, ray: Any) -> Vertex:
     return Vertex(kept.radiance_of_all(), kept.place, key)
 
 
-def _even_numbers(seed: int, count: int) -> list[Any]:
-    """Return two whole numbers below 2^32 a lane, of which runs of neighbours fill the square evenly."""
+def _even_numbers(seed: int, count: int, together: int) -> list[Any]:
+    """Return two random whole numbers below 2^32 a lane, which fill the square evenly where lanes belong together."""
     lane = dr.arange(mi.UInt32, count)
-    shifts = np.random.SeedSequence(seed).generate_state(2)
-    return [lane * step + dr.opaque(mi.UInt32, int(shift)) for step, shift in zip(_STEPS, shifts, strict=True)]
+    group = lane // together
+    shifts = mi.sample_tea_32(group, dr.opaque(mi.UInt32, seed))
+    return [(lane - group * together) * step + shift for step, shift in zip(_STEPS, shifts, strict=True)]
 
 
 def _step(state: _State, optics: Optics, channel: Any) -> _State:
