@@ -116,7 +116,8 @@ def _even_numbers(seed: int, count: int, together: int) -> list[Any]:
     """Return two random whole numbers below 2^32 a lane, which fill the square evenly where lanes belong together."""
     lane = dr.arange(mi.UInt32, count)
     group = lane // together
-    shifts = mi.sample_tea_32(group, dr.opaque(mi.UInt32, seed))
+    # Of the few rounds that are the default, numbers of neighbouring groups are biased by 5 %.
+    shifts = mi.sample_tea_32(group, dr.opaque(mi.UInt32, seed), 16)
     return [(lane - group * together) * step + shift for step, shift in zip(_STEPS, shifts, strict=True)]
 
 

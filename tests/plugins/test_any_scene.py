@@ -34,7 +34,7 @@ def bars_directly():
 
 @pytest.mark.parametrize("way", ["mirror", "thindielectric", "slab", "half-open mask", "fog"])
 def test_bars_come_back_into_focus_at_their_virtual_distance(way, bars_directly):
-    by_rays, by_waves = captures(bars_through(way, 20), spp=2, per_lens=2)
+    by_rays, by_waves = captures(bars_through(way, 20), spp=4, per_lens=2)
     assert energy(by_rays, by_waves) == pytest.approx(0.99, abs=0.015)
     rays, waves = (contrast(capture, 300.0) for capture in (by_rays, by_waves))
     directly_by_rays, directly = bars_directly
