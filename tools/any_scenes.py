@@ -193,15 +193,19 @@ def glass_sphere(angle: float = 20.0) -> Any:
     place = [-200 * math.sin(2 * tilt), 0.0, 240 - 200 * math.cos(2 * tilt)]
     sphere = {"type": "sphere", "center": centre, "radius": 20.0, "bsdf": {"type": "dielectric"}}
     lamp = {"type": "sphere", "center": place, "radius": 3.0, **radiating(100.0)}
-    return scene_of(sensor(16, 16), sphere=sphere, lamp=lamp)
+    return scene_of(sensor(8, 16), sphere=sphere, lamp=lamp)
 
 
-def half_lit(bsdf: Scene, angle: float) -> Any:
+def half_lit(bsdf: Scene | None, angle: float) -> Any:
     """Return the scene of a reflecting plane in focus that shows half of the pupil a lamp, whose edge has an angle.
 
-    The lamp is behind the camera and begins at the axis.
+    The lamp is behind the camera and begins at the axis. Without a BSDF it stands, in place of the plane, where a
+    mirror shows it.
     """
     T = mi.ScalarTransform4f()
     to_world = T.translate([0, 0, -10]) @ T.rotate([0, 0, 1], angle) @ T.translate([100, 0, 0]) @ T.scale(100)
+    if bsdf is None:
+        there = T.translate([0, 0, 480]) @ T.scale([1, 1, -1])
+        return scene_of(sensor(8, 16), lamp={"type": "rectangle", "to_world": there @ to_world, **radiating()})
     lamp = {"type": "rectangle", "to_world": to_world, **radiating()}
     return scene_of(sensor(8, 16), plane=facing(240.0, 20.0, bsdf=bsdf), lamp=lamp)

@@ -40,12 +40,13 @@ FULL_FIELD = {
     "patch - full field": "{error:.3%}",
 }
 
-PATCH_LIMIT = 0.0036
+PATCH_LIMIT = 0.0035
 FULL_FIELD_LIMIT = 0.002
 
 SMALL = PAPER.replace(detector_width=0.512, resolution=(256, 256))
 EXTREMES = {
     "aperture_radius 2": (SMALL.replace(aperture_radius=2), (0.06, -0.05, 215)),
+    "aperture_radius 0.5": (SMALL.replace(aperture_radius=0.5), (0.06, -0.05, 215)),
     "0.25 um pixels": (PAPER.replace(detector_width=0.256, resolution=(1024, 1024)), (0.1, -0.05, 230)),
     "Fresnel number 0.3 by focal length": (
         PAPER.replace(mla_focal_length=5.4, detector_distance=5.4, detector_width=1.024, resolution=(512, 512)),

@@ -6,6 +6,7 @@ nothing is shared and nothing but the last 0.1 % of the light is cut (`tools/ben
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ DEFAULT_ACCURACY = 0.01
 """Relative error, L2 over the image, that is allowed unless told."""
 
 _BANDS = (
-    (0.004, Band(cone=2.5, margin=110, bends=3.45, orders=22)),
+    (0.004, Band(cone=2.5, margin=120, bends=3.45, orders=22)),
     (0.02, Band(cone=1.8, margin=60, bends=2.3, orders=10)),
     (1.0, Band(cone=1.5, margin=45, bends=1.8, orders=8)),
 )
@@ -30,6 +31,9 @@ _FEW = 512
 """Radiators up to which the light that is cut does not average out."""
 
 _FEW_STRICTER = 5.0
+
+_SHARP = 1 / 4
+"""Samples over which edges of the pupil are softened for many radiators: walls lose 0.3 % of the light, not 1.2 %."""
 
 _WAVES_PER_ERROR = 10.0
 """Waves across one microlens by which wavefronts may differ, over the allowed error of the sum of many."""
@@ -58,7 +62,8 @@ def check_accuracy(accuracy: Any, name: str = "accuracy") -> float:
 def band_for(accuracy: float, count: int) -> Band:
     """Choose how much of the diffracted light to keep for an allowed error of the sum of some radiators."""
     allowed = accuracy / _FEW_STRICTER if count <= _FEW else accuracy
-    return next(band for limit, band in _BANDS if allowed < limit)
+    band = next(band for limit, band in _BANDS if allowed < limit)
+    return band if count <= _FEW else replace(band, edge=_SHARP)
 
 
 def wavefront_step(accuracy: float, camera: PlenopticCamera, positions: NDArray[np.float64]) -> float:

@@ -117,6 +117,8 @@ class Chain:
     def sample(self, si: Any, active: Any) -> tuple[Any, Any]:
         """Choose a lobe of the surface, by the key: a sample of the BSDF and its weight, unpolarized."""
         a, b, c = (mi.sample_tea_float32(self.key, 3 * self.events + i) for i in range(3))
+        # Keys that are spread evenly choose the first lobe evenly.
+        a = dr.select(self.events == 0, mi.Float(self.key >> 8) * 2**-24, a)
         sample, weight = si.bsdf(self.ray).sample(mi.BSDFContext(), si, a, mi.Point2f(b, c), active)
         return sample, mi.unpolarized_spectrum(weight)
 
@@ -173,7 +175,7 @@ def leads_to(optics: Optics, ray: Any, key: Any, place: Any, tolerance: Any) -> 
         Rays from the camera.
     key : UInt32
         The keys of the other chains.
-    place : first_vertex.Place
+    place : Place
         Where those have ended.
     tolerance : Float
         How far from there, over the length of the way, a ray may pass.
@@ -210,8 +212,9 @@ def leads_to(optics: Optics, ray: Any, key: Any, place: Any, tolerance: Any) -> 
 
 def _has(shape: Any, lobes: Any) -> bool:
     """Whether a shape has some kind of lobes, or holds shapes of which that is not known."""
-    bsdf = shape.bsdf()
-    return bsdf is None or mi.has_flag(bsdf.flags(), lobes)
+    # The BSDF that an instance itself tells is a dummy.
+    bsdf, holds = shape.bsdf(), shape.class_name() == "Instance"
+    return bsdf is None or holds or mi.has_flag(bsdf.flags(), lobes)
 
 
 def _scatters(medium: Any) -> bool:

@@ -143,6 +143,13 @@ class Child:
         return self._copies[key]
 
 
+def random_numbers(seed: int, lanes: int) -> Any:
+    """Return a sampler of independent random numbers."""
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed, lanes)
+    return sampler
+
+
 def sample(integrator: Any, scene: Any, sampler: Any, ray: Any, medium: Any, active: Any) -> Any:
     """Return the unpolarized radiance that an integrator estimates along rays; black where not active."""
     # The unbound method reaches integrators written in C++ and in Python alike.

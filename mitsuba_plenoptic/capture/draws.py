@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from . import child
 from .chains import Optics
-from .first_vertex import Vertex, first_vertex, seen_directly
+from .first_vertex import first_vertex
+from .places import Vertex, seen_directly
 
 MOST_PLACES = 4
 """Places, at most, that stand for those where the light of one ray comes from."""
@@ -52,15 +53,15 @@ class Found:
         return Found(self.lane[kept], self.radiance[kept] * scale, self.variance[kept] * scale**2, vertex)
 
 
-def draw(optics: Optics, sampler: Any, ray: Any, spp: int) -> Found:
+def draw(optics: Optics, seed: int, ray: Any, spp: int) -> Found:
     """Follow light paths, `spp` neighbouring lanes for each ray, and gather those of equal places.
 
     Parameters
     ----------
     optics : Optics
         Scene and child.
-    sampler : mitsuba.Sampler
-        Random numbers, a lane a path.
+    seed : int
+        Of the random numbers.
     ray : Ray3f
         Rays from the camera, each `spp` times.
     spp : int
@@ -70,11 +71,12 @@ def draw(optics: Optics, sampler: Any, ray: Any, spp: int) -> Found:
     -------
     Found
     """
-    return (_draw_plain if optics.plain else _draw_places)(optics, sampler, ray, spp)
+    return (_draw_plain if optics.plain else _draw_places)(optics, seed, ray, spp)
 
 
-def _draw_plain(optics: Optics, sampler: Any, ray: Any, spp: int) -> Found:
+def _draw_plain(optics: Optics, seed: int, ray: Any, spp: int) -> Found:
     """Ask the child alone: all light of a ray comes from where it first hits."""
+    sampler = child.random_numbers(seed, dr.width(ray))
     radiance = child.sample(optics.child.integrator, optics.scene, sampler, ray, None, mi.Bool(True))
     sums = [
         np.stack([dr.block_sum(value, spp).numpy() for value in values], axis=-1)
@@ -89,9 +91,9 @@ def _draw_plain(optics: Optics, sampler: Any, ray: Any, spp: int) -> Found:
     return Found(lane, mean, variance, Vertex(mi.UnpolarizedSpectrum(0), seen_directly(si), mi.UInt32(0)))
 
 
-def _draw_places(optics: Optics, sampler: Any, ray: Any, spp: int) -> Found:
+def _draw_places(optics: Optics, seed: int, ray: Any, spp: int) -> Found:
     """Sample the first vertex of every path."""
-    vertex = first_vertex(optics, sampler, ray)
+    vertex = first_vertex(optics, seed, ray, spp)
     dr.eval(vertex)
     values = np.stack([value.numpy() for value in channels(vertex.radiance)], axis=-1).astype(np.float64)
     lane = np.flatnonzero(~(values.max(axis=-1) <= 0))

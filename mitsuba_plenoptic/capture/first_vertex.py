@@ -10,7 +10,7 @@ sampling), and stands for the light of all.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -18,89 +18,16 @@ import mitsuba as mi
 
 from .bundle import Bundle
 from .chains import Chain, Optics, intersect, start_offset
-from .media import fly
+from .child import random_numbers
+from .direct_light import Scattered, sent, weigh_emitters
+from .media import Flight, fly
+from .places import Kept, Place, Vertex, seen_directly
 
 _BEFORE = 1e-4
 """Part of the way to a surface, in a medium that has been passed, that is left for the child."""
 
-
-@dataclass
-class Place:
-    """From where light seems to come, and from where it comes.
-
-    Attributes
-    ----------
-    distance : Float
-        Distance, along the ray that has found it, of the place from which it seems to come: infinite where that is at
-        infinity, negative where the light converges to a place behind the ray's start.
-    astigmatism : Float
-        Difference of the reciprocal distances in the two principal sections.
-    curved : Bool
-        Whether it has come through refracting or curved surfaces.
-    point : Point3f
-        Where it comes from, in the world.
-    normal : Normal3f
-        The surface's normal there.
-    escaped : Bool
-        Whether it comes from infinity instead.
-    scattered : Bool
-        Whether it has been scattered by a medium there.
-    signature : UInt32
-        Equal for equal chains.
-    """
-
-    distance: Any
-    astigmatism: Any
-    curved: Any
-    point: Any
-    normal: Any
-    escaped: Any
-    scattered: Any
-    signature: Any
-
-
-@dataclass
-class Vertex:
-    """The first vertex of each of many rays.
-
-    Attributes
-    ----------
-    radiance : UnpolarizedSpectrum
-        Its mean is the radiance that the child finds along the ray.
-    place : Place
-        Where it comes from.
-    key : UInt32
-        The key of the chain that leads there.
-    """
-
-    radiance: Any
-    place: Place
-    key: Any
-
-
-@dataclass
-class _Kept:
-    """A place drawn among those of a light path, each with a chance proportional to its radiance."""
-
-    place: Place
-    radiance: Any
-    total: Any
-
-    def offer(self, place: Place, radiance: Any, number: Any) -> _Kept:
-        """Add a place; `number` is random."""
-        power = dr.mean(radiance)
-        total = self.total + power
-        taken = number * total < power
-        return _Kept(dr.select(taken, place, self.place), dr.select(taken, radiance, self.radiance), total)
-
-
-@dataclass
-class _Scattered:
-    """The last surface at which a lobe was sampled, for the weight of the emitter that its ray may meet."""
-
-    surface: Any
-    pdf: Any
-    valid: Any
+_STEPS = (3242174889, 2447445414)
+"""Steps of the R2 sequence (Roberts 2018) from lane to lane, in units of 2^-32."""
 
 
 @dataclass
@@ -112,15 +39,30 @@ class _State:
     throughput: Any
     curved: Any
     place: Place
-    kept: _Kept
-    last: _Scattered
+    kept: Kept
+    last: Scattered
     longer: Any
     asked: Any
     going: Any
+    free_path: Any
     sampler: Any
 
 
-def first_vertex(optics: Optics, sampler: Any, ray: Any, active: Any = True) -> Vertex:
+@dataclass
+class _Met:
+    """What rays have met, of which each lane has at most one."""
+
+    si: Any
+    distance: Any
+    flight: Flight | None
+    escapes: Any
+    scattered: Any
+    hidden: Any
+    branches: Any
+    ends: Any
+
+
+def first_vertex(optics: Optics, seed: int, ray: Any, together: int = 1) -> Vertex:
     """Sample the radiance along rays and the places from which it comes.
 
     Light is unpolarized between the events of a chain. For integrators that are not Mitsuba's own, `max_depth` counts
@@ -130,19 +72,20 @@ def first_vertex(optics: Optics, sampler: Any, ray: Any, active: Any = True) -> 
     ----------
     optics : Optics
         Scene and child.
-    sampler : mitsuba.Sampler
-        Random numbers, a lane a ray.
+    seed : int
+        Of the random numbers.
     ray : Ray3f
         Rays from the camera.
-    active : Bool
-        Lanes to look at.
+    together : int
+        Neighbouring lanes that are light paths of one ray: the numbers that choose their first lobe and first free path
+        are spread evenly.
 
     Returns
     -------
     Vertex
     """
-    child = optics.child
-    key = mi.UInt32(sampler.next_1d() * 2.0**24) + (mi.UInt32(sampler.next_1d() * 256.0) << 24)
+    child, sampler = optics.child, random_numbers(seed, dr.width(ray))
+    key, free_path = _even_numbers(seed, dr.width(ray), together)
     channel = mi.UInt32(dr.minimum(sampler.next_1d() * 3, 2)) if mi.is_rgb else mi.UInt32(0)
     nowhere = seen_directly(dr.zeros(mi.SurfaceInteraction3f))
     start = _State(
@@ -151,11 +94,12 @@ def first_vertex(optics: Optics, sampler: Any, ray: Any, active: Any = True) -> 
         mi.UnpolarizedSpectrum(1),
         mi.Bool(False),
         nowhere,
-        _Kept(nowhere, mi.UnpolarizedSpectrum(0), mi.Float(0)),
-        _Scattered(dr.zeros(mi.Interaction3f), mi.Float(0), mi.Bool(False)),
+        Kept(nowhere, mi.UnpolarizedSpectrum(0), mi.Float(0)),
+        Scattered(dr.zeros(mi.Interaction3f), mi.Float(0), mi.Bool(False)),
         mi.UInt32(0),
         mi.Bool(False),
-        mi.Bool(active) & child.allows(mi.UInt32(0)),
+        child.allows(mi.UInt32(0)),
+        mi.Float(free_path >> 8) * 2**-24,
         sampler,
     )
     (end,) = dr.while_loop(
@@ -165,25 +109,74 @@ def first_vertex(optics: Optics, sampler: Any, ray: Any, active: Any = True) -> 
         # The child is asked in parts, which must not follow the rays anew.
         dr.eval(end)
     kept = end.kept.offer(end.place, end.throughput * _ask(end, optics), sampler.next_1d())
-    power = dr.mean(kept.radiance)
-    return Vertex(dr.select(power > 0, kept.radiance * (kept.total / power), 0), kept.place, key)
+    return Vertex(kept.radiance_of_all(), kept.place, key)
 
 
-def seen_directly(si: Any) -> Place:
-    """Return the places that rays have met, where nothing branches."""
-    distance = dr.select(si.is_valid(), si.t, dr.inf)
-    no = mi.Bool(False)
-    return Place(distance, mi.Float(0), no, si.p, si.n, ~si.is_valid(), no, mi.UInt32(0))
+def _even_numbers(seed: int, count: int, together: int) -> list[Any]:
+    """Return two random whole numbers below 2^32 a lane, which fill the square evenly where lanes belong together."""
+    lane = dr.arange(mi.UInt32, count)
+    group = lane // together
+    # Of the few rounds that are the default, numbers of neighbouring groups are biased by 5 %.
+    shifts = mi.sample_tea_32(group, dr.opaque(mi.UInt32, seed), 16)
+    return [(lane - group * together) * step + shift for step, shift in zip(_STEPS, shifts, strict=True)]
 
 
 def _step(state: _State, optics: Optics, channel: Any) -> _State:
     """Follow rays to the next surface or place in a medium, and see whether they go on from there unscattered."""
-    chain, child, scene, sampler = state.chain, optics.child, optics.scene, state.sampler
-    ray, throughput = chain.ray, state.throughput
-    si = intersect(scene, ray, state.going)
+    chain, child, sampler = state.chain, optics.child, state.sampler
+    met, throughput = _meet(state, optics, channel)
+    si = met.si
+    bundle = state.bundle.transfer(dr.select(met.escapes, 0, met.distance))
+    place = _place(state, bundle, met)
+    light = sent(optics, chain, si, sampler, met.branches)
+    kept = state.kept.offer(place, throughput * light, sampler.next_1d())
+
+    # The surface's own lobes: null and delta ones are followed, the others are the child's.
+    sample, weight = chain.sample(si, met.branches)
+    passes = met.branches & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+    leaves = met.branches & ~passes
+    throughput = dr.select(met.branches, throughput * weight, throughput)
+    alive = dr.max(throughput) > 0
+    straight = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
+    turned = chain.turn(si, sample)
+    onward = dr.select(passes, turned, dr.select(met.hidden, chain.pass_on(si), chain))
+    bent = dr.select(passes & ~straight, bundle.bend(si, chain.ray.d, turned.ray.d, sample.eta), bundle)
+    bundle_on = dr.select(met.hidden | passes, bent.transfer(start_offset(onward.ray, si)), state.bundle)
+    onward.ray = dr.select(leaves, si.spawn_ray(si.to_world(sample.wo)), onward.ray)
+    if met.flight is not None:
+        onward, weight = _through_matter(chain, onward, met, leaves, sampler)
+        throughput = throughput * weight
+        bundle_on = dr.select(met.flight.collided, bundle, bundle_on)
+    flat = dr.squared_norm(si.dn_du) + dr.squared_norm(si.dn_dv) == 0
+    done = met.ends | leaves
+    return _State(
+        onward,
+        bundle_on,
+        throughput,
+        state.curved | (passes & ~straight & ~(flat & (sample.eta == 1))),
+        place,
+        kept,
+        Scattered(
+            dr.select(leaves, mi.Interaction3f(si), state.last.surface),
+            dr.select(leaves, sample.pdf, state.last.pdf),
+            leaves,
+        ),
+        dr.select(leaves | met.scattered, 1, state.longer),
+        state.asked | (done & alive & ~(met.escapes & child.sky_hidden(chain.events, chain.null_events))),
+        ~done & alive & child.allows(onward.used(child)),
+        dr.select(chain.medium == None, state.free_path, sampler.next_1d()),  # noqa: E711
+        sampler,
+    )
+
+
+def _meet(state: _State, optics: Optics, channel: Any) -> tuple[_Met, Any]:
+    """Follow rays to what comes next, and return what is left of their throughput, too."""
+    chain, child = state.chain, optics.child
+    si = intersect(optics.scene, chain.ray, state.going)
     distance, stopped, scattered = si.t, mi.Bool(False), mi.Bool(False)
+    flight, throughput = None, state.throughput
     if optics.media:
-        flight = fly(chain.medium, ray, si, sampler, channel, state.going)
+        flight = fly(chain.medium, chain.ray, si, state.free_path, state.sampler, channel, state.going)
         throughput = throughput * flight.weight
         distance = dr.select(flight.stopped, flight.mei.t, si.t)
         stopped, scattered = flight.stopped, flight.scattered
@@ -191,115 +184,53 @@ def _step(state: _State, optics: Optics, channel: Any) -> _State:
     hidden = arrives & chain.passes_lamp(si, child)
     branches = arrives & ~hidden & chain.branches(si)
     ends = (arrives & ~hidden & ~branches) | escapes | scattered
+    return _Met(si, distance, flight, escapes, scattered, hidden, branches, ends), throughput
 
-    bundle = state.bundle.transfer(dr.select(escapes, 0, distance))
-    place = _place(state, bundle, si.n, distance, escapes, scattered)
-    sent, number = _sent(state, si, branches, optics), sampler.next_1d()
-    kept = state.kept.offer(place, throughput * sent, number)
 
-    # The surface's own lobes: null and delta ones are followed, the others are the child's.
-    sample, weight = chain.sample(si, branches)
-    passes = branches & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
-    leaves = branches & ~passes
-    throughput = dr.select(branches, throughput * weight, throughput)
-    alive = dr.max(throughput) > 0
-    straight = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
-    turned = chain.turn(si, sample)
-    bent = bundle.bend(si, ray.d, turned.ray.d, sample.eta)
-    flat = dr.squared_norm(si.dn_du) + dr.squared_norm(si.dn_dv) == 0
-    curved = state.curved | (passes & ~straight & ~(flat & (sample.eta == 1)))
-
-    onward = dr.select(passes, turned, dr.select(hidden, chain.pass_on(si), chain))
-    next_bundle = dr.select(passes & ~straight, bent, dr.select(hidden | passes, bundle, state.bundle))
-    next_bundle = next_bundle.transfer(dr.select(hidden | passes, start_offset(onward.ray, si), 0))
-    asked_ray = dr.select(leaves, si.spawn_ray(si.to_world(sample.wo)), ray)
-    if optics.media:
-        mei = flight.mei
-        phase = mei.medium.phase_function()
-        context = mi.PhaseFunctionContext(sampler)
-        wo, phase_weight, _ = phase.sample(context, mei, sampler.next_1d(), sampler.next_2d(), scattered)
-        throughput = dr.select(scattered, throughput * mi.unpolarized_spectrum(phase_weight), throughput)
-        # Matter that the ray has passed must not weaken its light once more.
-        inside = ends & arrives & (chain.medium != None)  # noqa: E711
-        near, scattered_ray, along = mi.Ray3f(ray), mei.spawn_ray(wo), mi.Ray3f(ray)
-        near.o = ray(si.t * (1 - _BEFORE))
-        along.o = mei.p
-        asked_ray = dr.select(scattered, scattered_ray, dr.select(inside, near, asked_ray))
-        collided = flight.collided
-        onward.ray = dr.select(collided, along, onward.ray)
-        onward.length = dr.select(collided, chain.length + distance, onward.length)
-        next_bundle = dr.select(collided, bundle, next_bundle)
-        onward.medium = dr.select(escapes, dr.zeros(mi.MediumPtr), onward.medium)
-        onward.medium = dr.select(leaves & si.is_medium_transition(), si.target_medium(asked_ray.d), onward.medium)
-    onward.ray = dr.select(ends | leaves, asked_ray, onward.ray)
-    done = ends | leaves
-    longer = dr.select(leaves | scattered, 1, state.longer)
-    asked = done & alive & ~(escapes & child.sky_hidden(chain.events, chain.null_events))
-    last = _Scattered(
-        dr.select(leaves, mi.Interaction3f(si), state.last.surface),
-        dr.select(leaves, sample.pdf, state.last.pdf),
-        leaves,
+def _through_matter(chain: Chain, onward: Chain, met: _Met, leaves: Any, sampler: Any) -> tuple[Chain, Any]:
+    """Return how chains go on, and the weight of a new direction, where a medium has scattered or let them pass."""
+    flight, si = met.flight, met.si
+    mei = flight.mei
+    wo, phase_weight, _ = mei.medium.phase_function().sample(
+        mi.PhaseFunctionContext(sampler), mei, sampler.next_1d(), sampler.next_2d(), met.scattered
     )
-    going = ~done & alive & child.allows(onward.used(child))
-    return _State(
-        onward, next_bundle, throughput, curved, place, kept, last, longer, state.asked | asked, going, sampler
+    # Matter that the ray has passed must not weaken its light once more.
+    inside = met.ends & ~met.escapes & ~met.scattered & (chain.medium != None)  # noqa: E711
+    near, along = mi.Ray3f(chain.ray), mi.Ray3f(chain.ray)
+    near.o = chain.ray(si.t * (1 - _BEFORE))
+    along.o = mei.p
+    medium = dr.select(leaves & si.is_medium_transition(), si.target_medium(onward.ray.d), onward.medium)
+    matter = replace(
+        onward,
+        ray=dr.select(met.scattered, mei.spawn_ray(wo), dr.select(inside, near, onward.ray)),
+        medium=dr.select(met.escapes, dr.zeros(mi.MediumPtr), medium),
     )
+    passed = replace(onward, ray=along, length=chain.length + met.distance)
+    weight = dr.select(met.scattered, mi.unpolarized_spectrum(phase_weight), 1)
+    return dr.select(flight.collided, passed, matter), weight
 
 
-def _place(state: _State, bundle: Bundle, normal: Any, distance: Any, escaped: Any, scattered: Any) -> Place:
+def _place(state: _State, bundle: Bundle, met: _Met) -> Place:
     """Return the place at the end of a way."""
     ray = state.chain.ray
-    mean, difference = bundle.vergence(ray.d, escaped)
-    plane = dr.select(escaped, dr.inf, state.chain.length + distance)
+    mean, difference = bundle.vergence(ray.d, met.escapes)
+    plane = dr.select(met.escapes, dr.inf, state.chain.length + met.distance)
     return Place(
         dr.select(state.curved, dr.rcp(mean), plane),
         dr.select(state.curved, difference, 0),
         state.curved,
-        dr.select(escaped, ray.o, ray(distance)),
-        normal,
-        escaped,
-        scattered,
+        dr.select(met.escapes, ray.o, ray(met.distance)),
+        met.si.n,
+        met.escapes,
+        met.scattered,
         state.chain.signature,
     )
 
 
-def _sent(state: _State, si: Any, active: Any, optics: Optics) -> Any:
-    """Return what a surface with null or delta lobes emits, and scatters of the emitters' light by its other lobes."""
-    chain, child, scene = state.chain, optics.child, optics.scene
-    own = mi.unpolarized_spectrum(si.emitter(scene, active).eval(si, active))
-    bsdf = si.bsdf(chain.ray)
-    smooth = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) & child.allows(chain.used(child) + 1)
-    ds, light = scene.sample_emitter_direction(si, state.sampler.next_2d(), True, smooth)
-    value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, si.to_local(ds.d), smooth)
-    lit = smooth & (ds.pdf != 0)
-    weight = dr.select(ds.delta, 1, dr.select(_in_medium(si, chain.medium, ds.d), 0, _mis(ds.pdf, pdf)))
-    scattered = mi.unpolarized_spectrum(value) * mi.unpolarized_spectrum(light) * weight
-    return dr.select(active, own, 0) + dr.select(lit, scattered, 0)
-
-
 def _ask(end: _State, optics: Optics) -> Any:
     """Ask the child for the radiance from where rays have been followed to."""
-    chain, child, scene = end.chain, optics.child, optics.scene
+    chain, child = end.chain, optics.child
     hidden = child.lamps_hidden(chain.events, chain.null_events) & (end.longer == 0)
     used = chain.used(child) + end.longer
-    radiance = child.sample(scene, end.sampler, chain.ray, chain.medium, used, hidden, end.asked, optics.media)
-    # Emitters that a sampled ray meets have been sampled, too: they get the other part of the weight.
-    met = end.asked & end.last.valid & (chain.medium == None) & child.allows(used)  # noqa: E711
-    si = scene.ray_intersect(chain.ray, met)
-    emitter = si.emitter(scene, met)
-    emitted = mi.unpolarized_spectrum(emitter.eval(si, met))
-    ds = mi.DirectionSample3f(scene, si, end.last.surface)
-    weight = _mis(end.last.pdf, scene.pdf_emitter_direction(end.last.surface, ds, met))
-    corrected = dr.maximum(radiance - emitted, 0) + weight * emitted
-    return dr.select(met & (emitter != None), corrected, radiance)  # noqa: E711
-
-
-def _in_medium(si: Any, medium: Any, direction: Any) -> Any:
-    """Whether a ray from a surface starts in a medium: emitters are then met by the child's rays alone."""
-    return dr.select(si.is_medium_transition(), si.target_medium(direction), medium) != None  # noqa: E711
-
-
-def _mis(pdf: Any, other: Any) -> Any:
-    """Return the power heuristic's weight of a sample (Veach, section 9.2.4)."""
-    own = pdf * pdf
-    return dr.select(own > 0, own / (own + other * other), 0)
+    radiance = child.sample(optics.scene, end.sampler, chain.ray, chain.medium, used, hidden, end.asked, optics.media)
+    return weigh_emitters(optics, chain, end.last, radiance, end.asked & child.allows(used))

@@ -17,8 +17,14 @@ from ..optics.sampling import check_memory, fast_length, footprint
 _WINDOW_MARGIN = 1.2
 """Window over what it must hold, on the way to the MLA."""
 
+_AIRY_WIDTHS = 110
+r"""Least width of that window in units of :math:`\lambda b / D_1`: it must hold what the pupil's edge diffracts."""
+
 _PUPIL_BAND = 1.5
 """Sampled directions on the way to the MLA over the steepest ray: the pupil's edge diffracts beyond that."""
+
+_PUPIL_SAMPLES = 250
+"""Samples across the pupil's radius at least: an edge softened over one of them loses a third of a sample's light."""
 
 _KEPT_BENDS = 3.3
 """Steepest direction from the microlenses that is kept, over those that a wide one scatters to, at least."""
@@ -59,7 +65,8 @@ def field_grids(
     InputError
         If they would need too much memory.
     """
-    p, lam, radius = camera.pixel_size, in_millimetres(wavelength), main_lens(camera).pupil_radius
+    p, lam, lens = camera.pixel_size, in_millimetres(wavelength), main_lens(camera)
+    radius = lens.pupil_radius
     image = footprint(camera, position[None])
     place, half_width = image.centre[0], image.half_width[0]
     steepest = float((np.abs(image.cosine[0]) + image.half_cosine[0]).max())
@@ -75,9 +82,11 @@ def field_grids(
     # The window of the way to the MLA, square and on the same grid of pixels.
     low = np.minimum(-radius, np.minimum(place - half_width, start))
     high = np.maximum(radius, np.maximum(place + half_width, start + np.array(pixels) * p))
-    wide = fast_length(_WINDOW_MARGIN * growth * float((high - low).max()) / pitch + per_pixel, per_pixel)
+    held = max(_WINDOW_MARGIN * float((high - low).max()), _AIRY_WIDTHS * lam * lens.pupil_distance / (2 * radius))
+    wide = fast_length(growth * held / pitch + per_pixel, per_pixel)
     before = np.floor((start - (low + high - wide * pitch) / 2) / p).astype(int)
-    coarse = min(wide, fast_length(wide * pitch * 2 * _PUPIL_BAND * steepest * refinement / lam))
+    finest = max(2 * _PUPIL_BAND * steepest / lam, _PUPIL_SAMPLES / radius)
+    coarse = min(wide, fast_length(wide * pitch * finest * refinement))
     detector_samples = pixels[0] * pixels[1] * per_pixel**2
     check_memory(
         # at the pupil, on the way to the MLA, or with the doubled grid of the detector

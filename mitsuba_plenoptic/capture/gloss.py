@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from ..optics.main_lens import MainLens
 from .chains import Optics, leads_to
-from .first_vertex import Vertex
+from .child import random_numbers
+from .places import Vertex
 from .visibility import LANES, PUPIL_CELLS, aimed_at, tolerance
 
 NARROW = 1 / 4
@@ -67,8 +68,7 @@ def pupil_radiance(
         stop = min(start + batch, count)
         lane = dr.arange(mi.UInt32, (stop - start) * cells * _SAMPLES)
         which, cell = lane // (cells * _SAMPLES) + start, lane // _SAMPLES % cells
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(seed + start, dr.width(lane))
+        sampler = random_numbers(seed + start, dr.width(lane))
         within = sampler.next_2d()
         x, y = (
             (mi.Float(index) + number) * (2 * radius / PUPIL_CELLS) - radius

@@ -46,12 +46,19 @@ class Band:
         Directions that are kept beside the pupil's cone, over those that a wide microlens scatters to, at least.
     orders : float
         The same, in orders of the diffraction by a microlens's aperture (see `optics.microlenses.diffraction`).
+    edge : float
+        Samples over which the edges of the pupil, and of what hides parts of it, are softened.
+
+        What a hard edge diffracts beyond the patch is folded back into it; what an edge softened over one sample
+        diffracts there is lost. A single spread is truer without that light. A sum of many is truer with it, since
+        what one point sends away comes to another's patch: its power is right, and so are the rims of micro-images.
     """
 
     cone: float
     margin: float
     bends: float
     orders: float
+    edge: float = 1.0
 
 
 @dataclass(frozen=True)

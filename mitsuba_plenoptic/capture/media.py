@@ -36,7 +36,7 @@ class Flight:
         return self.scattered | self.collided
 
 
-def fly(medium: Any, ray: Any, si: Any, sampler: Any, channel: Any, active: Any) -> Flight:
+def fly(medium: Any, ray: Any, si: Any, number: Any, sampler: Any, channel: Any, active: Any) -> Flight:
     """Sample how far light comes in a medium before the next surface; an absorbing even medium is not left to chance.
 
     Parameters
@@ -47,15 +47,17 @@ def fly(medium: Any, ray: Any, si: Any, sampler: Any, channel: Any, active: Any)
         The rays.
     si : SurfaceInteraction3f
         The next surface.
+    number : Float
+        Random number that chooses how far.
     sampler : mitsuba.Sampler
-        Random numbers.
+        Other random numbers.
     channel : UInt32
         Channel of the spectrum by which distances are drawn.
     active : Bool
         Lanes to look at.
     """
     active = active & (medium != None)  # noqa: E711
-    mei = medium.sample_interaction(ray, sampler.next_1d(active), channel, active)
+    mei = medium.sample_interaction(ray, number, channel, active)
     absorbing = medium.is_homogeneous() & (dr.max(mei.sigma_s) == 0)
     mei.t = dr.select(absorbing | (si.t < mei.t), dr.inf, mei.t)
     transmittance, pdf = medium.transmittance_eval_pdf(mei, si, active)

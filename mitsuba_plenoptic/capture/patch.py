@@ -162,7 +162,7 @@ class PatchBatch:
         start[:, 1] *= grid.pitch[0] / grid.pitch[1]
         waves += (nx * value(start[:, 0]) + ny * value(start[:, 1])) / constant(self.samples * grid.pitch[0])
         # The power is that of the hard edge.
-        sample = R * constant(math.sqrt(step.prod()))
+        sample = R * constant(math.sqrt(step.prod()) * grid.band.edge)
         cover = soft_edge(types.Float(lens.inside(pupil) / sample))
         bright = types.Float(lens.amplitude(pupil, point) * R * R / b)
         power = types.Float64(bright * bright * cover)

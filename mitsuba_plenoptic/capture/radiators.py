@@ -23,9 +23,9 @@ from ..optics.main_lens import MainLens, main_lens
 from ..runtime.limits import largest_fitting, require_memory
 from .chains import Optics
 from .draws import Found, draw
-from .first_vertex import Vertex
 from .gloss import glossy, pupil_radiance
 from .lens_window import LensWindow
+from .places import Vertex
 from .pupil_weights import PupilWeights
 from .sight import Sight
 from .visibility import LANES, PUPIL_CELLS, sampled_fraction, visible_cells
@@ -38,6 +38,9 @@ _CHAIN_BYTES = 1024
 
 RADIATOR_BYTES = 2 * (40 + PUPIL_CELLS**2 // 8)
 """Memory of a radiator with the bits of its visible cells, while the parts are put together."""
+
+_CAUSTIC = 1e-3
+"""Fraction of the light, the most strongly curved by glass and mirrors, that does not decide the size of patches."""
 
 _INFINITY = 1e6
 """Where the radiator of a ray that leaves the scene is put, in main lens images: far enough to be collimated."""
@@ -151,10 +154,11 @@ def find_radiators(
         # How many shine is known as they are found; the parts and their concatenation are alive at once.
         held += 2 * sum(array.nbytes for array in found[-1])
         require_memory(held, f"{held // RADIATOR_BYTES} radiators or more in {some.stop} of {len(traced.index)} lenses")
-    positions, radiance, variance, astigmatism, *over_pupil = (
+    P, positions, radiance, variance, curved, astigmatism, *over_pupil = (
         np.concatenate(parts) for parts in zip(*found, strict=True)
     )
     _judge_astigmatism(camera, lens, astigmatism, radiance)
+    positions = _flatten_caustics(positions, P, radiance.mean(axis=1), curved)
     weights = _pupil_weights(*over_pupil)
     fraction = sampled_fraction(positions, weights, lens, window)
     return Radiators(positions, radiance, variance, fraction, weights)
@@ -166,6 +170,39 @@ def _judge_astigmatism(camera: PlenopticCamera, lens: MainLens, astigmatism: np.
     blur = lens.pupil_radius * lens.pupil_distance * astigmatism
     if power.sum() > 0:
         guards.judge(guards.ASTIGMATISM, float(power[blur > min(camera.mla_pitches)].sum() / power.sum()))
+
+
+def _flatten_caustics(positions: np.ndarray, P: np.ndarray, power: np.ndarray, curved: np.ndarray) -> np.ndarray:
+    """Move the most strongly curved light, along its rays, to where the rest seems to come from.
+
+    Through glass a few light paths seem to come from places anywhere, even in the main lens itself, and patches and
+    grid would have to hold the light of the worst.
+
+    Parameters
+    ----------
+    positions : (n, 3) array
+        Places.
+    P : (n, 2) array
+        Where the rays that have found them have passed the pupil.
+    power : (n,) array
+        Their radiance.
+    curved : (n,) bool array
+        Which have come through refracting or curved surfaces.
+    """
+    if not curved.any():
+        return positions
+    near = 1 / positions[:, 2]
+    order = np.argsort(near[curved])
+    upto = np.cumsum(power[curved][order])
+    margin = _CAUSTIC / 2 * power.sum()
+    first, last = np.searchsorted(upto, [margin, upto[-1] - margin])
+    bounds = near[curved][order][[min(first, len(order) - 1), last]]
+    straight = near[~curved]
+    kept = np.clip(near, straight.min(initial=bounds[0]), straight.max(initial=bounds[1]))
+    moved = kept != near
+    result, P, kept = positions.copy(), P[moved], kept[moved, None]
+    result[moved] = np.hstack([P + (positions[moved, :2] - P) * (near[moved, None] / kept), 1 / kept])
+    return result
 
 
 def _lanes(optics: Optics) -> int:
@@ -205,8 +242,8 @@ def _trace_lenses(
     Returns
     -------
     tuple of arrays
-        Positions, radiance, its variance, by how much each is astigmatic, the bits of the visible cells; which are
-        glossy, and the power of those over the pupil.
+        Where rays have passed the pupil; positions, radiance, its variance; which are curved, and by how much each is
+        astigmatic; the bits of the visible cells; which are glossy, and the power of those over the pupil.
     """
     lane = dr.arange(mi.UInt32, len(lenses) * len(pairs) * spp)
     radiator = lane // spp
@@ -217,9 +254,7 @@ def _trace_lenses(
     q = mi.Point2f(*window.place(i + place[0], j + place[1]))
     slope = mi.Point2f(*lens.aim((P.x, P.y), (q.x, q.y)))
     ray, cosine = sight.ray((P.x, P.y), (slope.x, slope.y))
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(seed, dr.width(lane))
-    found = draw(sight.optics, sampler, ray, spp)
+    found = draw(sight.optics, seed, ray, spp)
     bad = int(np.count_nonzero(~np.isfinite(found.radiance).all(axis=-1)))
     if bad:
         raise InputError(f"scene: the radiance of {bad} radiators is NaN or infinite: all must be finite")
@@ -244,13 +279,15 @@ def _trace_lenses(
         some = mi.UInt32(np.flatnonzero(shiny).astype(np.uint32))
         vertex, rays = dr.gather(Vertex, found.vertex, some), dr.gather(mi.Ray3f, rays, some)
         power = pupil_radiance(sight.optics, to_world, vertex, rays, lens, seed)
-    astigmatism = found.vertex.place.astigmatism.numpy() + np.zeros(len(P))
-    return positions, found.radiance, found.variance, astigmatism, bits, shiny, power
+    place = found.vertex.place
+    curved, astigmatism = (np.broadcast_to(part.numpy(), len(P)) for part in (place.curved, place.astigmatism))
+    return P, positions, found.radiance, found.variance, curved, astigmatism, bits, shiny, power
 
 
 def _nothing(channels: int) -> tuple[np.ndarray, ...]:
     """Return what is found where nothing shines."""
-    return np.empty((0, 3)), *np.empty((2, 0, channels)), np.empty(0), *_over_pupil(0)
+    nothing = np.empty(0)
+    return np.empty((0, 2)), np.empty((0, 3)), *np.empty((2, 0, channels)), nothing > 0, nothing, *_over_pupil(0)
 
 
 def _depth(found: Found, cosine: Any, lens: MainLens) -> np.ndarray:

@@ -34,6 +34,9 @@ _LENS_PER_WAVE = 2.5
 _ZONE_PER_WAVE = 0.6
 """Width of a zone in steps of the wavefront from lens to lens, over the allowed one."""
 
+_FARTHEST = 1e12
+"""Distance, in millimetres, from which on light counts as collimated."""
+
 _OFF_LATTICE = 0.38196601
 """Fraction of a step by which the bounds between steps are moved off the places that regular samples take."""
 
@@ -117,7 +120,9 @@ def find_patterns(
         middle[:, 0] += (off + 1) % types - 1
     count = np.bincount(pattern)
     place = np.column_stack([np.bincount(pattern, part) for part in (image - lens).T]) / count[:, None] + middle
-    distance = count / np.bincount(pattern, 1 / g)
+    mean = np.bincount(pattern, 1 / g) / count
+    # Light that diverges and light that converges may share a pattern, and their mean be collimated.
+    distance = 1 / np.where(np.abs(mean) > 1 / _FARTHEST, mean, 1 / _FARTHEST)
     scale = -camera.mla_pitch * distance / camera.mla_distance
     position = _in_pitches(camera, place) * scale[:, None]
     return Patterns(np.column_stack([position, distance]), zone[first], pattern, lens - middle[pattern])

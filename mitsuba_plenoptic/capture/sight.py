@@ -15,7 +15,8 @@ from ..optics.main_lens import MainLens
 from . import child
 from .chains import Optics
 from .draws import channels
-from .first_vertex import first_vertex, seen_directly
+from .first_vertex import first_vertex
+from .places import seen_directly
 
 
 @dataclass(frozen=True)
@@ -82,28 +83,23 @@ class Sight:
             Distance g of the plane from which the light seems to come; infinite, or negative where it converges.
         """
         ray, cosine = self.ray(pupil, slope)
-        sampler = mi.load_dict({"type": "independent"})
         if not self.optics.plain:
-            sampler.seed(seed, dr.width(ray))
-            vertex = first_vertex(self.optics, sampler, ray)
+            vertex = first_vertex(self.optics, seed, ray)
             return channels(vertex.radiance), vertex.place.distance * cosine
         distance = seen_directly(self.optics.scene.ray_intersect(ray)).distance * cosine
         if counts is None:
-            return self._light(ray, sampler, seed), distance
+            return self._light(ray, seed), distance
         mask = counts(distance)
         dr.eval(distance, mask, ray)
         some = dr.compress(mask)
         radiance = channels(dr.zeros(mi.UnpolarizedSpectrum, dr.width(ray)))
         if dr.width(some):
-            for channel, light in zip(
-                radiance, self._light(dr.gather(mi.Ray3f, ray, some), sampler, seed), strict=True
-            ):
+            for channel, light in zip(radiance, self._light(dr.gather(mi.Ray3f, ray, some), seed), strict=True):
                 dr.scatter(channel, light, some)
         return radiance, distance
 
-    def _light(self, ray: Any, sampler: Any, seed: int) -> list[Any]:
+    def _light(self, ray: Any, seed: int) -> list[Any]:
         """Sample the light of rays that nothing branches, by channel."""
-        sampler.seed(seed, dr.width(ray))
-        return channels(
-            child.sample(self.optics.child.integrator, self.optics.scene, sampler, ray, None, mi.Bool(True))
-        )
+        sampler = child.random_numbers(seed, dr.width(ray))
+        integrator = self.optics.child.integrator
+        return channels(child.sample(integrator, self.optics.scene, sampler, ray, None, mi.Bool(True)))

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ..optics.main_lens import MainLens
 from .chains import Optics, leads_to
-from .first_vertex import Place, Vertex
 from .lens_window import LensWindow
+from .places import Place, Vertex
 from .pupil_weights import PupilWeights
 
 PUPIL_CELLS = 16

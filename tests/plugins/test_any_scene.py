@@ -34,7 +34,7 @@ def bars_directly():
 
 @pytest.mark.parametrize("way", ["mirror", "thindielectric", "slab", "half-open mask", "fog"])
 def test_bars_come_back_into_focus_at_their_virtual_distance(way, bars_directly):
-    by_rays, by_waves = captures(bars_through(way, 20), spp=2, per_lens=2)
+    by_rays, by_waves = captures(bars_through(way, 20), spp=4, per_lens=2)
     assert energy(by_rays, by_waves) == pytest.approx(0.99, abs=0.015)
     rays, waves = (contrast(capture, 300.0) for capture in (by_rays, by_waves))
     directly_by_rays, directly = bars_directly
@@ -74,7 +74,7 @@ def test_energy_is_that_of_rays(scene, per_lens):
 
 
 def test_the_highlight_of_a_glass_sphere_is_as_bright_as_by_rays():
-    by_rays, by_waves = (reconstruct(capture, 250.0).image for capture in captures(glass_sphere(), per_lens=5))
+    by_rays, by_waves = (reconstruct(capture, 250.0).image for capture in captures(glass_sphere(), 64, 8))
     assert by_waves.max() == pytest.approx(by_rays.max(), rel=0.15)
 
 
