@@ -144,7 +144,7 @@ def _step(state: _State, optics: Optics, channel: Any) -> _State:
     bundle_on = dr.select(met.hidden | passes, bent.transfer(start_offset(onward.ray, si)), state.bundle)
     onward.ray = dr.select(leaves, si.spawn_ray(si.to_world(sample.wo)), onward.ray)
     if met.flight is not None:
-        onward, weight = _through_matter(chain, onward, met, leaves, sampler)
+        onward, weight = _through_matter(chain, onward, met, met.flight, leaves, sampler)
         throughput = throughput * weight
         bundle_on = dr.select(met.flight.collided, bundle, bundle_on)
     flat = dr.squared_norm(si.dn_du) + dr.squared_norm(si.dn_dv) == 0
@@ -187,10 +187,11 @@ def _meet(state: _State, optics: Optics, channel: Any) -> tuple[_Met, Any]:
     return _Met(si, distance, flight, escapes, scattered, hidden, branches, ends), throughput
 
 
-def _through_matter(chain: Chain, onward: Chain, met: _Met, leaves: Any, sampler: Any) -> tuple[Chain, Any]:
+def _through_matter(
+    chain: Chain, onward: Chain, met: _Met, flight: Flight, leaves: Any, sampler: Any
+) -> tuple[Chain, Any]:
     """Return how chains go on, and the weight of a new direction, where a medium has scattered or let them pass."""
-    flight, si = met.flight, met.si
-    mei = flight.mei
+    mei, si = flight.mei, met.si
     wo, phase_weight, _ = mei.medium.phase_function().sample(
         mi.PhaseFunctionContext(sampler), mei, sampler.next_1d(), sampler.next_2d(), met.scattered
     )

@@ -57,7 +57,8 @@ class Radiators:
     radiance : (n, channels) float64 array
         Radiance towards the pupil.
     variance : (n, channels) float64 array
-        Variance of `radiance`, estimated from its light paths; NaN where there is but one.
+        Variance of `radiance`, estimated from its light paths as if they were independent: an upper bound where they
+        choose lobes or free paths, which are spread evenly. NaN where there is but one.
     fraction : (n,) float64 array
         Fraction of the visible pupil whose rays from the radiator land in the sampled part of the MLA plane: those
         are the rays that could have found it.
