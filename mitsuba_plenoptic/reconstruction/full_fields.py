@@ -128,7 +128,7 @@ class FullFields:
         field[...] = 0
         x, y = step.x.destination, step.y.destination
         half = np.sqrt(np.maximum(self._camera.aperture_radius**2 - y**2, 0))
-        first, end = (np.searchsorted(x, edge, side) for edge, side in ((-half, "left"), (half, "right")))
+        first, end = np.searchsorted(x, -half), np.searchsorted(x, half, side="right")
         for strip in self._grids.strips:
             for place, samples in self._up(strip, subset):
                 # A row's chord of the pupil: a mask would cost several times that.
