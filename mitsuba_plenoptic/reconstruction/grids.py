@@ -51,7 +51,7 @@ _MOST_TRANSFORMED = 2**35
 More takes many minutes.
 """
 
-_MEMORY = 6 * 2**30
+_MEMORY = 7 * 2**30
 """Bytes of fields from which on strips are taken, and beyond which a reconstruction is refused."""
 
 OBJECT_MARGIN = 6.0

@@ -54,7 +54,7 @@ def test_single_lenses_are_full_fields_of_one_lens(lattice):
             over_lenses(route(image, camera, [distance], WAVELENGTH, oversample=9)[0], camera, 1, 9)
             for route in (reconstruct_subsets, reconstruct_lens_by_lens)
         )
-        assert single.sum() == pytest.approx(full.sum(), rel=0.01)
+        assert single.sum() == pytest.approx(full.sum(), rel=0.02)
         # in focus it is the sharp edge of a lens that falls on the samples
         assert error(single, full) < 0.03
 
