@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ..errors import InputError
 from .model import NAMES, Observations, predict, predict_centres
@@ -76,9 +77,10 @@ class Problem:
             Derivatives, and in the last column minus the residuals.
         """
         pixel, by_numbers, by_pose = self._predict(numbers, poses)
-        rows = np.concatenate(
-            [by_pose, by_numbers[:, :, free], (self.corners.pixel - pixel)[:, :, None]], axis=2
-        ) * np.sqrt(weights)[:, None, None]
+        rows = (
+            np.concatenate([by_pose, by_numbers[:, :, free], (self.corners.pixel - pixel)[:, :, None]], axis=2)
+            * np.sqrt(weights)[:, None, None]
+        )
         triangles = []
         for index in range(len(poses)):
             part = rows[self.corners.pose == index].reshape(-1, rows.shape[2])
@@ -157,7 +159,7 @@ def adjust(
     camera_scale, pose_scale = np.zeros(len(chosen)), np.zeros((len(poses), 6))
     while steps < most_steps:
         triangles, camera = problem.blocks(numbers, poses, weights, chosen)
-        both = np.concatenate([triangles[0][:0, 6:], *(triangle[:, 6:] for triangle in triangles), camera])
+        both = np.concatenate([*(triangle[:, 6:] for triangle in triangles), camera])
         camera_scale = np.maximum(camera_scale, np.sqrt((both[:, :-1] ** 2).sum(0)))
         pose_scale = np.maximum(pose_scale, [np.sqrt((triangle[:, :6] ** 2).sum(0)) for triangle in triangles])
         while True:
@@ -179,6 +181,23 @@ def adjust(
     return Solution(numbers, poses, cost, steps)
 
 
+def adjust_poses(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Return the poses that fit best for a held camera.
+
+    A flat board looks much the same tilted to either side (Necker's reversal); both are tried for each pose.
+    """
+    found = adjust(problem, numbers, poses, ()).poses
+    flip = np.diag([1.0, 1.0, -1.0])
+    reversed_ = found.copy()
+    for pose in reversed_:
+        pose[:3] = Rotation.from_matrix(flip @ Rotation.from_rotvec(pose[:3]).as_matrix() @ flip).as_rotvec()
+    reversed_ = adjust(problem, numbers, reversed_, ()).poses
+    squares = [
+        np.bincount(problem.corners.pose, (problem.residuals(numbers, each) ** 2).sum(1)) for each in (found, reversed_)
+    ]
+    return np.where((squares[1] < squares[0])[:, None], reversed_, found)
+
+
 def _solve(
     triangles: list[np.ndarray], camera: np.ndarray, camera_damping: np.ndarray, pose_damping: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -191,7 +210,7 @@ def _solve(
     matrix = np.concatenate(reduced)
     scale = np.sqrt((matrix[:, :-1] ** 2).sum(0))
     scale[scale == 0] = 1
-    step = np.linalg.lstsq(matrix[:, :-1] / scale, matrix[:, -1], rcond=1e-14)[0] / scale
+    step = np.linalg.lstsq(matrix[:, :-1] / scale, matrix[:, -1], rcond=1e-14)[0] / scale if scale.size else scale
     pose_steps = [np.linalg.solve(head[:, :6], head[:, -1] - head[:, 6:-1] @ step) for head in heads]
     return step, np.array(pose_steps)
 

@@ -20,30 +20,34 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ..optics.distortion import undistorted
 
-NAMES = (
-    "focal_length",
-    "mla_distance",
-    "detector_distance",
-    "pitch_along",
-    "pitch_across",
-    "mla_rotation",
-    "offset_x",
-    "offset_y",
-    "tilt_x",
-    "tilt_y",
-    "principal_u",
-    "principal_v",
-    "k1",
-    "k2",
-    "k3",
-    "p1",
-    "p2",
-)
-"""The camera's numbers that are fitted, in the order of a vector of them: lengths in mm, angles in degrees, the
-principal point in pixels, k1 to k3 in mm^-2, mm^-4, mm^-6, p1 and p2 in mm^-1."""
+UNITS = {
+    "focal_length": "mm",
+    "mla_distance": "mm",
+    "detector_distance": "mm",
+    "pitch_along": "mm",
+    "pitch_across": "mm",
+    "mla_rotation": "degrees",
+    "offset_x": "mm",
+    "offset_y": "mm",
+    "tilt_x": "degrees",
+    "tilt_y": "degrees",
+    "principal_u": "pixels",
+    "principal_v": "pixels",
+    "k1": "mm^-2",
+    "k2": "mm^-4",
+    "k3": "mm^-6",
+    "p1": "mm^-1",
+    "p2": "mm^-1",
+}
+"""The camera's numbers that are fitted, with their units: those of `PlenopticCamera`, but for the offset, which is the
+place of the centre of lens (0, 0), and the principal point, the pixel on the axis."""
+
+NAMES = tuple(UNITS)
+"""Their names, in the order of a vector of them."""
 
 AT = {name: index for index, name in enumerate(NAMES)}
 """Place of each name in the vector."""
@@ -82,13 +86,6 @@ class Observations:
         return int(self.pose.max()) + 1
 
 
-def rotation_matrix(vector: np.ndarray) -> np.ndarray:
-    """Return the rotation about a vector by its length in radians (Rodrigues' formula)."""
-    angle = float(np.linalg.norm(vector))
-    cross = _cross(vector)
-    return np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * cross @ cross
-
-
 def _cross(v: np.ndarray) -> np.ndarray:
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
@@ -99,11 +96,7 @@ def _left_jacobian(vector: np.ndarray) -> np.ndarray:
     cross = _cross(vector)
     if angle < 1e-4:
         return np.eye(3) + cross / 2 + cross @ cross / 6
-    return (
-        np.eye(3)
-        + (1 - np.cos(angle)) / angle**2 * cross
-        + (angle - np.sin(angle)) / angle**3 * cross @ cross
-    )
+    return np.eye(3) + (1 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
@@ -133,9 +126,7 @@ def _lenses(
     return c, c @ slopes, c_by, h_by
 
 
-def _pixels(
-    numbers: np.ndarray, p: np.ndarray, p_by: np.ndarray, pixel_size: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _pixels(numbers: np.ndarray, p: np.ndarray, p_by: np.ndarray, pixel_size: float) -> tuple[np.ndarray, np.ndarray]:
     """Turn places on the detector and their derivatives into pixels."""
     by_numbers = p_by / pixel_size
     principal = [AT["principal_u"], AT["principal_v"]]
@@ -199,7 +190,7 @@ def predict(
     X, X_by = np.empty((n, 3)), np.zeros((n, 3, 6))
     for index, pose in enumerate(poses):
         mine = seen.pose == index
-        turned = corner[mine] @ rotation_matrix(pose[:3]).T
+        turned = Rotation.from_rotvec(pose[:3]).apply(corner[mine])
         X[mine] = turned + pose[3:]
         arm = np.zeros((len(turned), 3, 3))
         arm[:, 0, 1], arm[:, 0, 2], arm[:, 1, 2] = turned[:, 2], -turned[:, 1], turned[:, 0]

@@ -138,7 +138,9 @@ def read_table(path: str | Path, names: tuple[str, ...]) -> Table:
             row = int(np.flatnonzero(wrong)[0])
             rule = "a whole number" if name in _WHOLE else "a finite number"
             raise InputError(f"{path}, row {row + 2}: {name} = {values[row]:g}: it must be {rule} within {_LARGEST}")
-    return Table(path.name, {name: values.astype(int) if name in _WHOLE else values for name, values in columns.items()})
+    return Table(
+        path.name, {name: values.astype(int) if name in _WHOLE else values for name, values in columns.items()}
+    )
 
 
 def read_corners(path: str | Path, board: Board, size: tuple[int, int]) -> Table:
@@ -159,6 +161,17 @@ def read_corners(path: str | Path, board: Board, size: tuple[int, int]) -> Table
         )
     require_on_detector(table, size)
     return table
+
+
+def read_centres(path: str | Path) -> Table:
+    """Read centres of micro-images.
+
+    Raises
+    ------
+    InputError
+        If the table is wrong.
+    """
+    return read_table(path, CENTRE_COLUMNS)
 
 
 def require_on_detector(table: Table, size: tuple[int, int]) -> None:

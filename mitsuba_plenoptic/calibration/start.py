@@ -15,36 +15,37 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import InputError
-from .adjustment import Problem, adjust
+from .adjustment import Problem, adjust, adjust_poses
 from .model import AT, NAMES, Observations
 
-FEWEST_POSES = 3
+_FEWEST_POSES = 3
 _FEWEST_CORNERS = 6
-_THINNED = 300
-"""Observations of each pose that the fit of the scale uses."""
 
+# Observations of each pose that the fit of the scale uses.
+_THINNED = 300
+
+# Magnifications that differ by less leave the distances in the camera open.
 _LEAST_SPREAD = 0.01
+
+# Pixels by which the start may miss the data.
 _WORST = 20.0
-"""Pixels by which the start may miss the data."""
 
 
 def start_values(
-    seen: Observations, frames: np.ndarray, grid: np.ndarray, principal: tuple[float, float], problem: Problem
+    problem: Problem, frames: np.ndarray, grid: np.ndarray, principal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find numbers from which a fit finds its way.
 
     Parameters
     ----------
-    seen : Observations
-        Corners.
+    problem : Problem
+        The data.
     frames : array
         The poses' names for messages.
     grid : (3, 2) array
         Pixel of the micro-image of lens (0, 0), and the steps along the rows and across them.
-    principal : (float, float)
+    principal : (2,) array
         Pixel taken for the axis.
-    problem : Problem
-        For its pixel size and row ratio.
 
     Returns
     -------
@@ -56,66 +57,38 @@ def start_values(
     InputError
         If there are too few poses or corners, all at one depth, or boards that are seen mirrored.
     """
-    count = seen.poses
-    if count < FEWEST_POSES:
-        raise InputError(f"corners: {count} poses of the board: at least {FEWEST_POSES} are needed")
-    size, ratio = problem.pixel_size, problem.row_ratio
-    centre = grid[0] + seen.lens @ grid[1:] - principal
-    pixel = seen.pixel - principal
-    slopes, maps = np.empty(count), np.empty((count, 3, 2))
-    for pose in range(count):
-        mine = np.flatnonzero(seen.pose == pose)
-        corners, which = np.unique(seen.board[mine], axis=0, return_inverse=True)
-        if len(corners) < _FEWEST_CORNERS or np.linalg.matrix_rank(corners - corners[0]) < 2:
-            raise InputError(f"frame {frames[pose]}: {len(corners)} corners of the board: at least {_FEWEST_CORNERS}, "
-                             "not all on one line, are needed")  # fmt: skip
-        spread, moved = (
-            values[mine] - (_sums(values[mine], which, len(corners)) / np.bincount(which)[:, None])[which]
-            for values in (centre, pixel)
-        )
-        if not (spread**2).sum() > 0:
-            raise InputError(f"frame {frames[pose]}: each corner is seen through one lens only; several are needed")
-        slopes[pose] = (spread * moved).sum() / (spread**2).sum() - 1
-        image = (centre[mine] * (1 + slopes[pose]) - pixel[mine]) / slopes[pose] * size
-        maps[pose] = np.linalg.lstsq(np.column_stack([np.ones(len(mine)), seen.board[mine]]), image)[0]
-        if np.linalg.det(maps[pose, 1:]) < 0:
-            raise InputError(
-                f"frame {frames[pose]}: the board is seen mirrored: number its corners as they are seen from its "
-                "front, to the right and then down, in a picture that is not mirrored"
-            )
+    seen, size = problem.corners, problem.pixel_size
+    if seen.poses < _FEWEST_POSES:
+        raise InputError(f"corners: {seen.poses} poses of the board: at least {_FEWEST_POSES} are needed")
+    slopes, maps = board_images(problem, frames, grid, principal)
     magnification = np.sqrt(np.linalg.det(maps[:, 1:]))
     if np.ptp(magnification) < _LEAST_SPREAD * magnification.mean():
         raise InputError(
             "corners: the board is at the same distance in all poses, which leaves the distances in the camera open: "
             "add poses nearer and farther"
         )
-    line = np.polyfit(magnification, 1 / slopes, 1, w=np.sqrt(np.bincount(seen.pose)))
-    per_z, less = -line[0], line[1]
-    if not (per_z > 0 and less > 0):
+    per_z, less = np.polyfit(magnification, 1 / slopes, 1, w=np.sqrt(np.bincount(seen.pose))) * [-1, 1]
+    if not (per_z > 0 and less > -per_z):
         raise InputError(
-            "corners: they move from lens to lens as in no plenoptic camera: check lens indices and the order of corners"
+            "corners: they move from lens to lens as in no plenoptic camera: check lens indices, the corners' order, "
+            "and that frames differ where the board was moved"
         )
-    f = 1.0
+    # What the corners cover on the detector is the right order; the fit below finds the scale.
+    f = 2 * size * float(np.hypot(*np.ptp(seen.pixel, axis=0)))
     b, z = f * (1 + less / per_z), f / per_z
-    # The diagonal of what the lenses cover is the right order; the fit below finds the scale.
-    f *= size * float(np.hypot(*np.ptp(seen.pixel, axis=0))) * 2
-    b, z = b * f, z * f
-    pitch = np.hypot(*grid[1:].T) * size / (1 + z / b) / [1, ratio]
     numbers = np.zeros(len(NAMES))
     numbers[:3] = f, b, z
-    numbers[[AT["pitch_along"], AT["pitch_across"]]] = pitch
+    pitches = np.hypot(*grid[1:].T) * size / (1 + z / b)
+    numbers[[AT["pitch_along"], AT["pitch_across"]]] = pitches / [1, problem.row_ratio]
     numbers[AT["mla_rotation"]] = np.rad2deg(np.arctan2(grid[1, 1], grid[1, 0]))
     numbers[[AT["offset_x"], AT["offset_y"]]] = (grid[0] - principal) * size / (1 + z / b)
     numbers[[AT["principal_u"], AT["principal_v"]]] = principal
-    poses = np.zeros((count, 6))
-    for pose, (place, *steps) in enumerate(maps):
-        mag = magnification[pose]
-        turn = -np.arctan2(steps[0][1] - steps[1][0], steps[0][0] + steps[1][1])
-        poses[pose, 2] = np.pi - turn
-        poses[pose, 3:] = *(-place / mag), f * (1 + 1 / mag)
-    chosen = np.concatenate([np.flatnonzero(seen.pose == pose)[:: _every(seen.pose, pose)] for pose in range(count)])
+    groups = [np.flatnonzero(seen.pose == pose) for pose in range(seen.poses)]
+    chosen = np.concatenate([group[:: max(1, len(group) // _THINNED)] for group in groups])
     few = Observations(seen.lens[chosen], seen.pixel[chosen], seen.board[chosen], seen.pose[chosen])
-    found = adjust(Problem(few, size, ratio), numbers, poses, NAMES[:3], most_steps=50)
+    thinned = Problem(few, size, problem.row_ratio)
+    found = adjust(thinned, numbers, upright_poses(maps, f), NAMES[:3], most_steps=60)
+    found = adjust(thinned, found.numbers, adjust_poses(thinned, found.numbers, found.poses), NAMES[:3])
     error = np.sqrt(2 * found.cost / len(few))
     if not error < _WORST:
         raise InputError(
@@ -125,9 +98,61 @@ def start_values(
     return found.numbers, found.poses
 
 
-def _sums(values: np.ndarray, which: np.ndarray, count: int) -> np.ndarray:
-    return np.stack([np.bincount(which, column, count) for column in values.T], axis=-1)
+def board_images(
+    problem: Problem, frames: np.ndarray, grid: np.ndarray, principal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find where the main lens images each board, from how its corners move from lens to lens.
+
+    Returns
+    -------
+    slopes : (poses,) array
+        z/a of the board's image.
+    maps : (poses, 3, 2) array
+        Place of the image of the board's first corner, and its steps in mm per mm along the board's columns and rows.
+
+    Raises
+    ------
+    InputError
+        If a pose has too few corners, each seen through one lens only, or a board that is seen mirrored.
+    """
+    seen, size = problem.corners, problem.pixel_size
+    slopes, maps = np.empty(seen.poses), np.empty((seen.poses, 3, 2))
+    centre = grid[0] + seen.lens @ grid[1:] - principal
+    for pose, frame in enumerate(frames):
+        mine = seen.pose == pose
+        corners, which = np.unique(seen.board[mine], axis=0, return_inverse=True)
+        if len(corners) < _FEWEST_CORNERS or np.linalg.matrix_rank(corners - corners[0]) < 2:
+            raise InputError(
+                f"frame {frame}: {len(corners)} corners of the board are seen: {_FEWEST_CORNERS} are needed at least, "
+                "not all on one line"
+            )
+        places, pixels = centre[mine], seen.pixel[mine] - principal
+        around, moved = (values - _means(values, which)[which] for values in (places, pixels))
+        if not (around**2).sum() > 0:
+            raise InputError(f"frame {frame}: each corner is seen through one lens only; several are needed")
+        slope = (around * moved).sum() / (around**2).sum() - 1
+        image = (places * (1 + slope) - pixels) * (size / slope)
+        slopes[pose] = slope
+        maps[pose] = np.linalg.lstsq(np.column_stack([np.ones(len(image)), seen.board[mine]]), image)[0]
+        if np.linalg.det(maps[pose, 1:]) <= 0:
+            raise InputError(
+                f"frame {frame}: the board is seen mirrored: number its corners as they are seen from its front, to "
+                "the right and then down, in a picture that is not mirrored"
+            )
+    return slopes, maps
 
 
-def _every(pose: np.ndarray, index: int) -> int:
-    return max(1, int((pose == index).sum()) // _THINNED)
+def upright_poses(maps: np.ndarray, focal_length: float) -> np.ndarray:
+    """Return poses (n, 6) of boards that face the camera, from how a thin lens images them."""
+    poses = np.zeros((len(maps), 6))
+    for pose, (place, along, across) in zip(poses, maps, strict=True):
+        magnification = np.sqrt(np.linalg.det([along, across]))
+        # The image is turned by half a turn.
+        pose[2] = np.arctan2(along[1] - across[0], along[0] + across[1]) + np.pi
+        pose[3:] = *(-place / magnification), focal_length * (1 + 1 / magnification)
+    return poses
+
+
+def _means(values: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """Return the mean of the rows of each group."""
+    return np.stack([np.bincount(which, column) for column in values.T], axis=-1) / np.bincount(which)[:, None]

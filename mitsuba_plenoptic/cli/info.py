@@ -25,7 +25,7 @@ def info(
     source: Annotated[
         str,
         typer.Argument(
-            metavar="SCENE|PRESET|CAPTURE.exr",
+            metavar="SCENE|PRESET|CAMERA.json|CAPTURE.exr",
             help=f"A Mitsuba XML file, a built-in scene's name, a camera's ({', '.join(PRESETS)}), or a capture.",
         ),
     ],

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
+from ..calibration import read_camera
 from ..camera import PlenopticCamera
 from ..capture.scene import load_scene
 from ..errors import InputError
@@ -22,7 +23,9 @@ def require_capture_output(path: Path) -> None:
 
 
 def load_camera(source: str, parameters: dict[str, str]) -> PlenopticCamera:
-    """Return the camera of a preset or of a scene; a file takes precedence over a preset of its name."""
+    """Return the camera of a preset, a JSON file or a scene; a file takes precedence over a preset of its name."""
+    if source.lower().endswith(".json"):
+        return read_camera(source)[0]
     if source in PRESETS and not parameters and not Path(source).is_file():
         return PlenopticCamera.preset(source)
     sensors = load_scene(source, parameters=parameters).sensors()

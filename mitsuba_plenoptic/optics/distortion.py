@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 
-
 def undistort(x: Any, y: Any, distortion: Any) -> tuple[Any, Any]:
     r"""Return U(m), of floats, NumPy arrays or Dr.Jit arrays.
 

@@ -12,7 +12,7 @@ from ...io.captures import read_capture
 from .. import decode, estimate_lens_grid
 from .lftoolbox import read_lftoolbox, write_lftoolbox
 from .mosaic import read_mosaic, write_mosaic
-from .pictures import read_picture
+from .pictures import TIFF, read_picture
 
 # The suffix that LFToolbox gives to pictures with the samples of each lens together.
 _LENSES = ".eslf.png"
@@ -53,7 +53,7 @@ def open_light_field(
     if name.endswith(".mat"):
         _refuse(path, white=white, views=views)
         return read_lftoolbox(path)
-    if name.endswith(".png"):
+    if name.endswith((".png", *TIFF)):
         if views is not None:
             layout = "lenses" if name.endswith(_LENSES) else "views"
             return read_mosaic(path, views, layout=layout, linear=linear)
@@ -61,7 +61,7 @@ def open_light_field(
             raise InputError(f"{path}: give the white image of a raw picture, or the number of views of a mosaic")
         reference = _white(white, linear)
         return decode(read_picture(path, linear=linear), white=reference, grid=estimate_lens_grid(reference))
-    raise InputError(f"{path}: a capture or light field has a name that ends in .exr, .mat or .png")
+    raise InputError(f"{path}: a capture or light field has a name that ends in .exr, .mat, .png or .tiff")
 
 
 def save_light_field(path: str | Path, lf: xr.DataArray) -> None:
