@@ -114,7 +114,7 @@ def _lenses(
     rows = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     unit = lens * [1.0, row_ratio]
     spoke = unit * [along, across] @ rows.T
-    c = spoke + [ox, oy]
+    c = spoke + np.array([ox, oy])
     slopes = np.tan(np.deg2rad([tilt_x, tilt_y]))
     c_by = np.zeros((len(lens), 2, len(NAMES)))
     c_by[:, :, AT["pitch_along"]] = unit[:, :1] * rows[:, 0]

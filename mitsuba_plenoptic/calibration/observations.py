@@ -1,9 +1,9 @@
-"""Corners of a board and centres of micro-images, as programs that detect them write them, and how lenses are counted.
+"""Corners of a board and centres of micro-images, as files hold them, and how these count lenses.
 
-Files are CSV tables with a header. Corners have the columns ``k, l`` (indices of the lens along its row and of the row),
-``u, v`` (column and row of the corner in pixels; the centre of the first pixel is 0), ``cluster`` (number of the corner,
-row by row along the board's columns, from 0) and ``frame`` (number of the picture, one for each pose of the board).
-Centres have ``k, l, u, v``. Other columns are ignored.
+Files are CSV tables with a header. Corners have the columns ``k, l`` (indices of the lens along its row and of the
+row), ``u, v`` (column and row of the corner in pixels; the centre of the first pixel is 0), ``cluster`` (number of the
+corner, row by row along the board's columns, from 0) and ``frame`` (number of the picture, one for each pose of the
+board). Centres have ``k, l, u, v``. Other columns are ignored.
 """
 
 from __future__ import annotations
@@ -235,8 +235,8 @@ def find_lens_index(table: Table, hexagonal: bool, middle: tuple[float, float]) 
     error, odd_rows, grid = best
     if error > 0.5 * min(np.hypot(*step) for step in grid[1:]):
         raise InputError(
-            f"{table.name}: pixels lie {error:.3g} from a regular grid of lenses {np.hypot(*grid[1]):.3g} apart: k must "
-            "count the lenses of a row and l the rows"
+            f"{table.name}: pixels lie {error:.3g} from a regular grid of lenses {np.hypot(*grid[1]):.3g} apart: k "
+            "must count the lenses of a row and l the rows"
         )
     i, j = np.round(np.linalg.solve(grid[1:].T, np.array(middle) - grid[0]))
     index = LensIndex(odd_rows, 1 if np.linalg.det(grid[1:]) > 0 else -1, (int(i), int(j)))

@@ -6,8 +6,8 @@ the images q of a board's corners lie apart tells its magnification M, and as :m
 
 .. math:: a / z = (b - f) / z - (f / z) M
 
-is a line over the poses, which tells b/f and z/f. The scale of all three comes from the perspective of tilted boards, by
-a fit of few numbers.
+is a line over the poses, which tells b/f and z/f. The scale of all three comes from the perspective of tilted boards,
+by a fit of few numbers.
 """
 
 from __future__ import annotations

@@ -10,10 +10,12 @@ from typing import Any
 
 import mitsuba as mi
 
+from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..io.files import require_file
 from ..runtime.backend import one_at_a_time
 from ..runtime.variant import set_variant
+from .scene_camera import with_camera
 from .scene_file import check_scene_file
 
 
@@ -34,7 +36,13 @@ def scene_path(name: str) -> Path:
 
 
 @one_at_a_time
-def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Mapping[str, str] | None = None) -> Any:
+def load_scene(
+    scene: str | Path,
+    *,
+    variant: str | None = None,
+    parameters: Mapping[str, str] | None = None,
+    camera: PlenopticCamera | None = None,
+) -> Any:
     """Load a scene file, or a built-in scene by its name.
 
     Parameters
@@ -46,6 +54,8 @@ def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Map
     parameters : mapping, optional
         Values for the scene's ``$name`` parameters. Where a scene has the columns and rows of its detector as
         ``$resolution`` and ``$rows``, rows that are not given follow the columns in proportion.
+    camera : PlenopticCamera, optional
+        Camera in the place of the scene's own, which it must have.
 
     Returns
     -------
@@ -71,7 +81,11 @@ def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Map
     try:
         # Mitsuba's optimisation lists merged shapes and emitters in an order that changes from run to run, and with
         # it the random numbers that each gets.
-        loaded = mi.load_file(str(path), optimize=False, **parameters)
+        if camera is None:
+            loaded = mi.load_file(str(path), optimize=False, **parameters)
+        else:
+            mi.file_resolver().append(str(path.parent))
+            loaded = mi.load_string(with_camera(text, camera), optimize=False, **parameters)
     except InputError:
         raise
     except (RuntimeError, ValueError, TypeError) as error:

@@ -64,7 +64,7 @@ def calibrate(
 
       mitsuba-plenoptic calibrate white.png -o centres.csv
 
-      mitsuba-plenoptic calibrate corners.csv --centres centres.csv --board 9x5 --square 10 --camera raytrix -o camera.json
+      mitsuba-plenoptic calibrate corners.csv --board 9x5 --square 10 --camera start.json -o camera.json
 
       mitsuba-plenoptic calibrate --evaluate corners.csv --camera camera.json --board 9x5 --square 10
     """
@@ -118,8 +118,8 @@ def _centres(path: Path, output: Path | None, linear: bool) -> None:
     rows = "" if found.grid.shifted_rows is None else ", every second row shifted"
     typer.echo(
         f"{output}: {len(found.pixel)} centres, {found.error:.3f} px RMS from a regular grid of {along:.5f} x "
-        f"{across:.5f} px{rows}, turned by {math.degrees(found.grid.rotation):.4f} degrees; the faintest micro-image has "
-        f"{found.light.min():.0%} of the brightest's light"
+        f"{across:.5f} px{rows}, turned by {math.degrees(found.grid.rotation):.4f} degrees; the faintest micro-image "
+        f"has {found.light.min():.0%} of the brightest's light"
     )
 
 

@@ -9,7 +9,8 @@ import typer
 
 from ..io.files import require_writable
 from ..lightfield.exchange import open_light_field, save_light_field
-from .options import LightFieldSource, Linear, ViewCount, White, output_option
+from .inputs import named_camera
+from .options import CameraFile, LightFieldSource, Linear, ViewCount, White, output_option
 
 
 def convert(
@@ -25,6 +26,7 @@ def convert(
     white: White = None,
     view_count: ViewCount = None,
     linear: Linear = False,
+    camera: CameraFile = None,
 ) -> None:
     """Decode a capture for other programs, or translate between their light fields.
 
@@ -37,6 +39,6 @@ def convert(
       mitsuba-plenoptic convert lytro.eslf.png --view-count 14 -o lf.mat
     """
     require_writable(output)
-    lf = open_light_field(source, white=white, views=view_count, linear=linear)
+    lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera))
     save_light_field(output, lf)
     typer.echo(f"{output}: {lf.sizes['u']} x {lf.sizes['v']} views of {lf.sizes['s']} x {lf.sizes['t']} pixels")

@@ -34,6 +34,11 @@ def load_camera(source: str, parameters: dict[str, str]) -> PlenopticCamera:
     return PlenopticCamera.from_sensor(sensors[0])
 
 
+def named_camera(source: str | None) -> PlenopticCamera | None:
+    """Return the camera that an option names, None where it is not given."""
+    return None if source is None else read_camera(source)[0]
+
+
 def parse_definitions(definitions: list[str] | None) -> dict[str, str]:
     """Turn ``name=value`` texts into a dictionary."""
     parameters = {}

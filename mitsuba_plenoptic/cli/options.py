@@ -99,6 +99,16 @@ Scheduler = Annotated[
     ),
 ]
 
+CameraFile = Annotated[
+    str | None,
+    typer.Option(
+        "--camera",
+        metavar="FILE.json|PRESET",
+        show_default="its own",
+        help="Camera to use: a JSON file, as 'calibrate' writes it, or a preset.",
+    ),
+]
+
 LightFieldSource = Annotated[
     Path,
     typer.Argument(

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from .. import reconstruction
-from ..io.captures import read_capture
+from ..camera import PlenopticCamera
+from ..errors import InputError
+from ..io.captures import Capture, read_capture
+from ..lightfield.exchange import read_picture
 from ..report.output_files import reconstruction_paths, write_reconstructions
 from ..runtime.variant import set_variant
-from .options import CaptureFile, Distances, Variant, number, output_option
+from .inputs import named_camera
+from .options import CameraFile, CaptureFile, Distances, Linear, Variant, number, output_option
 from .terminal import progress_bar
 
 
@@ -57,6 +62,8 @@ def reconstruct(
             "--relay/--no-relay", help="For waves: whether the microlenses act again on the way back, as they should."
         ),
     ] = True,
+    camera: CameraFile = None,
+    linear: Linear = False,
     oversample: Annotated[int, number("Bins per microlens along each axis; info tells what suits.")] = 1,
     variant: Variant = None,
 ) -> None:
@@ -75,7 +82,7 @@ def reconstruct(
       mitsuba-plenoptic reconstruct raw.exr -o out.png --method partial --distance 280
     """
     paths = reconstruction_paths(output, distance)
-    recorded = read_capture(capture)
+    recorded = _recorded(capture, named_camera(camera), linear)
     set_variant(variant)
     with progress_bar("Refocusing") as progress:
         results = reconstruction.reconstruct(
@@ -93,3 +100,13 @@ def reconstruct(
     for path, result in zip(paths, results, strict=True):
         rows, columns = result.image.shape[:2]
         typer.echo(f"{path}: {columns} x {rows} bins of {result.bin_size:.4g} mm at {result.distance:g} mm")
+
+
+def _recorded(path: Path, camera: PlenopticCamera | None, linear: bool) -> Capture:
+    """Read a capture, or a raw picture of a known camera; the camera that is given takes the place of a capture's."""
+    if path.suffix.lower() in (".png", ".tif", ".tiff"):
+        if camera is None:
+            raise InputError(f"{path}: a raw picture needs its --camera")
+        return Capture(read_picture(path, linear=linear), camera, None, "ray", {})
+    found = read_capture(path)
+    return found if camera is None else dataclasses.replace(found, camera=camera)

@@ -14,8 +14,9 @@ from ..capture.scene import load_scene
 from ..io.captures import write_capture
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import remove_leftovers, require_writable
-from .inputs import batches_on, parse_definitions, require_capture_output
+from .inputs import batches_on, named_camera, parse_definitions, require_capture_output
 from .options import (
+    CameraFile,
     Definitions,
     Model,
     RadiatorsPerLens,
@@ -66,6 +67,7 @@ def render(
     workers: Workers = None,
     scheduler: Scheduler = None,
     define: Definitions = None,
+    camera: CameraFile = None,
     variant: Variant = None,
 ) -> None:
     """Render what a scene's plenoptic camera records.
@@ -88,13 +90,16 @@ def render(
       mitsuba-plenoptic render letters -o wave.exr --model wave --resume
 
       mitsuba-plenoptic render my_scene.xml -o colour.exr --variant llvm_ad_rgb
+
+      mitsuba-plenoptic render letters -o raw.exr --camera camera.json
     """
     parameters = parse_definitions(define)
+    chosen = named_camera(camera)
     options = {"wavelength": wavelength, "radiators_per_lens": radiators_per_lens}
     wave = {name: value for name, value in options.items() if value is not None}
     if estimate:
         with batches_on(workers, scheduler) as batch_map:
-            loaded = load_scene(scene, variant=variant, parameters=parameters)
+            loaded = load_scene(scene, variant=variant, parameters=parameters, camera=chosen)
             cost = estimate_capture(loaded, model=model, spp=spp, seed=seed, batch_map=batch_map, **wave)
         what = f"{cost.radiators} radiators, {cost.patterns} point spreads, " if cost.radiators else ""
         typer.echo(f"{scene}: {what}about {cost.seconds:.3g} s and {cost.memory / 2**30:.2g} GiB")
@@ -107,7 +112,7 @@ def render(
         remove_leftovers(output)
     checkpoint = require_writable(checkpoint or output.with_name(output.name + SUFFIX))
     with Checkpoint(checkpoint, "resume" if resume else "refuse") as kept, batches_on(workers, scheduler) as batch_map:
-        loaded = load_scene(scene, variant=variant, parameters=parameters)
+        loaded = load_scene(scene, variant=variant, parameters=parameters, camera=chosen)
         start = time.perf_counter()
         with progress_bar("Rendering") as progress:
             capture = render_capture(

@@ -11,7 +11,8 @@ from ..lightfield import focal_stack
 from ..lightfield.exchange import open_light_field
 from ..lightfield.refocus import METHODS
 from ..report.output_files import require_picture_path, write_stack
-from .options import Distances, LightFieldSource, Linear, ViewCount, White, output_option
+from .inputs import named_camera
+from .options import CameraFile, Distances, LightFieldSource, Linear, ViewCount, White, output_option
 from .terminal import progress_bar
 
 
@@ -32,6 +33,7 @@ def stack(
     white: White = None,
     view_count: ViewCount = None,
     linear: Linear = False,
+    camera: CameraFile = None,
 ) -> None:
     """Refocus to several distances from the decoded light field.
 
@@ -40,7 +42,7 @@ def stack(
       mitsuba-plenoptic stack raw.exr -o stack.png --distance 210 --distance 240 --distance 280
     """
     require_picture_path(output)
-    lf = open_light_field(source, white=white, views=view_count, linear=linear)
+    lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera))
     with progress_bar("Refocusing") as progress:
         images = focal_stack(lf, distance, method=method, progress=progress)
     write_stack(output, images)

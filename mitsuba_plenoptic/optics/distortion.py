@@ -1,7 +1,7 @@
 """Radial and tangential distortion of the main lens as a map of rays.
 
-A ray that crosses the plane of the microlens array in m goes on behind the main lens as if it came from U(m) through the
-same point of the pupil. U is Brown's polynomial (D. C. Brown, "Decentering distortion of lenses", 1966): points in
+A ray that crosses the plane of the microlens array in m goes on behind the main lens as if it came from U(m) through
+the same point of the pupil. U is Brown's polynomial (D. C. Brown, "Decentering distortion of lenses", 1966): points in
 focus on the array are imaged sharply, at the place that the inverse of U gives. Points out of focus have their place
 distorted as at the plane of the array; the pupil itself is not distorted.
 """

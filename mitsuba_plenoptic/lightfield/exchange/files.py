@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from ...camera import PlenopticCamera
 from ...errors import InputError
 from ...io.captures import read_capture
 from .. import decode, estimate_lens_grid
@@ -19,7 +20,12 @@ _LENSES = ".eslf.png"
 
 
 def open_light_field(
-    path: str | Path, *, white: str | Path | None = None, views: int | None = None, linear: bool = False
+    path: str | Path,
+    *,
+    white: str | Path | None = None,
+    views: int | None = None,
+    linear: bool = False,
+    camera: PlenopticCamera | None = None,
 ) -> xr.DataArray:
     """Read a light field, or decode one from a capture.
 
@@ -27,15 +33,17 @@ def open_light_field(
     ----------
     path : path
         ``.exr``: a capture of this package; ``.mat``: a light field of LFToolbox; ``.eslf.png`` with `views`: samples
-        of each lens together; ``.png`` with `views`: a mosaic of views; ``.png`` with `white`: a raw picture of some
-        plenoptic camera.
+        of each lens together; ``.png`` with `views`: a mosaic of views; ``.png`` or ``.tiff`` with `white` or `camera`:
+        a raw picture of some plenoptic camera.
     white : path, optional
         A picture of something white by the same camera, ``.exr`` or ``.png``. For a capture of this package it
         replaces the computed one; for a raw picture it shows where the micro-images are.
     views : int, optional
         Views along each axis of a mosaic.
     linear : bool
-        Whether PNG files hold values proportional to light, as raw data does, instead of sRGB.
+        Whether pictures hold values proportional to light, as raw data does, instead of sRGB.
+    camera : PlenopticCamera, optional
+        The camera of a raw picture, or another one than a capture's. With it distances are in millimetres.
 
     Raises
     ------
@@ -45,21 +53,27 @@ def open_light_field(
     """
     path = Path(path)
     name = path.name.lower()
+    if views is not None:
+        _refuse(path, camera=None if camera is None else "given")
     if white is not None and views is not None:
         raise InputError(f"{path}: a white image and a number of views exclude each other")
     if name.endswith(".exr"):
         _refuse(path, views=views)
-        return decode(read_capture(path), white=None if white is None else _white(white, linear))
+        return decode(read_capture(path), camera=camera, white=None if white is None else _white(white, linear))
     if name.endswith(".mat"):
-        _refuse(path, white=white, views=views)
+        _refuse(path, white=white, views=views, camera=None if camera is None else "given")
         return read_lftoolbox(path)
     if name.endswith((".png", *TIFF)):
         if views is not None:
             layout = "lenses" if name.endswith(_LENSES) else "views"
             return read_mosaic(path, views, layout=layout, linear=linear)
-        if white is None:
-            raise InputError(f"{path}: give the white image of a raw picture, or the number of views of a mosaic")
-        reference = _white(white, linear)
+        reference = None if white is None else _white(white, linear)
+        if camera is not None:
+            return decode(read_picture(path, linear=linear), camera=camera, white=reference)
+        if reference is None:
+            raise InputError(
+                f"{path}: give the white image or the camera of a raw picture, or the number of views of a mosaic"
+            )
         return decode(read_picture(path, linear=linear), white=reference, grid=estimate_lens_grid(reference))
     raise InputError(f"{path}: a capture or light field has a name that ends in .exr, .mat, .png or .tiff")
 
