@@ -15,6 +15,7 @@ from ..calibration.model import UNITS
 from ..io.captures import read_capture
 from ..io.files import require_writable
 from ..lightfield.exchange import read_picture
+from ..report.calibration import write_calibration_report
 from .options import Linear, number, output_option
 
 # Outliers that are printed by line.
@@ -53,6 +54,9 @@ def calibrate(
         Path | None,
         typer.Option(metavar="CORNERS.csv", help="Hold the camera, refit the poses, and print how far off it is."),
     ] = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Write a page with numbers, poses and residuals, too.")
+    ] = None,
     linear: Linear = False,
 ) -> None:
     """Calibrate a real camera from corners of a checkerboard and white images.
@@ -75,7 +79,7 @@ def calibrate(
     elif source is not None and source.suffix.lower() in _PICTURES:
         _centres(source, output, linear)
     elif source is not None:
-        _calibrate(source, output, camera, board, square, centres)
+        _calibrate(source, output, camera, board, square, centres, report)
 
 
 def _board(board: str | None, square: float | None) -> Board:
@@ -124,14 +128,25 @@ def _centres(path: Path, output: Path | None, linear: bool) -> None:
 
 
 def _calibrate(
-    path: Path, output: Path | None, camera: str | None, board: str | None, square: float | None, centres: Path | None
+    path: Path,
+    output: Path | None,
+    camera: str | None,
+    board: str | None,
+    square: float | None,
+    centres: Path | None,
+    report: Path | None,
 ) -> None:
     output = _output(output)
     start, _ = calibration.read_camera(_camera(camera))
     size = _board(board, square)
     corners = calibration.read_corners(path, size, start.crop_size)
-    found = calibration.calibrate(corners, size, start, centres and calibration.read_centres(centres))
+    middles = centres and calibration.read_centres(centres)
+    if report:
+        require_writable(report)
+    found = calibration.calibrate(corners, size, start, middles)
     calibration.write_calibration(output, found, size)
+    if report:
+        write_calibration_report(report, found, size, corners, middles)
     for name, value in found.numbers.items():
         typer.echo(f"{name:>18} {value:14.7g} +- {found.deviations[name]:.2g} {UNITS[name]}".rstrip())
     for weakness, parts in found.weak_directions():
