@@ -44,11 +44,17 @@ from .runtime.cluster import Cluster
 from .runtime.jobs import Job
 
 if TYPE_CHECKING:
+    from .calibration import calibrate
     from .lightfield import decode
     from .reconstruction import Reconstruction, reconstruct
 
 # Whole parts that bring large libraries, imported when they are first asked for.
-_LATER = {"decode": "lightfield", "Reconstruction": "reconstruction", "reconstruct": "reconstruction"}
+_LATER = {
+    "calibrate": "calibration",
+    "decode": "lightfield",
+    "Reconstruction": "reconstruction",
+    "reconstruct": "reconstruction",
+}
 
 __version__ = importlib.metadata.version("mitsuba-plenoptic")
 
@@ -65,6 +71,7 @@ __all__ = [
     "PlenopticCamera",
     "Reconstruction",
     "Spectrum",
+    "calibrate",
     "decode",
     "estimate_capture",
     "expose",

@@ -384,11 +384,6 @@ class PlenopticCamera:
         )
 
     @property
-    def is_ideal(self) -> bool:
-        """Whether the array stands upright and the main lens does not distort."""
-        return not any(self.mla_tilt) and not any(self.distortion)
-
-    @property
     def lenses_like_bins(self) -> bool:
         """Whether each lens is an upright square as large as a bin, without gaps; it may lie between bins."""
         lattice = self.lattice
