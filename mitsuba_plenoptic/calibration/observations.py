@@ -238,7 +238,9 @@ def find_lens_index(table: Table, hexagonal: bool, middle: tuple[float, float]) 
             f"{table.name}: pixels lie {error:.3g} from a regular grid of lenses {np.hypot(*grid[1]):.3g} apart: k "
             "must count the lenses of a row and l the rows"
         )
-    i, j = np.round(np.linalg.solve(grid[1:].T, np.array(middle) - grid[0]))
+    along, j = np.linalg.solve(grid[1:].T, np.array(middle) - grid[0])
+    j = np.round(j)
+    i = np.round(along - odd_rows * (j % 2))
     index = LensIndex(odd_rows, 1 if np.linalg.det(grid[1:]) > 0 else -1, (int(i), int(j)))
     first = grid[0] + (LensIndex(odd_rows, 1, (0, 0)).unit(*np.array([[i], [j]])))[0] @ grid[1:]
     return index, np.stack([first, grid[1], index.row_sign * grid[2]])

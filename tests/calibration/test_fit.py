@@ -73,7 +73,9 @@ def test_the_camera_alone_explains_as_much(found, table, tmp_path):
 
 def test_deviations_are_true():
     # The mean squared error over the variance, of each combination of the numbers that the data tell well.
-    seen = cases.corners()[1]
+    every = cases.corners()[1]
+    rows = slice(None, None, max(1, len(every) // 800))
+    seen = Observations(every.lens[rows], every.pixel[rows], every.board[rows], every.pose[rows])
     true = numbers_of(cases.CAMERA)
     ratios = []
     for seed in range(40):
