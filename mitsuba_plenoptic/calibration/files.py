@@ -98,7 +98,8 @@ def _index(values: dict[str, Any]) -> LensIndex | None:
         ) from None
     if odd_rows not in (-0.5, 0, 0.5) or row_sign not in (-1, 1):
         raise InputError(f"lens_index = {shown(given)}: odd_rows is -0.5, 0 or 0.5 and row_sign is -1 or 1")
-    return LensIndex(float(odd_rows), int(row_sign), tuple(require_count("first", n, minimum=-(2**20)) for n in (k, l)))
+    first = require_count("first", k, minimum=-(2**20)), require_count("first", l, minimum=-(2**20))
+    return LensIndex(float(odd_rows), int(row_sign), first)
 
 
 def libpleno_camera(values: dict[str, Any]) -> PlenopticCamera:

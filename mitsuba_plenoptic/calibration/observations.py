@@ -198,7 +198,7 @@ def observations(corners: Table, board: Board, index: LensIndex) -> tuple[Observ
     return Observations(index.unit(corners["k"], corners["l"]), corners.pixel, places, pose), frames
 
 
-def find_lens_index(table: Table, hexagonal: bool, middle: tuple[float, float]) -> tuple[LensIndex, np.ndarray]:
+def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[LensIndex, np.ndarray]:
     """Find how a table counts its lenses, from where their pixels lie.
 
     Parameters
@@ -207,7 +207,7 @@ def find_lens_index(table: Table, hexagonal: bool, middle: tuple[float, float]) 
         Centres, or corners: a corner is seen within its lens's micro-image.
     hexagonal : bool
         Whether every second row is offset.
-    middle : (float, float)
+    middle : (2,) array
         Pixel near the axis, to which lens (0, 0) is to be the nearest.
 
     Returns
@@ -238,7 +238,7 @@ def find_lens_index(table: Table, hexagonal: bool, middle: tuple[float, float]) 
             f"{table.name}: pixels lie {error:.3g} from a regular grid of lenses {np.hypot(*grid[1]):.3g} apart: k "
             "must count the lenses of a row and l the rows"
         )
-    along, j = np.linalg.solve(grid[1:].T, np.array(middle) - grid[0])
+    along, j = np.linalg.solve(grid[1:].T, middle - grid[0])
     j = np.round(j)
     i = np.round(along - odd_rows * (j % 2))
     index = LensIndex(odd_rows, 1 if np.linalg.det(grid[1:]) > 0 else -1, (int(i), int(j)))

@@ -140,7 +140,7 @@ def _calibrate(
     start, _ = calibration.read_camera(_camera(camera))
     size = _board(board, square)
     corners = calibration.read_corners(path, size, start.crop_size)
-    middles = centres and calibration.read_centres(centres)
+    middles = None if centres is None else calibration.read_centres(centres)
     if report:
         require_writable(report)
     found = calibration.calibrate(corners, size, start, middles)

@@ -254,9 +254,8 @@ def make_class() -> type:
                 aperture=camera.mla_aperture,
                 fill=self.mla_fill,
             )
-            self._main_lens = ThinLens(self.focal_length, self.aperture_radius, self.mla_distance, self.lens_model)
-            if any(self.distortion):
-                self._main_lens = DistortedLens(*vars(self._main_lens).values(), self.distortion)
+            lens = self.focal_length, self.aperture_radius, self.mla_distance, self.lens_model
+            self._main_lens = DistortedLens(*lens, self.distortion) if any(self.distortion) else ThinLens(*lens)
             self._candidates = [mi.Float(steps) for steps in crosstalk_neighbours(camera).T]
             dr.make_opaque(*self._candidates)
 

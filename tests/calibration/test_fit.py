@@ -77,10 +77,14 @@ def test_deviations_are_true():
     rows = slice(None, None, max(1, len(every) // 800))
     seen = Observations(every.lens[rows], every.pixel[rows], every.board[rows], every.pose[rows])
     true = numbers_of(cases.CAMERA)
+    lens = every.lens[:: max(1, len(every) // 400)]
+    middle, _ = predict_centres(true, lens, pixel_size=0.0055, row_ratio=0.75**0.5)
     ratios = []
     for seed in range(40):
-        pixel = seen.pixel + np.random.default_rng(seed).normal(0, NOISE, seen.pixel.shape)
-        problem = Problem(Observations(seen.lens, pixel, seen.board, seen.pose), 0.0055, 0.75**0.5)
+        generator = np.random.default_rng(seed)
+        pixel, at = (exact + generator.normal(0, NOISE, exact.shape) for exact in (seen.pixel, middle))
+        corners = Observations(seen.lens, pixel, seen.board, seen.pose)
+        problem = Problem(corners, 0.0055, 0.75**0.5, Observations(lens, at, at, at))
         found = adjust(problem, true, cases.POSES)
         triangle = information(problem, found, NAMES, np.ones(len(seen))) / NOISE
         _, singular, directions = np.linalg.svd(triangle / np.abs(triangle).max(0))
