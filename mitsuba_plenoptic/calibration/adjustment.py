@@ -17,6 +17,7 @@ from ..errors import InputError
 from .model import NAMES, Observations, predict, predict_centres
 
 _MOST_STEPS = 200
+_MOST_POSE_STEPS = 60
 _DONE = 1e-8
 _MOST_DAMPING = 1e10
 
@@ -186,12 +187,12 @@ def adjust_poses(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np
 
     A flat board looks much the same tilted to either side (Necker's reversal); both are tried for each pose.
     """
-    found = adjust(problem, numbers, poses, ()).poses
+    found = adjust(problem, numbers, poses, (), most_steps=_MOST_POSE_STEPS).poses
     flip = np.diag([1.0, 1.0, -1.0])
     reversed_ = found.copy()
     for pose in reversed_:
         pose[:3] = Rotation.from_matrix(flip @ Rotation.from_rotvec(pose[:3]).as_matrix() @ flip).as_rotvec()
-    reversed_ = adjust(problem, numbers, reversed_, ()).poses
+    reversed_ = adjust(problem, numbers, reversed_, (), most_steps=_MOST_POSE_STEPS).poses
     squares = [
         np.bincount(problem.corners.pose, (problem.residuals(numbers, each) ** 2).sum(1)) for each in (found, reversed_)
     ]

@@ -122,13 +122,14 @@ def read_table(path: str | Path, names: tuple[str, ...]) -> Table:
             missing = [name for name in names if name not in header]
             if missing:
                 raise InputError(f"{path}: it has no column {missing[0]}; it needs {', '.join(names)}")
-            rows = np.loadtxt(file, delimiter=",", usecols=[header.index(name) for name in names], ndmin=2)
+            lines = [line for line in file if line.strip()]
+        if not lines:
+            raise InputError(f"{path}: it has no rows")
+        rows = np.loadtxt(lines, delimiter=",", usecols=[header.index(name) for name in names], ndmin=2)
     except (ValueError, UnicodeDecodeError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path}: it is no table of numbers: {error}") from None
-    if not len(rows):
-        raise InputError(f"{path}: it has no rows")
     columns = dict(zip(names, rows.T, strict=True))
     for name, values in columns.items():
         wrong = ~np.isfinite(values) | (np.abs(values) > _LARGEST)

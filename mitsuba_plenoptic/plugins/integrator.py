@@ -29,7 +29,7 @@ from ..capture.sight import Sight
 from ..errors import InputError, shown
 from ..io.checkpoints import digest
 from ..optics import guards
-from ..optics.main_lens import main_lens
+from ..optics.main_lens import main_lens, require_ideal
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job, Task
 from .properties import read_choice, read_count, read_flag, read_plain
@@ -181,6 +181,7 @@ def make_class() -> type:
                 one for each wavelength.
             """
             camera = PlenopticCamera.from_sensor(sensor)
+            require_ideal(camera)
             film = sensor.film()
             if not film.rfilter().is_box_filter():
                 raise InputError(

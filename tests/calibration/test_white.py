@@ -29,7 +29,7 @@ def white_image(shape, shifted, diameters, seed=0):
 
 
 @pytest.mark.parametrize("shifted", [None, 0, 1])
-@pytest.mark.parametrize("diameters", [(14.0,), (14.0, 11.0, 12.5)])
+@pytest.mark.parametrize("diameters", [(14.0,), (14.0, 13.4, 13.7)])
 def test_centres_are_found(shifted, diameters, tmp_path):
     image, true = white_image((640, 700), shifted, diameters)
     found = find_centres(image)
