@@ -115,12 +115,12 @@ def _depths(calibration: Calibration, board: Board, corners: Table) -> np.ndarra
 
 
 def _boards(calibration: Calibration, board: Board) -> list[dict[str, Any]]:
-    """Draw the boards from above and from the left, with the camera at the left end of the axis."""
+    """Draw the boards obliquely from the side, with the camera at the left end of the axis."""
     width, height = (board.columns - 1) * board.square, (board.rows - 1) * board.square
     outline = np.array([[0, 0], [width, 0], [width, height], [0, height]])
     seen = calibration.evaluation
     placed = [_placed(pose, outline) for pose in seen.poses]
-    scale = (_WIDTH - 40) / max(corner[:, 2].max() for corner in placed)
+    scale = (_WIDTH - 40) / max((corner[:, 2] + 0.35 * np.abs(corner[:, 0])).max() for corner in placed)
     drawings = []
     for frame, corner in zip(seen.frames, placed, strict=True):
         # Oblique: depth to the right, x towards the reader.
