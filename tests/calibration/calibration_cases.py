@@ -13,7 +13,7 @@ from mitsuba_plenoptic.calibration import Board, LensIndex, Table
 from mitsuba_plenoptic.calibration.model import Observations, predict, predict_centres
 from mitsuba_plenoptic.calibration.numbers import numbers_of
 
-REAL = Path(os.environ.get("MITSUBA_PLENOPTIC_DATA", "/work/shared/data")) / "raytrix_r12a"
+REAL = Path(os.environ.get("MITSUBA_PLENOPTIC_DATA", "data")) / "raytrix_r12a"
 
 CAMERA = PlenopticCamera.preset("raytrix").replace(
     resolution=(2100, 1540),
