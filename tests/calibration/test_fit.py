@@ -180,12 +180,13 @@ def test_a_real_camera(tmp_path, capsys):
 
 @pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
 def test_compote_cameras_are_read():
-    # With COMPOTE's own model the error is 1.0858; ours distorts rays where it distorts points.
+    # Errors of three poses by COMPOTE's own model (tools/calibration_accuracy.py), which distorts points, not rays.
     camera, index = read_camera(cases.REAL / "compote_intrinsics.json")
     assert index is None
     board = Board(9, 5, 10.0)
     table = read_corners(cases.REAL / "corners.csv", board, camera.crop_size)
-    assert evaluate(table, board, camera).error == pytest.approx(1.0858, abs=0.1)
+    found = evaluate(table.keep(np.isin(table["frame"], [0, 8, 14])), board, camera)
+    np.testing.assert_allclose(found.pose_errors, [1.112, 0.802, 0.684], atol=0.03)
     assert len(read_centres(cases.REAL / "centres.csv")["k"]) > 26000
 
 
