@@ -45,12 +45,14 @@ from .runtime.cluster import Cluster
 from .runtime.jobs import Job
 
 if TYPE_CHECKING:
+    from .calibration import calibrate
     from .lightfield import decode
     from .reconstruction import Reconstruction, reconstruct
     from .runtime.progress import progress_bar
 
 # Whole parts that bring large libraries, imported when they are first asked for.
 _LATER = {
+    "calibrate": "calibration",
     "decode": "lightfield",
     "Reconstruction": "reconstruction",
     "reconstruct": "reconstruction",
@@ -72,6 +74,7 @@ __all__ = [
     "PlenopticCamera",
     "Reconstruction",
     "Spectrum",
+    "calibrate",
     "decode",
     "estimate_capture",
     "expose",

@@ -24,6 +24,9 @@ WAVELENGTHS = (1.0, 1e6)
 FULL_TURN = 360.0
 """Bound of a rotation in degrees, either way."""
 
+STEEPEST_TILT = 5.0
+"""Degrees by which an array may be tilted."""
+
 LEAST_FILL = 1e-3
 """Width of a microlens over its pitch, at least; that of the thinnest line would let no light through."""
 
@@ -65,3 +68,12 @@ def require_place(name: str, value: Any) -> tuple[float, float]:
     pair = require_pair(name, value, "(x, y)")
     x, y = (require_number(name, number, minimum=-LONGEST, maximum=LONGEST) for number in pair)
     return x, y
+
+
+def require_numbers(name: str, value: Any, count: int, largest: float) -> tuple[float, ...]:
+    """Return so many numbers as a tuple, none larger in magnitude than `largest`."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if not isinstance(value, (tuple, list)) or len(value) != count:
+        raise InputError(f"{name} = {shown(value)}: it must be {count} numbers")
+    return tuple(require_number(name, number, minimum=-largest, maximum=largest) for number in value)

@@ -17,8 +17,10 @@ from .bounds import (
     FULL_TURN,
     LEAST_FILL,
     MOST_STRETCH,
+    STEEPEST_TILT,
     require_length,
     require_lengths,
+    require_numbers,
     require_pixels,
     require_place,
 )
@@ -29,7 +31,7 @@ from .thin_lens import conjugate_distance, defocus_factor, image_distance
 
 LENS_MODELS = ("ideal", "parabolic")
 
-LATER = {"mla_lattice", "mla_rotation", "mla_offset", "mla_aperture", "mla_fill"}
+LATER = {"mla_lattice", "mla_rotation", "mla_offset", "mla_tilt", "mla_aperture", "mla_fill", "distortion"}
 """Parameters that files written before there were other lattices do not name."""
 
 _SEVERAL = {"mla_focal_lengths": "mla_focal_length", "mla_pitches": "mla_pitch"}
@@ -67,6 +69,9 @@ class PlenopticCamera:
         Angle of the lattice in degrees, counter-clockwise in the camera frame.
     mla_offset : (float, float)
         Place, x and y in the camera frame, of the point of the lattice that is on the axis by default.
+    mla_tilt : (float, float)
+        Angles in degrees by which the array rises towards the main lens along x and along y, up to 5. Pitches, rotation
+        and offset are those of its projection along the axis, and each lens goes on facing the main lens.
     mla_aperture : {"cell", "circle"}
         What of its cell a lens fills: all of it, or a disc. What lies between is opaque.
     mla_fill : float
@@ -83,12 +88,16 @@ class PlenopticCamera:
         Columns and rows that are recorded. Default: all from `crop_offset` on.
     lens_model : {"ideal", "parabolic"}
         How rays refract: stigmatic thin lenses (slopes), or thin parabolic phase elements (direction cosines).
+    distortion : five floats
+        Of the main lens: k1, k2, k3 (radial, in mm^-2, mm^-4, mm^-6) and p1, p2 (tangential, in mm^-1) of the map that
+        takes the distortion away in the plane of the MLA; see `mitsuba_plenoptic.optics.distortion`.
 
     Raises
     ------
     InputError
         If a length is not a number from 1e-9 to 1e9 (`focus_distance` may be infinite), a side of the detector is not
-        from 1 to 1048576 pixels, one pitch is more than ten times the other, or the crop window leaves the detector.
+        from 1 to 1048576 pixels, one pitch is more than ten times the other, the crop window leaves the detector, a
+        tilted array touches detector or main lens, or the distortion folds the image.
     """
 
     focal_length: float
@@ -99,6 +108,7 @@ class PlenopticCamera:
     mla_lattice: str
     mla_rotation: float
     mla_offset: tuple[float, float]
+    mla_tilt: tuple[float, float]
     mla_aperture: str
     mla_fill: float
     detector_distance: float
@@ -107,6 +117,7 @@ class PlenopticCamera:
     crop_offset: tuple[int, int]
     crop_size: tuple[int, int]
     lens_model: str
+    distortion: tuple[float, float, float, float, float]
 
     def __init__(
         self,
@@ -120,6 +131,7 @@ class PlenopticCamera:
         mla_lattice: str = "square",
         mla_rotation: float = 0.0,
         mla_offset: tuple[float, float] = (0.0, 0.0),
+        mla_tilt: tuple[float, float] = (0.0, 0.0),
         mla_aperture: str = "cell",
         mla_fill: float = 1.0,
         detector_distance: float | None = None,
@@ -128,6 +140,7 @@ class PlenopticCamera:
         crop_offset: tuple[int, int] = (0, 0),
         crop_size: tuple[int, int] | None = None,
         lens_model: str = "ideal",
+        distortion: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
     ) -> None:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
@@ -155,6 +168,7 @@ class PlenopticCamera:
         put("mla_pitches", (pitches[0], pitches[-1]))
         put("mla_rotation", require_number("mla_rotation", mla_rotation, minimum=-FULL_TURN, maximum=FULL_TURN))
         put("mla_offset", require_place("mla_offset", mla_offset))
+        put("mla_tilt", require_numbers("mla_tilt", mla_tilt, 2, STEEPEST_TILT))
         put("mla_aperture", require_choice("mla_aperture", mla_aperture, APERTURES))
         fill = require_number("mla_fill", mla_fill, positive=True)
         put("mla_fill", require_number("mla_fill", fill, minimum=LEAST_FILL, maximum=1))
@@ -177,6 +191,14 @@ class PlenopticCamera:
                     f"within the resolution {self.resolution}"
                 )
         put("lens_model", require_choice("lens_model", lens_model, LENS_MODELS))
+        put("distortion", require_numbers("distortion", distortion, 5, 1.0))
+        reach = np.hypot(*(np.abs(self.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))
+        rise = reach * np.hypot(*np.tan(np.deg2rad(self.mla_tilt)))
+        if rise >= min(self.detector_distance, self.mla_distance):
+            raise InputError(f"mla_tilt = {self.mla_tilt}: the array rises by {rise:.3g}: it touches detector or lens")
+        radius, (k1, k2, k3) = np.linspace(0, reach, 64) ** 2, self.distortion[:3]
+        if np.min(1 + radius * (3 * k1 + radius * (5 * k2 + radius * 7 * k3))) <= 0:
+            raise InputError(f"distortion = {self.distortion}: it folds the image within {reach:.3g} mm of the axis")
 
     # -- to and from other forms ---------------------------------------------------------------------
 
@@ -235,6 +257,8 @@ class PlenopticCamera:
     def from_json(cls, text: str) -> PlenopticCamera:
         """Build a camera from the text of a JSON file: an object of parameters; one that is left out has its default.
 
+        What a calibration adds to them, under ``calibration``, is no part of the camera.
+
         Raises
         ------
         InputError
@@ -244,6 +268,8 @@ class PlenopticCamera:
             values = json.loads(text)
         except (ValueError, TypeError, RecursionError) as error:
             raise InputError(f"camera: it must be a JSON object of camera parameters: {error}") from None
+        if isinstance(values, dict):
+            values.pop("calibration", None)
         return cls._from_names(values)
 
     def to_json(self) -> str:

@@ -15,7 +15,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, shown
 from ..io.checkpoints import digest
 from ..optics import guards
-from ..optics.main_lens import main_lens
+from ..optics.main_lens import main_lens, require_ideal
 from ..optics.sampling import check_positions
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import one_at_a_time
@@ -111,6 +111,7 @@ class CaptureOperator:
     ) -> None:
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
+        require_ideal(camera)
         self.camera, self.points = camera, check_positions(points)
         self._wavelength = None if wavelength is None else require_wavelength(wavelength)
         self._spectrum = spectrum

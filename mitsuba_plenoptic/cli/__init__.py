@@ -13,7 +13,22 @@ from typing import Annotated, Any
 import typer
 
 from ..errors import InputError
-from . import compare, convert, depth, doctor, epi, expose, info, reconstruct, render, reproduce, stack, sweep, views
+from . import (
+    calibrate,
+    compare,
+    convert,
+    depth,
+    doctor,
+    epi,
+    expose,
+    info,
+    reconstruct,
+    render,
+    reproduce,
+    stack,
+    sweep,
+    views,
+)
 
 PROGRAM = "mitsuba-plenoptic"
 
@@ -56,6 +71,7 @@ app.command("epi")(epi.epi)
 app.command("stack")(stack.stack)
 app.command("depth")(depth.depth)
 app.command("expose")(expose.expose)
+app.command("calibrate")(calibrate.calibrate)
 app.command("convert")(convert.convert)
 app.command("sweep")(sweep.sweep)
 app.command("compare")(compare.compare)

@@ -12,7 +12,8 @@ from ..lightfield import depth_map
 from ..lightfield.exchange import open_light_field
 from ..report.output_files import require_picture_path, write_depth
 from ..runtime.progress import progress_bar
-from .options import LightFieldSource, Linear, ViewCount, White, number, output_option
+from .inputs import named_camera
+from .options import CameraFile, LightFieldSource, Linear, ViewCount, White, number, output_option
 
 _LITTLE = 0.1
 """Fraction of the bins with a confidence above half, below which a user is warned."""
@@ -38,6 +39,7 @@ def depth(
     white: White = None,
     view_count: ViewCount = None,
     linear: Linear = False,
+    camera: CameraFile = None,
 ) -> None:
     """Estimate depth, and an image in focus everywhere, from how well the views agree.
 
@@ -50,7 +52,7 @@ def depth(
       mitsuba-plenoptic depth raw.exr -o depth.exr --near 195 --far 310
     """
     require_picture_path(output)
-    lf = open_light_field(source, white=white, views=view_count, linear=linear)
+    lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera))
     with progress_bar("Comparing views") as progress:
         found = depth_map(lf, near, far, planes=planes, progress=progress)
     write_depth(output, found)

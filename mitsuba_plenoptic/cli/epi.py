@@ -11,7 +11,8 @@ from ..lightfield import epipolar_image
 from ..lightfield.exchange import open_light_field
 from ..lightfield.views import AXES
 from ..report.output_files import require_picture_path, write_epipolar_image
-from .options import LightFieldSource, Linear, ViewCount, White, number, output_option
+from .inputs import named_camera
+from .options import CameraFile, LightFieldSource, Linear, ViewCount, White, number, output_option
 
 
 def epi(
@@ -31,6 +32,7 @@ def epi(
     white: White = None,
     view_count: ViewCount = None,
     linear: Linear = False,
+    camera: CameraFile = None,
 ) -> None:
     """Show one line of the scene from every view along the same direction.
 
@@ -42,7 +44,10 @@ def epi(
     """
     require_picture_path(output)
     image = epipolar_image(
-        open_light_field(source, white=white, views=view_count, linear=linear), axis, at=at, through=through
+        open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera)),
+        axis,
+        at=at,
+        through=through,
     )
     write_epipolar_image(output, image)
     rows, columns = image.shape[:2]

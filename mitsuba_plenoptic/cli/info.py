@@ -25,7 +25,7 @@ def info(
     source: Annotated[
         str,
         typer.Argument(
-            metavar="SCENE|PRESET|CAPTURE.exr",
+            metavar="SCENE|PRESET|CAMERA.json|CAPTURE.exr",
             help=f"A Mitsuba XML file, a built-in scene's name, a camera's ({', '.join(PRESETS)}), or a capture.",
         ),
     ],
@@ -50,7 +50,7 @@ def info(
         wavelength = require_wavelength(wavelength)
     parameters = parse_definitions(define)
     capture = read_capture(source) if source.lower().endswith(".exr") else None
-    camera = capture.camera if capture else load_camera(source, parameters)
+    camera = capture.camera if capture else load_camera(source, parameters)[0]
     if capture and wavelength is None and isinstance(capture.wavelength, float):
         wavelength = capture.wavelength
     console = Console(highlight=False)

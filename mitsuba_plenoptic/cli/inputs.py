@@ -7,7 +7,7 @@ import re
 import warnings
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..camera import PlenopticCamera
 from ..capture.render import plenoptic_sensor
@@ -15,12 +15,15 @@ from ..capture.scene import load_scene, scene_path
 from ..capture.scene_file import check_scene_file
 from ..design import design_warnings
 from ..errors import InputError
-from ..io.files import require_file, require_writable
+from ..io.files import require_writable
 from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
 from ..runtime.batches import BatchMap
 from ..runtime.cluster import Cluster
 from ..runtime.variant import DEFAULT_VARIANT
+
+if TYPE_CHECKING:
+    from ..calibration import LensIndex
 
 _log = logging.getLogger(__name__)
 
@@ -32,19 +35,30 @@ def require_capture_output(path: Path) -> None:
     require_writable(path)
 
 
-def load_camera(source: str, parameters: dict[str, str]) -> PlenopticCamera:
-    """Return the camera of a preset, a JSON file or a scene; a file takes precedence over a preset of its name."""
-    if source.lower().endswith(".json"):
-        try:
-            return PlenopticCamera.from_json(require_file(source).read_text())
-        except (InputError, UnicodeDecodeError) as error:
-            raise InputError(str(error) if source in str(error) else f"{source}: {error}") from None
-    if source in PRESETS and not parameters and not Path(source).is_file():
-        return PlenopticCamera.preset(source)
+def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamera, LensIndex | None]:
+    """Return the camera of a preset, a JSON file or a scene; a file takes precedence over a preset of its name.
+
+    Returns
+    -------
+    camera : PlenopticCamera
+    index : LensIndex or None
+        How the data of its calibration count lenses; None unless the file says so.
+    """
+    preset = source in PRESETS and not parameters and not Path(source).is_file()
+    if preset or source.lower().endswith((".json", ".js")):
+        # Brings libraries that take a while to load.
+        from ..calibration import read_camera
+
+        return read_camera(source)
     sensors = load_scene(source, parameters=parameters).sensors()
     if not sensors:
         raise InputError(f"{source}: it has no sensor; add one of type 'plenoptic'")
-    return PlenopticCamera.from_sensor(sensors[0])
+    return PlenopticCamera.from_sensor(sensors[0]), None
+
+
+def named_camera(source: str | None) -> PlenopticCamera | None:
+    """Return the camera that an option names, None where it is not given."""
+    return None if source is None else load_camera(source, {})[0]
 
 
 def open_scene(scene: str, parameters: dict[str, str], variant: str | None, camera: str | None = None) -> Any:
@@ -61,9 +75,9 @@ def open_scene(scene: str, parameters: dict[str, str], variant: str | None, came
     camera : str, optional
         What `load_camera` takes, to be put in the place of the scene's own.
     """
-    other = load_camera(camera, {}) if camera else None
+    other = named_camera(camera)
     loaded = load_scene(scene, variant=variant or _variant_of_film(scene, parameters), parameters=parameters)
-    if other:
+    if other is not None:
         loaded = with_camera(loaded, other)
     sensor = plenoptic_sensor(loaded)
     seen = PlenopticCamera.from_sensor(sensor)

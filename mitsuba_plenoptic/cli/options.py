@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from ..io.captures import MODELS
+from ..presets import PRESETS
 
 
 def output_option(metavar: str, text: str) -> Any:
@@ -99,12 +100,23 @@ Scheduler = Annotated[
     ),
 ]
 
+CameraFile = Annotated[
+    str | None,
+    typer.Option(
+        "--camera",
+        metavar="PRESET|FILE.json|SCENE",
+        help=f"Camera, in the place of any that there is: {', '.join(PRESETS)}, a JSON file, as 'calibrate' writes it, "
+        "or a scene's.",
+    ),
+]
+
 LightFieldSource = Annotated[
     Path,
     typer.Argument(
         metavar="SOURCE",
         help="A capture (.exr), a light field (.nc, .zarr, or LFToolbox's .mat), a mosaic (.png with --view-count, "
-        ".eslf.png for the samples of each lens together), or a raw picture of a real camera (.png with --white).",
+        ".eslf.png for the samples of each lens together), or a raw picture of a real camera (.png or .tiff, with "
+        "--white or --camera).",
     ),
 ]
 
@@ -113,7 +125,8 @@ White = Annotated[
     typer.Option(
         metavar="FILE",
         show_default="computed from the camera",
-        help="White image of the same camera, .exr or .png. Of a raw picture it tells where the micro-images are.",
+        help="White image of the same camera, .exr, .png or .tiff. Of a raw picture it tells where the micro-images "
+        "are.",
     ),
 ]
 
@@ -123,5 +136,5 @@ ViewCount = Annotated[
 
 Linear = Annotated[
     bool,
-    typer.Option("--linear", help="PNG files hold values proportional to light, as raw data does, instead of sRGB."),
+    typer.Option("--linear", help="Pictures hold values proportional to light, as raw data does, instead of sRGB."),
 ]

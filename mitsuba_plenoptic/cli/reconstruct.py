@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import Annotated
@@ -9,11 +10,15 @@ from typing import Annotated
 import typer
 
 from .. import reconstruction
-from ..io.captures import read_capture
+from ..camera import PlenopticCamera
+from ..errors import InputError
+from ..io.captures import Capture, read_capture
+from ..lightfield.exchange import read_picture
 from ..report.output_files import reconstruction_paths, write_reconstructions
 from ..runtime.progress import progress_bar
 from ..runtime.variant import set_variant
-from .options import CaptureFile, Distances, Variant, number, output_option
+from .inputs import named_camera
+from .options import CameraFile, CaptureFile, Distances, Linear, Variant, number, output_option
 
 
 def reconstruct(
@@ -58,13 +63,15 @@ def reconstruct(
             "--relay/--no-relay", help="For waves: whether the microlenses act again on the way back, as they should."
         ),
     ] = True,
+    camera: CameraFile = None,
+    linear: Linear = False,
     oversample: Annotated[int, number("Bins per microlens along each axis; info tells what suits.")] = 1,
     white: Annotated[
         Path | None,
         typer.Option(
-            metavar="WHITE.exr",
+            metavar="FILE",
             show_default="computed from the camera",
-            help="A capture of a white scene by the same camera; the result is divided by it.",
+            help="A capture or picture of a white scene by the same camera; the result is divided by it.",
         ),
     ] = None,
     variant: Variant = None,
@@ -74,7 +81,8 @@ def reconstruct(
     A reconstruction has one bin per microlens, unless told otherwise, and the
     orientation of an ordinary photograph. The distance may be inf. Pictures of one run share one scale,
     so that their brightness compares. Bins that no light can reach, at the
-    borders of a crop, are NaN in OpenEXR and black in a picture.
+    borders of a crop, are NaN in OpenEXR and black in a picture. A raw picture
+    (.png or .tiff) of a real camera needs its [bold]--camera[/bold].
 
     [bold]Examples:[/bold]
 
@@ -85,10 +93,13 @@ def reconstruct(
       mitsuba-plenoptic reconstruct raw.exr -o out.png --method partial --distance 280
 
       mitsuba-plenoptic reconstruct raw.exr -o far.png --distance inf --white white.exr
+
+      mitsuba-plenoptic reconstruct raw.tiff -o out.png --distance 600 --camera camera.json --linear
     """
     paths = reconstruction_paths(output, distance)
-    recorded = read_capture(capture)
-    reference = None if white is None else read_capture(white)
+    known = named_camera(camera)
+    recorded = _recorded(capture, known, linear)
+    reference = None if white is None else _recorded(white, known, linear)
     set_variant(variant)
     with progress_bar("Refocusing") as progress:
         results = reconstruction.reconstruct(
@@ -108,3 +119,13 @@ def reconstruct(
         rows, columns = result.image.shape[:2]
         where = "rad at infinity" if math.isinf(result.distance) else f"mm at {result.distance:g} mm"
         typer.echo(f"{path}: {columns} x {rows} bins of {result.bin_size:.4g} {where}")
+
+
+def _recorded(path: Path, camera: PlenopticCamera | None, linear: bool) -> Capture:
+    """Read a capture, or a raw picture of a known camera; the camera that is given takes the place of a capture's."""
+    if path.suffix.lower() in (".png", ".tif", ".tiff"):
+        if camera is None:
+            raise InputError(f"{path}: a raw picture needs its --camera")
+        return Capture(read_picture(path, linear=linear), camera, None, "ray", {})
+    found = read_capture(path)
+    return found if camera is None else dataclasses.replace(found, camera=camera)

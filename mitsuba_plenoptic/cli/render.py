@@ -13,10 +13,10 @@ from ..capture.render import render_capture
 from ..io.captures import Capture, write_capture
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import remove_leftovers, require_writable
-from ..presets import PRESETS
 from ..runtime.progress import progress_bar
 from .inputs import batches_on, open_scene, parse_definitions, require_capture_output
 from .options import (
+    CameraFile,
     Definitions,
     Model,
     RadiatorsPerLens,
@@ -65,15 +65,7 @@ def render(
     ] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    camera: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|FILE.json",
-            show_default="the scene's",
-            help=f"Camera in the place of the scene's own, on any scene: {', '.join(PRESETS)}, a JSON file of its "
-            "parameters, or another scene's.",
-        ),
-    ] = None,
+    camera: CameraFile = None,
     white: Annotated[
         Path | None,
         typer.Option(metavar="FILE.exr", help="Write the camera's white image, too, computed from its parameters."),
@@ -108,6 +100,8 @@ def render(
       mitsuba-plenoptic render letters -o wave.exr --model wave --resume
 
       mitsuba-plenoptic render my_scene.xml -o raw.exr --camera lytro --white white.exr
+
+      mitsuba-plenoptic render letters -o raw.exr --camera camera.json
     """
     parameters = parse_definitions(define)
     options = {"wavelength": wavelength, "radiators_per_lens": radiators_per_lens}

@@ -12,7 +12,8 @@ from ..lightfield.exchange import open_light_field
 from ..lightfield.refocus import METHODS
 from ..report.output_files import require_picture_path, write_stack
 from ..runtime.progress import progress_bar
-from .options import Distances, LightFieldSource, Linear, ViewCount, White, output_option
+from .inputs import named_camera
+from .options import CameraFile, Distances, LightFieldSource, Linear, ViewCount, White, output_option
 
 
 def stack(
@@ -32,6 +33,7 @@ def stack(
     white: White = None,
     view_count: ViewCount = None,
     linear: Linear = False,
+    camera: CameraFile = None,
 ) -> None:
     """Make a focal stack: one image for each distance, in focus there and blurred elsewhere.
 
@@ -44,7 +46,7 @@ def stack(
       mitsuba-plenoptic stack raw.exr -o stack.exr --distance 210 --distance 240 --distance 280
     """
     require_picture_path(output)
-    lf = open_light_field(source, white=white, views=view_count, linear=linear)
+    lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera))
     with progress_bar("Refocusing") as progress:
         images = focal_stack(lf, distance, method=method, progress=progress)
     write_stack(output, images)

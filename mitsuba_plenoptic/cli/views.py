@@ -10,7 +10,8 @@ import typer
 from ..lightfield import pick_views
 from ..lightfield.exchange import open_light_field
 from ..report.output_files import require_picture_path, write_views
-from .options import LightFieldSource, Linear, ViewCount, White, number, output_option
+from .inputs import named_camera
+from .options import CameraFile, LightFieldSource, Linear, ViewCount, White, number, output_option
 
 
 def views(
@@ -25,6 +26,7 @@ def views(
     white: White = None,
     view_count: ViewCount = None,
     linear: Linear = False,
+    camera: CameraFile = None,
 ) -> None:
     """Show the scene from many places on the main lens.
 
@@ -39,7 +41,7 @@ def views(
       mitsuba-plenoptic views raw.exr -o centre.png --count 1
     """
     require_picture_path(output)
-    lf = open_light_field(source, white=white, views=view_count, linear=linear)
+    lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera))
     if count is not None:
         lf = pick_views(lf, count)
     write_views(output, lf)

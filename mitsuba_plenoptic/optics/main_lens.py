@@ -18,8 +18,10 @@ import drjit as dr
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..errors import InputError
 from ..thin_lens import vergence
 from . import rays
+from .distortion import undistort
 from .phase import in_millimetres, parabola
 
 
@@ -182,6 +184,47 @@ def _sqrt(value: Any) -> Any:
     return dr.sqrt(value) if dr.is_array_v(value) else np.sqrt(value)
 
 
+@dataclass(frozen=True)
+class DistortedLens(ThinLens):
+    """A thin lens whose rays go on as if they came from another point of the MLA's plane; for rays only.
+
+    Parameters
+    ----------
+    distortion : five floats
+        See `mitsuba_plenoptic.optics.distortion`.
+    """
+
+    distortion: tuple[float, ...] = (0.0,) * 5
+
+    def trace(
+        self, place: tuple[Any, Any], slope: tuple[Any, Any]
+    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+        """Follow a ray from a place on the MLA to the scene: through the same point of the pupil."""
+        source = undistort(*place, self.distortion)
+        moved = (t + (m - u) / self.pupil_distance for t, m, u in zip(slope, place, source, strict=True))
+        return super().trace(source, (next(moved), next(moved)))
+
+
+def require_ideal(camera: PlenopticCamera) -> None:
+    """Refuse, for work by waves, a camera with a tilted array or a main lens that distorts.
+
+    Raises
+    ------
+    InputError
+        Naming the parameter.
+    """
+    for name in ("mla_tilt", "distortion"):
+        if any(getattr(camera, name)):
+            raise InputError(f"{name} = {getattr(camera, name)}: waves need 0; work by rays, or set it to 0")
+
+
 def main_lens(camera: PlenopticCamera) -> MainLens:
-    """Return a camera's main lens."""
+    """Return a camera's main lens as waves pass it.
+
+    Raises
+    ------
+    InputError
+        If the camera has a tilted array or its main lens distorts, which waves do not know.
+    """
+    require_ideal(camera)
     return ThinLens(camera.focal_length, camera.aperture_radius, camera.mla_distance, camera.lens_model)

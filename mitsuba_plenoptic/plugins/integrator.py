@@ -16,6 +16,7 @@ from ..capture.sight import Sight
 from ..capture.wave_capture import WaveCapture
 from ..errors import InputError, shown
 from ..optics import guards
+from ..optics.main_lens import require_ideal
 from ..runtime.jobs import Job
 from .properties import read_choice, read_count, read_flag, read_plain
 
@@ -193,8 +194,10 @@ def make_class() -> type:
                 return self._capture(scene, sensor).estimate(seed=seed, spp=spp, job=job)
 
         def _capture(self, scene: Any, sensor: Any) -> WaveCapture:
+            camera = PlenopticCamera.from_sensor(sensor)
+            require_ideal(camera)
             return WaveCapture(
-                camera=PlenopticCamera.from_sensor(sensor),
+                camera=camera,
                 sight=Sight.of(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None),
                 wavelengths=self.wavelengths,
                 radiators_per_lens=self.radiators_per_lens,

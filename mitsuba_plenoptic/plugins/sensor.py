@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import drjit as dr
@@ -13,7 +14,7 @@ from ..design import crosstalk_neighbours
 from ..errors import InputError
 from ..lattice import make_lattice
 from ..optics import rays
-from ..optics.main_lens import ThinLens
+from ..optics.main_lens import DistortedLens, ThinLens
 from .properties import read_number, read_numbers, read_plain
 
 NAME = "plenoptic"
@@ -31,6 +32,7 @@ POSITIVE = (
 SEVERAL = {"mla_focal_length": "mla_focal_lengths", "mla_pitch": "mla_pitches"}
 NUMBERS = (*POSITIVE, *SEVERAL, "mla_rotation", "mla_offset")
 WORDS = ("mla_lattice", "mla_aperture", "lens_model")
+FIXED = ("mla_tilt", "distortion")
 
 _CROSSTALK_RAYS = 2**16
 
@@ -86,6 +88,9 @@ def make_class() -> type:
            - Place "x, y" in the camera frame of the corner or centre that is on the axis by default; a point's or
              vector's z must be 0. (Default: "0, 0")
            - |exposed|, |differentiable|, |discontinuous|
+         * - mla_tilt
+           - |string| or |point|
+           - Degrees "x, y" by which the array rises towards the main lens along x and along y. (Default: "0, 0")
          * - mla_aperture
            - |string|
            - ``cell``: a lens has the shape of its cell, a square or a hexagon. ``circle``: it is round. The rest of
@@ -108,6 +113,10 @@ def make_class() -> type:
            - |string|
            - ``ideal``: stigmatic thin lenses, like ``thinlens``. ``parabolic``: thin parabolic phase elements,
              with the aberrations that go with them: the geometric twin of the wave capture. (Default: ``ideal``)
+         * - distortion
+           - |string|
+           - Distortion of the main lens, "k1, k2, k3, p1, p2": see ``mitsuba_plenoptic.optics.distortion``.
+             (Default: none)
          * - to_world
            - |transform|
            - Camera to world, without scale. The camera looks along +z, +x is left and +y is up.
@@ -188,6 +197,8 @@ def make_class() -> type:
                 **{name: read_numbers(props, NAME, name) for name in SEVERAL},
                 "mla_rotation": read_plain(props, "mla_rotation", None),
                 "mla_offset": _flat(read_numbers(props, NAME, "mla_offset")),
+                "mla_tilt": _flat(read_numbers(props, NAME, "mla_tilt")),
+                "distortion": read_numbers(props, NAME, "distortion"),
             }
             try:
                 camera = PlenopticCamera(
@@ -199,7 +210,7 @@ def make_class() -> type:
             except InputError as error:
                 raise InputError(f"{NAME}: {error}") from None
             self._given = camera
-            for name in WORDS:
+            for name in (*WORDS, *FIXED):
                 setattr(self, name, getattr(camera, name))
             for name in (*POSITIVE, "mla_rotation"):
                 setattr(self, name, mi.Float(getattr(camera, name)))
@@ -245,7 +256,8 @@ def make_class() -> type:
                 aperture=camera.mla_aperture,
                 fill=self.mla_fill,
             )
-            self._main_lens = ThinLens(self.focal_length, self.aperture_radius, self.mla_distance, self.lens_model)
+            lens = self.focal_length, self.aperture_radius, self.mla_distance, self.lens_model
+            self._main_lens = DistortedLens(*lens, self.distortion) if any(self.distortion) else ThinLens(*lens)
             self._candidates = [mi.Float(steps) for steps in crosstalk_neighbours(camera).T]
             dr.make_opaque(*self._candidates)
 
@@ -259,20 +271,31 @@ def make_class() -> type:
             numbers |= {name: numbers[name][0] for name in (*POSITIVE, "mla_rotation")}
             return PlenopticCamera(
                 **numbers,
-                **{name: getattr(self, name) for name in WORDS},
+                **{name: getattr(self, name) for name in (*WORDS, *FIXED)},
                 resolution=tuple(film.size()),
                 crop_offset=tuple(film.crop_offset()),
                 crop_size=tuple(film.crop_size()),
             )
 
+        def _height(self, x: Any, y: Any) -> Any:
+            """Return by how much a lens of a tilted array stands nearer to the main lens than the one on the axis."""
+            across, up = (math.tan(math.radians(angle)) for angle in self.mla_tilt)
+            return x * across + y * up
+
         def _trace(self, px: Any, py: Any, mx: Any, my: Any, cx: Any, cy: Any, f2: Any) -> tuple[Any, Any, Any]:
             """Follow the ray from p through m of the lens at c: return what `MainLens.trace` does."""
             z = self.detector_distance
+            height = self._height(cx, cy) if any(self.mla_tilt) else None
+            if height is not None:
+                z = z + height
             if self.lens_model == "ideal":
                 slope = tuple(rays.microlens_slope(p, m, c, z, f2) for p, m, c in ((px, mx, cx), (py, my, cy)))
             else:
                 sx, sy = rays.slopes_to_cosines((mx - px) / z, (my - py) / z)
                 slope = rays.cosines_to_slopes(sx - (mx - cx) / f2, sy - (my - cy) / f2)
+            if height is not None:
+                # Where it crosses the plane of the lens on the axis.
+                mx, my = mx - height * slope[0], my - height * slope[1]
             return self._main_lens.trace((mx, my), slope)
 
         def _places(self, film_sample: Any, lens_sample: Any, candidates: list[Any]) -> tuple[tuple[Any, ...], Any]:
@@ -285,7 +308,11 @@ def make_class() -> type:
                 * pixel
                 for axis in (0, 1)
             )
-            i, j = lattice.cell(rays.chief_point(px, b, z), rays.chief_point(py, b, z))
+            x, y = rays.chief_point(px, b, z), rays.chief_point(py, b, z)
+            if any(self.mla_tilt):
+                nearer = 1 - self._height(x, y) / b
+                x, y = x * nearer, y * nearer
+            i, j = lattice.cell(x, y)
             within, candidate = mi.Float(lens_sample[0]), mi.UInt32(0)
             count = dr.width(candidates[0])
             if count > 1:

@@ -13,6 +13,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, require_count, require_number, shown
 from ..io.captures import Capture, as_array, require_pixels
 from ..optics import guards
+from ..optics.main_lens import require_ideal
 from ..runtime.backend import one_at_a_time
 from ..runtime.limits import largest_fitting, require_memory
 from ..thin_lens import image_distance
@@ -140,6 +141,7 @@ def reconstruct(
     distances = _distances(distance, camera)
     image = capture.image if capture.image.ndim == 3 else capture.image[..., None]
     if chosen.waves:
+        require_ideal(camera)
         camera.require_resolved()
     reference = None if white is None else _white(white, image)
     _require_memory(camera, distances, oversample, image.shape)

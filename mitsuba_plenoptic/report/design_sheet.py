@@ -52,6 +52,10 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
         width = design.field_width(camera, camera.focus_distance)
         rows.append(("field width", four_digits(width), "mm", "in the focused plane"))
     rows.append(("lens model", camera.lens_model, "", ""))
+    if any(camera.distortion):
+        rows.append(
+            ("distortion", ", ".join(map(four_digits, camera.distortion)), "", "k1, k2, k3, p1, p2; by rays only")
+        )
     return rows
 
 
@@ -71,6 +75,8 @@ def _microlenses(camera: PlenopticCamera) -> list[_Line]:
         lattice.append(f"turned by {four_digits(camera.mla_rotation)} deg")
     if camera.mla_offset != (0, 0):
         lattice.append(f"moved by ({', '.join(map(four_digits, camera.mla_offset))}) mm")
+    if any(camera.mla_tilt):
+        lattice.append(f"tilted by ({', '.join(map(four_digits, camera.mla_tilt))}) deg")
     area = camera.lattice.lens_area / camera.lattice.cell_area
     shape = "round" if camera.mla_aperture == "circle" else camera.mla_lattice
     return [

@@ -26,7 +26,7 @@ def test_a_scene_without_a_camera_is_seen_from_the_origin(tmp_path):
     (tmp_path / "scene.xml").write_text(
         '<scene version="3.0.0"><integrator type="path"/><shape type="sphere"/></scene>'
     )
-    camera = PlenopticCamera.preset("lytro")
+    camera = PlenopticCamera.preset("lytro").replace(mla_tilt=(0.1, -0.2), distortion=(1e-4, -1e-6, 1e-8, 1e-5, -2e-5))
     sensor = with_camera(load_scene(tmp_path / "scene.xml"), camera).sensors()[0]
     assert PlenopticCamera.from_sensor(sensor) == camera
     assert np.array_equal(np.ravel(sensor.world_transform().translation()), [0, 0, 0])

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from ...camera import PlenopticCamera
 from ...errors import InputError
 from ...io.captures import read_capture
 from ...io.files import require_writable
@@ -14,14 +15,19 @@ from .. import decode, estimate_lens_grid
 from .labelled import read_labelled, write_labelled
 from .lftoolbox import read_lftoolbox, write_lftoolbox
 from .mosaic import read_mosaic, write_mosaic
-from .pictures import read_picture
+from .pictures import TIFF, read_picture
 
 # The suffix that LFToolbox gives to pictures with the samples of each lens together.
 _LENSES = ".eslf.png"
 
 
 def open_light_field(
-    path: str | Path, *, white: str | Path | None = None, views: int | None = None, linear: bool = False
+    path: str | Path,
+    *,
+    white: str | Path | None = None,
+    views: int | None = None,
+    linear: bool = False,
+    camera: PlenopticCamera | None = None,
 ) -> xr.DataArray:
     """Read a light field, or decode one from a capture.
 
@@ -30,15 +36,17 @@ def open_light_field(
     path : path
         ``.exr``: a capture of this package; ``.nc``, ``.zarr``: a light field with its axes, weights and camera, as
         `save_light_field` writes it; ``.mat``: a light field of LFToolbox; ``.eslf.png`` with `views`: samples
-        of each lens together; ``.png`` with `views`: a mosaic of views; ``.png`` with `white`: a raw picture of some
-        plenoptic camera.
+        of each lens together; ``.png`` with `views`: a mosaic of views; ``.png`` or ``.tiff`` with `white` or `camera`:
+        a raw picture of some plenoptic camera.
     white : path, optional
-        A picture of something white by the same camera, ``.exr`` or ``.png``. For a capture of this package it
-        replaces the computed one; for a raw picture it shows where the micro-images are.
+        A picture of something white by the same camera, ``.exr``, ``.png`` or ``.tiff``. For a capture of this package
+        it replaces the computed one; for a raw picture it shows where the micro-images are.
     views : int, optional
         Views along each axis of a mosaic.
     linear : bool
-        Whether PNG files hold values proportional to light, as raw data does, instead of sRGB.
+        Whether pictures hold values proportional to light, as raw data does, instead of sRGB.
+    camera : PlenopticCamera, optional
+        The camera of a raw picture, or another one than a capture's. With it distances are in millimetres.
 
     Raises
     ------
@@ -48,26 +56,32 @@ def open_light_field(
     """
     path = Path(path)
     name = path.name.lower()
+    if views is not None:
+        _refuse(path, camera=None if camera is None else "given")
     if white is not None and views is not None:
         raise InputError(f"{path}: a white image and a number of views exclude each other")
     if name.endswith(".exr"):
         _refuse(path, views=views)
-        return decode(read_capture(path), white=None if white is None else _white(white, linear))
+        return decode(read_capture(path), camera=camera, white=None if white is None else _white(white, linear))
     if name.endswith(".mat"):
-        _refuse(path, white=white, views=views)
+        _refuse(path, white=white, views=views, camera=None if camera is None else "given")
         return read_lftoolbox(path)
     if name.endswith((".nc", ".zarr")):
-        _refuse(path, white=white, views=views)
+        _refuse(path, white=white, views=views, camera=None if camera is None else "given")
         return read_labelled(path)
-    if name.endswith(".png"):
+    if name.endswith((".png", *TIFF)):
         if views is not None:
             layout = "lenses" if name.endswith(_LENSES) else "views"
             return read_mosaic(path, views, layout=layout, linear=linear)
-        if white is None:
-            raise InputError(f"{path}: give the white image of a raw picture, or the number of views of a mosaic")
-        reference = _white(white, linear)
+        reference = None if white is None else _white(white, linear)
+        if camera is not None:
+            return decode(read_picture(path, linear=linear), camera=camera, white=reference)
+        if reference is None:
+            raise InputError(
+                f"{path}: give the white image or the camera of a raw picture, or the number of views of a mosaic"
+            )
         return decode(read_picture(path, linear=linear), white=reference, grid=estimate_lens_grid(reference))
-    raise InputError(f"{path}: a capture or light field has a name that ends in .exr, .nc, .zarr, .mat or .png")
+    raise InputError(f"{path}: a capture or light field has a name that ends in .exr, .nc, .zarr, .mat, .png or .tiff")
 
 
 def save_light_field(path: str | Path, lf: xr.DataArray) -> None:

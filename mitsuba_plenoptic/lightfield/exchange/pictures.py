@@ -7,17 +7,20 @@ from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
+from PIL import Image
 
 from ...errors import InputError
 from ...io.files import atomic_output, native_output_dropped, require_file
 from ...runtime.limits import require_memory
+
+TIFF = (".tif", ".tiff")
 
 # Bytes of a pixel while it is read: up to four channels of 16 bits, and these and three of them in single precision.
 _PIXEL_BYTES = 8 + 16 + 12
 
 
 def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
-    """Read a PNG of 8 or 16 bits a channel.
+    """Read a PNG or TIFF of 8 or 16 bits a channel; of TIFF files, grey ones and those of 8 bits.
 
     Parameters
     ----------
@@ -34,9 +37,11 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
     Raises
     ------
     InputError
-        If the file does not exist, is not a PNG, is damaged, or would take more memory than is allowed.
+        If the file does not exist, is neither, is damaged, or would take more memory than is allowed.
     """
     path = require_file(path)
+    if path.suffix.lower() in TIFF:
+        return _read_tiff(path, linear)
     try:
         columns, rows = _size(path)
         require_memory(float(_PIXEL_BYTES) * columns * rows, f"{path}: {columns} x {rows} pixels")
@@ -52,6 +57,24 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
         # Damage shows as several exception types; all mean the same to the user.
         raise InputError(f"{path}: it cannot be read as a PNG picture: {error}") from None
     return values[..., 0] if values.ndim == 3 and values.shape[2] == 1 else values
+
+
+def _read_tiff(path: Path, linear: bool) -> np.ndarray:
+    """Read a TIFF file, as industrial cameras write their raw pictures."""
+    try:
+        with Image.open(path) as picture:
+            require_memory(float(_PIXEL_BYTES) * picture.width * picture.height, f"{path}: its pixels")
+            wide = picture.mode.startswith("I")
+            values = np.asarray(picture if wide or picture.mode in ("L", "RGB") else picture.convert("RGB"))
+    except InputError:
+        raise
+    except Exception as error:
+        # Damage shows as several exception types; all mean the same to the user.
+        raise InputError(f"{path}: it cannot be read as a TIFF picture: {error}") from None
+    image = values.astype(np.float32) / np.float32(65535 if wide else 255)
+    if linear:
+        return image
+    return np.where(image <= 0.04045, image / 12.92, ((image + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
 def _size(path: Path) -> tuple[int, int]:

@@ -1,0 +1,275 @@
+"""Calibrating a camera from corners of a board in several poses, and judging a camera by them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..camera import PlenopticCamera
+from .adjustment import Problem, Solution, adjust, adjust_poses, information
+from .model import AT, NAMES, Observations
+from .numbers import camera_of, numbers_of, on_pixel_grid
+from .observations import Board, LensIndex, Table, find_lens_index, observations, require_on_detector
+from .start import board_images, start_values, upright_poses
+
+# Residuals beyond so many deviations count by their size instead of its square while fitting (Huber), and are named.
+_HUBER = 4.0
+_OUTLIER = 6.0
+
+# Detected centres err together over about so many lenses along each axis, so that they tell less than their number.
+_CORRELATED = 16
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """How well a camera explains corners, every row counted.
+
+    Attributes
+    ----------
+    residuals : (n, 2) array
+        Predicted minus observed pixels, in the order of the file.
+    frames : (poses,) int array
+        Numbers of the poses' frames.
+    pose : (n,) int array
+        Which of them each row belongs to.
+    poses : (poses, 6) array
+        Rotation vector (radians) and place of the board's first corner in mm, from the board's to the camera frame.
+    """
+
+    residuals: np.ndarray
+    frames: np.ndarray
+    pose: np.ndarray
+    poses: np.ndarray
+
+    @property
+    def error(self) -> float:
+        """RMS of the distances between predicted and observed places in pixels."""
+        return float(np.sqrt((self.residuals**2).sum(1).mean()))
+
+    @property
+    def pose_errors(self) -> np.ndarray:
+        """The same of each pose."""
+        return np.sqrt(np.bincount(self.pose, (self.residuals**2).sum(1)) / np.bincount(self.pose))
+
+    @property
+    def outliers(self) -> np.ndarray:
+        """Rows, from 0, of residuals beyond six times what is typical."""
+        distance = np.hypot(*self.residuals.T)
+        return np.flatnonzero(distance > _OUTLIER * _deviation(distance))
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What a calibration found.
+
+    Attributes
+    ----------
+    camera : PlenopticCamera
+        The camera, with the principal point rounded to half a pixel: it is the centre of the full detector, of which
+        the crop window is recorded.
+    index : LensIndex
+        How the data count lenses.
+    evaluation : Evaluation
+        Residuals and poses.
+    numbers, deviations : dict
+        The camera's numbers by the names of `model.NAMES`, and their standard deviations.
+    correlation : (17, 17) array
+        Of the numbers' errors.
+    centre_residuals : (n, 2) array
+        Of the centres that were fitted jointly.
+    steps : int
+        How often the linear system was solved.
+    """
+
+    camera: PlenopticCamera
+    index: LensIndex
+    evaluation: Evaluation
+    numbers: dict[str, float]
+    deviations: dict[str, float]
+    correlation: np.ndarray
+    centre_residuals: np.ndarray
+    steps: int
+
+    @property
+    def centre_error(self) -> float | None:
+        """RMS of the distances between predicted and observed centres in pixels; None without centres."""
+        if not len(self.centre_residuals):
+            return None
+        return float(np.sqrt((self.centre_residuals**2).sum(1).mean()))
+
+    def weak_directions(self, count: int = 3) -> list[tuple[float, dict[str, float]]]:
+        """Return what the data tell worst: combinations of numbers that can change together.
+
+        Returns
+        -------
+        list of (float, dict)
+            Deviation of the combination over that of numbers that were independent, greatest first; and by how many of
+            its deviations each number changes, those that matter.
+        """
+        values, vectors = np.linalg.eigh(self.correlation)
+        return [
+            (
+                float(np.sqrt(values[-rank])),
+                {NAMES[i]: float(v) for i, v in enumerate(vectors[:, -rank]) if abs(v) > 0.2},
+            )
+            for rank in range(1, count + 1)
+        ]
+
+
+def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Table | None = None) -> Calibration:
+    """Fit a camera, and the poses of a board, to corners seen through its microlenses.
+
+    Residuals are weighted down while fitting where they are beyond what is typical; what is reported counts every row.
+
+    Parameters
+    ----------
+    corners : Table
+        As `read_corners` gives them.
+    board : Board
+        The board.
+    start : PlenopticCamera
+        For what the data do not tell: detector, lattice, f-number, focal lengths of the microlenses, models. All other
+        numbers are found from the data alone.
+    centres : Table, optional
+        Centres of micro-images, fitted jointly: without them pitch and focal length are badly told apart.
+
+    Raises
+    ------
+    InputError
+        If the data cannot determine a camera; the message says what they lack.
+    """
+    size = np.array(start.crop_size)
+    for table in filter(None, (corners, centres)):
+        require_on_detector(table, start.crop_size)
+    middle = (size - 1) / 2
+    index, grid = find_lens_index(centres or corners, start.lattice.stagger == 2, middle)
+    seen, frames = observations(corners, board, index)
+    problem = Problem(seen, start.pixel_size, start.lattice.row_ratio)
+    numbers, poses = start_values(problem, frames, grid, middle)
+    if centres:
+        problem = _with_centres(problem, centres, index, problem.residuals(numbers, poses))
+    found = adjust(problem, numbers, poses)
+    weights = _huber(problem, found)
+    first = adjust(problem, found.numbers, found.poses, weights=weights)
+    weights = _huber(problem, first)
+    # The principal point goes to the grid of half pixels that a detector can be centred on.
+    rest = [name for name in NAMES if not name.startswith("principal")]
+    final = adjust(problem, on_pixel_grid(first.numbers), first.poses, rest, weights)
+    deviations, correlation = _deviations(problem, final, weights)
+    return Calibration(
+        camera_of(final.numbers, start),
+        index,
+        Evaluation(problem.residuals(final.numbers, final.poses), frames, seen.pose, final.poses),
+        dict(zip(NAMES, final.numbers.tolist(), strict=True)),
+        dict(zip(NAMES, deviations.tolist(), strict=True)),
+        correlation,
+        problem.centre_residuals(final.numbers),
+        found.steps + first.steps + final.steps,
+    )
+
+
+def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensIndex | None = None) -> Evaluation:
+    """Hold a camera, refit the poses, and see how far off it predicts the corners.
+
+    Parameters
+    ----------
+    corners, board
+        As for `calibrate`.
+    camera : PlenopticCamera
+        The camera to judge.
+    index : LensIndex, optional
+        How the corners count lenses. Default: found from where they lie.
+
+    Raises
+    ------
+    InputError
+        If the corners cannot determine the poses.
+    """
+    require_on_detector(corners, camera.crop_size)
+    numbers, lattice = numbers_of(camera), camera.lattice
+    principal = numbers[[AT["principal_u"], AT["principal_v"]]]
+    scale = camera.micro_image_pitch / camera.mla_pitch / camera.pixel_size
+    u, v = np.array(lattice.from_frame(1.0, 0.0)), np.array(lattice.from_frame(0.0, 1.0))
+    offset = numbers[[AT["offset_x"], AT["offset_y"]]]
+    grid = np.stack([offset, u * lattice.pitches[0], v * lattice.row_distance]) * scale
+    grid[0] += principal
+    if index is None:
+        index, _ = find_lens_index(corners, lattice.stagger == 2, grid[0])
+    seen, frames = observations(corners, board, index)
+    problem = Problem(seen, camera.pixel_size, lattice.row_ratio)
+    _, maps = board_images(problem, frames, grid, principal)
+    poses = adjust_poses(problem, numbers, upright_poses(maps, camera.focal_length))
+    return Evaluation(problem.residuals(numbers, poses), frames, seen.pose, poses)
+
+
+def left_out_errors(
+    corners: Table, board: Board, calibration: Calibration, centres: Table | None = None
+) -> dict[int, float]:
+    """Calibrate without each pose in turn, and predict it: its pose is refitted, nothing else.
+
+    Returns
+    -------
+    dict
+        RMS error in pixels by frame.
+    """
+    seen, frames = observations(corners, board, calibration.index)
+    camera = calibration.camera
+    whole = Problem(seen, camera.pixel_size, camera.lattice.row_ratio)
+    if centres:
+        whole = _with_centres(whole, centres, calibration.index, calibration.evaluation.residuals)
+    numbers, poses = np.array(list(calibration.numbers.values())), calibration.evaluation.poses
+    errors = {}
+    for out, frame in enumerate(frames):
+        problem = _poses(whole, seen.pose != out)
+        weights = _huber(problem, Solution(numbers, np.delete(poses, out, 0), 0.0, 0))
+        found = adjust(problem, numbers, np.delete(poses, out, 0), weights=weights)
+        alone = _poses(Problem(seen, whole.pixel_size, whole.row_ratio), seen.pose == out)
+        refitted = adjust(alone, found.numbers, poses[out : out + 1], ())
+        errors[int(frame)] = float(np.sqrt(2 * refitted.cost / len(alone.corners)))
+    return errors
+
+
+def _poses(problem: Problem, kept: np.ndarray) -> Problem:
+    """Return a problem with some of the poses only."""
+    seen = problem.corners
+    _, pose = np.unique(seen.pose[kept], return_inverse=True)
+    some = Observations(seen.lens[kept], seen.pixel[kept], seen.board[kept], pose)
+    return Problem(some, problem.pixel_size, problem.row_ratio, problem.centres, problem.centre_weight)
+
+
+def _with_centres(problem: Problem, centres: Table, index: LensIndex, residuals: np.ndarray) -> Problem:
+    """Add centres to a problem, weighted by the corners' residuals over those of a plain grid of centres."""
+    unit = index.unit(centres["k"], centres["l"])
+    matrix = np.column_stack([np.ones(len(unit)), unit])
+    miss = matrix @ np.linalg.lstsq(matrix, centres.pixel)[0] - centres.pixel
+    deviations = [max(_deviation(np.hypot(*values.T)), 1e-3) for values in (residuals, miss)]
+    nothing = np.zeros((0, 2))
+    seen = Observations(unit, centres.pixel, nothing, nothing)
+    weight = deviations[0] / deviations[1] / _CORRELATED
+    return Problem(problem.corners, problem.pixel_size, problem.row_ratio, seen, weight)
+
+
+def _deviation(distance: np.ndarray) -> float:
+    """Return the deviation along an axis of places whose distances these are, from their median."""
+    return float(np.median(distance)) / 1.17741
+
+
+def _huber(problem: Problem, found: Solution) -> np.ndarray:
+    """Return weights that make residuals far beyond the typical one count by their size."""
+    distance = np.hypot(*problem.residuals(found.numbers, found.poses).T)
+    bound = _HUBER * max(_deviation(distance), 1e-9)
+    return bound / np.maximum(distance, bound)
+
+
+def _deviations(problem: Problem, found: Solution, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the deviations of all of the camera's numbers, and their correlation."""
+    rows = 2 * len(problem.corners)
+    freedom = max(1, rows - len(NAMES) - found.poses.size)
+    variance = float((weights[:, None] * problem.residuals(found.numbers, found.poses) ** 2).sum()) / freedom
+    triangle = information(problem, found, NAMES, weights)
+    scale = np.sqrt((triangle**2).sum(0))
+    inverse = np.linalg.pinv(triangle / scale) / scale[:, None]
+    covariance = variance * inverse @ inverse.T
+    deviations = np.sqrt(np.diag(covariance))
+    return deviations, covariance / np.outer(deviations, deviations)

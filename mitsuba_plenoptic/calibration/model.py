@@ -1,0 +1,235 @@
+r"""Where a camera sees a corner of a board through one of its lenses, with all derivatives.
+
+The main lens images a point X of the camera frame to :math:`q = -X f / (g - f)` at the distance
+:math:`g' = g f / (g - f)` (g: the point's distance). The corner is seen where the ray from q through a microlens's
+centre c meets the detector: the same ray that the sensor plugin follows from there, so that a calibrated camera renders
+what was observed. With b the distance of the microlens array, h the height of the lens on a tilted array, t the slope
+of the ray and U the map that takes the distortion away in the plane :math:`z = -b`, the ray crosses that plane in
+:math:`m = c - h t` and the pupil in :math:`P = m + b t`, and behind it seems to come from :math:`U(m)`. It passes
+through q where
+
+.. math:: (c + (b - h) t) (1 - \gamma) + \gamma U(c - h t) = q, \qquad \gamma = g' / b,
+
+which is linear in t but for the tilt. The detector point is :math:`c - (z + h) t`.
+
+Distances virtual to the array, as in a Galilean camera, need no case of their own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..optics.distortion import undistorted
+
+UNITS = {
+    "focal_length": "mm",
+    "mla_distance": "mm",
+    "detector_distance": "mm",
+    "pitch_along": "mm",
+    "pitch_across": "mm",
+    "mla_rotation": "degrees",
+    "offset_x": "mm",
+    "offset_y": "mm",
+    "tilt_x": "degrees",
+    "tilt_y": "degrees",
+    "principal_u": "pixels",
+    "principal_v": "pixels",
+    "k1": "mm^-2",
+    "k2": "mm^-4",
+    "k3": "mm^-6",
+    "p1": "mm^-1",
+    "p2": "mm^-1",
+}
+"""The camera's numbers that are fitted, with their units: those of `PlenopticCamera`, but for the offset, which is the
+place of the centre of lens (0, 0), and the principal point, the pixel on the axis."""
+
+NAMES = tuple(UNITS)
+"""Their names, in the order of a vector of them."""
+
+AT = {name: index for index, name in enumerate(NAMES)}
+"""Place of each name in the vector."""
+
+# The tilt is a thousandth of a radian and the distortion a few per cent, so that each step gains five digits.
+_NEWTON_STEPS = 2
+
+
+@dataclass(frozen=True)
+class Observations:
+    """What a fit compares with: all arrays have one row for each observation.
+
+    Attributes
+    ----------
+    lens : (n, 2) float array
+        Place of the lens in the unit frame of its lattice, in pitches along the rows and rows across them.
+    pixel : (n, 2) float array
+        Column and row; the centre of the first pixel is 0.
+    board : (n, 2) float array
+        Place of the corner on its board in mm.
+    pose : (n,) int array
+        Which pose of the board it is, from 0.
+    """
+
+    lens: np.ndarray
+    pixel: np.ndarray
+    board: np.ndarray
+    pose: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.pixel)
+
+    @property
+    def poses(self) -> int:
+        """Number of poses."""
+        return int(self.pose.max()) + 1
+
+
+def _cross(v: np.ndarray) -> np.ndarray:
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
+def _left_jacobian(vector: np.ndarray) -> np.ndarray:
+    """Return J with d(exp(w) x) = -[exp(w) x] J dw (Sola, "Quaternion kinematics", eq. 145 of SO(3))."""
+    angle = float(np.linalg.norm(vector))
+    cross = _cross(vector)
+    if angle < 1e-4:
+        return np.eye(3) + cross / 2 + cross @ cross / 6
+    return np.eye(3) + (1 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross
+
+
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """Invert matrices (n, 2, 2); `numpy.linalg.inv` takes ten times as long."""
+    (a, b), (c, d) = matrix.transpose(1, 2, 0)
+    return (np.stack([d, -b, -c, a]) / (a * d - b * c)).T.reshape(-1, 2, 2)
+
+
+def _lenses(
+    numbers: np.ndarray, lens: np.ndarray, row_ratio: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the lenses' centres (n, 2) and heights (n,) over the plane z = -b, and their derivatives."""
+    along, across, turn, ox, oy, tilt_x, tilt_y = numbers[3:10]
+    angle = np.deg2rad(turn)
+    rows = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    unit = lens * [1.0, row_ratio]
+    spoke = unit * [along, across] @ rows.T
+    c = spoke + np.array([ox, oy])
+    slopes = np.tan(np.deg2rad([tilt_x, tilt_y]))
+    c_by = np.zeros((len(lens), 2, len(NAMES)))
+    c_by[:, :, AT["pitch_along"]] = unit[:, :1] * rows[:, 0]
+    c_by[:, :, AT["pitch_across"]] = unit[:, 1:] * rows[:, 1]
+    c_by[:, :, AT["mla_rotation"]] = np.stack([-spoke[:, 1], spoke[:, 0]], axis=-1) * (np.pi / 180)
+    c_by[:, 0, AT["offset_x"]] = c_by[:, 1, AT["offset_y"]] = 1
+    h_by = np.einsum("a,nak->nk", slopes, c_by)
+    h_by[:, [AT["tilt_x"], AT["tilt_y"]]] += c * (1 + slopes**2) * (np.pi / 180)
+    return c, c @ slopes, c_by, h_by
+
+
+def _pixels(numbers: np.ndarray, p: np.ndarray, p_by: np.ndarray, pixel_size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Turn places on the detector and their derivatives into pixels."""
+    by_numbers = p_by / pixel_size
+    principal = [AT["principal_u"], AT["principal_v"]]
+    by_numbers[:, [0, 1], principal] += 1
+    return p / pixel_size + numbers[principal], by_numbers
+
+
+def predict_centres(
+    numbers: np.ndarray, lens: np.ndarray, *, pixel_size: float, row_ratio: float
+) -> tuple[np.ndarray, np.ndarray]:
+    r"""Predict the centres of micro-images, where the chief ray of each lens meets the detector.
+
+    :math:`c + (z + h) c / (b - h)`, for the ray through the centres of pupil and lens.
+
+    Returns
+    -------
+    pixel : (n, 2) array
+    by_numbers : (n, 2, 17) array
+    """
+    c, h, c_by, h_by = _lenses(numbers, lens, row_ratio)
+    b, z = numbers[1:3]
+    before, behind = (b - h)[:, None], (z + h)[:, None]
+    p_by = c_by * (1 + behind / before)[:, :, None]
+    p_by += (c * (before + behind) / before**2)[:, :, None] * h_by[:, None]
+    p_by[:, :, AT["detector_distance"]] += c / before
+    p_by[:, :, AT["mla_distance"]] -= c * behind / before**2
+    return _pixels(numbers, c * (1 + behind / before), p_by, pixel_size)
+
+
+def predict(
+    numbers: np.ndarray, poses: np.ndarray, seen: Observations, *, pixel_size: float, row_ratio: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Predict where corners are seen, and how that changes.
+
+    Parameters
+    ----------
+    numbers : (17,) array
+        The camera, as `NAMES` lists.
+    poses : (poses, 6) array
+        Of each board: rotation vector (radians) and place of its first corner, from the board's to the camera frame.
+    seen : Observations
+        Lenses and corners.
+    pixel_size : float
+        Width of a pixel in mm.
+    row_ratio : float
+        Distance of the lattice's rows over the pitch across them.
+
+    Returns
+    -------
+    pixel : (n, 2) array
+    by_numbers : (n, 2, 17) array
+        Derivatives with respect to the camera's numbers.
+    by_pose : (n, 2, 6) array
+        With respect to the numbers of the observation's own pose.
+    """
+    f, b, z = numbers[:3]
+    n = len(seen)
+    c, h, c_by, h_by = _lenses(numbers, seen.lens, row_ratio)
+    # The point and its image.
+    corner = np.concatenate([seen.board, np.zeros((n, 1))], axis=1)
+    X, X_by = np.empty((n, 3)), np.zeros((n, 3, 6))
+    for index, pose in enumerate(poses):
+        mine = seen.pose == index
+        turned = Rotation.from_rotvec(pose[:3]).apply(corner[mine])
+        X[mine] = turned + pose[3:]
+        arm = np.zeros((len(turned), 3, 3))
+        arm[:, 0, 1], arm[:, 0, 2], arm[:, 1, 2] = turned[:, 2], -turned[:, 1], turned[:, 0]
+        X_by[mine, :, :3] = (arm - arm.transpose(0, 2, 1)) @ _left_jacobian(pose[:3])
+        X_by[mine, :, 3:] = np.eye(3)
+    g = X[:, 2]
+    # Nearer than the focal length there is no image: the caller sees numbers that are not finite.
+    beyond = np.where(g > f, g - f, np.nan)
+    q = -X[:, :2] * (f / beyond)[:, None]
+    gamma = g * f / (beyond * b)
+    q_by_X = np.zeros((n, 2, 3))
+    q_by_X[:, 0, 0] = q_by_X[:, 1, 1] = -f / beyond
+    q_by_X[:, :, 2] = -q / beyond[:, None]
+    gamma_by_g = -(f**2) / (beyond**2 * b)
+    q_by, gamma_by = np.zeros((n, 2, len(NAMES))), np.zeros((n, len(NAMES)))
+    q_by[:, :, AT["focal_length"]] = -X[:, :2] * (g / beyond**2)[:, None]
+    gamma_by[:, AT["focal_length"]] = g**2 / (beyond**2 * b)
+    gamma_by[:, AT["mla_distance"]] = -gamma / b
+    # The ray's slope.
+    t = np.zeros((n, 2))
+    for _ in range(_NEWTON_STEPS):
+        m = c - h[:, None] * t
+        P = c + (b - h)[:, None] * t
+        source, bend, source_by = undistorted(m, numbers[12:])
+        miss = P * (1 - gamma)[:, None] + gamma[:, None] * source - q
+        by_t = ((b - h) * (1 - gamma))[:, None, None] * np.eye(2) - (gamma * h)[:, None, None] * bend
+        inverse = _inverse(by_t)
+        t = t - np.einsum("nab,nb->na", inverse, miss)
+    by_c = (1 - gamma)[:, None, None] * np.eye(2) + gamma[:, None, None] * bend
+    by_h = -np.einsum("nab,nb->na", by_c, t)
+    miss_by = by_c @ c_by + by_h[:, :, None] * h_by[:, None] + (source - P)[:, :, None] * gamma_by[:, None] - q_by
+    miss_by[:, :, AT["mla_distance"]] += (1 - gamma)[:, None] * t
+    miss_by[:, :, 12:] += gamma[:, None, None] * source_by
+    t_by = -inverse @ miss_by
+    by_X = q_by_X.copy()
+    by_X[:, :, 2] -= (source - P) * gamma_by_g[:, None]
+    t_by_pose = inverse @ by_X @ X_by
+    p = c - (z + h)[:, None] * t
+    p_by = c_by - (z + h)[:, None, None] * t_by - t[:, :, None] * h_by[:, None]
+    p_by[:, :, AT["detector_distance"]] -= t
+    pixel, by_numbers = _pixels(numbers, p, p_by, pixel_size)
+    return pixel, by_numbers, t_by_pose * (-(z + h) / pixel_size)[:, None, None]

@@ -1,0 +1,247 @@
+"""Corners of a board and centres of micro-images, as files hold them, and how these count lenses.
+
+Files are CSV tables with a header. Corners have the columns ``k, l`` (indices of the lens along its row and of the
+row), ``u, v`` (column and row of the corner in pixels; the centre of the first pixel is 0), ``cluster`` (number of the
+corner, row by row along the board's columns, from 0) and ``frame`` (number of the picture, one for each pose of the
+board). Centres have ``k, l, u, v``. Other columns are ignored.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, require_count, require_number
+from ..io.files import require_file
+from .model import Observations
+
+CORNER_COLUMNS = ("k", "l", "u", "v", "cluster", "frame")
+CENTRE_COLUMNS = ("k", "l", "u", "v")
+
+_WHOLE = {"k", "l", "cluster", "frame"}
+_LARGEST = 2**20
+
+
+@dataclass(frozen=True)
+class Board:
+    """A checkerboard.
+
+    Parameters
+    ----------
+    columns, rows : int
+        Inner corners along the board and across it.
+    square : float
+        Distance of neighbouring corners in mm.
+    """
+
+    columns: int
+    rows: int
+    square: float
+
+    def __post_init__(self) -> None:
+        for name in ("columns", "rows"):
+            require_count(f"board: {name}", getattr(self, name), minimum=2, maximum=1000)
+        require_number("square", self.square, positive=True, minimum=1e-6, maximum=1e6)
+
+    @classmethod
+    def parse(cls, text: str, square: float) -> Board:
+        """Read ``COLUMNSxROWS``, for example ``9x5``."""
+        columns, x, rows = text.partition("x")
+        if not (x and columns.isdecimal() and rows.isdecimal() and len(text) < 10):
+            raise InputError(f"board = {text}: write inner corners along and across it, as 9x5")
+        return cls(int(columns), int(rows), square)
+
+    def places(self, corner: np.ndarray) -> np.ndarray:
+        """Return the places (n, 2) of corners on the board in mm."""
+        return np.stack([corner % self.columns, corner // self.columns], axis=-1) * self.square
+
+
+@dataclass(frozen=True)
+class LensIndex:
+    """How lenses are counted: what the indices k, l of a file mean on the camera's lattice.
+
+    Attributes
+    ----------
+    odd_rows : float
+        Pitches by which rows of odd l lie further along: -0.5 or 0.5 on a hexagonal lattice, 0 on a square one.
+    row_sign : int
+        -1 if l falls where the camera's rows rise.
+    first : (int, int)
+        k and l of the camera's lens (0, 0).
+    """
+
+    odd_rows: float
+    row_sign: int
+    first: tuple[int, int]
+
+    def unit(self, k: np.ndarray, l: np.ndarray) -> np.ndarray:  # noqa: E741
+        """Return places (n, 2) from lens (0, 0), in pitches along the rows and rows across them."""
+        k0, l0 = self.first
+        return np.stack([k - k0 + self.odd_rows * (l % 2 - l0 % 2), self.row_sign * (l - l0)], axis=-1).astype(float)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return its numbers by name."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of a file by name, all of one length."""
+
+    name: str
+    columns: dict[str, np.ndarray]
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.columns[name]
+
+    @property
+    def pixel(self) -> np.ndarray:
+        """Columns u and v, (n, 2)."""
+        return np.stack([self["u"], self["v"]], axis=-1)
+
+    def keep(self, chosen: np.ndarray) -> Table:
+        """Return some of the rows."""
+        return Table(self.name, {name: values[chosen] for name, values in self.columns.items()})
+
+
+def read_table(path: str | Path, names: tuple[str, ...]) -> Table:
+    """Read columns of a CSV file.
+
+    Raises
+    ------
+    InputError
+        If the file or a column is missing, or a value is not a finite number, or not whole where it must be.
+    """
+    path = require_file(path)
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            header = [name.strip() for name in file.readline().split(",")]
+            missing = [name for name in names if name not in header]
+            if missing:
+                raise InputError(f"{path}: it has no column {missing[0]}; it needs {', '.join(names)}")
+            lines = [line for line in file if line.strip()]
+        if not lines:
+            raise InputError(f"{path}: it has no rows")
+        rows = np.loadtxt(lines, delimiter=",", usecols=[header.index(name) for name in names], ndmin=2)
+    except (ValueError, UnicodeDecodeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: it is no table of numbers: {error}") from None
+    columns = dict(zip(names, rows.T, strict=True))
+    for name, values in columns.items():
+        wrong = ~np.isfinite(values) | (np.abs(values) > _LARGEST)
+        if name in _WHOLE:
+            wrong |= values != np.round(values)
+        if wrong.any():
+            row = int(np.flatnonzero(wrong)[0])
+            rule = "a whole number" if name in _WHOLE else "a finite number"
+            raise InputError(f"{path}, row {row + 2}: {name} = {values[row]:g}: it must be {rule} within {_LARGEST}")
+    return Table(
+        path.name, {name: values.astype(int) if name in _WHOLE else values for name, values in columns.items()}
+    )
+
+
+def read_corners(path: str | Path, board: Board, size: tuple[int, int]) -> Table:
+    """Read corners of a board on a detector of so many columns and rows.
+
+    Raises
+    ------
+    InputError
+        If the table is wrong, a corner is not on the board, or a pixel is far off the detector.
+    """
+    table = read_table(path, CORNER_COLUMNS)
+    count = board.columns * board.rows
+    wrong = np.flatnonzero((table["cluster"] < 0) | (table["cluster"] >= count))
+    if wrong.size:
+        raise InputError(
+            f"{path}, row {wrong[0] + 2}: cluster = {table['cluster'][wrong[0]]}: a board of {board.columns}x"
+            f"{board.rows} has corners 0 to {count - 1}"
+        )
+    require_on_detector(table, size)
+    return table
+
+
+def read_centres(path: str | Path) -> Table:
+    """Read centres of micro-images.
+
+    Raises
+    ------
+    InputError
+        If the table is wrong.
+    """
+    return read_table(path, CENTRE_COLUMNS)
+
+
+def require_on_detector(table: Table, size: tuple[int, int]) -> None:
+    """Refuse pixels that are not on the detector.
+
+    Raises
+    ------
+    InputError
+        If there are any: the camera has another detector, or other units were used.
+    """
+    off = np.flatnonzero(((table.pixel < -0.5) | (table.pixel > np.array(size) - 0.5)).any(1))
+    if off.size:
+        u, v = table.pixel[off[0]]
+        raise InputError(
+            f"{table.name}, row {off[0] + 2}: pixel ({u:g}, {v:g}): the camera's detector has {size[0]} x {size[1]} "
+            "pixels"
+        )
+
+
+def observations(corners: Table, board: Board, index: LensIndex) -> tuple[Observations, np.ndarray]:
+    """Return what a fit compares with, and the frame numbers of its poses."""
+    frames, pose = np.unique(corners["frame"], return_inverse=True)
+    places = board.places(corners["cluster"])
+    return Observations(index.unit(corners["k"], corners["l"]), corners.pixel, places, pose), frames
+
+
+def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[LensIndex, np.ndarray]:
+    """Find how a table counts its lenses, from where their pixels lie.
+
+    Parameters
+    ----------
+    table : Table
+        Centres, or corners: a corner is seen within its lens's micro-image.
+    hexagonal : bool
+        Whether every second row is offset.
+    middle : (2,) array
+        Pixel near the axis, to which lens (0, 0) is to be the nearest.
+
+    Returns
+    -------
+    index : LensIndex
+    grid : (3, 2) array
+        Pixel of lens (0, 0), and steps of one along the rows and from row to row.
+
+    Raises
+    ------
+    InputError
+        If the lenses do not span a plane, or are no grid of rows counted one by one.
+    """
+    pixel, best = table.pixel, None
+    for odd_rows in (-0.5, 0.5) if hexagonal else (0.0,):
+        places = LensIndex(odd_rows, 1, (0, 0)).unit(table["k"], table["l"])
+        matrix = np.column_stack([np.ones(len(places)), places])
+        grid, _, rank, _ = np.linalg.lstsq(matrix, pixel)
+        if rank < 3:
+            raise InputError(f"{table.name}: all lenses lie on one line; corners of at least two rows are needed")
+        error = float(np.sqrt(((matrix @ grid - pixel) ** 2).sum(1).mean()))
+        if best is None or error < best[0]:
+            best = error, odd_rows, grid
+    assert best is not None
+    error, odd_rows, grid = best
+    if error > 0.5 * min(np.hypot(*step) for step in grid[1:]):
+        raise InputError(
+            f"{table.name}: pixels lie {error:.3g} from a regular grid of lenses {np.hypot(*grid[1]):.3g} apart: k "
+            "must count the lenses of a row and l the rows"
+        )
+    along, j = np.linalg.solve(grid[1:].T, middle - grid[0])
+    j = np.round(j)
+    i = np.round(along - odd_rows * (j % 2))
+    index = LensIndex(odd_rows, 1 if np.linalg.det(grid[1:]) > 0 else -1, (int(i), int(j)))
+    first = grid[0] + (LensIndex(odd_rows, 1, (0, 0)).unit(*np.array([[i], [j]])))[0] @ grid[1:]
+    return index, np.stack([first, grid[1], index.row_sign * grid[2]])

@@ -1,0 +1,158 @@
+r"""Start values of a calibration from the data alone.
+
+Through a lens at c a point whose image lies at q, the distance a before the microlens array, is seen at
+:math:`p = c (1 + z/a) - q z / a`: linear in c, so that the lenses which see one corner tell z/a, and with it q. How far
+the images q of a board's corners lie apart tells its magnification M, and as :math:`a = b - f (1 + M)`,
+
+.. math:: a / z = (b - f) / z - (f / z) M
+
+is a line over the poses, which tells b/f and z/f. The scale of all three comes from the perspective of tilted boards,
+by a fit of few numbers.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import InputError
+from .adjustment import Problem, adjust, adjust_poses
+from .model import AT, NAMES, Observations
+
+_FEWEST_POSES = 3
+_FEWEST_CORNERS = 6
+
+# Observations of each pose that the fit of the scale uses.
+_THINNED = 300
+
+# Magnifications that differ by less leave the distances in the camera open.
+_LEAST_SPREAD = 0.01
+
+# Pixels by which the start may miss the data.
+_WORST = 20.0
+
+
+def start_values(
+    problem: Problem, frames: np.ndarray, grid: np.ndarray, principal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find numbers from which a fit finds its way.
+
+    Parameters
+    ----------
+    problem : Problem
+        The data.
+    frames : array
+        The poses' names for messages.
+    grid : (3, 2) array
+        Pixel of the micro-image of lens (0, 0), and the steps along the rows and across them.
+    principal : (2,) array
+        Pixel taken for the axis.
+
+    Returns
+    -------
+    numbers : (17,) array
+    poses : (poses, 6) array
+
+    Raises
+    ------
+    InputError
+        If there are too few poses or corners, all at one depth, or boards that are seen mirrored.
+    """
+    seen, size = problem.corners, problem.pixel_size
+    if seen.poses < _FEWEST_POSES:
+        raise InputError(f"corners: {seen.poses} poses of the board: at least {_FEWEST_POSES} are needed")
+    slopes, maps = board_images(problem, frames, grid, principal)
+    magnification = np.sqrt(np.linalg.det(maps[:, 1:]))
+    if np.ptp(magnification) < _LEAST_SPREAD * magnification.mean():
+        raise InputError(
+            "corners: the board is at the same distance in all poses, which leaves the distances in the camera open: "
+            "add poses nearer and farther"
+        )
+    per_z, less = np.polyfit(magnification, 1 / slopes, 1, w=np.sqrt(np.bincount(seen.pose))) * [-1, 1]
+    if not (per_z > 0 and less > -per_z):
+        raise InputError(
+            "corners: they move from lens to lens as in no plenoptic camera: check lens indices, the corners' order, "
+            "and that frames differ where the board was moved"
+        )
+    # What the corners cover on the detector is the right order; the fit below finds the scale.
+    f = 2 * size * float(np.hypot(*np.ptp(seen.pixel, axis=0)))
+    b, z = f * (1 + less / per_z), f / per_z
+    numbers = np.zeros(len(NAMES))
+    numbers[:3] = f, b, z
+    pitches = np.hypot(*grid[1:].T) * size / (1 + z / b)
+    numbers[[AT["pitch_along"], AT["pitch_across"]]] = pitches / [1, problem.row_ratio]
+    numbers[AT["mla_rotation"]] = np.rad2deg(np.arctan2(grid[1, 1], grid[1, 0]))
+    numbers[[AT["offset_x"], AT["offset_y"]]] = (grid[0] - principal) * size / (1 + z / b)
+    numbers[[AT["principal_u"], AT["principal_v"]]] = principal
+    groups = [np.flatnonzero(seen.pose == pose) for pose in range(seen.poses)]
+    chosen = np.concatenate([group[:: max(1, len(group) // _THINNED)] for group in groups])
+    few = Observations(seen.lens[chosen], seen.pixel[chosen], seen.board[chosen], seen.pose[chosen])
+    thinned = Problem(few, size, problem.row_ratio)
+    found = adjust(thinned, numbers, upright_poses(maps, f), NAMES[:3], most_steps=60)
+    found = adjust(thinned, found.numbers, adjust_poses(thinned, found.numbers, found.poses), NAMES[:3])
+    error = np.sqrt(2 * found.cost / len(few))
+    if not error < _WORST:
+        raise InputError(
+            f"corners: start values miss them by {error:.3g} pixels: check the board's size, the pixel size and the "
+            "order of corners"
+        )
+    return found.numbers, found.poses
+
+
+def board_images(
+    problem: Problem, frames: np.ndarray, grid: np.ndarray, principal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find where the main lens images each board, from how its corners move from lens to lens.
+
+    Returns
+    -------
+    slopes : (poses,) array
+        z/a of the board's image.
+    maps : (poses, 3, 2) array
+        Place of the image of the board's first corner, and its steps in mm per mm along the board's columns and rows.
+
+    Raises
+    ------
+    InputError
+        If a pose has too few corners, each seen through one lens only, or a board that is seen mirrored.
+    """
+    seen, size = problem.corners, problem.pixel_size
+    slopes, maps = np.empty(seen.poses), np.empty((seen.poses, 3, 2))
+    centre = grid[0] + seen.lens @ grid[1:] - principal
+    for pose, frame in enumerate(frames):
+        mine = seen.pose == pose
+        corners, which = np.unique(seen.board[mine], axis=0, return_inverse=True)
+        if len(corners) < _FEWEST_CORNERS or np.linalg.matrix_rank(corners - corners[0]) < 2:
+            raise InputError(
+                f"frame {frame}: {len(corners)} corners of the board are seen: {_FEWEST_CORNERS} are needed at least, "
+                "not all on one line"
+            )
+        places, pixels = centre[mine], seen.pixel[mine] - principal
+        around, moved = (values - _means(values, which)[which] for values in (places, pixels))
+        if not (around**2).sum() > 0:
+            raise InputError(f"frame {frame}: each corner is seen through one lens only; several are needed")
+        slope = (around * moved).sum() / (around**2).sum() - 1
+        image = (places * (1 + slope) - pixels) * (size / slope)
+        slopes[pose] = slope
+        maps[pose] = np.linalg.lstsq(np.column_stack([np.ones(len(image)), seen.board[mine]]), image)[0]
+        if np.linalg.det(maps[pose, 1:]) <= 0:
+            raise InputError(
+                f"frame {frame}: the board is seen mirrored: number its corners as they are seen from its front, to "
+                "the right and then down, in a picture that is not mirrored"
+            )
+    return slopes, maps
+
+
+def upright_poses(maps: np.ndarray, focal_length: float) -> np.ndarray:
+    """Return poses (n, 6) of boards that face the camera, from how a thin lens images them."""
+    poses = np.zeros((len(maps), 6))
+    for pose, (place, along, across) in zip(poses, maps, strict=True):
+        magnification = np.sqrt(np.linalg.det([along, across]))
+        # The image is turned by half a turn.
+        pose[2] = np.arctan2(along[1] - across[0], along[0] + across[1]) + np.pi
+        pose[3:] = *(-place / magnification), focal_length * (1 + 1 / magnification)
+    return poses
+
+
+def _means(values: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """Return the mean of the rows of each group."""
+    return np.stack([np.bincount(which, column) for column in values.T], axis=-1) / np.bincount(which)[:, None]

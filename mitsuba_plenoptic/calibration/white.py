@@ -1,0 +1,126 @@
+"""Centres of micro-images from a white image, lens by lens.
+
+`lightfield.estimate_lens_grid` finds the lattice. Each micro-image is then centred on its own light: its centroid in a
+disc with a soft rim, which follows the centroid until both agree, so that a symmetrical micro-image is met wherever its
+centre lies between pixels (the windowed centroid of E. Bertin's SExtractor, 2011).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..io.files import atomic_output
+from ..lightfield import LensGrid, estimate_lens_grid
+from .observations import CENTRE_COLUMNS, Table
+
+_REPEATS = 6
+_BLOCK = 2048
+
+# Micro-images fainter than this fraction of the median have no centre of their own.
+_FAINT = 0.1
+
+
+@dataclass(frozen=True)
+class Centres:
+    """Centres of micro-images.
+
+    Attributes
+    ----------
+    grid : LensGrid
+        The regular grid that fits them best.
+    lens : (n, 2) int array
+        Place of each lens along its row, and its row, counted from the grid's first.
+    pixel : (n, 2) array
+        Column and row; the centre of the first pixel is 0.
+    light : (n,) array
+        Light of each micro-image over that of the brightest, which falls with vignetting.
+    residuals : (n, 2) array
+        Centres minus those of the grid in pixels: lenses that are displaced, tilt and distortion.
+    """
+
+    grid: LensGrid
+    lens: np.ndarray
+    pixel: np.ndarray
+    light: np.ndarray
+    residuals: np.ndarray
+
+    @property
+    def error(self) -> float:
+        """RMS of the residuals' lengths."""
+        return float(np.sqrt((self.residuals**2).sum(1).mean()))
+
+    def table(self, name: str) -> Table:
+        """Return them as `read_centres` does."""
+        k, l = self.lens.T  # noqa: E741
+        u, v = self.pixel.T
+        return Table(name, {"k": k, "l": l, "u": u, "v": v})
+
+
+def find_centres(white: np.ndarray) -> Centres:
+    """Find the micro-images of a white image and the centre of each.
+
+    Parameters
+    ----------
+    white : (rows, columns[, channels]) array
+        A picture of something evenly white, with values proportional to light.
+
+    Raises
+    ------
+    InputError
+        If the picture shows no lattice of micro-images.
+    """
+    grid = estimate_lens_grid(white)
+    image = np.asarray(white, dtype=np.float64)
+    if image.ndim == 3:
+        image = image.mean(axis=2)
+    first = grid.centres()
+    radius = grid.nearest_distance / 2
+    row, column = np.indices(grid.shape)
+    size = np.array(image.shape[::-1])
+    inside = ((first > radius + 1) & (first < size - radius - 1)).all(-1)
+    lens, start = np.stack([column[inside], row[inside]], axis=-1), first[inside]
+    parts = [_centred(image, block, radius) for block in np.array_split(start, -(-len(start) // _BLOCK))]
+    centre, light = (np.concatenate(values) for values in zip(*parts, strict=True))
+    kept = (light > _FAINT * np.median(light)) & (np.hypot(*(centre - start).T) < radius / 2)
+    lens, centre, light = lens[kept], centre[kept], light[kept]
+    residuals = centre - _plain_grid(grid, lens, centre)
+    return Centres(grid, lens, centre - 0.5, light / light.max(), residuals)
+
+
+def _centred(image: np.ndarray, centre: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the centres that windows about them agree with, and the light in the windows over the darkest in them."""
+    half = int(np.ceil(radius)) + 2
+    window = np.arange(-half, half + 1)
+    base = np.floor(centre).astype(np.int64)
+    x, y = (base[:, axis, None] + window for axis in (0, 1))
+    rows, columns = image.shape
+    patch = image[y.clip(0, rows - 1)[:, :, None], x.clip(0, columns - 1)[:, None, :]]
+    for _ in range(_REPEATS):
+        dx, dy = x + 0.5 - centre[:, 0, None], y + 0.5 - centre[:, 1, None]
+        distance = np.hypot(dx[:, None, :], dy[:, :, None])
+        weight = np.cos(0.5 * np.pi * (1 + (distance - radius) / 2).clip(0, 1)) ** 2
+        lit = (patch - np.where(weight > 0, patch, np.inf).min(axis=(1, 2), keepdims=True)) * weight
+        light = lit.sum(axis=(1, 2))
+        shift = np.stack([(lit.sum(1) * dx).sum(1), (lit.sum(2) * dy).sum(1)], axis=1)
+        centre = centre + shift / np.where(light > 0, light, 1)[:, None]
+    return centre, light
+
+
+def _plain_grid(grid: LensGrid, lens: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Return the places of the affine grid that fits the centres best."""
+    k, l = lens.T.astype(np.float64)  # noqa: E741
+    if grid.shifted_rows is not None:
+        k = k + 0.5 * (l % 2 == grid.shifted_rows)
+    matrix = np.column_stack([np.ones(len(k)), k, l])
+    fitted: np.ndarray = matrix @ np.linalg.lstsq(matrix, centre)[0]
+    return fitted
+
+
+def write_centres(path: str | Path, centres: Centres) -> None:
+    """Write centres as a CSV file for `calibrate`."""
+    with atomic_output(path) as temporary:
+        rows = np.concatenate([centres.lens, centres.pixel], axis=1)
+        np.savetxt(temporary, rows, "%d,%d,%.4f,%.4f", header=",".join(CENTRE_COLUMNS), comments="")

@@ -1,0 +1,63 @@
+"""Radial and tangential distortion of the main lens as a map of rays.
+
+A ray that crosses the plane of the microlens array in m goes on behind the main lens as if it came from U(m) through
+the same point of the pupil. U is Brown's polynomial (D. C. Brown, "Decentering distortion of lenses", 1966): points in
+focus on the array are imaged sharply, at the place that the inverse of U gives. Points out of focus have their place
+distorted as at the plane of the array; the pupil itself is not distorted.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+def undistort(x: Any, y: Any, distortion: Any) -> tuple[Any, Any]:
+    r"""Return U(m), of floats, NumPy arrays or Dr.Jit arrays.
+
+    :math:`U = m (1 + k_1 r^2 + k_2 r^4 + k_3 r^6) + (p_1 (r^2 + 2 x^2) + 2 p_2 x y,\ p_2 (r^2 + 2 y^2) + 2 p_1 x y)`.
+
+    Parameters
+    ----------
+    x, y : float or array
+        Place on the plane of the microlens array, in mm from the axis.
+    distortion : five floats
+        k1, k2, k3 in mm^-2, mm^-4, mm^-6, p1 and p2 in mm^-1.
+    """
+    k1, k2, k3, p1, p2 = distortion
+    square = x * x + y * y
+    radial = 1 + square * (k1 + square * (k2 + square * k3))
+    cross = 2 * x * y
+    return (
+        x * radial + p1 * (square + 2 * x * x) + p2 * cross,
+        y * radial + p2 * (square + 2 * y * y) + p1 * cross,
+    )
+
+
+def undistorted(m: np.ndarray, distortion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return U(m) of places (n, 2) with its derivatives.
+
+    Returns
+    -------
+    place : (n, 2) array
+    by_place : (n, 2, 2) array
+    by_numbers : (n, 2, 5) array
+        With respect to k1, k2, k3, p1 and p2.
+    """
+    k1, k2, k3, p1, p2 = distortion
+    x, y = m.T
+    square = x * x + y * y
+    place = np.stack(undistort(x, y, distortion), axis=-1)
+    radial = 1 + square * (k1 + square * (k2 + square * k3))
+    growth = 2 * (k1 + square * (2 * k2 + square * 3 * k3))
+    by_place = growth[:, None, None] * m[:, :, None] * m[:, None]
+    by_place[:, 0, 0] += radial + 6 * p1 * x + 2 * p2 * y
+    by_place[:, 1, 1] += radial + 6 * p2 * y + 2 * p1 * x
+    by_place[:, [0, 1], [1, 0]] += 2 * (p1 * y + p2 * x)[:, None]
+    by_numbers = np.empty((len(m), 2, 5))
+    for power in range(3):
+        by_numbers[:, :, power] = m * (square ** (power + 1))[:, None]
+    by_numbers[:, 0, 3], by_numbers[:, 1, 4] = square + 2 * x * x, square + 2 * y * y
+    by_numbers[:, 0, 4] = by_numbers[:, 1, 3] = 2 * x * y
+    return place, by_place, by_numbers

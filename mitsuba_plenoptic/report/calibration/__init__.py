@@ -1,0 +1,131 @@
+"""The report on a calibration: one HTML file with its numbers, residuals and poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from scipy.spatial.transform import Rotation
+
+from ...calibration import Board, Calibration, Table
+from ...calibration.model import UNITS
+from ...io.files import atomic_output
+
+# Cells across the detector of which the mean residual is drawn, and how much it is enlarged there.
+_CELLS = 24
+_ENLARGED = 100
+
+# Parts of which the residuals by field and by depth are listed.
+_PARTS = 6
+
+_WIDTH = 760
+"""Width of the drawings."""
+
+
+def write_calibration_report(
+    path: str | Path, calibration: Calibration, board: Board, corners: Table, centres: Table | None
+) -> None:
+    """Write the report on a calibration.
+
+    Parameters
+    ----------
+    path : path
+        HTML file to write.
+    calibration : Calibration
+        What was found.
+    board : Board
+        The board.
+    corners, centres : Table
+        What it was found from.
+    """
+    folder = Path(__file__).parent
+    environment = Environment(
+        loader=FileSystemLoader([folder, folder.parent / "page"]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    size, seen = calibration.camera.crop_size, calibration.evaluation
+    maps = [("Corners", _arrows(corners.pixel, -seen.residuals, size))]
+    if centres is not None:
+        maps.append(("Centres of micro-images", _arrows(centres.pixel, -calibration.centre_residuals, size)))
+    radius = np.hypot(*(corners.pixel - (np.array(size) - 1) / 2).T)
+    page = environment.get_template("calibration.html").render(
+        calibration=calibration,
+        seen=seen,
+        units=UNITS,
+        weak=calibration.weak_directions(),
+        maps=maps,
+        width=_WIDTH,
+        height=round(_WIDTH * size[1] / size[0]),
+        enlarged=_ENLARGED,
+        tables=[
+            ("Pixels from the detector's centre", _by(radius, seen.residuals)),
+            ("Distance of the corner, mm", _by(_depths(calibration, board, corners), seen.residuals)),
+        ],
+        boards=_boards(calibration, board),
+    )
+    with atomic_output(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def _arrows(pixel: np.ndarray, residual: np.ndarray, size: Sequence[int]) -> list[tuple[float, float, float, float]]:
+    """Return the mean residual of each cell of the detector as a line from its middle, in the drawing's units."""
+    side = size[0] / _CELLS
+    cell = np.floor(pixel / side).astype(int)
+    key, which = np.unique(cell, axis=0, return_inverse=True)
+    mean = np.stack([np.bincount(which, column) for column in residual.T], axis=-1) / np.bincount(which)[:, None]
+    start = (key + 0.5) * side
+    lines = np.concatenate([start, start + _ENLARGED * mean], axis=1) * (_WIDTH / size[0])
+    return [tuple(line) for line in lines.round(1).tolist()]
+
+
+def _by(quantity: np.ndarray, residuals: np.ndarray) -> list[tuple[float, float, int, float]]:
+    """Return ranges of a quantity with as many observations each, and the RMS residual in them."""
+    order = np.array_split(np.argsort(quantity), _PARTS)
+    return [
+        (float(quantity[part[0]]), float(quantity[part[-1]]), len(part), _rms(residuals[part]))
+        for part in order
+        if len(part)
+    ]
+
+
+def _rms(residuals: np.ndarray) -> float:
+    return float(np.sqrt((residuals**2).sum(1).mean()))
+
+
+def _placed(pose: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return places on a board in the camera frame."""
+    flat = np.concatenate([places, np.zeros((len(places), 1))], axis=1)
+    placed: np.ndarray = Rotation.from_rotvec(pose[:3]).apply(flat) + pose[3:]
+    return placed
+
+
+def _depths(calibration: Calibration, board: Board, corners: Table) -> np.ndarray:
+    seen, places = calibration.evaluation, board.places(corners["cluster"])
+    depths = np.empty(len(places))
+    for index, pose in enumerate(seen.poses):
+        mine = seen.pose == index
+        depths[mine] = _placed(pose, places[mine])[:, 2]
+    return depths
+
+
+def _boards(calibration: Calibration, board: Board) -> list[dict[str, Any]]:
+    """Draw the boards obliquely from the side, with the camera at the left end of the axis."""
+    width, height = (board.columns - 1) * board.square, (board.rows - 1) * board.square
+    outline = np.array([[0, 0], [width, 0], [width, height], [0, height]])
+    seen = calibration.evaluation
+    placed = [_placed(pose, outline) for pose in seen.poses]
+    scale = (_WIDTH - 40) / max((corner[:, 2] + 0.35 * np.abs(corner[:, 0])).max() for corner in placed)
+    drawings = []
+    for frame, corner in zip(seen.frames, placed, strict=True):
+        # Oblique: depth to the right, x towards the reader.
+        across = 20 + scale * (corner[:, 2] + 0.35 * corner[:, 0])
+        down = 150 - scale * (corner[:, 1] - 0.35 * corner[:, 0])
+        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in zip(across, down, strict=True))
+        drawings.append({"frame": int(frame), "points": points, "x": round(across[0], 1), "y": round(down[0], 1)})
+    return drawings

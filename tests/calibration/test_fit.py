@@ -1,0 +1,196 @@
+"""Calibration from corners: known cameras come back, deviations are true, and mistakes get one line."""
+
+from __future__ import annotations
+
+import calibration_cases as cases
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic.calibration import (
+    Board,
+    LensIndex,
+    Table,
+    calibrate,
+    evaluate,
+    read_camera,
+    read_centres,
+    read_corners,
+    write_calibration,
+)
+from mitsuba_plenoptic.calibration.adjustment import Problem, adjust, information
+from mitsuba_plenoptic.calibration.model import NAMES, Observations, predict_centres
+from mitsuba_plenoptic.calibration.numbers import numbers_of
+from mitsuba_plenoptic.cli import main
+
+NOISE = 0.1
+START = PlenopticCamera.preset("raytrix").replace(
+    resolution=(2000, 1500), crop_size=(2000, 1500), detector_width=2000 * 0.0055
+)
+
+
+@pytest.fixture(scope="module")
+def table():
+    return cases.corners(NOISE)[0]
+
+
+@pytest.fixture(scope="module")
+def centres():
+    k, l = (index.ravel() for index in np.mgrid[0:81, 0:73])  # noqa: E741
+    pixel, _ = predict_centres(numbers_of(cases.CAMERA), cases.INDEX.unit(k, l), pixel_size=0.0055, row_ratio=0.75**0.5)
+    kept = ((pixel > 12) & (pixel < np.array(cases.CAMERA.crop_size) - 12)).all(1)
+    pixel = pixel[kept] + np.random.default_rng(5).normal(0, 0.05, (kept.sum(), 2))
+    return Table("centres.csv", {"k": k[kept], "l": l[kept], "u": pixel[:, 0], "v": pixel[:, 1]})
+
+
+@pytest.fixture(scope="module")
+def found(table, centres):
+    return calibrate(table, cases.BOARD, START, centres)
+
+
+def test_a_known_camera_comes_back(found, table):
+    # Noise is 0.1 pixels an axis; every number lies within four deviations, the principal point rounded.
+    assert found.evaluation.error == pytest.approx(NOISE * 2**0.5, rel=0.05)
+    true = dict(zip(NAMES, numbers_of(cases.CAMERA), strict=True))
+    for name in ("focal_length", "mla_distance", "detector_distance", "pitch_along", "pitch_across", "k1"):
+        assert abs(found.numbers[name] - true[name]) < 4 * found.deviations[name] + 1e-9, name
+    assert found.numbers["focal_length"] == pytest.approx(true["focal_length"], rel=0.02)
+    np.testing.assert_allclose(found.evaluation.poses[:, 5], cases.POSES[:, 5], rtol=0.01)
+    assert found.camera.crop_size == START.crop_size
+    assert len(found.evaluation.outliers) < 3
+
+
+def test_the_camera_alone_explains_as_much(found, table, tmp_path):
+    path = tmp_path / "camera.json"
+    write_calibration(path, found, cases.BOARD)
+    camera, index = read_camera(path)
+    assert camera == found.camera
+    assert index == found.index
+    for how in (index, None):
+        again = evaluate(table, cases.BOARD, camera, how)
+        assert again.error == pytest.approx(found.evaluation.error, rel=1e-3)
+
+
+def test_deviations_are_true():
+    # The mean squared error over the variance, of each combination of the numbers that the data tell well; with little
+    # noise, so that the model is linear over the errors.
+    noise = 0.02
+    every = cases.corners()[1]
+    rows = slice(None, None, max(1, len(every) // 800))
+    seen = Observations(every.lens[rows], every.pixel[rows], every.board[rows], every.pose[rows])
+    true = numbers_of(cases.CAMERA)
+    lens = every.lens[:: max(1, len(every) // 400)]
+    middle, _ = predict_centres(true, lens, pixel_size=0.0055, row_ratio=0.75**0.5)
+    ratios = []
+    for seed in range(40):
+        generator = np.random.default_rng(seed)
+        pixel, at = (exact + generator.normal(0, noise, exact.shape) for exact in (seen.pixel, middle))
+        corners = Observations(seen.lens, pixel, seen.board, seen.pose)
+        problem = Problem(corners, 0.0055, 0.75**0.5, Observations(lens, at, at, at))
+        found = adjust(problem, true, cases.POSES)
+        triangle = information(problem, found, NAMES, np.ones(len(seen))) / noise
+        _, singular, directions = np.linalg.svd(triangle / np.abs(triangle).max(0))
+        error = (found.numbers - true) * np.abs(triangle).max(0)
+        ratios.append((singular * (directions @ error))[:12])
+    mean = (np.array(ratios) ** 2).mean(0)
+    assert (mean > 0.45).all()
+    assert (mean < 1.8).all()
+    assert mean.mean() == pytest.approx(1, abs=0.15)
+
+
+def test_outliers_neither_hide_nor_spoil(table, centres, found):
+    u = table["u"].copy()
+    u[::400] += 20
+    spoiled = calibrate(Table("corners.csv", {**table.columns, "u": u}), cases.BOARD, START, centres)
+    assert set(np.arange(0, len(u), 400)) <= set(spoiled.evaluation.outliers)
+    assert abs(spoiled.numbers["focal_length"] - found.numbers["focal_length"]) < 4 * found.deviations["focal_length"]
+
+
+def mirrored(table):
+    cluster = table["cluster"]
+    columns = cases.BOARD.columns
+    return {**table.columns, "cluster": cluster - 2 * (cluster % columns) + columns - 1}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (mirrored, "seen mirrored"),
+        (lambda table: table.keep(table["frame"] < 12).columns, "2 poses .* at least 3"),
+        (lambda table: table.keep(table["cluster"] < 5).columns, "corners of the board are seen"),
+        (lambda table: {**table.columns, "u": table["u"] * 5.5}, "detector has 2000 x 1500 pixels"),
+        (lambda table: {**table.columns, "u": table["u"] * 0.0055, "v": table["v"] * 0.3}, "corners|frame"),
+        (lambda table: {**table.columns, "k": table["l"], "l": table["k"] * 0}, "one line"),
+        (lambda table: {**table.columns, "k": table["k"][::-1]}, "regular grid"),
+    ],
+)
+def test_mistakes_get_one_line(table, change, words):
+    with pytest.raises(InputError, match=words):
+        calibrate(Table("corners.csv", change(table)), cases.BOARD, START)
+
+
+def test_boards_at_one_distance_tell_too_little():
+    poses = np.tile([0.0, 0.0, 3.1, 14, 9, 300], (4, 1)) + [[0, 0, 0, shift, shift, 0] for shift in range(4)]
+    with pytest.raises(InputError, match="same distance"):
+        calibrate(cases.corners(0.0, 0, poses)[0], cases.BOARD, START)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "no column k"),
+        ("k,l,u,v,cluster\n1,1,1,1,1\n", "no column frame"),
+        ("k,l,u,v,cluster,frame\n", "no rows"),
+        ("k,l,u,v,cluster,frame\n1,1,nan,1,1,1\n", "row 2: u = nan"),
+        ("k,l,u,v,cluster,frame\n1.5,1,1,1,1,1\n", "row 2: k = 1.5"),
+        ("k,l,u,v,cluster,frame\n1,1,1,1,99,1\n", "cluster = 99"),
+        ("k,l,u,v,cluster,frame\n1,1,x,1,1,1\n", "no table of numbers"),
+    ],
+)
+def test_bad_tables_get_one_line(tmp_path, capsys, text, words):
+    path, output = tmp_path / "corners.csv", tmp_path / "camera.json"
+    path.write_text(text)
+    arguments = ["calibrate", str(path), "--board", "6x4", "--square", "6", "--camera", "raytrix", "-o", str(output)]
+    assert main(arguments) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert words in message
+    assert not output.exists()
+
+
+@pytest.mark.parametrize("board", ["9", "x5", "9x1", "9x5x3"])
+def test_bad_boards(board):
+    with pytest.raises(InputError, match="board"):
+        Board.parse(board, 10.0)
+
+
+@pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
+def test_a_real_camera(tmp_path, capsys):
+    output = tmp_path / "camera.json"
+    board = ["--board", "9x5", "--square", "10"]
+    corners = str(cases.REAL / "corners.csv")
+    given = ["--camera", "raytrix", "--centres", str(cases.REAL / "centres.csv"), "-o", str(output)]
+    assert main(["calibrate", corners, *board, *given]) == 0
+    assert main(["calibrate", "--evaluate", corners, "--camera", str(output), *board]) == 0
+    *_, last = capsys.readouterr().out.splitlines()
+    error, rest = last.removeprefix("reprojection error ").split(" ", 1)
+    assert rest == "px over 12433 observations of 11 poses"
+    assert float(error) <= 0.965
+
+
+@pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
+def test_compote_cameras_are_read():
+    # Errors of three poses by COMPOTE's own model (tools/calibration_accuracy.py), which distorts points, not rays.
+    camera, index = read_camera(cases.REAL / "compote_intrinsics.json")
+    assert index is None
+    board = Board(9, 5, 10.0)
+    table = read_corners(cases.REAL / "corners.csv", board, camera.crop_size)
+    found = evaluate(table.keep(np.isin(table["frame"], [0, 8, 14])), board, camera)
+    np.testing.assert_allclose(found.pose_errors, [1.112, 0.802, 0.684], atol=0.03)
+    assert len(read_centres(cases.REAL / "centres.csv")["k"]) > 26000
+
+
+def test_lenses_are_counted_as_rows_are_shifted():
+    index = LensIndex(0.5, -1, (3, 1))
+    places = index.unit(np.array([3, 3, 3]), np.array([1, 2, 3]))
+    np.testing.assert_array_equal(places, [[0, 0], [-0.5, -1], [0, -2]])
