@@ -124,6 +124,20 @@ def test_any_camera_renders_any_scene_with_its_white_image(tmp_path, run, compla
     assert "bad.json: zoom: it is not" in complaint("render", scene, "-o", raw, "--camera", tmp_path / "bad.json")
 
 
+def test_a_raw_picture_is_refocused_with_its_camera(tmp_path, raw, run, complaint):
+    capture = read_capture(raw)
+    (tmp_path / "camera.json").write_text(capture.camera.to_json())
+    scale = 60000 / capture.image.max()
+    Image.fromarray(np.round(scale * capture.image).astype(np.uint16)).save(tmp_path / "raw.tiff")
+    arguments = "-o", tmp_path / "out.exr", "--distance", 240
+    run("reconstruct", raw, *arguments)
+    wanted = np.array(mi.Bitmap(str(tmp_path / "out.exr")))
+    run("reconstruct", tmp_path / "raw.tiff", *arguments, "--camera", tmp_path / "camera.json", "--linear")
+    found = np.array(mi.Bitmap(str(tmp_path / "out.exr"))) * (65535 / scale)
+    np.testing.assert_allclose(found, wanted, atol=1e-4 * np.nanmax(wanted))
+    assert complaint("reconstruct", tmp_path / "raw.tiff", *arguments).endswith("a raw picture needs its --camera")
+
+
 @pytest.mark.skipif(os.name == "nt", reason="signals differ")
 def test_interrupt_leaves_nothing(tmp_path):
     # The child says when it starts to render, so that the signal does not come while it still imports.

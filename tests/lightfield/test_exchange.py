@@ -298,7 +298,9 @@ class TestFiles:
     @pytest.mark.parametrize(
         ("name", "options", "words"),
         [
-            ("a.tif", {}, "ends in"),
+            ("a.jpg", {}, "ends in"),
+            ("a.tif", {}, "or the camera of a raw picture"),
+            ("a.nc", {"camera": CAMERA}, "camera = given"),
             ("a.png", {}, "white image"),
             ("a.png", {"white": "w.png", "views": 3}, "exclude"),
             ("a.exr", {"views": 3}, "views = 3"),
@@ -309,6 +311,12 @@ class TestFiles:
     def test_refused(self, name, options, words, tmp_path):
         with pytest.raises(InputError, match=words):
             open_light_field(tmp_path / name, **options)
+
+    def test_a_raw_tiff_of_a_known_camera(self, tmp_path):
+        Image.fromarray(np.round(60000 * white_image(CAMERA)).astype(np.uint16)).save(tmp_path / "raw.tif")
+        lf = open_light_field(tmp_path / "raw.tif", camera=CAMERA, linear=True)
+        assert camera_of(lf) == CAMERA
+        assert float(lf.max()) == pytest.approx(60000 / 65535, rel=1e-3)
 
     def test_linear_raw_pictures(self, tmp_path):
         for name, level in (("white", 60000), ("raw", 15000)):
