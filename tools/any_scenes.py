@@ -186,14 +186,14 @@ def plastic(lenses: int = 16) -> Any:
     return scene_of(sensor(lenses, 16), plane=plane, light=light, **bars(300.0, there))
 
 
-def glass_sphere(angle: float = 20.0) -> Any:
+def glass_sphere(angle: float = 20.0, lenses: int = 8) -> Any:
     """Return the scene of a glass sphere that shows a lamp by reflection on the axis, at this angle of incidence."""
     tilt = math.radians(angle)
     centre = [20 * math.sin(tilt), 0.0, 240 + 20 * math.cos(tilt)]
     place = [-200 * math.sin(2 * tilt), 0.0, 240 - 200 * math.cos(2 * tilt)]
     sphere = {"type": "sphere", "center": centre, "radius": 20.0, "bsdf": {"type": "dielectric"}}
     lamp = {"type": "sphere", "center": place, "radius": 3.0, **radiating(100.0)}
-    return scene_of(sensor(8, 16), sphere=sphere, lamp=lamp)
+    return scene_of(sensor(lenses, 16), sphere=sphere, lamp=lamp)
 
 
 def half_lit(bsdf: Scene | None, angle: float) -> Any:

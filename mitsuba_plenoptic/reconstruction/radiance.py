@@ -3,7 +3,9 @@
 A bin is divided by what it gets of white in the same way: of a white capture of the same camera where there is one,
 else of the white that the camera would record. So a white scene reads 1 everywhere, at the borders too, where part of
 the light misses the detector. A bin that gets less than a hundredth of the rays that the best one gets is not reached:
-there is next to nothing to be divided, and it is NaN, for every method alike.
+there is next to nothing to be divided, and it is NaN, for every method alike. Between the footprints of lenses, fine
+bins may get little light of waves though many rays reach them: they are not brightened without end, since they would
+show little but what is beside them.
 """
 
 from __future__ import annotations
@@ -15,6 +17,9 @@ import numpy as np
 from .methods import Progress, Task
 
 _LEAST_REACHED = 0.01
+
+_LEAST_WHITE = 0.25
+"""Fraction of the light that as many rays usually bring, as which no bin's white counts less."""
 
 Sums = Callable[[np.ndarray, Progress], list[np.ndarray]]
 """From a capture (rows, columns, channels) to the sums (rows, columns, channels) over the bins of every distance."""
@@ -51,6 +56,9 @@ def to_radiance(
     for total, white, rays in zip(light, whites, reach, strict=True):
         white = np.atleast_3d(white)
         reached = (rays[..., None] >= _LEAST_REACHED * rays.max()) & (white > 0)
+        # Both sums are of all bins, since light that misses one of them is in another.
+        usual = white.sum() / max(float(rays.sum()) * white.shape[2], 1.0)
+        white = np.maximum(white, _LEAST_WHITE * usual * rays[..., None])
         image = np.full(total.shape, np.nan, np.float32)
         np.divide(total, white, out=image, where=np.broadcast_to(reached, total.shape), casting="same_kind")
         images.append(image)

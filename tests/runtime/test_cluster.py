@@ -106,7 +106,7 @@ def test_a_sweep_on_workers_has_the_same_bits(cluster, tmp_path):
 
 def test_no_more_batches_are_under_way_than_keep_the_workers_busy(cluster, tiny_groups):
     """Memory stays flat: batches are made as their turn comes."""
-    positions, weights = radiators(80)
+    positions, weights = radiators(120)
     made, behind = [], []
     call = cluster.__call__
 

@@ -64,15 +64,15 @@ def test_a_camera_of_200_gib_is_refused_in_under_two_seconds(model, tmp_path, ca
     # What it says would fit does, and not much more would.
     fitting = int(said.partition("allowed; ")[2].split()[0])
     assert 0.95 < 80 * fitting**2 / (16 * GIB) <= 1
-    assert said.count("\n") == 1
+    assert [line.split()[1] for line in said.splitlines()] == ["warning:", "error:"]  # the pixels are tiny, too
     assert list(tmp_path.iterdir()) == []
 
 
 def test_what_is_said_to_fit_fits(camera, monkeypatch):
     image = np.ones((64, 64), np.float32)
-    monkeypatch.setenv(limits.VARIABLE, "0.001")
+    monkeypatch.setenv(limits.VARIABLE, "0.01")
     with pytest.raises(InputError, match="would fit") as caught:
-        reconstruct(image, 240.0, camera=camera, oversample=500)
+        reconstruct(image, 240.0, camera=camera, oversample=1500)
     fitting = int(str(caught.value).partition("oversample = ")[2].split()[0])
     assert reconstruct(image, 240.0, camera=camera, oversample=fitting).image.shape == (4 * fitting, 4 * fitting)
     with pytest.raises(InputError, match="would need"):
@@ -90,7 +90,8 @@ def test_the_estimate_of_rays_is_that_of_what_is_allocated(camera):
     kept = sum(result.image.nbytes for result in results)
     assert kept <= taken
     bins = (4 * 64) ** 2
-    assert taken < 4 * bins * 3 + 4 * (bins + 64 * 4 * 64) + 2**20
+    # The sums of the capture and of white, the rays that reach, what is usual of white, and the image.
+    assert taken < 4 * bins * 5 + 4 * (bins + 64 * 4 * 64) + 2**20
 
 
 def wave_capture(**options):

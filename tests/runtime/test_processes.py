@@ -137,7 +137,8 @@ def test_two_variants_in_one_process(python):
     ],
 )
 def test_imports_in_any_order(prologue, python):
-    code = f"{prologue}; print(mi.load_dict({{'type': 'plenoptic'}}).camera.f_number, mi.variant())"
+    code = f"{prologue}; sensor = mi.load_dict(mitsuba_plenoptic.PlenopticCamera().to_sensor())\n"
+    code += "print(sensor.camera.f_number, mi.variant())"
     result = python(code)
     assert result.stdout.endswith("8.0 llvm_ad_mono\n"), result.stderr
 
