@@ -43,13 +43,16 @@ class Sight:
         return cls(Optics.of(scene, child.Child.of(integrator), sensor), sensor, wavelength)
 
     def vergences(self, lens: MainLens) -> tuple[float, float]:
-        """Return the vergences of the images of the nearest point that the scene can have, and of infinity."""
+        """Return the vergences of the images of the nearest and the farthest point that can be seen to shine."""
         box, to_camera = self.optics.scene.bbox(), self.sensor.world_transform().inverse()
-        nearest = math.inf
+        nearest = farthest = math.inf
         if box.valid():
-            corners = [to_camera @ mi.Point3f(box.corner(corner)) for corner in range(8)]
-            nearest = max(SHORTEST, min(float(corner.z[0]) for corner in corners))
-        return float(lens.vergence(nearest)), float(lens.vergence(math.inf))
+            depths = [float((to_camera @ mi.Point3f(box.corner(corner))).z[0]) for corner in range(8)]
+            nearest = max(SHORTEST, min(depths))
+            # Mirrors and lenses show things from beyond.
+            if self.optics.plain and self.optics.scene.environment() is None:
+                farthest = max(nearest, *depths)
+        return float(lens.vergence(nearest)), float(lens.vergence(farthest))
 
     def ray(self, pupil: tuple[Any, Any], slope: tuple[Any, Any]) -> tuple[Any, Any]:
         """Return the ray through a pupil point, and the cosine of its angle with the axis."""

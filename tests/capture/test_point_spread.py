@@ -69,11 +69,11 @@ def test_patch_of_extreme_cameras_against_full_field(camera, g):
 
 @pytest.mark.parametrize("fill", [0.5, 0.25])
 def test_gaps_between_microlenses_at_the_default_accuracy(fill):
-    """Many radiators, in 5 x 5 places of a lens."""
+    """Many radiators, in 2 x 2 places of a lens."""
     camera = small_camera(4, mla_fill=fill)
-    points = in_every_lens(camera, 1, 230.0, per_lens=5) + np.array([0.06, -0.05, 0.0])
-    exact = capture(camera, points, np.full(len(points), 24.0), method="full_field")
-    many = np.repeat(points, 24, axis=0)
+    points = in_every_lens(camera, 1, 230.0, per_lens=2) + np.array([0.06, -0.05, 0.0])
+    exact = capture(camera, points, np.full(len(points), 150.0), method="full_field")
+    many = np.repeat(points, 150, axis=0)
     assert error(capture(camera, many, np.ones(len(many))), exact) < 0.01
 
 

@@ -126,7 +126,9 @@ def flaw(value: Any) -> Verdict | None:
         # A reconstruction has its own size, in bins.
         if image.ndim not in (2, 3) or not image.size or (not hasattr(value, "bin_size") and image.shape[:2] != wanted):
             return Verdict("wrong shape", f"an image of shape {image.shape} of a camera of {wanted} pixels")
-        return flaw(image)
+        # Bins that no light can come from are NaN, but not all of them.
+        marked = hasattr(value, "bin_size") and not (image != image).all()
+        return flaw(image[image == image] if marked else image)
     if dataclasses.is_dataclass(value):
         # A camera may be focused to infinity.
         numbers = {name: getattr(value, name) for name in dir(value) if name not in ("focus_distance", "refocus_range")}
