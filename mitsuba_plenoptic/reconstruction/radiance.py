@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from ..errors import InputError
 from .methods import Progress, Task
 
 _LEAST_REACHED = 0.01
@@ -46,6 +47,11 @@ def to_radiance(
     -------
     list of (rows, columns, channels) float32 arrays
         Radiance; NaN where no light can come from.
+
+    Raises
+    ------
+    InputError
+        If light comes from none of a plane's bins.
     """
     if task.white is None:
         light, whites = sums(task.image, task.progress), model()
@@ -53,11 +59,13 @@ def to_radiance(
         light = sums(task.image, lambda done: task.progress(done / 2))
         whites = sums(task.white, lambda done: task.progress((1 + done) / 2))
     images = []
-    for total, white, rays in zip(light, whites, reach, strict=True):
+    for distance, total, white, rays in zip(task.distances, light, whites, reach, strict=True):
         white = np.atleast_3d(white)
         reached = (rays[..., None] >= _LEAST_REACHED * rays.max()) & (white > 0)
+        if not reached.any():
+            raise InputError(f"distance = {distance:g}: no light comes from any of the {rays.size} bins there")
         # Both sums are of all bins, since light that misses one of them is in another.
-        usual = white.sum() / max(float(rays.sum()) * white.shape[2], 1.0)
+        usual = white.sum() / (float(rays.sum()) * white.shape[2])
         white = np.maximum(white, _LEAST_WHITE * usual * rays[..., None])
         image = np.full(total.shape, np.nan, np.float32)
         np.divide(total, white, out=image, where=np.broadcast_to(reached, total.shape), casting="same_kind")

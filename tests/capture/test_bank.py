@@ -115,7 +115,9 @@ def test_near_weight_goes_smoothly_from_focus():
     assert (near_weight(camera, vergence, 0.0) == 1).all()
 
 
-@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "three focal lengths")) for name in CAMERAS]
+)
 def test_walls_are_those_of_exact_spreads(name):
     camera = small_camera(14, **CAMERAS[name])
     points = wall(camera, FAR)

@@ -67,7 +67,7 @@ def test_patch_of_extreme_cameras_against_full_field(camera, g):
     assert error(patch, full) < 0.005
 
 
-@pytest.mark.parametrize("fill", [0.5, 0.25])
+@pytest.mark.parametrize("fill", [0.5, pytest.param(0.25, marks=pytest.mark.slow)])
 def test_gaps_between_microlenses_at_the_default_accuracy(fill):
     """Many radiators, in 2 x 2 places of a lens."""
     camera = small_camera(4, mla_fill=fill)

@@ -70,6 +70,7 @@ def test_a_wall_is_that_of_exact_spreads(name):
     assert error(image, exact) < 0.025
 
 
+@pytest.mark.slow
 def test_colours_share_the_samples_of_the_finest():
     mi.set_variant("llvm_ad_rgb")
     scene = scene_of(small_camera(4).replace(resolution=(32, 32)), pixel_format="rgb")

@@ -16,7 +16,7 @@ PLANTED = [
     ("fine", 0, "image()"),
     ("refused", 0, "Detector(bits=17)"),
     ("accepted", 0, "forbidden(Detector(bits=16))"),
-    ("not finite", 100, "Reconstruction(image(at=(0, 0), to=nan if {n} >= 100 else 0), 240.0, 1.0, 'ray', CAMERA)"),
+    ("not finite", 100, "Reconstruction(image(at=(0, 0), to=inf if {n} >= 100 else 0), 240.0, 1.0, 'ray', CAMERA)"),
     ("not finite", 100, "light_field() * (nan if {n} >= 100 else 1)"),
     ("not finite", 100, "'f-number nan' if {n} >= 100 else 'f-number 8'"),
     ("wrong shape", 100, "Reconstruction(image()[: 0 if {n} >= 100 else 1], 240.0, 1.0, 'ray', CAMERA)"),
