@@ -145,9 +145,10 @@ class LensRaySum:
         convolved = (time.perf_counter() - start) * math.prod(self._camera.shape) / (rows * columns)
 
         margin = max(convolution.box.rows for convolution in convolutions) - rows * self._parts
-        sizes = [[size * self._parts + margin for size in band.shape] for band in bands]
-        bins = float(sum(map(math.prod, sizes)))
-        images = 4.0 * sum(convolution.ranks for convolution in convolutions) * max(map(math.prod, sizes))
+        sizes = [math.prod(size * self._parts + margin for size in band.shape) for band in bands]
+        images = 4.0 * sum(convolution.ranks for convolution in convolutions) * max(sizes)
+        # Bands share the bins of their margins.
+        bins = math.prod(size * self._parts + margin for size in self._camera.shape)
         memory = 2 * images + sum(convolution.memory for convolution in convolutions) + _RAY_BYTES * _LANES
         return made * len(bands) + convolved + bins * self._seconds_per_bin(), memory
 

@@ -186,6 +186,8 @@ class WaveCapture:
         paths = spp * self.passes
         runs = min(runs, paths)
         between = self.sight.vergences(main_lens(self.camera))
+        if (near_weight(self.camera, np.array(between), self.accuracy) == 1).all():
+            return []  # all that can be seen is in focus
         types = range(len(self.camera.mla_focal_lengths))
         pitch = finest_pitch(self.camera, self.wavelengths)
         banks = [

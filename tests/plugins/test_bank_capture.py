@@ -81,6 +81,12 @@ def test_colours_share_the_samples_of_the_finest():
         assert error(image[..., channel], exact[..., channel]) < 0.03
 
 
+def test_a_scene_in_focus_needs_no_bank():
+    scene = scene_of(small_camera(2), distance=240.0, radius=0.3)
+    exact = render_capture(scene, model="wave", method="patch", spp=2).image
+    np.testing.assert_array_equal(by_bank(scene, spp=2, accuracy=0.01).image, exact)
+
+
 def test_the_noise_is_that_of_seeds():
     """A textured light is noise by the place of each ray alone."""
     scene = scene_of(small_camera(4), distance=300.0, texture=board(100))
