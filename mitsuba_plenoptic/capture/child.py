@@ -13,6 +13,9 @@ import numpy as np
 _ENDLESS = 2**31
 """Lengths of light paths from here on mean that there is no limit."""
 
+_NOT_ASKED = 2**32 - 1
+"""Stands for lanes of which nothing is asked."""
+
 _PLUGINS = {
     "PathIntegrator": "path",
     "DirectIntegrator": "direct",
@@ -94,14 +97,18 @@ class Child:
         return mi.Bool(True) if self.max_depth is None else used < self.max_depth
 
     def sample(
-        self, scene: Any, sampler: Any, ray: Any, medium: Any, used: Any, hidden: Any, active: Any, media: list[Any]
+        self, scene: Any, seed: int, ray: Any, medium: Any, used: Any, hidden: Any, active: Any, media: list[Any]
     ) -> Any:
         """Estimate the radiance along rays from later vertices of light paths.
 
         Parameters
         ----------
-        scene, sampler, ray
-            As for Mitsuba's integrators, one lane a ray.
+        scene : mitsuba.Scene
+            The scene.
+        seed : int
+            Of the random numbers.
+        ray : Ray3f
+            One lane a ray.
         medium : MediumPtr
             The medium in which each ray starts.
         used : UInt32
@@ -117,16 +124,34 @@ class Child:
         -------
         UnpolarizedSpectrum
         """
-        # Without a limit all later vertices are alike.
+        if self.uniform and not media:
+            return sample(self.integrator, scene, random_numbers(seed, dr.width(ray)), ray, None, active)
+        # An integrator is asked for one length, and in one medium, at a time: only for the lanes that have it.
+        inside = mi.UInt32(0)
+        for number, one in enumerate(media, 1):
+            inside = dr.select(medium == mi.MediumPtr(one), number, inside)
         used = mi.UInt32(0) if self.max_depth is None else dr.minimum(used, self.max_depth)
-        result = mi.UnpolarizedSpectrum(0)
-        # An integrator is asked in one medium at a time.
-        for inside in (None, *media):
-            here = active & (medium == (dr.zeros(mi.MediumPtr) if inside is None else mi.MediumPtr(inside)))
-            for used_up, hides in [(0, False)] if self.uniform else _distinct(used, hidden, here):
-                if used_up != self.max_depth:
-                    lanes = here & (used == used_up) & (hidden == hides)
-                    result += sample(self._copy(used_up, hides), scene, sampler, ray, inside, lanes)
+        kinds = 2 * (1 + len(media))
+        kind = dr.select(active, used * kinds + 2 * inside + dr.select(hidden, 1, 0), _NOT_ASKED)
+        kind += dr.zeros(mi.UInt32, dr.width(ray))
+        dr.eval(kind, ray)
+        result = dr.zeros(mi.UnpolarizedSpectrum, dr.width(ray))
+        numbers = kind.numpy()
+        for value in np.flatnonzero(np.bincount(numbers[numbers != _NOT_ASKED])).tolist():
+            used_up, own = divmod(value, kinds)
+            if used_up == self.max_depth:
+                continue
+            some, own_medium = dr.compress(kind == value), own // 2
+            sampler = random_numbers(int(np.random.SeedSequence([seed, value]).generate_state(1)[0]), dr.width(some))
+            light = sample(
+                self._copy(used_up, bool(own % 2)),
+                scene,
+                sampler,
+                dr.gather(mi.Ray3f, ray, some),
+                media[own_medium - 1] if own_medium else None,
+                mi.Bool(True),
+            )
+            dr.scatter(result, light, some)
         return result
 
     def _copy(self, used: int, hides: bool) -> Any:
@@ -157,14 +182,6 @@ def sample(integrator: Any, scene: Any, sampler: Any, ray: Any, medium: Any, act
         integrator, scene, sampler, mi.RayDifferential3f(ray), medium, active
     )
     return dr.select(active, mi.unpolarized_spectrum(radiance), 0)
-
-
-def _distinct(used: Any, hidden: Any, active: Any) -> list[tuple[int, bool]]:
-    """Return the pairs of values that active lanes have."""
-    dr.eval(used, hidden, active)
-    lanes = np.broadcast_arrays(used.numpy(), hidden.numpy(), active.numpy())
-    pairs = np.unique(np.column_stack(lanes[:2])[lanes[2]], axis=0)
-    return [(int(used), bool(hidden)) for used, hidden in pairs]
 
 
 def _number(integrator: Any, name: str, default: int) -> int:

@@ -10,6 +10,7 @@ sampling), and stands for the light of all.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -62,7 +63,9 @@ class _Met:
     ends: Any
 
 
-def first_vertex(optics: Optics, seed: int, ray: Any, together: int = 1) -> Vertex:
+def first_vertex(
+    optics: Optics, seed: int, ray: Any, together: int = 1, counts: Callable[[Any], Any] | None = None
+) -> Vertex:
     """Sample the radiance along rays and the places from which it comes.
 
     Light is unpolarized between the events of a chain. For integrators that are not Mitsuba's own, `max_depth` counts
@@ -79,6 +82,8 @@ def first_vertex(optics: Optics, seed: int, ray: Any, together: int = 1) -> Vert
     together : int
         Neighbouring lanes that are light paths of one ray: the numbers that choose their first lobe and first free path
         are spread evenly.
+    counts : callable, optional
+        Tells from the distances on which rays the light that the child is asked for counts; the rest is left out.
 
     Returns
     -------
@@ -105,10 +110,12 @@ def first_vertex(optics: Optics, seed: int, ray: Any, together: int = 1) -> Vert
     (end,) = dr.while_loop(
         (start,), lambda state: state.going, lambda state: (_step(state, optics, channel),), label="first vertex"
     )
-    if not child.uniform:
-        # The child is asked in parts, which must not follow the rays anew.
-        dr.eval(end)
-    kept = end.kept.offer(end.place, end.throughput * _ask(end, optics), sampler.next_1d())
+    if counts is not None:
+        end.asked &= counts(end.place.distance)
+    # The child is asked in parts, which must not follow the rays anew.
+    dr.eval(end)
+    number = end.sampler.next_1d()
+    kept = end.kept.offer(end.place, end.throughput * _ask(end, optics, seed), number)
     return Vertex(kept.radiance_of_all(), kept.place, key)
 
 
@@ -228,10 +235,10 @@ def _place(state: _State, bundle: Bundle, met: _Met) -> Place:
     )
 
 
-def _ask(end: _State, optics: Optics) -> Any:
+def _ask(end: _State, optics: Optics, seed: int) -> Any:
     """Ask the child for the radiance from where rays have been followed to."""
     chain, child = end.chain, optics.child
     hidden = child.lamps_hidden(chain.events, chain.null_events) & (end.longer == 0)
     used = chain.used(child) + end.longer
-    radiance = child.sample(optics.scene, end.sampler, chain.ray, chain.medium, used, hidden, end.asked, optics.media)
+    radiance = child.sample(optics.scene, seed, chain.ray, chain.medium, used, hidden, end.asked, optics.media)
     return weigh_emitters(optics, chain, end.last, radiance, end.asked & child.allows(used))

@@ -78,10 +78,10 @@ def pupil_radiance(
         shadow = aimed_at(found, primary, to_world @ mi.Point3f(x, y, 0))
         arrived, chain, weight = leads_to(optics, shadow, found.key, found.place, tolerance(found.place))
         child = optics.child
-        dr.eval(arrived, chain, weight, sampler)
+        dr.eval(arrived, chain, weight)
         hidden = child.lamps_hidden(chain.events, chain.null_events)
         radiance = child.sample(
-            optics.scene, sampler, chain.ray, chain.medium, chain.used(child), hidden, arrived, optics.media
+            optics.scene, seed + start, chain.ray, chain.medium, chain.used(child), hidden, arrived, optics.media
         )
         result[start:stop] = dr.block_sum(dr.mean(weight * radiance), _SAMPLES).numpy().reshape(-1, cells) / _SAMPLES
     return result.reshape(-1, PUPIL_CELLS, PUPIL_CELLS)

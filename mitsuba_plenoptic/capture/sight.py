@@ -87,7 +87,7 @@ class Sight:
         """
         ray, cosine = self.ray(pupil, slope)
         if not self.optics.plain:
-            vertex = first_vertex(self.optics, seed, ray)
+            vertex = first_vertex(self.optics, seed, ray, 1, counts and (lambda distance: counts(distance * cosine)))
             return channels(vertex.radiance), vertex.place.distance * cosine
         distance = seen_directly(self.optics.scene.ray_intersect(ray)).distance * cosine
         if counts is None:
