@@ -105,6 +105,18 @@ def bars_through(way: str, lenses: int = 32) -> Any:
     raise ValueError(way)
 
 
+def slanted(pane: str | None) -> Any:
+    """Return the scene of a radiating half plane, out of focus and seen at 5 degrees, maybe through a turned pane."""
+    T = mi.ScalarTransform4f()
+    turned = T.translate([0, 0, 256]) @ T.rotate([1, 0, 0], 85) @ T.translate([0, -20, 0])
+    plane = {"type": "rectangle", "to_world": turned @ T.rotate([0, 1, 0], 180) @ T.scale(20.0), **radiating()}
+    panes = {}
+    if pane:
+        to_world = T.translate([0, 0, 195]) @ T.rotate([1, 0, 0], 30) @ T.translate([0, 0, -195])
+        panes["pane"] = facing(195.0, 20.0, to_world=to_world, bsdf=PANES[pane])
+    return scene_of(sensor(16), plane=plane, **panes)
+
+
 WAYS = ("directly", "mirror", *PANES, "slab", "fog")
 
 

@@ -11,6 +11,9 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+_PLANE = 1e-3
+"""Relative change of the angles between rays up to which they have met plane surfaces only."""
+
 
 @dataclass
 class Bundle:
@@ -96,6 +99,28 @@ class Bundle:
         scale = dr.rcp(e * h - f * g)
         (p, q), (r, s) = ((h * a - f * c, h * b - f * d), (e * c - g * a, e * d - g * b))
         return 0.5 * (p + s) * scale, dr.sqrt(dr.maximum(dr.square(p - s) + 4 * q * r, 0)) * dr.abs(scale)
+
+    def apparent(self, start: Any, direction: Any, normal: Any) -> Any:
+        """Return a normal at the ray's end as it is seen from the start: turned back through plane mirrors and panes.
+
+        Parameters
+        ----------
+        start, direction : Vector3f
+            Directions of the ray at its start and at its end.
+        normal : Vector3f
+            The normal.
+
+        Returns
+        -------
+        Vector3f
+            Zero behind what changes the angles between rays.
+        """
+        changes = self.directions[2:]
+        seen = start * dr.dot(direction, normal)
+        for axis, change in zip(mi.coordinate_system(start), changes, strict=True):
+            seen += mi.Vector3f(axis) * dr.dot(change, normal)
+        plane = [dr.abs(dr.norm(change) - 1) < _PLANE for change in changes]
+        return dr.select(plane[0] & plane[1], seen, 0)
 
 
 def _normal(si: Any, before: Any, after: Any, eta: Any) -> Any:

@@ -15,6 +15,9 @@ from .child import Child
 MOST_EVENTS = 32
 """Events of a chain at most; from there on the child is asked for all that comes."""
 
+_GRAZING = 0.01
+"""Cosine with the normal below which a ray's line leaves a surface too slowly."""
+
 
 @dataclass(frozen=True)
 class Optics:
@@ -124,12 +127,12 @@ class Chain:
 
     def pass_on(self, si: Any) -> Chain:
         """Go on behind a surface as if it were not there."""
-        ray = si.spawn_ray(self.ray.d)
+        ray = go_on(si, self.ray.d)
         return replace(self, ray=ray, length=self.length + si.t + start_offset(ray, si))
 
     def turn(self, si: Any, sample: Any) -> Chain:
         """Go on along a null or delta lobe."""
-        ray = si.spawn_ray(si.to_world(sample.wo))
+        ray = go_on(si, si.to_world(sample.wo))
         null = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
         # Fowler, Noll and Vo's hash, with the lobe in place of a byte
         mixed = (self.signature ^ (sample.sampled_component + 1)) * 16777619 + 1
@@ -147,6 +150,19 @@ class Chain:
 def intersect(scene: Any, ray: Any, active: Any) -> Any:
     """Return the next surface, with the derivatives of its shading normal."""
     return scene.ray_intersect(ray, mi.RayFlags.All | mi.RayFlags.dNSdUV, False, active)
+
+
+def go_on(si: Any, direction: Any) -> Any:
+    """Return a ray that goes on from a surface and does not meet it again.
+
+    Mitsuba moves such a ray's start along the normal, and so the ray sideways: surfaces that it then meets at grazing
+    incidence would be met at another place. Here it stays on its line.
+    """
+    ray = si.spawn_ray(direction)
+    cosine = dr.dot(direction, si.n)
+    along = dr.dot(ray.o - si.p, si.n) / cosine
+    ray.o = dr.select(dr.abs(cosine) > _GRAZING, si.p + direction * along, ray.o)
+    return ray
 
 
 def start_offset(ray: Any, si: Any) -> Any:

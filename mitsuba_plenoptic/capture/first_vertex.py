@@ -41,6 +41,7 @@ class _State:
     curved: Any
     place: Place
     kept: Kept
+    start: Any
     last: Scattered
     longer: Any
     asked: Any
@@ -100,6 +101,7 @@ def first_vertex(
         mi.Bool(False),
         nowhere,
         Kept(nowhere, mi.UnpolarizedSpectrum(0), mi.Float(0)),
+        mi.Vector3f(ray.d),
         Scattered(dr.zeros(mi.Interaction3f), mi.Float(0), mi.Bool(False)),
         mi.UInt32(0),
         mi.Bool(False),
@@ -163,6 +165,7 @@ def _step(state: _State, optics: Optics, channel: Any) -> _State:
         state.curved | (passes & ~straight & ~(flat & (sample.eta == 1))),
         place,
         kept,
+        state.start,
         Scattered(
             dr.select(leaves, mi.Interaction3f(si), state.last.surface),
             dr.select(leaves, sample.pdf, state.last.pdf),
@@ -229,6 +232,7 @@ def _place(state: _State, bundle: Bundle, met: _Met) -> Place:
         state.curved,
         dr.select(met.escapes, ray.o, ray(met.distance)),
         met.si.n,
+        dr.select(met.escapes | met.scattered, 0, bundle.apparent(state.start, ray.d, mi.Vector3f(met.si.n))),
         met.escapes,
         met.scattered,
         state.chain.signature,

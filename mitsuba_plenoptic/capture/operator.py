@@ -304,7 +304,7 @@ class CaptureOperator:
     def _facts(self, factors: NDArray[np.float64]) -> dict[str, Any]:
         """Return by what a sum is known as the same."""
         pupils = self._pupil_weights
-        arrays = [None, None] if pupils is None else [pupils.table, pupils.index]
+        arrays = [None] * 3 if pupils is None else [pupils.table, pupils.index, pupils.slant]
         return {
             "camera": self.camera.to_dict(),
             "spectrum": self._wavelength if self._spectrum is None else asdict(self._spectrum),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -109,6 +109,7 @@ class PatchPlan:
         kept, self._first = np.unique(patterns.pattern[order], return_index=True)
         self._last = np.append(self._first[1:], len(order))
         self._positions, self._placement = patterns.positions[kept], placement.take(kept)
+        self._slant = None if patterns.slant is None else patterns.slant[kept]
         self._chunks = self._sort(patterns.zone[kept])
 
     def _sort(self, zone: NDArray[np.int64]) -> list[NDArray[np.int64]]:
@@ -165,6 +166,8 @@ class PatchPlan:
     def _fields(self, which: NDArray[np.int64]) -> Fields:
         """Describe the fields of some patterns."""
         weights = self._pupil_weights and self._pupil_weights.take(self._order[self._first[which]])
+        if weights is not None and self._slant is not None:
+            weights = replace(weights, slant=self._slant[which])
         return Fields(self._grid, self._placement.take(which), self._positions[which], weights)
 
     def lit_chunks(self, weights: NDArray[np.float64]) -> tuple[list[NDArray[np.int64]], NDArray[np.int64]]:

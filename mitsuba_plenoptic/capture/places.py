@@ -26,6 +26,8 @@ class Place:
         Where it comes from, in the world.
     normal : Normal3f
         The surface's normal there.
+    apparent : Vector3f
+        The normal as it is seen from the ray's start; zero where there is no surface, or curved ones show it bent.
     escaped : Bool
         Whether it comes from infinity instead.
     scattered : Bool
@@ -39,6 +41,7 @@ class Place:
     curved: Any
     point: Any
     normal: Any
+    apparent: Any
     escaped: Any
     scattered: Any
     signature: Any
@@ -98,4 +101,5 @@ def seen_directly(si: Any) -> Place:
     """Return the places that rays have met, where nothing branches."""
     distance = dr.select(si.is_valid(), si.t, dr.inf)
     no = mi.Bool(False)
-    return Place(distance, mi.Float(0), no, si.p, si.n, ~si.is_valid(), no, mi.UInt32(0))
+    apparent = dr.select(si.is_valid(), mi.Vector3f(si.n), 0)
+    return Place(distance, mi.Float(0), no, si.p, si.n, apparent, ~si.is_valid(), no, mi.UInt32(0))

@@ -1,4 +1,12 @@
-"""How strongly the light of each radiator fills the pupil: what it is hidden from, and where it shines more or less."""
+r"""How strongly the light of each radiator fills the pupil: what it is hidden from, and where it shines more or less.
+
+A surface that is seen slantwise has another cosine with the light to each side of the pupil. With its normal n, a
+radiator at X sends to the point P of the pupil the power
+
+.. math:: w(P) = \frac{n \cdot (X - P)}{n \cdot X}
+
+relative to that of a surface which faces the lens (Lambert's law); this is linear in P.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+
+STEEPEST = 0.98
+"""Largest slant: of surfaces seen more slantwise the pupil sees both sides, and what it sees of one is hidden."""
 
 
 @dataclass(frozen=True)
@@ -25,10 +36,13 @@ class PupilWeights:
         Distinct weights, not negative.
     index : int64 array (n,)
         Which of them each radiator has.
+    slant : float64 array (n, 2)
+        By how much the power grows besides from the pupil's centre to its rim, along x and along y of the camera frame.
     """
 
     table: NDArray[np.float32]
     index: NDArray[np.int64]
+    slant: NDArray[np.float64]
 
     @classmethod
     def of(cls, weights: Any, count: int) -> PupilWeights | None:
@@ -62,19 +76,19 @@ class PupilWeights:
         if values.dtype == np.bool_:
             return cls.from_bits(np.packbits(values.reshape(count, -1), axis=1), shape[1])
         table, index = np.unique(values.astype(np.float32).reshape(count, -1), axis=0, return_inverse=True)
-        return cls(table.reshape(-1, *shape[1:]), index.reshape(-1))
+        return cls(table.reshape(-1, *shape[1:]), index.reshape(-1), np.zeros((count, 2)))
 
     @classmethod
     def from_bits(cls, bits: NDArray[np.uint8], cells: int) -> PupilWeights:
         """Gather masks of cells x cells booleans, each packed into a row of bits."""
         rows, index = np.unique(bits, axis=0, return_inverse=True)
         table = np.unpackbits(rows, axis=1, count=cells * cells).astype(np.float32)
-        return cls(table.reshape(-1, cells, cells), index.reshape(-1))
+        return cls(table.reshape(-1, cells, cells), index.reshape(-1), np.zeros((len(bits), 2)))
 
     def take(self, which: NDArray[Any] | slice) -> PupilWeights:
         """Return those of some radiators."""
         kept, index = np.unique(self.index[which], return_inverse=True)
-        return PupilWeights(self.table[kept], index.reshape(-1))
+        return PupilWeights(self.table[kept], index.reshape(-1), self.slant[which])
 
     def lit(self) -> NDArray[np.bool_]:
         """Whether any light of each radiator passes."""
@@ -119,4 +133,27 @@ class PupilWeights:
             weight = dr.gather(Float, table, first + row * cells + column)
             power += across * down * weight
             amplitude += across * down * dr.sqrt(weight)
-        return power, amplitude
+        slant = [dr.gather(Float, Float(np.ascontiguousarray(part)), radiator) for part in self.slant.T]
+        cosine = dr.maximum(1 + (slant[0] * Float(Px) + slant[1] * Float(Py)) / radius, 0)
+        return power * cosine, amplitude * dr.sqrt(cosine)
+
+
+def slants(normals: NDArray[np.floating[Any]], positions: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
+    """Return the slants of surfaces.
+
+    Parameters
+    ----------
+    normals : array (n, 3)
+        Normals in the camera frame; zero where there is no surface.
+    positions : float64 array (n, 3)
+        Radiators on them.
+    radius : float
+        Of the pupil.
+
+    Returns
+    -------
+    float64 array (n, 2)
+    """
+    height = (normals * positions).sum(1)
+    slant = -radius * normals[:, :2] / np.where(height == 0, np.inf, height)[:, None]
+    return slant / np.maximum(1, np.hypot(*slant.T) / STEEPEST)[:, None]

@@ -26,7 +26,7 @@ from .draws import Found, draw
 from .gloss import glossy, pupil_radiance
 from .lens_window import LensWindow
 from .places import Vertex
-from .pupil_weights import PupilWeights
+from .pupil_weights import PupilWeights, slants
 from .sight import Sight
 from .visibility import LANES, PUPIL_CELLS, sampled_fraction, visible_cells
 
@@ -44,6 +44,9 @@ _CAUSTIC = 1e-3
 
 _INFINITY = 1e6
 """Where the radiator of a ray that leaves the scene is put, in main lens images: far enough to be collimated."""
+
+_LEVEL = 1e-3
+"""Slants below which surfaces face the lens."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,7 @@ class Radiators:
         Fraction of the visible pupil whose rays from the radiator land in the sampled part of the MLA plane: those
         are the rays that could have found it.
     pupil_weights : PupilWeights, or None
-        What each radiator sees of the pupil; None if all see all.
+        How the light of each fills the pupil: what it sees of it, and how slantwise; None if all fill all evenly.
     """
 
     positions: np.ndarray
@@ -244,7 +247,7 @@ def _trace_lenses(
     -------
     tuple of arrays
         Where rays have passed the pupil; positions, radiance, its variance; which are curved, and by how much each is
-        astigmatic; the bits of the visible cells; which are glossy, and the power of those over the pupil.
+        astigmatic; slants; the bits of the visible cells; which are glossy, and the power of those over the pupil.
     """
     lane = dr.arange(mi.UInt32, len(lenses) * len(pairs) * spp)
     radiator = lane // spp
@@ -282,13 +285,16 @@ def _trace_lenses(
         power = pupil_radiance(sight.optics, to_world, vertex, rays, lens, seed)
     place = found.vertex.place
     curved, astigmatism = (np.broadcast_to(part.numpy(), len(P)) for part in (place.curved, place.astigmatism))
-    return P, positions, found.radiance, found.variance, curved, astigmatism, bits, shiny, power
+    normals = to_world.inverse() @ mi.Normal3f(place.apparent)
+    slant = slants(np.broadcast_to(normals.numpy().T, positions.shape), positions, lens.pupil_radius)
+    return P, positions, found.radiance, found.variance, curved, astigmatism, slant, bits, shiny, power
 
 
 def _nothing(channels: int) -> tuple[np.ndarray, ...]:
     """Return what is found where nothing shines."""
     nothing = np.empty(0)
-    return np.empty((0, 2)), np.empty((0, 3)), *np.empty((2, 0, channels)), nothing > 0, nothing, *_over_pupil(0)
+    places = np.empty((0, 2)), np.empty((0, 3))
+    return *places, *np.empty((2, 0, channels)), nothing > 0, nothing, places[0], *_over_pupil(0)
 
 
 def _depth(found: Found, cosine: Any, lens: MainLens) -> np.ndarray:
@@ -305,15 +311,17 @@ def _over_pupil(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return bits, np.zeros(count, bool), np.empty((0, PUPIL_CELLS, PUPIL_CELLS), np.float32)
 
 
-def _pupil_weights(bits: np.ndarray, shiny: np.ndarray, power: np.ndarray) -> PupilWeights | None:
-    """Gather what is visible and, of glossy radiators, the power over the pupil; None if all see all evenly."""
+def _pupil_weights(slant: np.ndarray, bits: np.ndarray, shiny: np.ndarray, power: np.ndarray) -> PupilWeights | None:
+    """Gather what is visible, how slantwise and, of glossy radiators, the power over the pupil; None if all is even."""
     # Where no light path of the few has found light, all that is visible counts the same.
     lit = power.max(axis=(1, 2), initial=0) > 0
     which = np.flatnonzero(shiny)[lit]
+    if not which.size and (bits == 255).all() and (np.abs(slant) < _LEVEL).all():
+        return None
+    masks = replace(PupilWeights.from_bits(bits, PUPIL_CELLS), slant=slant)
     if not which.size:
-        return None if (bits == 255).all() else PupilWeights.from_bits(bits, PUPIL_CELLS)
-    masks = PupilWeights.from_bits(bits, PUPIL_CELLS)
+        return masks
     rows = power[lit] / power[lit].max(axis=(1, 2), keepdims=True)
     index = masks.index.copy()
     index[which] = len(masks.table) + np.arange(len(which))
-    return PupilWeights(np.concatenate([masks.table, rows]), index)
+    return PupilWeights(np.concatenate([masks.table, rows]), index, slant)

@@ -34,6 +34,9 @@ _LENS_PER_WAVE = 2.5
 _ZONE_PER_WAVE = 0.6
 """Width of a zone in steps of the wavefront from lens to lens, over the allowed one."""
 
+_SLANT_PER_WAVE = 1.5
+"""Range of slants of which the mean is taken, over the allowed step of the wavefront in waves."""
+
 _FARTHEST = 1e12
 """Distance, in millimetres, from which on light counts as collimated."""
 
@@ -51,6 +54,8 @@ class Patterns:
         The scene point that each is computed for.
     zone : int array (patterns, 2)
         First lens, along x and y, of the zone.
+    slant : float64 array (patterns, 2), or None
+        Mean of the radiators' slants (see `PupilWeights`).
     pattern : int array (n,)
         For each radiator its pattern.
     shift : int array (n, 2)
@@ -59,6 +64,7 @@ class Patterns:
 
     positions: NDArray[np.float64]
     zone: NDArray[np.int64]
+    slant: NDArray[np.float64] | None
     pattern: NDArray[np.int64]
     shift: NDArray[np.int64]
 
@@ -79,7 +85,7 @@ def find_patterns(
     positions : float64 array (n, 3)
         Scene points in that frame.
     pupil_weights : PupilWeights, optional
-        Power over the pupil; only those of equal ones share.
+        Power over the pupil; only those share whose power is equal but for a little slant.
     wavelength : float
         Wavelength in nanometres.
     step : float
@@ -94,7 +100,8 @@ def find_patterns(
     image = _lattice_steps(camera, place)
     if step == 0:
         alone = np.zeros((len(positions), 2), np.int64)
-        return Patterns(positions, np.floor(image).astype(np.int64), np.arange(len(positions)), alone)
+        slant = None if pupil_weights is None else pupil_weights.slant
+        return Patterns(positions, np.floor(image).astype(np.int64), slant, np.arange(len(positions)), alone)
     depth, parts = _depth_steps(camera, g, wavelength, step)
     fine = np.floor(image * parts[:, None] + _OFF_LATTICE).astype(np.int64)
     lens = fine // parts[:, None]
@@ -105,7 +112,8 @@ def find_patterns(
         lens_type = camera.lattice.lens_type(*lens.T).astype(np.int64)
         keys.append(lens_type[:, None])
     if pupil_weights is not None:
-        keys.append(pupil_weights.index[:, None])
+        slants = np.floor(pupil_weights.slant / (_SLANT_PER_WAVE * step) + 0.5).astype(np.int64)
+        keys += [pupil_weights.index[:, None], slants]
     _, first, pattern = np.unique(np.hstack(keys), axis=0, return_index=True, return_inverse=True)
     pattern = pattern.reshape(-1)
     # A pattern is computed for the mean of its radiators, in the middle lens of those that have it.
@@ -121,11 +129,14 @@ def find_patterns(
     count = np.bincount(pattern)
     place = np.column_stack([np.bincount(pattern, part) for part in (image - lens).T]) / count[:, None] + middle
     mean = np.bincount(pattern, 1 / g) / count
+    slant = None
+    if pupil_weights is not None:
+        slant = np.column_stack([np.bincount(pattern, part) for part in pupil_weights.slant.T]) / count[:, None]
     # Light that diverges and light that converges may share a pattern, and their mean be collimated.
     distance = 1 / np.where(np.abs(mean) > 1 / _FARTHEST, mean, 1 / _FARTHEST)
     scale = -camera.mla_pitch * distance / camera.mla_distance
     position = _in_pitches(camera, place) * scale[:, None]
-    return Patterns(np.column_stack([position, distance]), zone[first], pattern, lens - middle[pattern])
+    return Patterns(np.column_stack([position, distance]), zone[first], slant, pattern, lens - middle[pattern])
 
 
 def _lattice_steps(camera: PlenopticCamera, place: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -132,11 +132,12 @@ def sampled_fraction(
     cell = _cell_of(x, y)
     for some in np.array_split(partial, max(1, partial.size * x.size // 2**24)):
         landed = window.holds(*lens.land((x * radius, y * radius), tuple(positions[some].T[..., None])))
-        seen = np.ones_like(landed)
+        seen = np.ones(landed.shape)
         if weights is not None:
-            seen = weights.table[weights.index[some]].reshape(len(some), PUPIL_CELLS**2)[:, cell] > 0
+            seen = 1 + weights.slant[some] @ np.stack([x, y])
+            seen *= weights.table[weights.index[some]].reshape(len(some), PUPIL_CELLS**2)[:, cell] > 0
         # The ray that found the radiator landed, so the fraction is never nothing.
-        fraction[some] = np.maximum((landed & seen).sum(axis=1), 1) / np.maximum(seen.sum(axis=1), 1)
+        fraction[some] = np.maximum((landed * seen).sum(axis=1), 1) / np.maximum(seen.sum(axis=1), 1)
     return fraction
 
 

@@ -232,7 +232,7 @@ class WaveCapture:
         for radiators in sets:
             weights = radiators.pupil_weights
             arrays += [radiators.positions, radiators.radiance, radiators.fraction]
-            arrays += [None, None] if weights is None else [weights.table, weights.index]
+            arrays += [None] * 3 if weights is None else [weights.table, weights.index, weights.slant]
         return {"radiators": sum(len(radiators.positions) for radiators in sets), "scene_digest": digest(*arrays)}
 
     def _scale(self) -> float:

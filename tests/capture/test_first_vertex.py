@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from any_scenes import ABSORBING_FOG, MIRROR, PANES, THIN_FOG, facing, radiating, scene_of, sensor
+from any_scenes import ABSORBING_FOG, MIRROR, PANES, THIN_FOG, facing, radiating, scene_of, sensor, turned_plane
 
 from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.capture import child as children
@@ -157,6 +157,23 @@ def test_what_leaves_the_scene_is_at_infinity_also_in_a_plane_mirror():
     }
     scene = scene_of(sensor(2), sky={"type": "constant"}, mirror={**plane, "bsdf": MIRROR})
     assert place_of(scene) == (math.inf, 0)
+
+
+def test_normals_are_seen_as_plane_mirrors_and_panes_show_them():
+    T = mi.ScalarTransform4f()
+    wall = {"type": "rectangle", "to_world": T.translate([0, 0, 300]) @ T.rotate([1, 0, 0], 150), **radiating()}
+    wall["to_world"] = wall["to_world"] @ T.scale(12.0)
+    normal = np.array([0.0, -0.5, -math.sqrt(0.75)])
+    for bsdf in ("thindielectric", "mirror"):
+        pane, there = facing(240.0, 30.0, bsdf=BSDFS[bsdf]), T
+        if bsdf == "mirror":
+            pane, there = turned_plane(BSDFS[bsdf])
+        scene = scene_of(sensor(2), pane=pane, wall={**wall, "to_world": there @ wall["to_world"]})
+        vertex = trace(scene, (1e-3, 5e-4), 64)[-1]
+        through = np.flatnonzero(np.abs(vertex.place.distance.numpy() - 300) < 1)
+        apparent = vertex.place.apparent.numpy().T[through]
+        assert len(through) > 0
+        np.testing.assert_allclose(np.abs(apparent @ normal), 1, rtol=1e-4)
 
 
 def test_radiators_tell_the_variance_of_their_radiance():

@@ -1,6 +1,7 @@
 """The capture operator: linear, with an adjoint, the same for any number of threads, true to single point spreads."""
 
 import contextlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from wave_cases import CAMERAS, LATTICES, WAVELENGTH, capture, error, in_every_l
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.capture.operator import PLANS, CaptureOperator
 from mitsuba_plenoptic.capture.point_spread import point_spread_function
+from mitsuba_plenoptic.capture.pupil_weights import PupilWeights
 from mitsuba_plenoptic.errors import InputError
 from mitsuba_plenoptic.optics.spectrum import Spectrum
 from mitsuba_plenoptic.runtime.batches import Threads
@@ -55,6 +57,17 @@ def test_patches_against_full_fields(weights, limit):
     options = {"pupil_weights": None if weights is None else [weights, weights], "accuracy": 0}
     patch, full = (capture(SMALL, positions, [1.0, -2.0], method=name, **options) for name in ("patch", "full_field"))
     assert error(patch, full) < limit
+
+
+@pytest.mark.parametrize("method", ["patch", "full_field", "bank"])
+def test_a_surface_seen_slantwise_sends_more_light_to_one_side_of_the_pupil(method):
+    r"""Power 1 + s x over a disc: the half at +x gets :math:`1/2 + 2 s / 3 \pi` of it."""
+    weights = replace(PupilWeights.of(np.ones((1, 1, 1), bool), 1), slant=np.array([[0.3, 0.0]]))
+    image = capture(SMALL, np.array([(0.0, 0.0, 225.0)]), [1.0], method=method, pupil_weights=weights)
+    left, right = (half.sum() for half in np.split(image, 2, axis=1))
+    # The blur of a point before the focus is upright.
+    assert max(left, right) / (left + right) == pytest.approx(0.5 + 0.2 / np.pi, abs=0.003)
+    assert right > left
 
 
 def test_crop_is_a_part_of_the_whole():

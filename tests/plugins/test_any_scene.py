@@ -18,6 +18,7 @@ from any_scenes import (
     lamp_behind_glass,
     lit_mirror,
     plastic,
+    slanted,
     square_behind,
 )
 from scipy.ndimage import convolve1d
@@ -48,6 +49,17 @@ def test_a_transparent_card_changes_nothing(card):
         for pane in (None, TRANSPARENT[card])
     )
     assert error(behind, without) <= 0.02
+
+
+def test_the_edge_of_a_surface_seen_slantwise_lies_where_rays_see_it():
+    """At 5 degrees one side of the pupil gets 1.5 times the light of the other, which would move blurred edges.
+
+    By rays without the transparent pane: behind it Mitsuba's rays lie 0.009 mm aside.
+    """
+    by_rays = render_capture(slanted(None), spp=16)
+    by_waves = render_capture(slanted("transparent mask"), model="wave", spp=1, radiators_per_lens=4)
+    rays, waves = (capture.image.reshape(16, 16, -1).mean(axis=(1, 2))[3:11] for capture in (by_rays, by_waves))
+    assert (waves - rays).sum() / rays.max() == pytest.approx(0, abs=0.03)
 
 
 def test_a_sky_does_not_shine_through_a_black_card():

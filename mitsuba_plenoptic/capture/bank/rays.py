@@ -169,6 +169,10 @@ def _mean(weights: PupilWeights) -> NDArray[np.float64]:
     cells = weights.table.shape[1]
     place = (np.arange(cells * _POINTS) + 0.5) * (2 / (cells * _POINTS)) - 1
     inside = np.hypot(place, place[:, None]) < 1
-    area = inside.reshape(cells, _POINTS, cells, _POINTS).sum((1, 3)) / inside.sum()
-    mean = np.tensordot(weights.table.astype(np.float64), area, 2)
-    return np.where(mean > 0, mean, np.inf)[weights.index]
+    table = weights.table.astype(np.float64)
+    mean, along_x, along_y = (
+        np.tensordot(table, part.reshape(cells, _POINTS, cells, _POINTS).sum((1, 3)) / inside.sum(), 2)[weights.index]
+        for part in (inside * 1.0, inside * place, inside * place[:, None])
+    )
+    mean += weights.slant[:, 0] * along_x + weights.slant[:, 1] * along_y
+    return np.where(mean > 0, mean, np.inf)
