@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 import scipy
 import xarray as xr
@@ -57,7 +60,8 @@ def depth_map(
     -------
     xarray.Dataset
         Over t, s: ``depth`` (distance from the main lens along the axis, mm), ``disparity`` (lenses per view),
-        ``confidence`` (0 to 1), and ``image``, the image in focus everywhere.
+        ``confidence`` (0 to 1), and ``image``, the image in focus everywhere; and, where the light field has ground
+        truth, ``truth``, the depth that the central view sees (mm), which `depth_error` compares with.
 
     Raises
     ------
@@ -97,16 +101,54 @@ def depth_map(
     row, column = np.indices(best.shape)
     sharp = image[best, row, column]
     dims = ("t", "s")
+    maps: dict[str, Any] = {
+        "depth": (dims, distance_of(lf, found), {"units": "mm"}),
+        "disparity": (dims, found, {"units": "lenses per view"}),
+        "confidence": (dims, confidence),
+        "image": (("t", "s", "c")[: sharp.ndim], sharp),
+    }
+    if "depth" in lf.coords:
+        maps["truth"] = (dims, lf.depth.sel(u=0.0, v=0.0, method="nearest").values, {"units": "mm"})
     return xr.Dataset(
-        {
-            "depth": (dims, distance_of(lf, found), {"units": "mm"}),
-            "disparity": (dims, found, {"units": "lenses per view"}),
-            "confidence": (dims, confidence),
-            "image": (("t", "s", "c")[: sharp.ndim], sharp),
-        },
+        maps,
         coords={dim: lf[dim] for dim in ("t", "s", "c") if dim in lf.coords},
         attrs={**lf.attrs, "near": near, "far": far, "planes": planes},
     )
+
+
+@dataclass(frozen=True)
+class DepthError:
+    """How far estimated depths are off, as fractions of the true distance.
+
+    Attributes
+    ----------
+    median, percentile_90 : float
+        Of the bins that are sure; NaN if there is none.
+    share : float
+        Fraction of the bins with a finite true depth that are sure.
+    """
+
+    median: float
+    percentile_90: float
+    share: float
+
+
+def depth_error(found: xr.Dataset, confidence: float = 0.5) -> DepthError:
+    """Compare the depths of `depth_map` with the truth, where the confidence is above a bound.
+
+    Raises
+    ------
+    InputError
+        If the truth is not known.
+    """
+    if "truth" not in found:
+        raise InputError("depth map: its light field had no ground truth: give it to decode()")
+    truth = found.truth.values
+    known = np.isfinite(truth)
+    sure = known & (found.confidence.values > confidence) & np.isfinite(found.depth.values)
+    error = np.abs(found.depth.values[sure] / truth[sure] - 1)
+    median, high = np.percentile(error, (50, 90)) if error.size else (np.nan, np.nan)
+    return DepthError(float(median), float(high), float(sure.sum() / max(1, known.sum())))
 
 
 def view_variance(lf: xr.DataArray, slope: float) -> np.ndarray:
