@@ -128,9 +128,9 @@ def render(
         raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
     # Before the rendering, which may take long.
     names = None if aov is None else require_quantities(name.strip() for name in aov.split(","))
-    beside = truth_path(output)
-    for path in filter(None, (output, white, beside if names else None)):
+    for path in filter(None, (output, white)):
         require_capture_output(path)
+    beside = require_writable(truth_path(output))
     if resume:
         remove_leftovers(output)
     checkpoint = require_writable(checkpoint or output.with_name(output.name + SUFFIX))

@@ -22,6 +22,13 @@ SUFFIX = ".truth.exr"
 NAME = "ground_truth"
 """What names the file in the metadata of its capture."""
 
+COORDINATES = {
+    f"{name}.{letter}": name if len(letters) == 1 else f"{name}_{letter.lower()}"
+    for name, letters in QUANTITIES.items()
+    for letter in letters
+}
+"""What light fields call the channels."""
+
 _PIXELS, _VIEWS = "capture", "views"
 
 
@@ -137,11 +144,12 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
             for plane in parts[part].values():
                 if plane.shape != shape:
                     raise InputError(f"its part {part} has the shape {plane.shape}: it must be {shape}")
-        views = {name: plane.reshape(v, t, u, s).swapaxes(1, 2) for name, plane in parts[_VIEWS].items()}
         shapes, to_world = attributes.get("shapes"), _matrix(attributes.get("to_world"))
         if not isinstance(shapes, list) or not all(isinstance(shape, str) for shape in shapes):
             raise InputError(f"shapes = {shown(shapes)}: they must be names")
-        return GroundTruth(camera, _quantities(parts[_PIXELS]), _quantities(views), tuple(shapes), to_world)
+        pixels, views = (_quantities(parts[part], len(shapes)) for part in (_PIXELS, _VIEWS))
+        views = {name: array.reshape(v, t, u, s, *array.shape[2:]).swapaxes(1, 2) for name, array in views.items()}
+        return GroundTruth(camera, pixels, views, tuple(shapes), to_world)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -156,11 +164,17 @@ def _matrix(value: Any) -> np.ndarray:
     return matrix
 
 
-def _quantities(planes: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Undo `channel_planes`."""
-    found = {}
-    for name, letters in QUANTITIES.items():
-        of_name = [planes[key] for letter in letters if (key := f"{name}.{letter}") in planes]
-        if of_name and len(of_name) == len(letters):
-            found[name] = np.stack(of_name, axis=-1) if len(letters) > 1 else of_name[0]
+def _quantities(planes: Mapping[str, np.ndarray], shapes: int) -> dict[str, np.ndarray]:
+    """Undo `channel_planes`, for a scene of so many shapes."""
+    names = [name for name in QUANTITIES if any(key.startswith(f"{name}.") for key in planes)]
+    keys = {name: [f"{name}.{letter}" for letter in QUANTITIES[name]] for name in names}
+    if not names or set().union(*keys.values()) != set(planes):
+        raise InputError(f"its channels are {shown(sorted(planes))}: they must be whole quantities")
+    found = {
+        name: np.stack([planes[key] for key in of_name], axis=-1) if len(of_name) > 1 else planes[of_name[0]]
+        for name, of_name in keys.items()
+    }
+    index = found.get("shape_index")
+    if index is not None and not np.isin(index, np.arange(shapes + 1)).all():
+        raise InputError(f"its shape_index is not always a whole number from 0 to {shapes}")
     return found

@@ -11,7 +11,7 @@ import xarray as xr
 from ..camera import PlenopticCamera
 from ..errors import InputError, shown
 from ..io.captures import Capture, as_array, require_pixels
-from ..io.ground_truth import GroundTruth, channel_planes
+from ..io.ground_truth import COORDINATES, GroundTruth, channel_planes
 from ..runtime.limits import require_memory
 from .geometry import DIMS, light_field
 from .grid import LensGrid, bin_grid, lens_grid
@@ -110,11 +110,11 @@ def _coordinates(
     truth: GroundTruth, camera: PlenopticCamera | None, shape: tuple[int, ...]
 ) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
     """Return ground truth as coordinates of the light field of its camera."""
-    planes = {name.replace(".", "_").lower(): plane for name, plane in channel_planes(truth.views).items()}
+    planes = {COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
     if truth.camera != camera or any(plane.shape != shape for plane in planes.values()):
         raise InputError("truth: it is of another camera than the light field")
-    names = {"depth_z": "depth", "shape_index_i": "shape_index"}
-    return {names.get(name, name): (DIMS, plane) for name, plane in planes.items()}
+    whole = {"shape_index": np.int32}
+    return {name: (DIMS, plane.astype(whole.get(name, plane.dtype))) for name, plane in planes.items()}
 
 
 def _require_memory(image: np.ndarray, bins: LensGrid, lenses: LensGrid, half: int) -> None:

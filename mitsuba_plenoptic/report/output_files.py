@@ -16,6 +16,7 @@ import xarray as xr
 from ..errors import InputError
 from ..io.exr import image_channels, write_exr_parts
 from ..io.files import require_writable
+from ..io.ground_truth import COORDINATES
 from ..lightfield.views import view_mosaic
 from ..reconstruction import Reconstruction, write_reconstruction
 from .brightness import Brightness
@@ -70,9 +71,9 @@ def write_reconstructions(
 def write_views(path: str | Path, lf: xr.DataArray, brightness: Brightness = _AUTOMATIC) -> None:
     """Write the views of a light field: a part each named by its place on the pupil, or a mosaic as PNG.
 
-    Ground truth that the light field has is in each part, too: channels ``depth``, ``normal_x`` and so on.
+    Ground truth that the light field has is in each part, too, in the channels of its own file.
     """
-    truth = {str(name): values.values for name, values in lf.coords.items() if values.ndim > 1 and name != "weight"}
+    truth = {channel: lf.coords[name].values for channel, name in COORDINATES.items() if name in lf.coords}
     parts = {
         f"v={float(lf.v[j]):.4g} u={float(lf.u[i]):.4g}": image_channels(np.asarray(lf.values[j, i]))
         | {name: values[j, i] for name, values in truth.items()}
