@@ -46,6 +46,8 @@ COLUMNS = {
     "told of these": "{told:.0%}",
     "median error": "{median:.2%}",
     "90th percentile": "{high:.2%}",
+    "median of the surer half of the textured": "{sure_median:.2%}",
+    "90th percentile of it": "{sure_high:.2%}",
     "told of bins without texture": "{guessed:.0%}",
     "confidence and rate of errors below 1 %, by tenths": "{tenths}",
     "worst tenth": "{worst:.2f}",
@@ -114,12 +116,15 @@ def measure(name: str, parameters: dict[str, str], near: float, far: float, spp:
                 (float(confidence[within].mean()), float((error[within] < NEAR_BY).mean()), int(within.sum()))
             )
     there = error[textured & told]
+    sure = error[textured & (confidence >= np.median(confidence[textured]))]
     return {
         "scene": name,
         "textured": float(textured.mean()),
         "told": float((textured & told).sum() / textured.sum()),
-        "median": float(np.median(there)),
-        "high": float(np.percentile(there, 90)),
+        "median": float(np.median(there)) if there.size else np.nan,
+        "high": float(np.percentile(there, 90)) if there.size else np.nan,
+        "sure_median": float(np.median(sure)),
+        "sure_high": float(np.percentile(sure, 90)),
         "guessed": float((inside & ~textured & told).sum() / max(1, (inside & ~textured).sum())),
         "tenths": ", ".join(f"{stated:.2f}: {rate:.2f}" for stated, rate, _ in tenths),
         "worst": max(abs(stated - rate) for stated, rate, _ in tenths),

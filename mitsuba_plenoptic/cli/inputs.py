@@ -97,11 +97,17 @@ def open_scene(scene: str, parameters: dict[str, str], variant: str | None, came
 
 
 def _variant_of_film(scene: str, parameters: dict[str, str]) -> str:
-    """Return the variant for a film that records colours, and say so, or the default for any other."""
+    """Return the variant for a film that records colours, and say so, or the default for any other.
+
+    Mitsuba's films record rgb unless told otherwise, and so does the one of a sensor that names none.
+    """
     path = Path(scene) if Path(scene).exists() else scene_path(scene)
     text = re.sub(r"<!--.*?-->", "", check_scene_file(path, parameters), flags=re.DOTALL)
-    tags = [tag for tag in re.findall(r"<string\b[^>]*>", text) if re.search(r"""name=["']pixel_format["']""", tag)]
-    formats = [found[1] for tag in tags if (found := re.search(r"""value=["']([^"']*)""", tag))]
+    formats = []
+    for film in re.findall(r"<film\b[^>]*/>|<film\b.*?</film>", text, re.DOTALL) or ["hdrfilm"]:
+        tags = [tag for tag in re.findall(r"<string\b[^>]*>", film) if re.search(r"""name=["']pixel_format["']""", tag)]
+        named = [found[1] for tag in tags if (found := re.search(r"""value=["']([^"']*)""", tag))]
+        formats += named or (["rgb"] if "hdrfilm" in film else [])
     defaults = dict(re.findall(r"""<default\s+name=["'](\w+)["']\s+value=["']([^"']*)""", text)[::-1]) | parameters
     for name in formats:
         colours = str(defaults.get(name.removeprefix("$"), name)).lower()

@@ -25,6 +25,10 @@ _SEEN = 0.25
 # coordinate says, which would pull depths towards the plane in focus.
 _OPEN = 0.9
 
+# Within micro-images, those that see at least half: where a lens images the scene, the rim of the pupil takes light
+# from a sample but does not move what it sees.
+_HALF_OPEN = 0.5
+
 # Lenses to each side that a lens is compared with, and samples, weighted as the window weighs them, that must be seen
 # by both.
 _NEIGHBOURS = 2
@@ -66,7 +70,8 @@ def _view_variance(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarr
     seen : array like it
         Samples of it over those of the bin that has most.
     """
-    weight = _open(lf)
+    weight = np.asarray(lf["weight"].values)
+    weight = np.where(weight >= _OPEN, weight, 0)
     v, u = view_steps(lf, "v"), view_steps(lf, "u")
     variance, fraction = np.zeros((2, 5, *lf.shape[2:4]), dtype=np.float32)
     for plane in channel_planes(lf):
@@ -90,12 +95,6 @@ def _view_variance(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarr
             variance[index] += np.maximum(square / seen - (total / seen) ** 2, 0)
             fraction[index] = count / max(float(count.max()), 1e-6)
     return variance / (lf.sizes["c"] if "c" in lf.dims else 1), fraction
-
-
-def _open(lf: xr.DataArray) -> np.ndarray:
-    """Return the weights of the samples that take part, 0 for the others."""
-    weight = np.asarray(lf["weight"].values)
-    return np.where(weight >= _OPEN, weight, 0)
 
 
 def _sides(step: float) -> tuple[float, float]:
@@ -124,7 +123,7 @@ def lens_disagreement(lf: xr.DataArray, slope: float) -> np.ndarray:
     (t, s) float32 array
         NaN where neighbours see nothing in common.
     """
-    opened = (_open(lf) > 0).astype(np.float32)
+    opened = (lf["weight"].values >= _HALF_OPEN).astype(np.float32)
     sums = np.zeros((2, *lf.shape[2:4]), dtype=np.float32)
     planes = channel_planes(lf)
     for axis, steps in product((0, 1), range(-_NEIGHBOURS, _NEIGHBOURS + 1)):

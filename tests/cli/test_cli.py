@@ -83,6 +83,10 @@ def test_the_variant_follows_the_film_unless_told(tmp_path, remarks):
     assert len(remarks(scene)) == 1
     assert remarks(scene, "-D", "colours=luminance") == []
     assert read_capture(tmp_path / "raw.exr").metadata["variant"] == "llvm_ad_mono"
+    # A film that does not say records rgb.
+    scene.write_text(scene.read_text().replace('<string name="pixel_format" value="$colours"/>', ""))
+    assert len(remarks(scene)) == 1
+    assert read_capture(tmp_path / "raw.exr").metadata["variant"] == "llvm_ad_rgb"
     remarks(scene, "--variant", "llvm_ad_spectral")
     assert read_capture(tmp_path / "raw.exr").metadata["variant"] == "llvm_ad_spectral"
 
