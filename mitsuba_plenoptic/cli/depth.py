@@ -85,8 +85,7 @@ def depth(
         )
     span = f", from {float(where.min()):.4g} to {float(where.max()):.4g} mm" if bool(sure.any()) else ""
     typer.echo(f"{output}: {fraction}{span}")
-    if "truth" in found:
-        error = depth_error(found)
+    if "truth" in found and (error := depth_error(found)).share:
         typer.echo(
             f"error there against ground truth: median {error.median:.2%} of the distance, 90th percentile "
             f"{error.percentile_90:.2%}"
