@@ -272,3 +272,26 @@ def test_variants(camera_dict):
         else:
             albedo = mp.ground_truth(scene, ["albedo"]).pixels["albedo"]
             assert set(np.round(albedo[np.isfinite(albedo)], 4)) == {np.float32(0.3), np.float32(0.5)}
+
+
+def test_what_an_instance_places_is_that_instance():
+    to_world = mi.ScalarTransform4f()
+    group = {"type": "shapegroup", "ball": {"type": "sphere", "radius": 0.1}}
+    placed = {
+        f"copy_{number}": {
+            "type": "instance",
+            "to_world": to_world.translate([x, 0, 240]),
+            "group": {"type": "ref", "id": "group"},
+        }
+        for number, x in enumerate((0.2, -0.2))
+    }
+    wall = {"type": "rectangle", "to_world": to_world.translate([0, 0, 300]).scale(5)}
+    scene = mp.load_scene({"type": "scene", "sensor": CAMERA.to_sensor(), "wall": wall, "group": group, **placed})
+    truth = mp.ground_truth(scene, ["shape_index", "depth"])
+    middle = truth.views["shape_index"].shape[0] // 2
+    index, depth = truth.views["shape_index"][middle, middle], truth.views["depth"][middle, middle]
+    # +x is to the left.
+    left, right = index[:, : index.shape[1] // 2], index[:, index.shape[1] // 2 :]
+    assert {truth.shapes[int(number) - 1] for number in np.unique(left)} == {"wall", "copy_0"}
+    assert {truth.shapes[int(number) - 1] for number in np.unique(right)} == {"wall", "copy_1"}
+    assert np.array_equal(depth < 250, index != 1 + truth.shapes.index("wall"))
