@@ -38,6 +38,7 @@ from .detector import Detector, expose
 from .errors import InputError
 from .io.captures import Capture, read_capture, write_capture
 from .io.checkpoints import Checkpoint
+from .io.ground_truth import GroundTruth, read_ground_truth, write_ground_truth
 from .optics.guards import PhysicsError, PhysicsWarning
 from .optics.spectrum import Spectrum
 from .plugins.other_camera import with_camera
@@ -46,7 +47,7 @@ from .runtime.jobs import Job
 
 if TYPE_CHECKING:
     from .calibration import calibrate
-    from .lightfield import decode
+    from .lightfield import decode, ground_truth
     from .reconstruction import Reconstruction, reconstruct
     from .runtime.progress import progress_bar
 
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
 _LATER = {
     "calibrate": "calibration",
     "decode": "lightfield",
+    "ground_truth": "lightfield",
     "Reconstruction": "reconstruction",
     "reconstruct": "reconstruction",
     "progress_bar": "runtime.progress",
@@ -67,6 +69,7 @@ __all__ = [
     "Checkpoint",
     "Cluster",
     "Detector",
+    "GroundTruth",
     "InputError",
     "Job",
     "PhysicsError",
@@ -78,15 +81,18 @@ __all__ = [
     "decode",
     "estimate_capture",
     "expose",
+    "ground_truth",
     "load_scene",
     "point_spread_function",
     "progress_bar",
     "read_capture",
+    "read_ground_truth",
     "reconstruct",
     "render_capture",
     "scene_path",
     "with_camera",
     "write_capture",
+    "write_ground_truth",
 ]
 
 

@@ -1,7 +1,7 @@
 """Time and memory, side by side with what they are measured against: the figures quoted in the README.
 
 Things compared are timed in turn in the same run, so that their ratios hold on a noisy machine; the table gives medians
-over the runs. Written as Markdown and JSON. Libraries compared with: `pip install mitsuba-plenoptic[peers]`.
+over the runs. Written as Markdown and JSON. Libraries compared with: `pip install -e '.[peers]'`.
 
     python tools/benchmark.py --output out/benchmark [--only steps --only sharing] [--runs 5]
 """

@@ -41,6 +41,7 @@ _PATHS, _FEW_PATHS = 2**20, 16
 def estimate_capture(
     scene: Any,
     *,
+    sensor: int | Any = 0,
     model: str | None = None,
     spp: int | None = None,
     seed: int = 0,
@@ -54,7 +55,7 @@ def estimate_capture(
 
     Parameters
     ----------
-    scene, model, spp, seed, batch_map, **wave
+    scene, sensor, model, spp, seed, batch_map, **wave
         As of `render_capture`.
 
     Returns
@@ -69,7 +70,7 @@ def estimate_capture(
     PhysicsError
         If too much of the light would be lost.
     """
-    sensor = plenoptic_sensor(scene)
+    sensor = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(sensor)
     integrator = chosen_integrator(scene, model, wave)
     spp = sample_count(sensor, spp)

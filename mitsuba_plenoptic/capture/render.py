@@ -38,6 +38,7 @@ _RAY_BYTES = 16
 def render_capture(
     scene: Any,
     *,
+    sensor: int | Any = 0,
     model: str | None = None,
     spp: int | None = None,
     seed: int = 0,
@@ -47,12 +48,14 @@ def render_capture(
     noise: bool = False,
     **wave: Any,
 ) -> Capture:
-    """Render what the scene's first sensor, a plenoptic camera, records.
+    """Render what a plenoptic camera of the scene records.
 
     Parameters
     ----------
     scene : mitsuba.Scene
         A scene with a sensor of type ``plenoptic``.
+    sensor : int or mitsuba.Sensor
+        Which of the scene's sensors, counted from 0, or one that is not in the scene.
     model : {"ray", "wave"}, optional
         How light is propagated through the camera: ``wave`` makes the scene's integrator the child of a
         ``plenoptic_wave``, ``ray`` takes it out of one. Default: as the scene's integrator has it.
@@ -82,33 +85,35 @@ def render_capture(
     Raises
     ------
     InputError
-        If the scene is not of the active variant, has no plenoptic sensor or no integrator, a parameter is out of
-        range, the capture would take more memory than is allowed, or a pixel comes out as NaN or infinity.
+        If the scene is not of the active variant, has no such sensor or no integrator, a parameter is out of range,
+        the capture would take more memory than is allowed, or a pixel comes out as NaN or infinity.
     PhysicsError
         If too much of the light is lost; the fractions that the guards found are in the metadata under ``guards``.
     """
-    sensor = plenoptic_sensor(scene)
-    camera = PlenopticCamera.from_sensor(sensor)
+    chosen = plenoptic_sensor(scene, sensor)
+    camera = PlenopticCamera.from_sensor(chosen)
     integrator = chosen_integrator(scene, model, wave)
-    spp = sample_count(sensor, spp)
+    spp = sample_count(chosen, spp)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
     if noise:
         require_samples(spp)
     wavelengths = getattr(integrator, "wavelengths", None)
     _require_film_memory(camera, spp)
-    metadata = _provenance(scene, integrator, seed=seed, spp=spp)
+    # Of two sensors with the same camera, the checkpoint of one is none of the other.
+    which = {} if sensor == 0 else {"sensor": sensor if isinstance(sensor, int) else chosen.id()}
+    metadata = _provenance(scene, integrator, seed=seed, spp=spp, **which)
     deviation = None
     with guards.watch() as fractions:
         if wavelengths is None:
             if batch_map:
                 raise InputError("batch_map: workers are of use for model 'wave' only")
-            guards.judge(guards.CROSSTALK, sensor.crosstalk_missed())
-            image, deviation = _render_passes(scene, sensor, integrator, camera, spp, seed, progress, noise)
+            guards.judge(guards.CROSSTALK, chosen.crosstalk_missed())
+            image, deviation = _render_passes(scene, chosen, integrator, camera, spp, seed, progress, noise)
         else:
             if checkpoint:
                 checkpoint.run = {**metadata, "camera": camera.to_dict(), **({"noise": True} if noise else {})}
             job = Job(progress, batch_map, checkpoint)
-            film = integrator.record(scene, sensor, seed=seed, spp=spp, job=job, noise=noise)
+            film = integrator.record(scene, chosen, seed=seed, spp=spp, job=job, noise=noise)
             image = np.array(film.develop())
             if noise:
                 image, deviation = _split(image, film.base_channels_count())
@@ -128,16 +133,28 @@ def render_capture(
     return Capture(image, camera, wavelengths if image.ndim == 3 else None, "wave", metadata, deviation)
 
 
-def plenoptic_sensor(scene: Any) -> Any:
-    """Return a scene's first sensor, or refuse a scene of another variant or without a sensor."""
+def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
+    """Return a scene's sensor by its number, or the one that is given; refuse a scene of another variant.
+
+    Raises
+    ------
+    InputError
+        If the scene is not of the active variant, or has no such sensor.
+    """
     if not isinstance(scene, mi.Scene):
         raise InputError(
             f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant {mi.variant()}, "
             "which is one for the whole process: load the scene after mi.set_variant"
         )
-    if not scene.sensors():
+    if isinstance(sensor, mi.Sensor):
+        return sensor
+    sensors = scene.sensors()
+    if not sensors:
         raise InputError("scene: it has no sensor; add one of type 'plenoptic'")
-    return scene.sensors()[0]
+    number = require_count("sensor", sensor, minimum=0)
+    if number >= len(sensors):
+        raise InputError(f"sensor = {number}: the scene's are numbered from 0 to {len(sensors) - 1}")
+    return sensors[number]
 
 
 def sample_count(sensor: Any, spp: int | None) -> int:

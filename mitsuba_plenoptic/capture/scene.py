@@ -10,7 +10,7 @@ from typing import Any
 
 import mitsuba as mi
 
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..io.files import require_file
 from ..runtime.backend import one_at_a_time
 from ..runtime.variant import set_variant
@@ -34,17 +34,20 @@ def scene_path(name: str) -> Path:
 
 
 @one_at_a_time
-def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Mapping[str, str] | None = None) -> Any:
-    """Load a scene file, or a built-in scene by its name.
+def load_scene(
+    scene: str | Path | Mapping[str, Any], *, variant: str | None = None, parameters: Mapping[str, str] | None = None
+) -> Any:
+    """Load a scene file, a built-in scene by its name, or a dictionary as ``mi.load_dict`` takes it.
 
     Parameters
     ----------
-    scene : str or path
-        An XML file or a built-in name such as ``letters``.
+    scene : str, path or dict
+        An XML file, a built-in name such as ``letters``, or a scene's dictionary, which is taken as it is: its
+        transforms and objects must be of the variant that is active or given.
     variant : str, optional
         Mitsuba variant to set. Default: the active one, or ``llvm_ad_mono`` if none is.
     parameters : mapping, optional
-        Values for the scene's ``$name`` parameters. Where a scene has the columns and rows of its detector as
+        Values for the ``$name`` parameters of a scene file. Where a scene has the columns and rows of its detector as
         ``$resolution`` and ``$rows``, rows that are not given follow the columns in proportion.
 
     Returns
@@ -57,6 +60,8 @@ def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Map
         If there is no such scene or variant, it does what `scene_file` forbids, or Mitsuba
         refuses the scene: one line with the place in the file.
     """
+    if isinstance(scene, Mapping):
+        return _load_dictionary(scene, variant, parameters)
     path = _find(scene)
     set_variant(variant)
     parameters = {str(name): str(value) for name, value in (parameters or {}).items()}
@@ -78,6 +83,23 @@ def load_scene(scene: str | Path, *, variant: str | None = None, parameters: Map
         raise InputError(f"{path}{f', {place.group(1)}' if place else ''}: {mitsuba_sentence(error)}") from None
     # The name that captures carry in their metadata.
     loaded.set_id(path.name)
+    return loaded
+
+
+def _load_dictionary(scene: Mapping[str, Any], variant: str | None, parameters: Mapping[str, str] | None) -> Any:
+    if parameters:
+        raise InputError(f"parameters = {shown(dict(parameters))}: a dictionary has none; put the values into it")
+    if scene.get("type") != "scene":
+        raise InputError(f"scene: its 'type' is {shown(scene.get('type'))}: it must be 'scene'")
+    set_variant(variant)
+    try:
+        # Not optimized, for the same reason as a file's.
+        loaded = mi.load_dict(dict(scene), optimize=False)
+    except InputError:
+        raise
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise InputError(f"scene: {mitsuba_sentence(error)}") from None
+    loaded.set_id("dictionary")
     return loaded
 
 

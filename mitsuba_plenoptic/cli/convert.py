@@ -9,7 +9,7 @@ import typer
 
 from ..lightfield.exchange import open_light_field, require_light_field_path, save_light_field
 from .inputs import named_camera
-from .options import CameraFile, LightFieldSource, Linear, ViewCount, White, output_option
+from .options import CameraFile, LightFieldSource, Linear, Truth, ViewCount, White, output_option
 
 
 def convert(
@@ -26,6 +26,7 @@ def convert(
     view_count: ViewCount = None,
     linear: Linear = False,
     camera: CameraFile = None,
+    truth: Truth = None,
 ) -> None:
     """Decode a capture into a light field, or translate between formats of light fields.
 
@@ -43,6 +44,8 @@ def convert(
       mitsuba-plenoptic convert lytro.eslf.png --view-count 14 -o lf.mat
     """
     require_light_field_path(output)
-    lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera))
+    lf = open_light_field(
+        source, white=white, views=view_count, linear=linear, camera=named_camera(camera), truth=truth or True
+    )
     save_light_field(output, lf)
     typer.echo(f"{output}: {lf.sizes['u']} x {lf.sizes['v']} views of {lf.sizes['s']} x {lf.sizes['t']} pixels")

@@ -8,12 +8,24 @@ from typing import Annotated
 
 import typer
 
-from ..lightfield import depth_map
+from ..lightfield import depth_error, depth_map
 from ..lightfield.exchange import open_light_field
+from ..report.brightness import Brightness
 from ..report.output_files import require_picture_path, write_depth
 from ..runtime.progress import progress_bar
 from .inputs import named_camera
-from .options import CameraFile, LightFieldSource, Linear, ViewCount, White, number, output_option
+from .options import (
+    CameraFile,
+    Exposure,
+    LightFieldSource,
+    Linear,
+    Percentile,
+    Truth,
+    ViewCount,
+    White,
+    number,
+    output_option,
+)
 
 _LITTLE = 0.1
 """Fraction of the bins with a confidence above half, below which a user is warned."""
@@ -40,22 +52,28 @@ def depth(
     view_count: ViewCount = None,
     linear: Linear = False,
     camera: CameraFile = None,
+    truth: Truth = None,
+    exposure: Exposure = None,
+    percentile: Percentile = None,
 ) -> None:
     """Estimate depth, and an image in focus everywhere, from how well the views agree.
 
     Depth is measured from the main lens along the axis. The confidence tells
     where to believe it: above half, no other depth explains the views nearly
-    as well.
+    as well. Where ground truth is known, the depth's error is told.
 
     [bold]Example:[/bold]
 
       mitsuba-plenoptic depth raw.exr -o depth.exr --near 195 --far 310
     """
     require_picture_path(output)
-    lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera))
+    brightness = Brightness(exposure, percentile)
+    lf = open_light_field(
+        source, white=white, views=view_count, linear=linear, camera=named_camera(camera), truth=truth or True
+    )
     with progress_bar("Comparing views") as progress:
         found = depth_map(lf, near, far, planes=planes, progress=progress)
-    write_depth(output, found)
+    write_depth(output, found, brightness)
     sure = found.confidence > 0.5
     where = found.depth.where(sure)
     fraction = f"{100 * float(sure.mean()):.0f} % of the bins with a confidence above half"
@@ -67,3 +85,8 @@ def depth(
         )
     span = f", from {float(where.min()):.4g} to {float(where.max()):.4g} mm" if bool(sure.any()) else ""
     typer.echo(f"{output}: {fraction}{span}")
+    if "truth" in found and (error := depth_error(found)).share:
+        typer.echo(
+            f"error there against ground truth: median {error.median:.2%} of the distance, 90th percentile "
+            f"{error.percentile_90:.2%}"
+        )

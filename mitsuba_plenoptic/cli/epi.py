@@ -10,9 +10,10 @@ import typer
 from ..lightfield import epipolar_image
 from ..lightfield.exchange import open_light_field
 from ..lightfield.views import AXES
+from ..report.brightness import Brightness
 from ..report.output_files import require_picture_path, write_epipolar_image
 from .inputs import named_camera
-from .options import CameraFile, LightFieldSource, Linear, ViewCount, White, number, output_option
+from .options import CameraFile, Exposure, LightFieldSource, Linear, Percentile, ViewCount, White, number, output_option
 
 
 def epi(
@@ -33,6 +34,8 @@ def epi(
     view_count: ViewCount = None,
     linear: Linear = False,
     camera: CameraFile = None,
+    exposure: Exposure = None,
+    percentile: Percentile = None,
 ) -> None:
     """Show one line of the scene from every view along the same direction.
 
@@ -43,12 +46,13 @@ def epi(
       mitsuba-plenoptic epi raw.exr -o epi.png --at 2.5
     """
     require_picture_path(output)
+    brightness = Brightness(exposure, percentile)
     image = epipolar_image(
         open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera)),
         axis,
         at=at,
         through=through,
     )
-    write_epipolar_image(output, image)
+    write_epipolar_image(output, image, brightness)
     rows, columns = image.shape[:2]
     typer.echo(f"{output}: {rows} views of {columns} pixels")

@@ -25,6 +25,9 @@ from ..runtime.variant import DEFAULT_VARIANT
 if TYPE_CHECKING:
     from ..calibration import LensIndex
 
+_COLOURS = "llvm_ad_rgb"
+"""Variant for films that record colours."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -76,11 +79,14 @@ def open_scene(scene: str, parameters: dict[str, str], variant: str | None, came
         What `load_camera` takes, to be put in the place of the scene's own.
     """
     other = named_camera(camera)
-    loaded = load_scene(scene, variant=variant or _variant_of_film(scene, parameters), parameters=parameters)
+    colours = None if variant else _colours_of_film(scene, parameters)
+    loaded = load_scene(scene, variant=variant or (_COLOURS if colours else DEFAULT_VARIANT), parameters=parameters)
     if other is not None:
         loaded = with_camera(loaded, other)
     sensor = plenoptic_sensor(loaded)
     seen = PlenopticCamera.from_sensor(sensor)
+    if colours:
+        _log.info("variant %s, as the film records %s; --variant chooses another", _COLOURS, colours)
     for text in design_warnings(seen):
         warnings.warn(text, stacklevel=2)
     box = loaded.bbox()
@@ -96,19 +102,24 @@ def open_scene(scene: str, parameters: dict[str, str], variant: str | None, came
     return loaded
 
 
-def _variant_of_film(scene: str, parameters: dict[str, str]) -> str:
-    """Return the variant for a film that records colours, and say so, or the default for any other."""
+def _colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
+    """Return the colours that a scene's film records, None if it records none.
+
+    Mitsuba's films record rgb unless told otherwise, and so does the one of a sensor that names none.
+    """
     path = Path(scene) if Path(scene).exists() else scene_path(scene)
     text = re.sub(r"<!--.*?-->", "", check_scene_file(path, parameters), flags=re.DOTALL)
-    tags = [tag for tag in re.findall(r"<string\b[^>]*>", text) if re.search(r"""name=["']pixel_format["']""", tag)]
-    formats = [found[1] for tag in tags if (found := re.search(r"""value=["']([^"']*)""", tag))]
+    formats = []
+    for film in re.findall(r"<film\b[^>]*/>|<film\b.*?</film>", text, re.DOTALL) or ["hdrfilm"]:
+        tags = [tag for tag in re.findall(r"<string\b[^>]*>", film) if re.search(r"""name=["']pixel_format["']""", tag)]
+        named = [found[1] for tag in tags if (found := re.search(r"""value=["']([^"']*)""", tag))]
+        formats += named or (["rgb"] if "hdrfilm" in film else [])
     defaults = dict(re.findall(r"""<default\s+name=["'](\w+)["']\s+value=["']([^"']*)""", text)[::-1]) | parameters
     for name in formats:
         colours = str(defaults.get(name.removeprefix("$"), name)).lower()
         if colours in ("rgb", "rgba"):
-            _log.info("variant llvm_ad_rgb, as the film records %s; --variant chooses another", colours)
-            return "llvm_ad_rgb"
-    return DEFAULT_VARIANT
+            return colours
+    return None
 
 
 def parse_definitions(definitions: list[str] | None) -> dict[str, str]:

@@ -130,6 +130,31 @@ White = Annotated[
     ),
 ]
 
+Truth = Annotated[
+    Path | None,
+    typer.Option(
+        "--truth",
+        metavar="FILE.truth.exr",
+        show_default="the one beside the capture, if 'render --aov' wrote it",
+        help="Ground truth of the capture.",
+    ),
+]
+
+Exposure = Annotated[
+    float | None,
+    number("Of a .png: the value 2^-STOPS becomes white, so that pictures of several runs compare.", unit="STOPS"),
+]
+
+Percentile = Annotated[
+    float | None,
+    number(
+        "Of a .png: a value that so many percent do not surpass becomes white, so that a lamp does not make the rest "
+        "black; 100: the brightest.",
+        "99.5",
+        unit="PERCENT",
+    ),
+]
+
 ViewCount = Annotated[
     int | None, number("For a mosaic: how many views it has along each axis, 14 in Lytro's ESLF files.")
 ]

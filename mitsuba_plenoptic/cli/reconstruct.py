@@ -14,11 +14,12 @@ from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..io.captures import Capture, read_capture
 from ..lightfield.exchange import read_picture
+from ..report.brightness import Brightness
 from ..report.output_files import reconstruction_paths, write_reconstructions
 from ..runtime.progress import progress_bar
 from ..runtime.variant import set_variant
 from .inputs import named_camera
-from .options import CameraFile, CaptureFile, Distances, Linear, Variant, number, output_option
+from .options import CameraFile, CaptureFile, Distances, Exposure, Linear, Percentile, Variant, number, output_option
 
 
 def reconstruct(
@@ -74,6 +75,8 @@ def reconstruct(
             help="A capture or picture of a white scene by the same camera; the result is divided by it.",
         ),
     ] = None,
+    exposure: Exposure = None,
+    percentile: Percentile = None,
     variant: Variant = None,
 ) -> None:
     """Refocus a capture to one or several distances.
@@ -97,6 +100,7 @@ def reconstruct(
       mitsuba-plenoptic reconstruct raw.tiff -o out.png --distance 600 --camera camera.json --linear
     """
     paths = reconstruction_paths(output, distance)
+    brightness = Brightness(exposure, percentile)
     known = named_camera(camera)
     recorded = _recorded(capture, known, linear)
     reference = None if white is None else _recorded(white, known, linear)
@@ -114,7 +118,7 @@ def reconstruct(
             white=reference,
             progress=progress,
         )
-    write_reconstructions(paths, results, recorded.metadata)
+    write_reconstructions(paths, results, recorded.metadata, brightness)
     for path, result in zip(paths, results, strict=True):
         rows, columns = result.image.shape[:2]
         where = "rad at infinity" if math.isinf(result.distance) else f"mm at {result.distance:g} mm"

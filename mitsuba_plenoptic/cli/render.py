@@ -13,6 +13,7 @@ from ..capture.render import render_capture
 from ..io.captures import Capture, write_capture
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import remove_leftovers, require_writable
+from ..io.ground_truth import NAME, QUANTITIES, require_quantities, truth_path, write_ground_truth
 from ..runtime.progress import progress_bar
 from .inputs import batches_on, open_scene, parse_definitions, require_capture_output
 from .options import (
@@ -70,6 +71,14 @@ def render(
         Path | None,
         typer.Option(metavar="FILE.exr", help="Write the camera's white image, too, computed from its parameters."),
     ] = None,
+    aov: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,NAME,...",
+            help="Write ground truth, too, beside the capture as FILE.truth.exr, of each pixel and of each decoded "
+            f"view: {', '.join(QUANTITIES)}.",
+        ),
+    ] = None,
     define: Definitions = None,
     variant: Annotated[
         str | None,
@@ -102,6 +111,8 @@ def render(
       mitsuba-plenoptic render my_scene.xml -o raw.exr --camera lytro --white white.exr
 
       mitsuba-plenoptic render letters -o raw.exr --camera camera.json
+
+      mitsuba-plenoptic render still_life -o raw.exr --aov depth,normal,shape_index
     """
     parameters = parse_definitions(define)
     options = {"wavelength": wavelength, "radiators_per_lens": radiators_per_lens}
@@ -116,8 +127,10 @@ def render(
     if output is None:
         raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
     # Before the rendering, which may take long.
+    names = None if aov is None else require_quantities(name.strip() for name in aov.split(","))
     for path in filter(None, (output, white)):
         require_capture_output(path)
+    beside = require_writable(truth_path(output))
     if resume:
         remove_leftovers(output)
     checkpoint = require_writable(checkpoint or output.with_name(output.name + SUFFIX))
@@ -137,6 +150,13 @@ def render(
                 **wave,
             )
         seconds = time.perf_counter() - start
+        if names:
+            # Brings libraries that take a second to load.
+            from ..lightfield import ground_truth
+
+            write_ground_truth(beside, ground_truth(loaded, names))
+            capture.metadata[NAME] = beside.name
+            typer.echo(f"{beside}: ground truth, {', '.join(names)}")
         write_capture(output, capture)
     if white:
         # Brings libraries that take a second to load.

@@ -10,10 +10,21 @@ import typer
 from ..lightfield import focal_stack
 from ..lightfield.exchange import open_light_field
 from ..lightfield.refocus import METHODS
+from ..report.brightness import Brightness
 from ..report.output_files import require_picture_path, write_stack
 from ..runtime.progress import progress_bar
 from .inputs import named_camera
-from .options import CameraFile, Distances, LightFieldSource, Linear, ViewCount, White, output_option
+from .options import (
+    CameraFile,
+    Distances,
+    Exposure,
+    LightFieldSource,
+    Linear,
+    Percentile,
+    ViewCount,
+    White,
+    output_option,
+)
 
 
 def stack(
@@ -34,6 +45,8 @@ def stack(
     view_count: ViewCount = None,
     linear: Linear = False,
     camera: CameraFile = None,
+    exposure: Exposure = None,
+    percentile: Percentile = None,
 ) -> None:
     """Make a focal stack: one image for each distance, in focus there and blurred elsewhere.
 
@@ -46,9 +59,10 @@ def stack(
       mitsuba-plenoptic stack raw.exr -o stack.exr --distance 210 --distance 240 --distance 280
     """
     require_picture_path(output)
+    brightness = Brightness(exposure, percentile)
     lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera))
     with progress_bar("Refocusing") as progress:
         images = focal_stack(lf, distance, method=method, progress=progress)
-    write_stack(output, images)
+    write_stack(output, images, brightness)
     rows, columns = images.shape[1:3]
     typer.echo(f"{output}: {len(images)} images of {columns} x {rows} bins")

@@ -9,9 +9,21 @@ import typer
 
 from ..lightfield import pick_views
 from ..lightfield.exchange import open_light_field
+from ..report.brightness import Brightness
 from ..report.output_files import require_picture_path, write_views
 from .inputs import named_camera
-from .options import CameraFile, LightFieldSource, Linear, ViewCount, White, number, output_option
+from .options import (
+    CameraFile,
+    Exposure,
+    LightFieldSource,
+    Linear,
+    Percentile,
+    Truth,
+    ViewCount,
+    White,
+    number,
+    output_option,
+)
 
 
 def views(
@@ -27,6 +39,9 @@ def views(
     view_count: ViewCount = None,
     linear: Linear = False,
     camera: CameraFile = None,
+    truth: Truth = None,
+    exposure: Exposure = None,
+    percentile: Percentile = None,
 ) -> None:
     """Show the scene from many places on the main lens.
 
@@ -41,8 +56,11 @@ def views(
       mitsuba-plenoptic views raw.exr -o centre.png --count 1
     """
     require_picture_path(output)
-    lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera))
+    brightness = Brightness(exposure, percentile)
+    lf = open_light_field(
+        source, white=white, views=view_count, linear=linear, camera=named_camera(camera), truth=truth or True
+    )
     if count is not None:
         lf = pick_views(lf, count)
-    write_views(output, lf)
+    write_views(output, lf, brightness)
     typer.echo(f"{output}: {lf.sizes['u']} x {lf.sizes['v']} views of {lf.sizes['s']} x {lf.sizes['t']} pixels")

@@ -67,22 +67,24 @@ def write_exr(
     InputError
         If the file cannot be written.
     """
-    channels = _channels(image)
+    channels = image_channels(image)
     if noise is not None:
-        channels |= {_NOISE + name: values for name, values in _channels(noise).items()}
+        channels |= {_NOISE + name: values for name, values in image_channels(noise).items()}
     _write(path, {"": channels}, attributes, offset, full_size or image.shape[1::-1])
 
 
-def write_exr_parts(path: str | Path, parts: Mapping[str, np.ndarray], attributes: dict[str, Any]) -> None:
-    """Write several images as the parts of one OpenEXR file, each as by `write_exr`; the first has the attributes."""
+def write_exr_parts(
+    path: str | Path, parts: Mapping[str, Mapping[str, np.ndarray]], attributes: dict[str, Any]
+) -> None:
+    """Write the parts of one OpenEXR file, each of channels (rows, columns) by name; the first has the attributes."""
     # All parts of a file must share one display window.
-    columns, rows = (max(image.shape[axis] for image in parts.values()) for axis in (1, 0))
-    _write(path, {name: _channels(image) for name, image in parts.items()}, attributes, (0, 0), (columns, rows))
+    shapes = [plane.shape for channels in parts.values() for plane in channels.values()]
+    _write(path, parts, attributes, (0, 0), (max(shape[1] for shape in shapes), max(shape[0] for shape in shapes)))
 
 
 def _write(
     path: str | Path,
-    parts: Mapping[str, dict[str, np.ndarray]],
+    parts: Mapping[str, Mapping[str, np.ndarray]],
     attributes: dict[str, Any],
     offset: tuple[int, int],
     full_size: tuple[int, ...],
@@ -98,7 +100,8 @@ def _write(
         }
         if not written:
             header[ATTRIBUTE] = json.dumps(attributes, sort_keys=True)
-        written.append(OpenEXR.Part(header, channels, name))
+        planes = {key: np.ascontiguousarray(plane, dtype=np.float32) for key, plane in channels.items()}
+        written.append(OpenEXR.Part(header, planes, name))
     try:
         with atomic_output(path) as temporary:
             OpenEXR.File(written).write(str(temporary))
@@ -110,11 +113,11 @@ def _window(x: int, y: int, columns: int, rows: int) -> tuple[np.ndarray, np.nda
     return np.array([x, y], dtype=np.int32), np.array([x + columns - 1, y + rows - 1], dtype=np.int32)
 
 
-def _channels(image: np.ndarray) -> dict[str, np.ndarray]:
-    image = np.asarray(image, dtype=np.float32)
+def image_channels(image: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the channels of an image: Y of (rows, columns), or R, G and B of (rows, columns, 3)."""
     if image.ndim == 2:
-        return {"Y": np.ascontiguousarray(image)}
-    return {name: np.ascontiguousarray(image[..., i]) for i, name in enumerate("RGB")}
+        return {"Y": image}
+    return {name: image[..., i] for i, name in enumerate("RGB")}
 
 
 def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str, Any]]:
@@ -130,15 +133,12 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
     parts = read_parts(path)
     try:
         part, names = parts[0], _image_channels(parts[0])
-        text = part.header.get(ATTRIBUTE)
-        if text is None:
+        if ATTRIBUTE not in part.header:
             raise InputError(
                 f"{path}: it has no attribute '{ATTRIBUTE}' in its header, so its camera is unknown; "
                 "read the pixels yourself and give reconstruct(..., camera=...)"
             )
-        attributes = json.loads(text)
-        if not isinstance(attributes, dict):
-            raise ValueError(f"attribute '{ATTRIBUTE}' is not a JSON object")
+        attributes = _attributes(part)
         layers = [names]
         if any(name.startswith(_NOISE) for name in part.channels):
             layers.append(tuple(_NOISE + name for name in names))
@@ -161,6 +161,45 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
     except Exception as error:
         raise _damaged(path, error) from None
     return images[0], images[1] if len(images) == 2 else None, attributes
+
+
+def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, Any]]:
+    """Read what `write_exr_parts` wrote: the float32 channels of each part, and the attributes.
+
+    Raises
+    ------
+    InputError
+        As by `read_exr`.
+    """
+    path = require_file(path)
+    parts = read_parts(path)
+    try:
+        attributes = _attributes(parts[0])
+        for part in parts:
+            _require_lossless(part)
+        samples = sum(one.columns * one.rows * len(one.channels) for one in parts)
+        require_memory(8 * samples, f"{path}: {len(parts)} parts of {samples} values")
+        with native_output_dropped(), OpenEXR.File(str(path), separate_channels=True) as file:
+            if len(file.parts) < len(parts):
+                raise ValueError("its pixels are damaged or incomplete")
+            found = {}
+            for part, read in zip(parts, file.parts, strict=True):
+                shape = part.rows, part.columns
+                planes = {name: np.asarray(one.pixels, np.float32).copy() for name, one in read.channels.items()}
+                found[read.name()] = {name: plane.reshape(shape) for name, plane in planes.items()}
+    except InputError:
+        raise
+    except Exception as error:
+        raise _damaged(path, error) from None
+    return found, attributes
+
+
+def _attributes(part: Part) -> dict[str, Any]:
+    """Return what the attribute of this package holds."""
+    attributes = json.loads(part.header.get(ATTRIBUTE, "null"))
+    if not isinstance(attributes, dict):
+        raise ValueError(f"attribute '{ATTRIBUTE}' is not a JSON object")
+    return attributes
 
 
 def read_parts(path: Path) -> list[Part]:
@@ -190,9 +229,13 @@ def _damaged(path: Path, error: Exception) -> InputError:
     return InputError(f"{path}: it cannot be read as an OpenEXR image, or is damaged: {error}")
 
 
-def _image_channels(part: Part) -> tuple[str, ...]:
+def _require_lossless(part: Part) -> None:
     if part.header["type"] != OpenEXR.scanlineimage or part.header["compression"] not in _LOSSLESS:
         raise ValueError("its pixels are tiled or deep, or their compression is lossy or unknown")
+
+
+def _image_channels(part: Part) -> tuple[str, ...]:
+    _require_lossless(part)
     for names in (("Y",), ("R", "G", "B")):
         if set("YRGB").intersection(part.channels) == set(names):
             return names

@@ -4,20 +4,23 @@ A light field is an `xarray.DataArray`; `geometry` says what its axes mean.
 """
 
 from .decode import decode
-from .depth import depth_map
+from .depth import DepthError, depth_error, depth_map
 from .fourier import FourierRefocuser
 from .geometry import camera_of, depth_range, disparity, distance_of, grid_of
 from .grid import LensGrid, lens_grid
 from .grid_estimation import estimate_lens_grid
+from .ground_truth import ground_truth
 from .refocus import focal_stack, refocus, shift_and_add
 from .views import epipolar_image, lens_mosaic, pick_views, view, view_mosaic
 from .white import white_image
 
 __all__ = [
+    "DepthError",
     "FourierRefocuser",
     "LensGrid",
     "camera_of",
     "decode",
+    "depth_error",
     "depth_map",
     "depth_range",
     "disparity",
@@ -26,6 +29,7 @@ __all__ = [
     "estimate_lens_grid",
     "focal_stack",
     "grid_of",
+    "ground_truth",
     "lens_grid",
     "lens_mosaic",
     "pick_views",

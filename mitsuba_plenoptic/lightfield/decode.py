@@ -11,8 +11,9 @@ import xarray as xr
 from ..camera import PlenopticCamera
 from ..errors import InputError, shown
 from ..io.captures import Capture, as_array, require_pixels
+from ..io.ground_truth import COORDINATES, GroundTruth, channel_planes
 from ..runtime.limits import require_memory
-from .geometry import light_field
+from .geometry import DIMS, light_field
 from .grid import LensGrid, bin_grid, lens_grid
 from .white import white_image
 
@@ -26,6 +27,7 @@ def decode(
     camera: PlenopticCamera | None = None,
     white: Capture | np.ndarray | None = None,
     grid: LensGrid | None = None,
+    truth: GroundTruth | None = None,
 ) -> xr.DataArray:
     """Turn a capture into a light field with one sample a pixel across the pupil and one a lens across the field.
 
@@ -46,6 +48,10 @@ def decode(
         Where there is no camera it is needed, and its brightness in the middle of the micro-images counts as 1.
     grid : LensGrid, optional
         Micro-image centres, as `estimate_lens_grid` finds them. Default: those of the camera.
+    truth : GroundTruth, optional
+        What the samples see, as `ground_truth` finds it for the same camera; it goes into the light field as
+        coordinates over v, u, t and s: ``depth``, ``position_x``, ``normal_x``, ``albedo_r`` and so on, and
+        ``shape_index``.
 
     Returns
     -------
@@ -56,7 +62,7 @@ def decode(
     Raises
     ------
     InputError
-        If neither camera nor grid is known, or the images do not fit each other or the camera.
+        If neither camera nor grid is known, or the images or the ground truth do not fit each other or the camera.
     """
     if isinstance(capture, Capture):
         camera = camera or capture.camera
@@ -84,7 +90,7 @@ def decode(
         lenses, bins = grid or lens_grid(camera), bin_grid(camera)
     elif grid is not None:
         lenses, bins = grid, _upright(grid)
-    half, alone = _window(camera, lenses)
+    half, alone = view_window(camera, lenses)
     _require_memory(image, bins, lenses, half)
     resampling = None if lenses == bins else _between_lenses(lenses, bins)
 
@@ -95,7 +101,20 @@ def decode(
     fraction[(fraction < MINIMUM_WEIGHT) | ~alone[:, :, None, None]] = 0
     np.divide(light, fraction[..., None], out=light, where=fraction[..., None] > 0)
     light[fraction == 0] = 0
-    return light_field(light if light.shape[-1] == 3 else light[..., 0], np.minimum(fraction, 1), camera, bins, lenses)
+    values = light if light.shape[-1] == 3 else light[..., 0]
+    lf = light_field(values, np.minimum(fraction, 1), camera, bins, lenses)
+    return lf if truth is None else lf.assign_coords(_coordinates(truth, camera, lf.shape[:4]))
+
+
+def _coordinates(
+    truth: GroundTruth, camera: PlenopticCamera | None, shape: tuple[int, ...]
+) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+    """Return ground truth as coordinates of the light field of its camera."""
+    planes = {COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
+    if truth.camera != camera or any(plane.shape != shape for plane in planes.values()):
+        raise InputError("truth: it is of another camera than the light field")
+    whole = {"shape_index": np.int32}
+    return {name: (DIMS, plane.astype(whole.get(name, plane.dtype))) for name, plane in planes.items()}
 
 
 def _require_memory(image: np.ndarray, bins: LensGrid, lenses: LensGrid, half: int) -> None:
@@ -125,7 +144,7 @@ def _brightness(middle: np.ndarray) -> np.float32:
     return np.float32(np.median(lit))
 
 
-def _window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.ndarray]:
+def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.ndarray]:
     """How many views there are on either side of the central one, and which of them are of this lens alone.
 
     Returns

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 import scipy
 import xarray as xr
 
+from ..design import focus_types
 from ..errors import InputError, require_count, require_number
 from ..runtime.jobs import Progress, counted
 from ..runtime.limits import require_memory
-from .geometry import channel_planes, depth_range, disparity, distance_of, require_light_field, view_steps
-from .refocus import shift_and_add, shifted
+from .agreement import lens_disagreement, view_disagreement
+from .geometry import camera_of, depth_range, disparity, distance_of, require_light_field
+from .plane_choice import LENSES, VIEWS, choose
+from .refocus import shift_and_add
 
-# Neighbouring bins that share their evidence: standard deviation of the Gaussian window.
-_WINDOW = 1.0
+RIGHT = 0.01
+"""Relative error of a depth that counts as right."""
 
-# The variance over half of the pupil counts so many times: with half a baseline wrong depths stand out less.
-_HALF = 2.0
-
-# Samples that see at least this much of the pupil take part. The others see it nearer to its middle than their
-# coordinate says, which would pull depths towards the plane in focus.
-_OPEN = 0.9
+# Bins around one that tell how bright it is: standard deviation of the Gaussian window.
+_AROUND = 2.0
 
 
 def depth_map(
@@ -31,16 +33,16 @@ def depth_map(
     planes: int = 64,
     progress: Progress | None = None,
 ) -> xr.Dataset:
-    r"""Estimate the depth that every bin of the central view sees.
+    r"""Estimate the depth that every bin of the central view sees, and how probably it is right.
 
-    For planes evenly spaced in disparity the views are moved so that points of the plane coincide, and the variance
-    over the views is taken, averaged over neighbouring bins. Where it is less than half of that, twice the variance
-    over the upper, lower, left or right half of the pupil counts instead: next to an occluder's edge, one half of the
-    pupil sees past it. The depth is that of the least variance, refined by a parabola through its neighbours.
+    For planes evenly spaced in disparity it is measured how well the views agree: those of an unfocused camera by
+    `agreement.view_disagreement`, micro-images of a focused one by `agreement.lens_disagreement`. `plane_choice` makes
+    probabilities of it, with what neighbouring bins tell, and takes the most probable plane, refined by a parabola.
 
-    The confidence is :math:`1 - V_{min} / V_2`, with V_2 the least variance among planes where the outermost views
-    move by a lens or more against the best plane: near 1 where one depth alone makes the views agree, near 0 where
-    another does as well (no texture) or none does (gloss).
+    The confidence is the probability that a depth is within 1 % of the true one, as far as that is on the planes. Where
+    it is less than 1/2, which is the case where there is no texture or where nothing makes the views agree (gloss), the
+    depth is unknown, NaN. A focused camera tells no depth near the plane that is in focus on its microlens array, where
+    neighbouring lenses see nothing in common.
 
     Parameters
     ----------
@@ -56,13 +58,16 @@ def depth_map(
     Returns
     -------
     xarray.Dataset
-        Over t, s: ``depth`` (distance from the main lens along the axis, mm), ``disparity`` (lenses per view),
-        ``confidence`` (0 to 1), and ``image``, the image in focus everywhere.
+        Over t, s: ``depth`` (distance from the main lens along the axis, mm; NaN where it is unknown), ``disparity``
+        (lenses per view, the best guess everywhere), ``confidence`` (0 to 1), and ``image``, the image in focus
+        everywhere; and, where the light field has ground truth, ``truth``, the depth that the central view sees (mm),
+        which `depth_error` compares with.
 
     Raises
     ------
     InputError
-        If the light field has no camera, near is not before far, or an argument is out of range.
+        If the light field has no camera, near is not before far, an argument is out of range, or a focused camera
+        tells no depth between near and far.
     """
     lf = require_light_field(lf)
     nearest, farthest = depth_range(lf)
@@ -80,81 +85,76 @@ def depth_map(
         lambda limit: f"planes = {int((limit - copies) // plane)}" if limit > copies + 3 * plane else None,
     )
     slopes = np.linspace(disparity(lf, near), disparity(lf, far), planes)
-    cost = np.empty((planes, *lf.shape[2:4]), dtype=np.float32)
+    focused = "unfocused" not in focus_types(camera_of(lf))
+    disagreement, evidence = (lens_disagreement, LENSES) if focused else (view_disagreement, VIEWS)
+    variance = np.empty((planes, *lf.shape[2:4]), dtype=np.float32)
     image = np.empty((planes, *lf.shape[2:]), dtype=np.float32)
     for index, slope in enumerate(counted(slopes, progress)):
-        parts = scipy.ndimage.gaussian_filter(view_variance(lf, slope), (0, _WINDOW, _WINDOW), mode="nearest")
-        cost[index] = np.minimum(parts[0], _HALF * parts[1:].min(axis=0))
+        variance[index] = disagreement(lf, slope)
         image[index] = shift_and_add(lf, slope).values
+    # What cannot be compared agrees as badly as any.
+    worst = np.fmax.reduce(variance, axis=0)
+    if np.isnan(worst).all():
+        raise InputError(
+            f"near = {near:g}, far = {far:g}: views have nothing in common there; of a focused camera, neighbouring "
+            "lenses see no common part of what is near the plane in focus on the microlens array"
+        )
+    variance = np.where(np.isnan(variance), np.nan_to_num(worst), variance)
 
-    best = cost.argmin(axis=0)
-    place = best + _vertex(cost, best)
-    found = np.interp(place, np.arange(planes), slopes)
-    reach = max(np.abs(view_steps(lf, axis)).max() for axis in "vu")
-    apart = np.abs(slopes[:, None, None] - found) * reach >= 1
-    least, second = cost.min(axis=0), np.where(apart, cost, np.inf).min(axis=0)
-    confidence = 1 - np.divide(least, second, out=np.ones_like(least), where=(second > 0) & np.isfinite(second))
-    row, column = np.indices(best.shape)
-    sharp = image[best, row, column]
+    central = lf.sel(u=0.0, v=0.0, method="nearest").values.reshape(*lf.shape[2:4], -1).mean(axis=2)
+    inverse = 1 / distance_of(lf, slopes)
+    brightness = scipy.ndimage.gaussian_filter(central, _AROUND)
+    choice = choose(variance, brightness, inverse, evidence, RIGHT)
+    found = np.interp(choice.place, np.arange(planes), slopes)
+    depth = np.where(choice.probability < 0.5, np.nan, distance_of(lf, found))
+    row, column = np.indices(found.shape)
+    sharp = image[np.rint(choice.place).astype(np.int64), row, column]
     dims = ("t", "s")
+    maps: dict[str, Any] = {
+        "depth": (dims, depth, {"units": "mm"}),
+        "disparity": (dims, found, {"units": "lenses per view"}),
+        "confidence": (dims, choice.probability),
+        "image": (("t", "s", "c")[: sharp.ndim], sharp),
+    }
+    if "depth" in lf.coords:
+        maps["truth"] = (dims, lf.depth.sel(u=0.0, v=0.0, method="nearest").values, {"units": "mm"})
     return xr.Dataset(
-        {
-            "depth": (dims, distance_of(lf, found), {"units": "mm"}),
-            "disparity": (dims, found, {"units": "lenses per view"}),
-            "confidence": (dims, confidence),
-            "image": (("t", "s", "c")[: sharp.ndim], sharp),
-        },
+        maps,
         coords={dim: lf[dim] for dim in ("t", "s", "c") if dim in lf.coords},
         attrs={**lf.attrs, "near": near, "far": far, "planes": planes},
     )
 
 
-def view_variance(lf: xr.DataArray, slope: float) -> np.ndarray:
-    """Variance over the views, moved so that points of one disparity, in lenses per view, coincide.
+@dataclass(frozen=True)
+class DepthError:
+    """How far estimated depths are off, as fractions of the true distance.
 
-    Returns
-    -------
-    (5, t, s) float32 array
-        Of the whole pupil and of its upper, lower, left and right half; samples at the pupil's edge left out, mean
-        over the channels.
+    Attributes
+    ----------
+    median, percentile_90 : float
+        Of the bins that are sure; NaN if there is none.
+    share : float
+        Fraction of the bins with a finite true depth that are sure.
     """
-    weight = np.asarray(lf["weight"].values)
-    weight = np.where(weight >= _OPEN, weight, 0)
-    v, u = view_steps(lf, "v"), view_steps(lf, "u")
-    variance = np.zeros((5, *lf.shape[2:4]), dtype=np.float32)
-    for plane in channel_planes(lf):
-        # Sums of weight, weight x value and weight x value^2 over each quadrant of the pupil.
-        sums = np.zeros((2, 2, 3, *lf.shape[2:4]), dtype=np.float64)
-        for row, row_weight, down in zip(plane, weight, v, strict=True):
-            moved, moved_weight = shifted(row, down * slope, axis=1), shifted(row_weight, down * slope, axis=1)
-            for view, view_weight, across in zip(moved, moved_weight, u, strict=True):
-                if not view_weight.any():
-                    continue
-                value, part = shifted(view, across * slope, axis=1), shifted(view_weight, across * slope, axis=1)
-                moments = np.stack([part, part * value, part * value * value])
-                # A view on a dividing line belongs to both of its sides by half.
-                for j, vertical in enumerate(_sides(down)):
-                    for i, horizontal in enumerate(_sides(across)):
-                        if vertical * horizontal:
-                            sums[j, i] += np.float32(vertical * horizontal) * moments
-        halves = (sums.sum((0, 1)), *sums.sum(1), *sums.sum(0))
-        for index, (count, total, square) in enumerate(halves):
-            seen = np.maximum(count, 1e-6)
-            variance[index] += np.maximum(square / seen - (total / seen) ** 2, 0)
-    return variance / (lf.sizes["c"] if "c" in lf.dims else 1)
+
+    median: float
+    percentile_90: float
+    share: float
 
 
-def _sides(step: float) -> tuple[float, float]:
-    """Return the fraction of a view that lies on the low and on the high side of the pupil's middle."""
-    high = float(np.clip(step + 0.5, 0, 1))
-    return 1 - high, high
+def depth_error(found: xr.Dataset, confidence: float = 0.5) -> DepthError:
+    """Compare the depths of `depth_map` with the truth, where the confidence is above a bound.
 
-
-def _vertex(cost: np.ndarray, best: np.ndarray) -> np.ndarray:
-    """Place of the least value between samples, by a parabola through the best and its neighbours, -1/2 to 1/2."""
-    inner = best.clip(1, len(cost) - 2)
-    row, column = np.indices(best.shape)
-    before, at, after = (cost[inner + step, row, column].astype(np.float64) for step in (-1, 0, 1))
-    bend = before - 2 * at + after
-    place = np.divide(before - after, 2 * bend, out=np.zeros_like(bend), where=bend > 0)
-    return np.where(inner == best, place.clip(-0.5, 0.5), 0)
+    Raises
+    ------
+    InputError
+        If the truth is not known.
+    """
+    if "truth" not in found:
+        raise InputError("depth map: its light field had no ground truth: give it to decode()")
+    truth = found.truth.values
+    known = np.isfinite(truth)
+    sure = known & (found.confidence.values > confidence) & np.isfinite(found.depth.values)
+    error = np.abs(found.depth.values[sure] / truth[sure] - 1)
+    median, high = np.percentile(error, (50, 90)) if error.size else (np.nan, np.nan)
+    return DepthError(float(median), float(high), float(sure.sum() / max(1, known.sum())))

@@ -84,16 +84,12 @@ def light_field(
             coordinates[angular] = (angular, steps, {"units": "views"})
             coordinates[spatial] = (spatial, np.arange(size) - (size - 1) / 2, {"units": "lenses"})
             continue
-        b, z = camera.mla_distance, camera.detector_distance
-        # A pixel one step to the right of its micro-image's centre looks one step to the left on the pupil axis.
         coordinates[angular] = (
             angular,
-            -steps * camera.pupil_step,
+            pupil_places(camera, views),
             {"units": "mm", "long_name": f"{'xy'[axis]} on the pupil"},
         )
-        pixel = bins.offset[axis] + bins.spacing[axis] * np.arange(size) + camera.crop_offset[axis]
-        c = rays.chief_point((pixel - camera.resolution[axis] / 2) * camera.pixel_size, b, z)
-        coordinates[spatial] = (spatial, *_object_coordinate(c, camera, "xy"[axis]))
+        coordinates[spatial] = (spatial, *_object_coordinate(lens_places(camera, bins, axis), camera, "xy"[axis]))
     dims: tuple[str, ...] = DIMS
     if values.ndim == 5:
         dims = (*DIMS, "c")
@@ -104,6 +100,20 @@ def light_field(
     if lenses is not None:
         attributes["grid"] = json.dumps(asdict(lenses))
     return xr.DataArray(values, dims=dims, coords=coordinates, name="radiance", attrs=attributes)
+
+
+def pupil_places(camera: PlenopticCamera, views: int) -> np.ndarray:
+    """Return the coordinates on the pupil of so many views, along x or y."""
+    # A pixel one step to the right of its micro-image's centre looks one step to the left on the pupil axis.
+    return -(np.arange(views) - (views - 1) / 2) * camera.pupil_step
+
+
+def lens_places(camera: PlenopticCamera, bins: LensGrid, axis: int) -> np.ndarray:
+    """Return the coordinates on the microlens array of the bins of an upright grid, along x (axis 0) or y (axis 1)."""
+    size = bins.shape[1 - axis]
+    pixel = bins.offset[axis] + bins.spacing[axis] * np.arange(size) + camera.crop_offset[axis]
+    p = (pixel - camera.resolution[axis] / 2) * camera.pixel_size
+    return np.asarray(rays.chief_point(p, camera.mla_distance, camera.detector_distance))
 
 
 def _object_coordinate(c: np.ndarray, camera: PlenopticCamera, axis: str) -> tuple[np.ndarray, dict[str, str]]:

@@ -341,6 +341,28 @@ def make_class() -> type:
             beyond = dr.gather(mi.Bool, mi.Bool([tuple(steps) not in tried for steps in around]), candidate)
             return int(dr.count(open_ & beyond)[0]) / max(1, int(dr.count(open_)[0]))
 
+        def chief_ray(self, film_sample: Any) -> tuple[Any, Any]:
+            """Return the ray from a place on the film through the centre of its lens, and whether it gets through.
+
+            The place is a fraction of the crop window, as `sample_ray` takes it.
+            """
+            (px, py, _, _, cx, cy, f2), _ = self._places(film_sample, mi.Point2f(0.5), [mi.Float(0), mi.Float(0)])
+            return self._ray(*self._trace(px, py, cx, cy, cx, cy, f2))
+
+        def pupil_ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[Any, Any]:
+            """Return the ray through a place of the microlens array and a point of the pupil, and whether it does."""
+            slope = tuple((P - m) / self.mla_distance for P, m in zip(pupil, place, strict=True))
+            return self._ray(*self._main_lens.trace(place, slope))
+
+        def _ray(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], open_: Any) -> tuple[Any, Any]:
+            """Turn what `MainLens.trace` returns into a ray in the world."""
+            to_world = self.world_transform()
+            ray = mi.RayDifferential3f(
+                mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
+            )
+            ray.time = self.shutter_open()
+            return ray, open_
+
         def _sample(
             self, time: Any, wavelength_sample: Any, film_sample: Any, lens_sample: Any, active: Any, differential: bool
         ) -> tuple[Any, Any]:

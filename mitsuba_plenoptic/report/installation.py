@@ -82,7 +82,10 @@ def _gpu(cuda: bool) -> list[tuple[str, str]]:
     return [
         ("device", _nvidia_device() or "no NVIDIA driver"),
         ("CUDA", "usable" if cuda else "not usable"),
-        ("CuPy", cupy or f'{_MISSING}; for waves on CUDA: pip install "mitsuba-plenoptic[cuda]"'),
+        (
+            "CuPy",
+            cupy or f"{_MISSING}; for waves on CUDA: pip install cupy-cuda12x, or cupy-cuda13x by the driver's CUDA",
+        ),
     ]
 
 

@@ -14,11 +14,15 @@ import numpy as np
 import xarray as xr
 
 from ..errors import InputError
-from ..io.exr import write_exr_parts
+from ..io.exr import image_channels, write_exr_parts
 from ..io.files import require_writable
+from ..io.ground_truth import COORDINATES
 from ..lightfield.views import view_mosaic
 from ..reconstruction import Reconstruction, write_reconstruction
+from .brightness import Brightness
 from .images import write_png
+
+_AUTOMATIC = Brightness()
 
 _SUFFIXES = (".exr", ".png")
 
@@ -47,14 +51,16 @@ def reconstruction_paths(path: str | Path, distances: Sequence[float]) -> list[P
 
 
 def write_reconstructions(
-    paths: Sequence[Path], results: Sequence[Reconstruction], source: dict[str, Any] | None = None
+    paths: Sequence[Path],
+    results: Sequence[Reconstruction],
+    source: dict[str, Any] | None = None,
+    brightness: Brightness = _AUTOMATIC,
 ) -> None:
     """Write each reconstruction into its file, as OpenEXR or as a picture by the suffix.
 
-    Pictures share one scale: the brightest bin of all is white. OpenEXR files keep in their headers the metadata of
-    the capture, `source`.
+    Pictures share one scale. OpenEXR files keep in their headers the metadata of the capture, `source`.
     """
-    peak = max(float(np.nan_to_num(result.image).max()) for result in results)
+    peak = brightness.white([result.image for result in results])
     for path, result in zip(paths, results, strict=True):
         if path.suffix.lower() == ".png":
             write_png(path, result.image, peak=peak)
@@ -62,49 +68,58 @@ def write_reconstructions(
             write_reconstruction(path, result, source)
 
 
-def write_views(path: str | Path, lf: xr.DataArray) -> None:
-    """Write the views of a light field: a part each named by its place on the pupil, or a mosaic as PNG."""
+def write_views(path: str | Path, lf: xr.DataArray, brightness: Brightness = _AUTOMATIC) -> None:
+    """Write the views of a light field: a part each named by its place on the pupil, or a mosaic as PNG.
+
+    Ground truth that the light field has is in each part, too, in the channels of its own file.
+    """
+    truth = {channel: lf.coords[name].values for channel, name in COORDINATES.items() if name in lf.coords}
     parts = {
-        f"v={float(lf.v[j]):.4g} u={float(lf.u[i]):.4g}": np.asarray(lf.values[j, i])
+        f"v={float(lf.v[j]):.4g} u={float(lf.u[i]):.4g}": image_channels(np.asarray(lf.values[j, i]))
+        | {name: values[j, i] for name, values in truth.items()}
         for j in range(lf.sizes["v"])
         for i in range(lf.sizes["u"])
     }
-    _write(path, "views", lf, parts, view_mosaic(lf), _peak(lf.values))
+    _write(path, "views", lf, parts, view_mosaic(lf), brightness.white([lf.values]))
 
 
-def write_epipolar_image(path: str | Path, image: xr.DataArray) -> None:
+def write_epipolar_image(path: str | Path, image: xr.DataArray, brightness: Brightness = _AUTOMATIC) -> None:
     """Write an epipolar image, as PNG enlarged."""
     values = np.asarray(image.values)
-    _write(path, "epipolar image", image, {"epipolar": values}, _enlarged(values), _peak(values))
+    _write(path, "epipolar image", image, _images(epipolar=values), _enlarged(values), brightness.white([values]))
 
 
-def write_stack(path: str | Path, stack: xr.DataArray) -> None:
+def write_stack(path: str | Path, stack: xr.DataArray, brightness: Brightness = _AUTOMATIC) -> None:
     """Write a focal stack: a part each named by its distance, or the images side by side as PNG."""
-    parts = {f"{float(image.distance):.6g} mm": np.asarray(image.values) for image in stack}
-    _write(path, "focal stack", stack, parts, _tiled(list(parts.values())), _peak(stack.values))
+    images = {f"{float(image.distance):.6g} mm": np.asarray(image.values) for image in stack}
+    _write(
+        path, "focal stack", stack, _images(**images), _tiled(list(images.values())), brightness.white([stack.values])
+    )
 
 
-def write_depth(path: str | Path, found: xr.Dataset) -> None:
+def write_depth(path: str | Path, found: xr.Dataset, brightness: Brightness = _AUTOMATIC) -> None:
     """Write a depth map: depth, disparity, confidence and the all-in-focus image as parts, or pictures as PNG.
+
+    The true depth is a part, too, where it is known.
 
     The PNG shows, from left to right, the all-in-focus image, the depth from near (white) to far (black), and the
     confidence.
     """
-    parts = {name: np.asarray(found[name].values) for name in ("depth", "disparity", "confidence", "image")}
+    parts = {str(name): np.asarray(values) for name, values in found.items()}
     # Even steps of disparity are what the eye would see.
     low, high = float(parts["disparity"].min()), float(parts["disparity"].max())
     nearness = (high - parts["disparity"]) / ((high - low) or 1)
-    maps = [parts["image"] / _peak(parts["image"]), nearness, parts["confidence"]]
+    maps = [parts["image"] / brightness.white([parts["image"]]), nearness, parts["confidence"]]
     if parts["image"].ndim == 3:
         maps = [entry if entry.ndim == 3 else np.repeat(entry[..., None], 3, axis=2) for entry in maps]
-    _write(path, "depth", found, parts, _enlarged(np.concatenate(maps, axis=1)), 1.0)
+    _write(path, "depth", found, _images(**parts), _enlarged(np.concatenate(maps, axis=1)), 1.0)
 
 
 def _write(
     path: str | Path,
     kind: str,
     data: xr.DataArray | xr.Dataset,
-    parts: dict[str, np.ndarray],
+    parts: dict[str, dict[str, np.ndarray]],
     picture: np.ndarray,
     peak: float,
 ) -> None:
@@ -113,18 +128,18 @@ def _write(
     if path.suffix.lower() == ".png":
         write_png(path, picture, peak=peak)
         return
-    coordinates = {str(name): values.values.tolist() for name, values in data.coords.items() if name != "weight"}
+    coordinates = {str(name): values.values.tolist() for name, values in data.coords.items() if values.ndim < 2}
     records = {name: json.loads(data.attrs[name]) for name in ("camera", "grid") if name in data.attrs}
     write_exr_parts(path, parts, {"kind": kind, "coordinates": coordinates, **data.attrs, **records})
 
 
+def _images(**images: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
+    """Return parts of one image each."""
+    return {name: image_channels(image) for name, image in images.items()}
+
+
 def _enlarged(image: np.ndarray) -> np.ndarray:
     return image.repeat(_ENLARGED, axis=0).repeat(_ENLARGED, axis=1)
-
-
-def _peak(values: np.ndarray) -> float:
-    """Value that a picture shows white: but for a thousandth of them, all are less bright."""
-    return float(np.quantile(values, 0.999)) or float(np.max(values)) or 1.0
 
 
 def _tiled(images: list[np.ndarray]) -> np.ndarray:

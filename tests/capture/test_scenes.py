@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import PlenopticCamera, load_scene, scene_path
+from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, load_scene, render_capture, scene_path
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("letters", "white", "chart", "still_life", "vitrine")
@@ -319,3 +319,32 @@ def test_meshes_and_textures_come_out_the_same(make_meshes, tmp_path):
         sum(path.stat().st_size for path in scenes.rglob("*") if path.suffix in (".png", ".hdr", ".ply", ".xml"))
         < 2**20
     )
+
+
+def test_dictionaries_are_scenes_and_any_sensor_renders(camera_dict):
+    far = camera_dict(resolution=64, detector_width=0.128, focus_distance=300.0)
+    scene = load_scene(
+        {
+            "type": "scene",
+            "integrator": {"type": "path"},
+            "near": camera_dict(resolution=64, detector_width=0.128),
+            "far": far,
+            "light": {"type": "constant"},
+        }
+    )
+    capture = render_capture(scene, sensor=1, spp=2)
+    assert capture.camera.focus_distance == pytest.approx(300)
+    assert (capture.metadata["scene"], capture.metadata["sensor"]) == ("dictionary", 1)
+    assert render_capture(scene, spp=2).camera.focus_distance == pytest.approx(240)
+    # A sensor of its own, as `mi.render` takes one.
+    np.testing.assert_array_equal(render_capture(scene, sensor=mi.load_dict(far), spp=2).image, capture.image)
+    assert estimate_capture(scene, sensor=1, spp=2).seconds > 0
+    for wrong in (2, -1, "far"):
+        with pytest.raises(InputError, match="sensor = "):
+            render_capture(scene, sensor=wrong)
+    with pytest.raises(InputError, match="a dictionary has none"):
+        load_scene({"type": "scene"}, parameters={"spp": "4"})
+    with pytest.raises(InputError, match="its 'type' is 'sphere'"):
+        load_scene({"type": "sphere"})
+    with pytest.raises(InputError, match=r"scene: .*focal_lenght"):
+        load_scene({"type": "scene", "sensor": camera_dict(focal_lenght=3.0)})

@@ -20,9 +20,10 @@ from PIL import Image
 from scene_cases import SMALL_SENSOR, definitions, letters, write_scene
 from stopped_runs import start_command
 
-from mitsuba_plenoptic import PlenopticCamera, read_capture, write_capture
+from mitsuba_plenoptic import PlenopticCamera, read_capture, read_ground_truth, write_capture
 from mitsuba_plenoptic.cli import app, main
 from mitsuba_plenoptic.io.captures import Capture
+from mitsuba_plenoptic.lightfield import white_image
 from mitsuba_plenoptic.presets import PRESETS
 from mitsuba_plenoptic.report import installation
 
@@ -82,6 +83,10 @@ def test_the_variant_follows_the_film_unless_told(tmp_path, remarks):
     assert len(remarks(scene)) == 1
     assert remarks(scene, "-D", "colours=luminance") == []
     assert read_capture(tmp_path / "raw.exr").metadata["variant"] == "llvm_ad_mono"
+    # A film that does not say records rgb.
+    scene.write_text(scene.read_text().replace('<string name="pixel_format" value="$colours"/>', ""))
+    assert len(remarks(scene)) == 1
+    assert read_capture(tmp_path / "raw.exr").metadata["variant"] == "llvm_ad_rgb"
     remarks(scene, "--variant", "llvm_ad_spectral")
     assert read_capture(tmp_path / "raw.exr").metadata["variant"] == "llvm_ad_spectral"
 
@@ -209,6 +214,27 @@ def test_several_distances_and_pictures(raw, tmp_path, run):
     assert max(picture.max() for picture in pictures) == 255
 
 
+def test_a_lamp_does_not_make_pictures_dark(tmp_path, run, complaint):
+    camera = PlenopticCamera(detector_width=1.28, resolution=(160, 160))
+    image = 0.25 * white_image(camera)
+    image[80:85, 80:88] = 100
+    write_capture(tmp_path / "raw.exr", Capture(image, camera))
+
+    def median(*options):
+        run("reconstruct", tmp_path / "raw.exr", "-o", tmp_path / "out.png", "--distance", 240, *options)
+        return float(np.median(np.array(Image.open(tmp_path / "out.png"))))
+
+    assert median() > 200
+    assert median("--percentile", 100) < 50
+    # Linear 0.25 and 0.5 of what is white, in sRGB.
+    assert median("--exposure", 0) == pytest.approx(137, abs=2)
+    assert median("--exposure", 1) == pytest.approx(188, abs=2)
+    both = ("--exposure", 1, "--percentile", 90)
+    said = complaint("views", tmp_path / "raw.exr", "-o", tmp_path / "v.png", *both)
+    assert said == "exposure = 1, percentile = 90: give one of the two"
+    assert "percentile = 101" in complaint("epi", tmp_path / "raw.exr", "-o", tmp_path / "v.png", "--percentile", 101)
+
+
 def test_footprint(raw, tmp_path, run):
     for footprint in ("lens", "point"):
         run("reconstruct", raw, "-o", tmp_path / f"{footprint}.png", "--distance", "210", "--footprint", footprint)
@@ -263,6 +289,33 @@ def test_console_script():
     result = subprocess.run([script, "info", "nosuch"], capture_output=True, text=True, check=False)
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1
+
+
+def test_ground_truth_lies_beside_the_capture_and_reaches_views_and_depth(tmp_path, run, complaint):
+    path, beside = tmp_path / "raw.exr", tmp_path / "raw.truth.exr"
+    small = ("-D", "detector_width=0.768", "-D", "resolution=192", "--spp", "4")
+    assert f"{beside}: ground truth, depth, normal" in run(
+        "render", "still_life", *small, "-o", path, "--aov", "depth, normal"
+    )
+    truth = read_ground_truth(beside)
+    assert list(truth.pixels) == ["depth", "normal"] and truth.pixels["depth"].shape == (192, 192)
+    told = re.search(r"against ground truth: median ([\d.]+)%", run("depth", path, "-o", tmp_path / "depth.exr"))
+    assert float(told[1]) < 1
+    run("views", path, "-o", tmp_path / "views.exr", "--count", 1)
+    (part,) = OpenEXR.File(str(tmp_path / "views.exr"), separate_channels=True).parts
+    middle = truth.views["depth"].shape[0] // 2
+    np.testing.assert_array_equal(part.channels["depth.Z"].pixels, truth.views["depth"][middle, middle])
+    assert "normal.X" in part.channels
+
+    # Exposed it is the same scene; without its file, or rendered anew, it has no ground truth.
+    run("expose", path, "-o", tmp_path / "exposed.exr", "--photons", 5000)
+    assert "ground truth" in run("depth", tmp_path / "exposed.exr", "-o", tmp_path / "depth.exr")
+    run("render", "still_life", *small, "-o", path)
+    assert "ground truth" not in run("depth", path, "-o", tmp_path / "depth.exr")
+    assert "ground truth" in run("depth", path, "-o", tmp_path / "depth.exr", "--truth", beside)
+    assert "raw.exr: it holds a 'capture', not" in complaint("depth", path, "-o", tmp_path / "a.exr", "--truth", path)
+    assert "aov = 'z'" in complaint("render", "still_life", "-o", tmp_path / "new.exr", "--aov", "z")
+    assert not (tmp_path / "new.exr").exists()
 
 
 def test_noise_is_kept_and_told_and_an_estimate_writes_nothing(run, tmp_path):

@@ -20,8 +20,17 @@ from foreign_files import png, write_matlab_7
 from scene_cases import SMALL_SENSOR, write_scene
 
 import mitsuba_plenoptic
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, load_scene, read_capture, write_capture
+from mitsuba_plenoptic import (
+    Capture,
+    InputError,
+    PlenopticCamera,
+    load_scene,
+    read_capture,
+    read_ground_truth,
+    write_capture,
+)
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.io.exr import write_exr_parts
 from mitsuba_plenoptic.lightfield.exchange import open_light_field, read_picture
 
 CAMERA = PlenopticCamera(resolution=(64, 64), detector_width=0.256)
@@ -118,6 +127,40 @@ class TestCaptures:
         said = capfd.readouterr().out
         assert "title" in said
         assert all(character.isprintable() or character == "\n" for character in said)
+
+    @pytest.mark.parametrize(
+        ("part", "change", "words"),
+        [
+            (0, {"depth.Z": None, "odd.Z": 0}, "whole quantities"),
+            (0, {"normal.X": 0}, "whole quantities"),
+            (1, {"shape_index.I": 2}, "whole number from 0 to 1"),
+            (1, {"shape_index.I": np.nan}, "whole number from 0 to 1"),
+            (None, {"views": [1, 2, 3]}, "views = "),
+            (None, {"views": [1, 2, 4, 10**9]}, "its part views has the shape"),
+            (None, {"shapes": "wall"}, "shapes = 'wall'"),
+            (None, {"to_world": [[1]]}, "to_world = "),
+            (None, {"camera": []}, "camera = "),
+            (None, {"kind": "capture"}, "it holds a 'capture', not ground truth"),
+        ],
+    )
+    def test_ground_truth_that_cannot_be(self, tmp_path, part, change, words):
+        path, attributes = tmp_path / "a.truth.exr", {
+            "kind": "ground truth", "camera": CAMERA.to_dict(), "views": [2, 2, 4, 4], "shapes": ["wall"],
+            "to_world": np.eye(4).tolist(),
+        }  # fmt: skip
+        sizes = [CAMERA.shape, (8, 8)]
+        planes = [{name: np.ones(size) for name in ("depth.Z", "shape_index.I")} for size in sizes]
+        if part is None:
+            attributes |= change
+        else:
+            planes[part] |= {name: np.full(sizes[part], value) for name, value in change.items() if value is not None}
+            for name, value in change.items():
+                if value is None:
+                    del planes[part][name]
+        write_exr_parts(path, dict(zip(("capture", "views"), planes, strict=True)), attributes)
+        with pytest.raises(InputError, match=words):
+            read_ground_truth(path)
+        assert main(["views", str(path), "-o", str(tmp_path / "views.exr")]) == 2
 
     def test_a_pipe_or_a_device_is_no_file(self, tmp_path):
         os.mkfifo(tmp_path / "raw.exr")

@@ -22,6 +22,7 @@ from mitsuba_plenoptic.lightfield import (
     shift_and_add,
     white_image,
 )
+from mitsuba_plenoptic.lightfield.agreement import lens_disagreement, view_disagreement
 from mitsuba_plenoptic.lightfield.geometry import view_steps
 
 # Fewer pixels a lens than the paper's, to be quick: 11 views.
@@ -191,13 +192,19 @@ class TestDepth:
             texture(2)(np.arange(40.0), np.arange(40.0)[:, None]),
         )
         assert np.median(np.abs(found.image.values - sharp)) < 0.02
-        np.testing.assert_allclose(found.disparity.values, np.vectorize(lambda g: disparity(lf, g))(found.depth.values))
+        known = np.isfinite(found.depth.values)
+        assert 0.6 < known.mean() < 1
+        assert np.array_equal(known, found.confidence.values >= 0.5)
+        np.testing.assert_allclose(
+            found.disparity.values[known], [disparity(lf, g) for g in found.depth.values[known]], atol=1e-9
+        )
 
     def test_no_texture_no_confidence(self, blank):
         noise = np.random.default_rng(0).normal(0, 0.01, blank.shape)
         lf = blank.copy(data=np.where(blank.weight.values > 0, 0.5 + noise, 0).astype(np.float32))
         found = depth_map(lf, planes=32)
-        assert float(found.confidence.max()) < 0.5
+        assert float((found.confidence < 0.5).mean()) > 0.98
+        assert np.array_equal(np.isnan(found.depth), found.confidence < 0.5)
         assert found.attrs["near"] == pytest.approx(211.2, abs=0.1)
 
     def test_noise_does_not_move_the_depth(self, blank):
@@ -213,6 +220,26 @@ class TestDepth:
         found = depth_map(colours[1], 200, 300, planes=24)
         assert found.image.dims == ("t", "s", "c")
         assert float(found.depth.median()) == pytest.approx(215, abs=0.7)
+
+    def test_focused_cameras_compare_micro_images(self):
+        # Stripes finer than the lenses, which alias from lens to lens: the value of a sample at its exact place.
+        camera = PlenopticCamera.preset("paper").replace(
+            detector_width=1.536, resolution=(768, 768), mla_focal_length=0.66, aperture_radius=4.9
+        )
+        lf = decode(white_image(camera), camera=camera)
+        function = texture(waves=40)
+        lf = flat_scene(lf, 255.0, lambda x, y: function(6 * x, 6 * y))
+        found = depth_map(lf, 250, 275, planes=40)
+        inner = found.isel(s=slice(3, -3), t=slice(3, -3))
+        assert float(np.isfinite(inner.depth).mean()) > 0.9
+        assert float(abs(inner.depth - 255).max()) < 0.5
+        # The views themselves agree about nothing.
+        by_views = [float(np.median(view_disagreement(lf, disparity(lf, g)))) for g in (255.0, 270.0)]
+        by_lenses = [float(np.median(lens_disagreement(lf, disparity(lf, g)))) for g in (255.0, 270.0)]
+        assert by_lenses[0] < 0.1 * by_lenses[1]
+        assert by_views[0] > 0.3 * by_views[1]
+        with pytest.raises(InputError, match="nothing in common"):
+            depth_map(lf, 239, 241)
 
     @pytest.mark.parametrize(("near", "words"), [(50, "focal length"), (math.nan, "near")])
     def test_refused(self, blank, near, words):

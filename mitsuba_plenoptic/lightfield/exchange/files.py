@@ -9,8 +9,9 @@ import xarray as xr
 
 from ...camera import PlenopticCamera
 from ...errors import InputError
-from ...io.captures import read_capture
+from ...io.captures import Capture, read_capture
 from ...io.files import require_writable
+from ...io.ground_truth import NAME, SUFFIX, GroundTruth, read_ground_truth
 from .. import decode, estimate_lens_grid
 from .labelled import read_labelled, write_labelled
 from .lftoolbox import read_lftoolbox, write_lftoolbox
@@ -28,6 +29,7 @@ def open_light_field(
     views: int | None = None,
     linear: bool = False,
     camera: PlenopticCamera | None = None,
+    truth: str | Path | bool = False,
 ) -> xr.DataArray:
     """Read a light field, or decode one from a capture.
 
@@ -47,6 +49,8 @@ def open_light_field(
         Whether pictures hold values proportional to light, as raw data does, instead of sRGB.
     camera : PlenopticCamera, optional
         The camera of a raw picture, or another one than a capture's. With it distances are in millimetres.
+    truth : path or bool
+        Ground truth of a capture, for `decode`. True: what the capture names, if it lies beside it.
 
     Raises
     ------
@@ -62,7 +66,11 @@ def open_light_field(
         raise InputError(f"{path}: a white image and a number of views exclude each other")
     if name.endswith(".exr"):
         _refuse(path, views=views)
-        return decode(read_capture(path), camera=camera, white=None if white is None else _white(white, linear))
+        capture = read_capture(path)
+        known = _ground_truth(path, capture, truth) if camera is None or not isinstance(truth, bool) else None
+        reference = None if white is None else _white(white, linear)
+        return decode(capture, camera=camera, white=reference, truth=known)
+    _refuse(path, truth=None if isinstance(truth, bool) else truth)
     if name.endswith(".mat"):
         _refuse(path, white=white, views=views, camera=None if camera is None else "given")
         return read_lftoolbox(path)
@@ -120,6 +128,20 @@ def require_light_field_path(path: str | Path) -> Path:
     if not Path(path).name.lower().endswith((".nc", ".zarr", ".mat", ".png")):
         raise InputError(f"{path}: give a name that ends in .nc, .zarr, .mat, .eslf.png or .png")
     return require_writable(path)
+
+
+def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> GroundTruth | None:
+    """Read the ground truth of a capture: a file, or the one that the capture names, if it is there and is its own."""
+    if not isinstance(truth, bool):
+        return read_ground_truth(truth)
+    name = capture.metadata.get(NAME)
+    # A name from a file leads nowhere but to its own folder.
+    if not truth or not isinstance(name, str) or Path(name).name != name or not name.endswith(SUFFIX):
+        return None
+    if not (path.parent / name).is_file():
+        return None
+    found = read_ground_truth(path.parent / name)
+    return found if found.camera == capture.camera else None
 
 
 def _white(path: str | Path, linear: bool) -> np.ndarray:

@@ -64,7 +64,7 @@ def sweep(
     try:
         import h5netcdf
     except ImportError:
-        raise InputError("sweep: datasets need h5netcdf: pip install 'mitsuba-plenoptic[sweep]'") from None
+        raise InputError("sweep: datasets need h5netcdf: pip install h5netcdf h5py") from None
     output = require_writable(output)
     if output.suffix != ".nc":
         raise InputError(f"{output}: a dataset is written as NetCDF-4; give a name that ends in .nc")

@@ -1,0 +1,150 @@
+r"""Which of some planes each bin is on: probabilities from how well views agree, each with those of its neighbours.
+
+The logarithm of the variance :math:`V_d` that views have about the plane d is the evidence: N independent samples of
+one unknown deviation have a likelihood proportional to :math:`V_d^{-N/2}` (with that deviation taken out).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import expit, logit
+
+# Deviations of a light field that are below this fraction of its brightness, which is at least this fraction of the
+# mean, mean nothing.
+_NOISE, _DARK = 0.02, 0.02
+
+# A neighbour is on the same plane or, half as likely, on each of the next ones; with this probability on any.
+_NEXT, _ANY = 0.5, 0.3
+
+# Samples that the evidence is worth where neighbours take part in it: they share windows, and model errors are alike.
+_SHARED = 2.0
+
+# A probability counts as no smaller, and no greater than one less that.
+_SURE = 1e-3
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the evidence of some kind of disagreement is worth.
+
+    Found by maximum likelihood on captures of scenes like those that `tools/depth_accuracy.py --tuning` measures.
+
+    Attributes
+    ----------
+    samples : float
+        N, of the bin alone.
+    weights : (float, float, float)
+        Of 1 and the log odds that a depth is right, by the bin alone and with its neighbours.
+    """
+
+    samples: float
+    weights: tuple[float, float, float]
+
+
+VIEWS = Evidence(20.0, (0.22, 0.26, 0.61))
+LENSES = Evidence(3.0, (-0.39, 0.91, 0.61))
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The plane of each bin.
+
+    Attributes
+    ----------
+    place : (rows, columns) float64 array
+        Index of the plane, with fractions.
+    probability : (rows, columns) float64 array
+        That the plane is right within the tolerance.
+    """
+
+    place: np.ndarray
+    probability: np.ndarray
+
+
+def choose(
+    variance: np.ndarray, brightness: np.ndarray, inverse: np.ndarray, evidence: Evidence, tolerance: float
+) -> Choice:
+    """Choose the most probable plane of each bin.
+
+    Parameters
+    ----------
+    variance : (planes, rows, columns) array
+        Disagreement about each plane.
+    brightness : (rows, columns) array
+        Of the bins.
+    inverse : (planes,) array
+        Inverse distances of the planes, falling or rising evenly.
+    evidence : Evidence
+        What the disagreement is worth.
+    tolerance : float
+        Relative error of a distance that counts as right.
+    """
+    level = _NOISE * np.maximum(brightness, _DARK * brightness.mean())
+    # A light field that is black everywhere has no evidence either.
+    energy = 0.5 * np.log(variance + np.square(level) + np.finfo(np.float32).tiny)
+    alone = _normalised(-evidence.samples * energy)
+    together = _with_neighbours(_normalised(-_SHARED * energy))
+    place = _summit(together)
+    planes = np.arange(len(inverse))
+    order = np.argsort(inverse)
+    at = np.interp(place, planes, inverse)
+    ends = [np.interp(at / (1 + sign * tolerance), inverse[order], planes[order]) for sign in (-1, 1)]
+    low, high = np.minimum(*ends), np.maximum(*ends)
+    odds = [logit(_mass(part, low, high).clip(_SURE, 1 - _SURE)) for part in (alone, together)]
+    constant, own, shared = evidence.weights
+    return Choice(place, expit(constant + own * odds[0] + shared * odds[1]))
+
+
+def _normalised(logarithm: np.ndarray) -> np.ndarray:
+    """Return probabilities over the planes from their logarithms, but for a factor."""
+    values = np.exp(logarithm - logarithm.max(axis=0))
+    return np.asarray(values / values.sum(axis=0))
+
+
+def _with_neighbours(own: np.ndarray) -> np.ndarray:
+    """Multiply the probabilities of each bin with what the bins on its four sides tell, each from those beyond it.
+
+    Belief propagation (Pearl 1988) along rows and columns, each line a chain.
+    """
+    total = np.log(own)
+    for axis in (1, 2):
+        for step in (1, -1):
+            lines = np.moveaxis(own, axis, 0)[::step]
+            told = np.moveaxis(total, axis, 0)[::step]
+            message = np.full(lines.shape[1:], 1 / len(own))
+            for index in range(1, len(lines)):
+                belief = lines[index - 1] * message
+                belief /= belief.sum(axis=0)
+                spread = belief.copy()
+                spread[1:] += _NEXT * belief[:-1]
+                spread[:-1] += _NEXT * belief[1:]
+                message = (1 - _ANY) * spread / spread.sum(axis=0) + _ANY / len(own)
+                told[index] += np.log(message)
+    return _normalised(total)
+
+
+def _summit(probability: np.ndarray) -> np.ndarray:
+    """Place of the most probable plane, by a parabola through its logarithm and its neighbours', -1/2 to 1/2 off."""
+    best = probability.argmax(axis=0)
+    inner = best.clip(1, len(probability) - 2)
+    row, column = np.indices(best.shape)
+    before, at, after = (np.log(probability[inner + step, row, column] + 1e-300) for step in (-1, 0, 1))
+    bend = 2 * at - before - after
+    offset = np.divide(after - before, 2 * bend, out=np.zeros_like(bend), where=bend > 0)
+    return np.asarray(best + np.where(inner == best, offset.clip(-0.5, 0.5), 0))
+
+
+def _mass(probability: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return the probability between two places; each plane's own is spread evenly over its neighbourhood."""
+    below = np.concatenate([np.zeros((1, *low.shape)), np.cumsum(probability, axis=0)])
+    row, column = np.indices(low.shape)
+
+    def up_to(place: np.ndarray) -> np.ndarray:
+        place = (place + 0.5).clip(0, len(probability))
+        whole = np.minimum(place.astype(np.int64), len(probability) - 1)
+        left, right = below[whole, row, column], below[whole + 1, row, column]
+        return np.asarray(left + (place - whole) * (right - left))
+
+    return up_to(high) - up_to(low)

@@ -1,0 +1,146 @@
+"""Depth maps against ground truth, on scenes by which nothing was chosen: the table quoted in the documentation.
+
+Renders captures with their ground truth, estimates depth, and compares it bin by bin: how far it is off where the scene
+has texture, and how often the stated confidence keeps its word. Confidence is the probability that a depth is within
+1 % of the distance. `made 1` to `made 4` are heaps of tiles with random patterns; those with `--tuning` are the ones by
+which constants were chosen.
+
+    python tools/depth_accuracy.py --output out/depth_accuracy [--spp 16] [--tuning]
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import accuracy
+import mitsuba as mi
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.lightfield import depth_map, distance_of
+from mitsuba_plenoptic.report.reference import pinhole_image
+
+NEAR_BY = 0.01
+"""Relative error of a depth that counts as right."""
+
+TEXTURED = 0.05
+"""Contrast, the deviation over the mean of about 5 x 5 bins of the middle view, from which a bin has texture."""
+
+HALF = {"detector_width": "4.096", "resolution": "2048"}
+
+# Scenes with the parameters of their cameras, and the distances between which depth is sought.
+JUDGED: dict[str, tuple[dict[str, str], float, float]] = {
+    "still_life": (HALF, 195, 310),
+    "chart": (HALF, 195, 310),
+    "made 3": ({}, 195, 310),
+    "made 4": ({}, 195, 310),
+    "raytrix": ({"detector_width": "11.22", "resolution": "2040"}, 330, 400),
+    "keplerian": (HALF, 232, 250),
+}
+TUNING = {"letters": (HALF, 195, 310), "made 1": ({}, 195, 310), "made 2": ({}, 195, 310), "galilean": (HALF, 232, 250)}
+COLUMNS = {
+    "scene": "{scene}",
+    "textured bins": "{textured:.0%}",
+    "told of these": "{told:.0%}",
+    "median error": "{median:.2%}",
+    "90th percentile": "{high:.2%}",
+    "median of the surer half of the textured": "{sure_median:.2%}",
+    "90th percentile of it": "{sure_high:.2%}",
+    "told of bins without texture": "{guessed:.0%}",
+    "confidence and rate of errors below 1 %, by tenths": "{tenths}",
+    "worst tenth": "{worst:.2f}",
+}
+
+
+def made(number: int) -> Any:
+    """Heap tiles at random places, turned and textured at random, before a wall; a third of them without texture."""
+    random = np.random.default_rng(number)
+    camera = mp.PlenopticCamera(detector_width=4.096, resolution=(2048, 2048))
+
+    def tile(at: np.ndarray, size: float, tilt: float, plain: bool) -> dict[str, Any]:
+        x, y, g = at
+        place = mi.ScalarTransform4f().translate([x, y, g]).rotate(list(random.normal(size=3)), tilt)
+        pattern = gaussian_filter(random.normal(size=(96, 96)), random.uniform(0.6, 2.5), mode="wrap")
+        pattern = np.clip(0.45 + 0.22 * pattern / pattern.std(), 0.02, 0.95)
+        if plain:
+            pattern[:] = random.uniform(0.1, 0.8)
+        texture = {"type": "bitmap", "raw": True, "data": mi.TensorXf(pattern[..., None].astype(np.float32))}
+        return {
+            "type": "rectangle",
+            "to_world": place.rotate([0, 1, 0], 180).scale(size),
+            "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": texture}},
+        }
+
+    objects = {"wall": tile(np.array([0, 0, 300.0]), 8.0, 8.0, False)}
+    for index in range(18):
+        g = random.uniform(205, 290)
+        place = np.array([*(random.uniform(-0.5, 0.5, 2) * 4.096 * g / 120), g])
+        objects[f"tile_{index}"] = tile(place, random.uniform(0.5, 1.6), random.uniform(0, 50), index % 3 == 0)
+    light = {"type": "point", "position": [30.0, 40.0, 100.0], "intensity": 4e4}
+    return mp.load_scene(
+        {
+            "type": "scene",
+            "integrator": {"type": "direct"},
+            "sensor": camera.to_sensor(),
+            "sky": {"type": "constant", "radiance": 0.4},
+            "lamp": light,
+            **objects,
+        }
+    )
+
+
+def measure(name: str, parameters: dict[str, str], near: float, far: float, spp: int) -> dict[str, Any]:
+    """Estimate the depth of a scene, and return a row of the table."""
+    scene = made(int(name.split()[1])) if name.startswith("made") else mp.load_scene(name, parameters=parameters)
+    capture = mp.render_capture(scene, model="ray", spp=spp)
+    lf = mp.decode(capture, truth=mp.ground_truth(scene, ["depth"]))
+    found = depth_map(lf, near, far)
+    truth, depth, confidence = (found[key].values for key in ("truth", "depth", "confidence"))
+    # Rendered anew, since noise is no texture.
+    image = pinhole_image(scene, capture.camera, lf.sizes["s"], 256)
+    mean = gaussian_filter(image, 1.2)
+    contrast = np.sqrt(np.maximum(gaussian_filter(image**2, 1.2) - mean**2, 0)) / np.maximum(mean, 1e-6)
+    inside = np.isfinite(truth) & (truth > near) & (truth < far)
+    textured = inside & (contrast > TEXTURED)
+    told = np.isfinite(depth)
+    # The best guess, also where the depth counts as unknown.
+    error = np.abs(distance_of(lf, found.disparity.values) / truth - 1)
+    bounds = np.linspace(0, 1, 11)
+    tenths = []
+    for low, high in itertools.pairwise(bounds):
+        within = inside & (confidence >= low) & ((confidence < high) | (high == 1))
+        if within.sum() >= 40:
+            tenths.append(
+                (float(confidence[within].mean()), float((error[within] < NEAR_BY).mean()), int(within.sum()))
+            )
+    there = error[textured & told]
+    sure = error[textured & (confidence >= np.median(confidence[textured]))]
+    return {
+        "scene": name,
+        "textured": float(textured.mean()),
+        "told": float((textured & told).sum() / textured.sum()),
+        "median": float(np.median(there)) if there.size else np.nan,
+        "high": float(np.percentile(there, 90)) if there.size else np.nan,
+        "sure_median": float(np.median(sure)),
+        "sure_high": float(np.percentile(sure, 90)),
+        "guessed": float((inside & ~textured & told).sum() / max(1, (inside & ~textured).sum())),
+        "tenths": ", ".join(f"{stated:.2f}: {rate:.2f}" for stated, rate, _ in tenths),
+        "worst": max(abs(stated - rate) for stated, rate, _ in tenths),
+    }
+
+
+def main() -> None:
+    """Measure all scenes and write the table."""
+    parser = accuracy.options("depth_accuracy", __doc__, spp=16)
+    parser.add_argument("--tuning", action="store_true", help="the scenes by which constants were chosen, instead")
+    arguments = accuracy.start(parser)
+    rows = [
+        measure(name, *settings, arguments.spp) for name, settings in (TUNING if arguments.tuning else JUDGED).items()
+    ]
+    accuracy.finish(arguments, rows, accuracy.markdown(COLUMNS, rows))
+
+
+if __name__ == "__main__":
+    main()
