@@ -55,7 +55,8 @@ def test_coarse_pixels_are_cut_into_bins_that_hold_the_spots_of_lenses(pixels):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "three focal lengths")) for name in SOME]
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name in ("focused", "three focal lengths"))) for name in SOME],
 )
 def test_a_wall_is_that_of_exact_spreads(name):
     camera = small_camera(14, **SOME[name])
