@@ -39,6 +39,7 @@ from any_scenes import (
     radiating,
     scene_of,
     sensor,
+    slanted,
     square_behind,
 )
 from when_do_rays_fail import diffract
@@ -135,6 +136,16 @@ def _rim() -> Any:
     return scene_of(camera, wall=facing(225.0, 30.0, **radiating()))
 
 
+def slanted_edges() -> Iterator[Row]:
+    """Edges out of focus of a plane at 5 degrees, by lenses of which it lies aside of where rays see it."""
+    by_rays = render_capture(slanted(None), spp=64).image
+    for pane in (None, "transparent mask"):
+        by_waves = render_capture(slanted(pane), model="wave", spp=1).image
+        rays, waves = (image.reshape(16, 16, -1).mean(axis=(1, 2))[3:11] for image in (by_rays, by_waves))
+        shift = abs(float((waves - rays).sum() / rays.max()))
+        yield Row(f"edge of a plane at 5 degrees{' behind a ' + pane if pane else ''}: lenses aside", shift, 0.0, 0.04)
+
+
 def highlights() -> Iterator[Row]:
     """Compare the peak of a glass sphere's highlight, refocused near it."""
     # The sphere reflects 4 % of the light paths, and few radiators meet the highlight.
@@ -172,6 +183,7 @@ GROUPS: dict[str, Callable[[], Iterator[Row]]] = {
     "bars": bars_seen_through,
     "energy": energies,
     "highlight": highlights,
+    "slanted": slanted_edges,
     "pupil": radiance_over_the_pupil,
 }
 
