@@ -120,7 +120,7 @@ def seen(camera: PlenopticCamera, wall: str, distance: float | None) -> np.ndarr
     radiance = _radiance(np.clip(slope, -_WALL, _WALL), wall)
     if distance is not None:
         b, pitch = camera.mla_distance, camera.mla_pitch
-        # Light of one direction is spread by lambda / D2, which b (1 / f1 - 1 / b - 1 / g) turns into that of the scene.
+        # Light of one direction is spread by lambda / D2, which b (1 / f1 - 1 / b - 1 / g) makes the scene's.
         turned = b * abs(1 / camera.focal_length - 1 / b - 1 / distance)
         frequency = np.fft.rfftfreq(slope.size, 1 / parts) * 633e-6 * b / pitch * turned / pitch
         radiance = np.fft.irfft(np.fft.rfft(radiance) * _transfer(camera, frequency), slope.size)
@@ -128,7 +128,7 @@ def seen(camera: PlenopticCamera, wall: str, distance: float | None) -> np.ndarr
 
 
 def _transfer(camera: PlenopticCamera, frequency: np.ndarray) -> np.ndarray:
-    """Incoherent transfer function of a microlens along x, over the frequency whose period is that of its diffraction."""
+    """Incoherent transfer function of a microlens along x, over the frequency in units of its cut-off."""
     shape = camera.lattice.aperture_image(camera.mla_pitch / 65, 1.0)
     lines = np.abs(np.fft.rfft(shape, 16 * shape.shape[1], axis=1)) ** 2
     overlap = np.fft.irfft(lines.sum(0))[: shape.shape[1]]

@@ -14,7 +14,7 @@ from ..optics.sampling import check_memory
 from ..runtime.backend import backend
 from ..runtime.fft import Field, resting_drjit
 from .direction_bins import power_in_bins
-from .elements import converging, through_microlenses, to_object
+from .elements import NOTHING, converging, microlenses, to_object
 from .grids import Directions, Plan, Strip, Window, object_extent, plan, require_feasible
 from .methods import Progress
 from .steps import Rows, Workspace, propagate, to_directions
@@ -140,11 +140,11 @@ class FullFields:
     def _up(self, strip: Strip, subset: tuple[int, int]) -> Rows:
         """Take the light of a strip of the detector up to the main lens."""
         camera, wavelength, workspace = self._camera, self._wavelength, self._workspace
-        rows = converging(self._amplitude(strip.rows), strip.to_mla, camera, wavelength, self._interleave, subset)
-        rows = propagate(rows, strip.to_mla, camera.detector_distance, wavelength, workspace)
-        if self._relay:
-            rows = through_microlenses(rows, strip.to_main_lens, camera, wavelength)
-        return propagate(rows, strip.to_main_lens, camera.mla_distance, wavelength, workspace)
+        onto, on = strip.to_mla, strip.to_main_lens
+        light = converging(onto, camera, wavelength, self._interleave, subset)
+        lenses = microlenses(on, camera, wavelength) if self._relay else NOTHING
+        rows = propagate(self._amplitude(strip.rows), light, onto, camera.detector_distance, wavelength, workspace)
+        return propagate(rows, lenses, on, camera.mla_distance, wavelength, workspace)
 
     def _amplitude(self, strip: slice) -> Rows:
         """Square root of lit pixels, sample by sample."""
@@ -163,6 +163,6 @@ class FullFields:
     def in_bins(self, field: Field, distance: float, step: Directions, oversample: int) -> np.ndarray:
         """Power in each bin of an object plane, of a field just before the main lens; (rows, columns) float32 array."""
         camera, workspace = self._camera, self._workspace
-        rows = to_object(workspace.blocks(field), step, main_lens(camera), distance, self._wavelength)
-        spectrum = to_directions(rows, step, workspace)
+        lens = to_object(step, main_lens(camera), distance, self._wavelength)
+        spectrum = to_directions(workspace.blocks(field), lens, step, workspace)
         return power_in_bins(spectrum, step, camera, oversample) / camera.pixel_size**2
