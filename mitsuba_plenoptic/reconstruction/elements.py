@@ -41,7 +41,7 @@ def converging_phase(
 class _Nothing:
     """No element: the field goes on as it is."""
 
-    along_columns = None
+    along_columns: Field | None = None
 
     def lit(self, rows: slice) -> list[slice]:
         return [rows]
@@ -50,7 +50,7 @@ class _Nothing:
         out[...] = samples
 
 
-NOTHING = _Nothing()
+NOTHING: Element = _Nothing()
 
 
 class _Axes:
@@ -72,7 +72,7 @@ class _Axes:
 class _Plane:
     """A function of Dr.Jit's x and y, evaluated at the source samples of a step, for the rows that come."""
 
-    along_columns = None
+    along_columns: Field | None = None
 
     def __init__(self, step: Step | Directions, function: Callable[[Any, Any], Any]) -> None:
         self._step, self._function = step, function
