@@ -16,7 +16,7 @@ from ..optics.phase import parabola, phasor
 from ..runtime.backend import array_module, backend
 from ..runtime.fft import Field, as_field, pack
 from ..runtime.indexing import split
-from .grids import Directions, Step
+from .grids import AxisStep, Directions, Step
 from .steps import Element
 
 # -- along one axis of an upright square lattice -----------------------------------------------------
@@ -90,14 +90,24 @@ def to_object(step: Directions, main: MainLens, distance: float, wavelength: flo
     return _Plane(step, lambda x, y: phasor(main.path((x, y), (0.0, 0.0, distance), wavelength)))
 
 
-def microlenses(step: Step, camera: PlenopticCamera, wavelength: float) -> Element:
-    """Return the microlenses in the source plane of a step."""
+def microlenses(
+    step: Step, camera: PlenopticCamera, wavelength: float, interleave: int = 1, subset: tuple[int, int] = (0, 0)
+) -> Element:
+    """Return the microlenses of a subset, as `converging` has it, in the source plane of a step; others are dark."""
     if is_separable(camera):
-        x, y = (
-            transmission_along(camera, wavelength, along.source, axis) for axis, along in enumerate((step.x, step.y))
-        )
-        return _Axes(x, y)
-    return _Plane(step, lambda x, y: transmission(camera, wavelength, x, y))
+
+        def factor(along: AxisStep, axis: int) -> np.ndarray:
+            index = np.asarray(camera.lattice.axis_cell(along.source, axis))
+            lens = transmission_along(camera, wavelength, along.source, axis)
+            return np.where(np.mod(index, interleave) == subset[axis], lens, 0)
+
+        return _Axes(factor(step.x, 0), factor(step.y, 1))
+
+    def lens(x: Any, y: Any) -> Any:
+        light = transmission(camera, wavelength, x, y)
+        return light if interleave == 1 else _of_subset(light, *camera.lattice.cell(x, y), interleave, subset)
+
+    return _Plane(step, lens)
 
 
 def converging(
@@ -131,13 +141,18 @@ def converging(
         i, j = camera.lattice.cell(_chief(x, camera), _chief(y, camera))
         cx, cy = camera.lattice.centre(i, j)
         light = phasor(parabola((x - cx) ** 2 + (y - cy) ** 2, camera.detector_distance, wavelength))
-        i_mine, j_mine = (
-            index - interleave * dr.floor((index + 0.5) / interleave) == remainder
-            for index, remainder in zip((i, j), subset, strict=True)
-        )
-        return dr.select(i_mine & j_mine, light, 0)
+        return _of_subset(light, i, j, interleave, subset)
 
     return _Plane(step, phase)
+
+
+def _of_subset(light: Any, i: Any, j: Any, interleave: int, subset: tuple[int, int]) -> Any:
+    """Darken what belongs to lenses, by their indices, that are not of the subset."""
+    i_mine, j_mine = (
+        index - interleave * dr.floor((index + 0.5) / interleave) == remainder
+        for index, remainder in zip((i, j), subset, strict=True)
+    )
+    return dr.select(i_mine & j_mine, light, 0)
 
 
 def _chief(p: Any, camera: PlenopticCamera) -> Any:

@@ -278,7 +278,7 @@ def plan(camera: PlenopticCamera, wavelength: float, distances: Sequence[float],
     """
     rows = lit[1][1] - lit[1][0]
     count, made = 1, _plan(camera, wavelength, distances, lit, 1)
-    while made.memory > _memory() and 2 * count <= rows:
+    while made.memory > field_memory() and 2 * count <= rows:
         count *= 2
         finer = _plan(camera, wavelength, distances, lit, count)
         if finer.memory >= made.memory:
@@ -287,7 +287,8 @@ def plan(camera: PlenopticCamera, wavelength: float, distances: Sequence[float],
     return made
 
 
-def _memory() -> float:
+def field_memory() -> float:
+    """Return the bytes that the fields of a reconstruction may take."""
     return min(_MEMORY, memory_limit())
 
 
@@ -320,7 +321,7 @@ def require_feasible(made: Plan) -> None:
         If it does.
     """
     what = f"camera with {made.subsamples} field samples a pixel; its wave reconstruction"
-    require_memory(made.memory, what, limit=_memory())
+    require_memory(made.memory, what, limit=field_memory())
     if made.transformed > _MOST_TRANSFORMED:
         raise InputError(
             f"{what}: {made.transformed:.2g} samples would be transformed, at most {_MOST_TRANSFORMED:.2g} are"
