@@ -51,8 +51,11 @@ _MOST_TRANSFORMED = 2**35
 More takes many minutes.
 """
 
-_MEMORY = 7 * 2**30
-"""Bytes of fields from which on strips are taken, and beyond which a reconstruction is refused."""
+_STRIPS_MEMORY, _MEMORY = 5.5 * 2**30, 7 * 2**30
+"""Bytes of fields from which on strips are taken, and beyond which a reconstruction is refused.
+
+The whole process takes up to 2 GiB more than the fields.
+"""
 
 _DIRECTION_SAMPLES = 2.5
 """Samples of direction cosines over those that the field of a full pupil has; the power has twice as many as the field.
@@ -278,7 +281,7 @@ def plan(camera: PlenopticCamera, wavelength: float, distances: Sequence[float],
     """
     rows = lit[1][1] - lit[1][0]
     count, made = 1, _plan(camera, wavelength, distances, lit, 1)
-    while made.memory > field_memory() and 2 * count <= rows:
+    while made.memory > min(_STRIPS_MEMORY, memory_limit()) and 2 * count <= rows:
         count *= 2
         finer = _plan(camera, wavelength, distances, lit, count)
         if finer.memory >= made.memory:
