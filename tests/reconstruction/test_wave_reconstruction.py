@@ -13,6 +13,7 @@ from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct,
 from mitsuba_plenoptic.capture.point_spread import point_spread_function
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.exr import read_exr
+from mitsuba_plenoptic.lightfield.white import white_image
 from mitsuba_plenoptic.reconstruction import full_fields, grids
 from mitsuba_plenoptic.reconstruction.full_fields import FullFields, lit_window, reconstruct_subsets
 from mitsuba_plenoptic.reconstruction.grids import plan
@@ -288,6 +289,15 @@ def test_strips_of_the_detector_add_up_to_the_whole(monkeypatch):
     monkeypatch.setattr(full_fields, "require_feasible", lambda made: None)
     parts = reconstruct_subsets(image, SMALL, [112.5], WAVELENGTH)[0]
     assert np.linalg.norm(parts - whole) < 2e-3 * np.linalg.norm(whole)
+
+
+def test_a_white_capture_is_one_where_its_waves_cancel():
+    """Sharp micro-images interfere; the computed white knows nothing of it."""
+    camera = wave_cases.small_camera(8, **HALF)
+    white = white_image(camera)
+    options = {"method": "coherent", "oversample": 3}
+    assert refocus(white, 250.0, camera, **options).image.min() < 0.2
+    np.testing.assert_allclose(refocus(white, 250.0, camera, white=white, **options).image, 1, atol=1e-5)
 
 
 @wave_methods
