@@ -35,6 +35,9 @@ CAMERAS = {
 OTHER = {"focal_length": 50, "aperture_radius": 4, "mla_distance": 70, "mla_focal_length": 0.4, "mla_pitch": 0.05}
 """A camera whose numbers are others than the paper's throughout."""
 
+HALF = {"focal_length": 40, "aperture_radius": 2.5, "mla_distance": 60}
+"""The paper's main lens at half its size: the same micro-images and angles, and fields of a quarter of the samples."""
+
 
 def small_camera(lenses=8, **parameters):
     """Return the paper's camera with so many lenses across."""

@@ -1,12 +1,16 @@
 """Power over bins of an object plane, from a field over direction cosines, in Dr.Jit.
 
-Bins are even in the slope X / g, fields in the cosine X / |X|. The power is therefore interpolated between the samples
-of the field, which are fine enough to do that linearly, at points that are even in slopes and a whole number to a bin.
+Bins are even in the slope X / g, fields in the cosine X / |X|. For a fixed cosine along x, the edges of bins along y
+are known cosines; so the power is integrated along y for every sample in x as the samples come, and the sums then along
+x for every row of bins, with the edges that the row's middle has. Between the samples the power goes as a cubic (Keys,
+"Cubic convolution interpolation for digital image processing", 1981), whose integral is the sum of the samples between
+two edges and a few near each.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import drjit as dr
@@ -18,16 +22,15 @@ from ..runtime.fft import Field, as_words, unpack
 from ..runtime.indexing import quotient
 from .grids import AxisDirections, Directions
 
-# Points that are interpolated at once.
-_BLOCK = 2**22
 
-
-def power_in_bins(spectrum: Field, step: Directions, camera: PlenopticCamera, oversample: int) -> np.ndarray:
+def power_in_bins(
+    spectrum: Iterable[tuple[slice, Field]], step: Directions, camera: PlenopticCamera, oversample: int
+) -> np.ndarray:
     """Sum the power over bins.
 
     Parameters
     ----------
-    spectrum : complex64 array
+    spectrum : iterable of (slice, complex64 array)
         From `steps.to_directions`.
     step : Directions
         Its sampling.
@@ -44,61 +47,74 @@ def power_in_bins(spectrum: Field, step: Directions, camera: PlenopticCamera, ov
     libraries = backend()
     types = libraries.types
     width = camera.mla_pitch / (camera.mla_distance * oversample)
-    points = math.ceil(width / max(step.x.step, step.y.step))
     columns, rows = (count * oversample for count in camera.bin_count)
-    words, stride = types.UInt64(as_words(spectrum)), spectrum.shape[1]
-    # Parseval, of transforms that were divided by their lengths, and the area of a point in samples.
-    scale = math.prod(axis.padded * axis.pitch / axis.step for axis in (step.x, step.y)) * (width / points) ** 2
-    total = libraries.arrays.empty((rows, columns), np.float32)
-    together = max(1, _BLOCK // (columns * points * points))
-    for first in range(0, rows, together):
-        count = min(together, rows - first)
-        index = dr.arange(types.UInt32, count * points * columns * points)
-        row = quotient(types, index, columns * points)
-        column = index - row * dr.opaque(types.UInt32, columns * points)
-        # The object is upside down in camera coordinates: bins grow with -X.
-        tx = _slope(types, column, 0, columns, width, points)
-        ty = _slope(types, row, first, rows, width, points)
-        norm = 1 / (1 + tx * tx + ty * ty)
-        power = _interpolated(types, words, stride, step, tx * dr.sqrt(norm), ty * dr.sqrt(norm))
-        # A solid angle in cosines over that in slopes.
-        sums = dr.block_sum(power * norm * norm * dr.opaque(types.Float, scale), points)
-        dr.eval(sums)
-        total[first : first + count] = libraries.from_drjit(sums).reshape(count, points, columns).sum(1)
-    return total
+    # Parseval, of transforms that were divided by their lengths.
+    scale = math.prod(axis.padded * axis.pitch for axis in (step.x, step.y))
+    along_y = libraries.arrays.empty((step.x.kept, rows), np.float32)
+    for mine, part in spectrum:
+        words = types.UInt64(as_words(part))
+        index = dr.arange(types.UInt32, len(part) * rows)
+        line = quotient(types, index, rows)
+        place = types.Int32(line + dr.opaque(types.UInt32, mine.start))
+        place = dr.select(
+            place > dr.opaque(types.Int32, step.x.kept // 2), place - dr.opaque(types.Int32, step.x.kept), place
+        )
+        cosine = types.Float(place) * dr.opaque(types.Float, step.x.step)
+        base = line * dr.opaque(types.UInt32, step.y.kept)
+
+        def power(sample: Any, active: Any, base: Any = base, words: Any = words) -> Any:
+            value = unpack(dr.gather(types.UInt64, words, base + sample, active))
+            return value.real * value.real + value.imag * value.imag
+
+        def edge(slope: Any, cosine: Any = cosine) -> Any:
+            return slope * dr.sqrt((1 - cosine * cosine) / (1 + slope * slope))
+
+        number = index - line * dr.opaque(types.UInt32, rows)
+        along_y[mine] = _integrals(types, number, rows, width, edge, power, step.y).reshape(len(part), rows)
+    words = types.Float(along_y.reshape(-1))
+    index = dr.arange(types.UInt32, rows * columns)
+    row = quotient(types, index, columns)
+    middle = (types.Float(row) + dr.opaque(types.Float, 0.5 - rows / 2)) * dr.opaque(types.Float, -width)
+
+    def sums(sample: Any, active: Any) -> Any:
+        return dr.gather(types.Float, words, sample * dr.opaque(types.UInt32, rows) + row, active)
+
+    def edge_at(slope: Any) -> Any:
+        return slope / dr.sqrt(1 + slope * slope + middle * middle)
+
+    number = index - row * dr.opaque(types.UInt32, columns)
+    total = _integrals(types, number, columns, width, edge_at, sums, step.x) * np.float32(scale)
+    return total.reshape(rows, columns)
 
 
-def _slope(types: Any, index: Any, first: int, count: int, width: float, points: int) -> Any:
-    """Slope X / g of the points of bins, counted from the bin `first` on."""
-    place = types.Float(index) + dr.opaque(types.Float, (first - count / 2) * points + 0.5)
-    return place * dr.opaque(types.Float, -width / points)
+def _integrals(types: Any, number: Any, bins: int, width: float, edge: Any, sample: Any, axis: AxisDirections) -> Any:
+    """Integrate samples over bins, in samples: over those with these numbers, between their edges as cosines."""
+    # The object is upside down in camera coordinates: bins grow with -X.
+    low, high = (
+        edge((types.Float(number) + dr.opaque(types.Float, side - bins / 2)) * dr.opaque(types.Float, -width))
+        * dr.opaque(types.Float, 1 / axis.step)
+        for side in (1, 0)
+    )
+    first, last = (types.Int32(dr.floor(end)) for end in (low, high))
+    most, kept = dr.opaque(types.Int32, axis.kept // 2), dr.opaque(types.Int32, axis.kept)
+
+    def at(place: Any) -> Any:
+        return sample(types.UInt32(dr.select(place >= 0, place, place + kept)), dr.abs(place) <= most)
+
+    def body(place: Any, total: Any) -> tuple[Any, Any]:
+        return place + 1, total + at(place)
+
+    _, total = dr.while_loop((first + 1, types.Float(0)), lambda place, total: place <= last, body)
+    total += _beyond(types, last, high, at) - _beyond(types, first, low, at)
+    # A cubic may go below zero beside a dark sample.
+    total = dr.maximum(total, 0)
+    dr.eval(total)
+    return backend().from_drjit(total)
 
 
-def _interpolated(types: Any, words: Any, stride: int, step: Directions, sx: Any, sy: Any) -> Any:
-    """Squared modulus of the field at direction cosines, linear between samples; 0 where none are kept."""
-    (i, along_x), (j, along_y) = (_samples(types, s, axis) for s, axis in ((sx, step.x), (sy, step.y)))
-    total = types.Float(0)
-    for place_x, inside_x, weight_x in _neighbours(types, i, along_x, step.x):
-        for place_y, inside_y, weight_y in _neighbours(types, j, along_y, step.y):
-            place = place_x * dr.opaque(types.UInt32, stride) + place_y
-            value = unpack(dr.gather(types.UInt64, words, place, inside_x & inside_y))
-            total += (value.real * value.real + value.imag * value.imag) * weight_x * weight_y
-    return total
-
-
-def _samples(types: Any, cosine: Any, axis: AxisDirections) -> tuple[Any, Any]:
-    """Return the sample before a direction cosine, and how far that lies beyond it."""
-    place = cosine * dr.opaque(types.Float, 1 / axis.step)
-    before = dr.floor(place)
-    return types.Int32(before), place - before
-
-
-def _neighbours(types: Any, index: Any, beyond: Any, axis: AxisDirections) -> list[tuple[Any, Any, Any]]:
-    """Return place in the spectrum, whether it is there, and weight, of a sample and of the one after it."""
-    most = dr.opaque(types.Int32, axis.kept // 2)
-    kept = dr.opaque(types.Int32, axis.kept)
-    found = []
-    for number, weight in ((index, 1 - beyond), (index + 1, beyond)):
-        place = types.UInt32(dr.select(number >= 0, number, number + kept))
-        found.append((place, dr.abs(number) <= most, weight))
-    return found
+def _beyond(types: Any, before: Any, end: Any, at: Any) -> Any:
+    """Return by how much the integral up to an edge exceeds the sum of the samples up to the one before it."""
+    f = end - types.Float(before)
+    a, b, c, d = (at(before + step) for step in (-1, 0, 1, 2))
+    inside = f * (b + f * ((c - a) / 4 + f * ((a - 2.5 * b + 2 * c - d / 2) / 3 + f * (3 * (b - c) + d - a) / 8)))
+    return inside + (a - c) / 24 - b / 2

@@ -16,8 +16,8 @@ from ..optics.phase import parabola, phasor
 from ..runtime.backend import array_module, backend
 from ..runtime.fft import Field, as_field, pack
 from ..runtime.indexing import split
-from .grids import Directions, Step
-from .steps import Rows
+from .grids import AxisStep, Directions, Step
+from .steps import Element
 
 # -- along one axis of an upright square lattice -----------------------------------------------------
 
@@ -35,46 +35,88 @@ def converging_phase(
     return phasor(parabola(offset**2, camera.detector_distance, wavelength))
 
 
-# -- on the rows of a field --------------------------------------------------------------------------
+# -- thin elements -----------------------------------------------------------------------------------
 
 
-def through_axes(field: Rows, x_factor: np.ndarray, y_factor: np.ndarray) -> Rows:
-    """Multiply a field by a function of x times one of y; rows where that is 0 are left out."""
-    arrays = backend().arrays
-    along_x, along_y = arrays.asarray(x_factor), arrays.asarray(y_factor)
-    for rows, samples in field:
-        runs = np.flatnonzero(np.diff(y_factor[rows] != 0, prepend=False, append=False)).reshape(-1, 2)
-        for first, end in runs.tolist():
-            lit = slice(rows.start + first, rows.start + end)
-            product = samples[first:end] * along_x
-            product *= along_y[lit, None]
-            yield lit, product
+class _Nothing:
+    """No element: the field goes on as it is."""
+
+    along_columns: Field | None = None
+
+    def lit(self, rows: slice) -> list[slice]:
+        return [rows]
+
+    def through(self, rows: slice, samples: Field, out: Field) -> None:
+        out[...] = samples
 
 
-def to_object(field: Rows, step: Directions, main: MainLens, distance: float, wavelength: float) -> Rows:
-    """Take a field at the main lens through it, and take out the path to the object plane's point on the axis."""
-    return _through_plane(field, step, lambda x, y: phasor(main.path((x, y), (0.0, 0.0, distance), wavelength)))
+NOTHING: Element = _Nothing()
 
 
-def through_microlenses(field: Rows, step: Step, camera: PlenopticCamera, wavelength: float) -> Rows:
-    """Take a field at the source of a step through the microlenses."""
+class _Axes:
+    """A function of x times one of y."""
+
+    def __init__(self, along_x: np.ndarray, along_y: np.ndarray) -> None:
+        arrays = backend().arrays
+        self._along_x, self.along_columns = arrays.asarray(along_x), arrays.asarray(along_y)
+        self._lit = along_y != 0
+
+    def lit(self, rows: slice) -> list[slice]:
+        runs = np.flatnonzero(np.diff(self._lit[rows], prepend=False, append=False)).reshape(-1, 2)
+        return [slice(rows.start + first, rows.start + end) for first, end in runs.tolist()]
+
+    def through(self, rows: slice, samples: Field, out: Field) -> None:
+        backend().arrays.multiply(samples, self._along_x, out=out)
+
+
+class _Plane:
+    """A function of Dr.Jit's x and y, evaluated at the source samples of a step, for the rows that come."""
+
+    along_columns: Field | None = None
+
+    def __init__(self, step: Step | Directions, function: Callable[[Any, Any], Any]) -> None:
+        self._step, self._function = step, function
+
+    def lit(self, rows: slice) -> list[slice]:
+        return [rows]
+
+    def through(self, rows: slice, samples: Field, out: Field) -> None:
+        factor = _evaluate(self._step.x.source, self._step.y.source[rows], self._function)
+        backend().arrays.multiply(samples, factor, out=out)
+
+
+def to_object(step: Directions, main: MainLens, distance: float, wavelength: float) -> Element:
+    """Return the main lens, less the path to the object plane's point on the axis."""
+    return _Plane(step, lambda x, y: phasor(main.path((x, y), (0.0, 0.0, distance), wavelength)))
+
+
+def microlenses(
+    step: Step, camera: PlenopticCamera, wavelength: float, interleave: int = 1, subset: tuple[int, int] = (0, 0)
+) -> Element:
+    """Return the microlenses of a subset, as `converging` has it, in the source plane of a step; others are dark."""
     if is_separable(camera):
-        factors = (
-            transmission_along(camera, wavelength, along.source, axis) for axis, along in enumerate((step.x, step.y))
-        )
-        return through_axes(field, *factors)
-    return _through_plane(field, step, lambda x, y: transmission(camera, wavelength, x, y))
+
+        def factor(along: AxisStep, axis: int) -> np.ndarray:
+            index = np.asarray(camera.lattice.axis_cell(along.source, axis))
+            lens = transmission_along(camera, wavelength, along.source, axis)
+            return np.where(np.mod(index, interleave) == subset[axis], lens, 0)
+
+        return _Axes(factor(step.x, 0), factor(step.y, 1))
+
+    def lens(x: Any, y: Any) -> Any:
+        light = transmission(camera, wavelength, x, y)
+        return light if interleave == 1 else _of_subset(light, *camera.lattice.cell(x, y), interleave, subset)
+
+    return _Plane(step, lens)
 
 
 def converging(
-    amplitude: Rows, step: Step, camera: PlenopticCamera, wavelength: float, interleave: int, subset: tuple[int, int]
-) -> Rows:
-    """Let light at the source of a step converge to the centres of the lenses of a subset; the others are dark.
+    step: Step, camera: PlenopticCamera, wavelength: float, interleave: int, subset: tuple[int, int]
+) -> Element:
+    """Return what lets light converge to the centres of the lenses of a subset; the others are dark.
 
     Parameters
     ----------
-    amplitude : rows of a float32 array
-        On the detector.
     step : Step
         From the detector to the MLA.
     camera : PlenopticCamera
@@ -93,27 +135,24 @@ def converging(
             phase = converging_phase(p, index, camera, wavelength, axis)
             return np.where(np.mod(index, interleave) == subset[axis], phase, 0)
 
-        return through_axes(amplitude, factor(step.x.source, 0), factor(step.y.source, 1))
+        return _Axes(factor(step.x.source, 0), factor(step.y.source, 1))
 
     def phase(x: Any, y: Any) -> Any:
         i, j = camera.lattice.cell(_chief(x, camera), _chief(y, camera))
         cx, cy = camera.lattice.centre(i, j)
         light = phasor(parabola((x - cx) ** 2 + (y - cy) ** 2, camera.detector_distance, wavelength))
-        i_mine, j_mine = (
-            index - interleave * dr.floor((index + 0.5) / interleave) == remainder
-            for index, remainder in zip((i, j), subset, strict=True)
-        )
-        return dr.select(i_mine & j_mine, light, 0)
+        return _of_subset(light, i, j, interleave, subset)
 
-    return _through_plane(amplitude, step, phase)
+    return _Plane(step, phase)
 
 
-def _through_plane(field: Rows, step: Step | Directions, function: Callable[[Any, Any], Any]) -> Rows:
-    """Multiply a field by a function of Dr.Jit's x and y, evaluated for the rows that come."""
-    for rows, samples in field:
-        factor = _evaluate(step.x.source, step.y.source[rows], function)
-        factor *= samples
-        yield rows, factor
+def _of_subset(light: Any, i: Any, j: Any, interleave: int, subset: tuple[int, int]) -> Any:
+    """Darken what belongs to lenses, by their indices, that are not of the subset."""
+    i_mine, j_mine = (
+        index - interleave * dr.floor((index + 0.5) / interleave) == remainder
+        for index, remainder in zip((i, j), subset, strict=True)
+    )
+    return dr.select(i_mine & j_mine, light, 0)
 
 
 def _chief(p: Any, camera: PlenopticCamera) -> Any:
@@ -131,5 +170,4 @@ def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any])
             dr.gather(types.Float64, types.Float64(np.ascontiguousarray(y)), row),
         )
     )
-    # what Dr.Jit computed is its own to write to
-    return as_field(packed, (len(y), len(x))).copy()
+    return as_field(packed, (len(y), len(x)))

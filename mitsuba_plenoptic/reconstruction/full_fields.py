@@ -14,8 +14,8 @@ from ..optics.sampling import check_memory
 from ..runtime.backend import backend
 from ..runtime.fft import Field, resting_drjit
 from .direction_bins import power_in_bins
-from .elements import converging, through_microlenses, to_object
-from .grids import Directions, Plan, Strip, Window, object_extent, plan, require_feasible
+from .elements import NOTHING, converging, microlenses, to_object
+from .grids import Directions, Plan, Strip, Window, field_memory, object_extent, plan, require_feasible
 from .methods import Progress
 from .steps import Rows, Workspace, propagate, to_directions
 
@@ -109,6 +109,7 @@ class FullFields:
         self._camera, self._wavelength, self._grids = camera, wavelength, grids
         self._interleave, self._relay = interleave, relay
         self._workspace = Workspace(grids)
+        self._at_mla: Field | None = None
         rows, columns = (
             slice(first - offset, end - offset)
             for (first, end), offset in zip(lit[::-1], camera.crop_offset[::-1], strict=True)
@@ -140,11 +141,36 @@ class FullFields:
     def _up(self, strip: Strip, subset: tuple[int, int]) -> Rows:
         """Take the light of a strip of the detector up to the main lens."""
         camera, wavelength, workspace = self._camera, self._wavelength, self._workspace
-        rows = converging(self._amplitude(strip.rows), strip.to_mla, camera, wavelength, self._interleave, subset)
-        rows = propagate(rows, strip.to_mla, camera.detector_distance, wavelength, workspace)
+        onto, on = strip.to_mla, strip.to_main_lens
         if self._relay:
-            rows = through_microlenses(rows, strip.to_main_lens, camera, wavelength)
-        return propagate(rows, strip.to_main_lens, camera.mla_distance, wavelength, workspace)
+            # What strays to a cell from another lens's pixels is bent aside by a micro-image and misses the main lens:
+            # so the light of all lenses goes to the MLA at once, and a subset is what its lenses let through.
+            rows, lenses = self._all_at_mla(strip), microlenses(on, camera, wavelength, self._interleave, subset)
+        else:
+            light = converging(onto, camera, wavelength, self._interleave, subset)
+            amplitude, lenses = self._amplitude(strip.rows), NOTHING
+            rows = propagate(amplitude, light, onto, camera.detector_distance, wavelength, workspace)
+        return propagate(rows, lenses, on, camera.mla_distance, wavelength, workspace)
+
+    def _all_at_mla(self, strip: Strip) -> Rows:
+        """Take the light of all lenses of a strip to the MLA; for several subsets it is kept if memory allows."""
+        if self._at_mla is not None:
+            yield from self._workspace.blocks(self._at_mla)
+            return
+        step, wavelength = strip.to_mla, self._wavelength
+        light = converging(step, self._camera, wavelength, 1, (0, 0))
+        rows = propagate(
+            self._amplitude(strip.rows), light, step, self._camera.detector_distance, wavelength, self._workspace
+        )
+        grids, size = self._grids, 8.0 * step.shape[0] * step.shape[1]
+        if self._interleave == 1 or len(grids.strips) > 1 or grids.memory + size > field_memory():
+            yield from rows
+            return
+        kept = self._workspace.libraries.arrays.empty(step.shape, np.complex64)
+        for place, samples in rows:
+            kept[place] = samples
+            yield place, samples
+        self._at_mla = kept
 
     def _amplitude(self, strip: slice) -> Rows:
         """Square root of lit pixels, sample by sample."""
@@ -163,6 +189,6 @@ class FullFields:
     def in_bins(self, field: Field, distance: float, step: Directions, oversample: int) -> np.ndarray:
         """Power in each bin of an object plane, of a field just before the main lens; (rows, columns) float32 array."""
         camera, workspace = self._camera, self._workspace
-        rows = to_object(workspace.blocks(field), step, main_lens(camera), distance, self._wavelength)
-        spectrum = to_directions(rows, step, workspace)
+        lens = to_object(step, main_lens(camera), distance, self._wavelength)
+        spectrum = to_directions(workspace.blocks(field), lens, step, workspace)
         return power_in_bins(spectrum, step, camera, oversample) / camera.pixel_size**2

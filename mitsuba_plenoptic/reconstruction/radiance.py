@@ -4,8 +4,8 @@ A bin is divided by what it gets of white in the same way: of a white capture of
 else of the white that the camera would record. So a white scene reads 1 everywhere, at the borders too, where part of
 the light misses the detector. A bin that gets less than a hundredth of the rays that the best one gets is not reached:
 there is next to nothing to be divided, and it is NaN, for every method alike. Between the footprints of lenses, fine
-bins may get little light of waves though many rays reach them: they are not brightened without end, since they would
-show little but what is beside them.
+bins may get little light of waves though many rays reach them: by the computed white, which is least sure of them, they
+are not brightened without end. A white capture knows what they get, and where waves interfere.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .methods import Progress, Task
 _LEAST_REACHED = 0.01
 
 _LEAST_WHITE = 0.25
-"""Fraction of the light that as many rays usually bring, as which no bin's white counts less."""
+"""Fraction of the light that as many rays usually bring, as which no bin's computed white counts less."""
 
 Sums = Callable[[np.ndarray, Progress], list[np.ndarray]]
 """From a capture (rows, columns, channels) to the sums (rows, columns, channels) over the bins of every distance."""
@@ -64,9 +64,10 @@ def to_radiance(
         reached = (rays[..., None] >= _LEAST_REACHED * rays.max()) & (white > 0)
         if not reached.any():
             raise InputError(f"distance = {distance:g}: no light comes from any of the {rays.size} bins there")
-        # Both sums are of all bins, since light that misses one of them is in another.
-        usual = white.sum() / (float(rays.sum()) * white.shape[2])
-        white = np.maximum(white, _LEAST_WHITE * usual * rays[..., None])
+        if task.white is None:
+            # Both sums are of all bins, since light that misses one of them is in another.
+            usual = white.sum() / (float(rays.sum()) * white.shape[2])
+            white = np.maximum(white, _LEAST_WHITE * usual * rays[..., None])
         image = np.full(total.shape, np.nan, np.float32)
         np.divide(total, white, out=image, where=np.broadcast_to(reached, total.shape), casting="same_kind")
         images.append(image)

@@ -10,6 +10,7 @@ out, and so are frequencies and destination samples that nobody asks for.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import Protocol
 
 import numpy as np
 
@@ -32,6 +33,24 @@ _TILE = 512
 
 # Columns a whole number of pages apart would fall on the same few lines of the cache when they are turned.
 _PAGE, _STAGGER = 512, 24
+
+
+class Element(Protocol):
+    """A thin element in the source plane of a step.
+
+    Attributes
+    ----------
+    along_columns : complex64 array (step.y.count,), or None
+        A factor that depends on y alone; it is multiplied where columns are read.
+    """
+
+    along_columns: Field | None
+
+    def lit(self, rows: slice) -> list[slice]:
+        """Return those of the rows that the element does not darken, in runs."""
+
+    def through(self, rows: slice, samples: Field, out: Field) -> None:
+        """Write rows of a field, multiplied by what is left of the element, to `out`."""
 
 
 class Workspace:
@@ -62,13 +81,17 @@ class Workspace:
             yield rows, field[rows]
 
 
-def propagate(source: Rows, step: Step, distance: float, wavelength: float, workspace: Workspace) -> Rows:
-    """Propagate a field to the next plane.
+def propagate(
+    source: Rows, element: Element, step: Step, distance: float, wavelength: float, workspace: Workspace
+) -> Rows:
+    """Propagate a field through a thin element and to the next plane.
 
     Parameters
     ----------
-    source : iterable of (slice, complex64 array (n, step.x.count))
+    source : iterable of (slice, array (n, step.x.count))
         The field, at the source samples; it may be what another step returned with the same workspace.
+    element : Element
+        What the field passes first.
     step : Step
         Sampling.
     distance : float
@@ -84,57 +107,63 @@ def propagate(source: Rows, step: Step, distance: float, wavelength: float, work
         The field at the destination samples, without the carrier.
     """
     columns = workspace.columns(step)
-    _to_columns(source, step, columns, workspace)
-    _across_space(columns, step, distance, wavelength, workspace)
+    _to_columns(source, element, step, columns, workspace)
+    _across_space(columns, element, step, distance, wavelength, workspace)
     yield from _to_rows(columns, step, workspace)
 
 
-def to_directions(source: Rows, step: Directions, workspace: Workspace) -> Field:
+def to_directions(
+    source: Rows, element: Element, step: Directions, workspace: Workspace
+) -> Iterator[tuple[slice, Field]]:
     """Transform a field at the main lens to direction cosines.
 
     Parameters
     ----------
-    source : iterable of (slice, complex64 array (n, step.x.count))
-        The field behind the main lens, of which the path to the object plane has been taken out.
+    source : iterable of (slice, array (n, step.x.count))
+        The field just before the main lens.
+    element : Element
+        The main lens, and what takes out the path to the object plane.
     step : Directions
         Sampling.
     workspace : Workspace
         Where the work is done.
 
-    Returns
-    -------
-    complex64 array (step.x.kept, at least step.y.kept)
-        Contiguous; its second axis is y. Zero comes first on both axes, negative cosines last of the kept ones. Both
-        transforms are divided by their lengths. It holds until the next step.
+    Yields
+    ------
+    (slice, complex64 array (n, step.y.kept))
+        Some cosines along x and all along y; contiguous, until the next one is asked for. Zero comes first on both
+        axes, negative cosines last of the kept ones. Both transforms are divided by their lengths.
     """
     columns = workspace.columns(step)
-    _to_columns(source, step, columns, workspace)
-    for mine, part in _spectra(columns, step, workspace):
-        columns[mine, : step.y.kept] = part
-    return columns
+    _to_columns(source, element, step, columns, workspace)
+    yield from _spectra(columns, element, step, workspace)
 
 
-def _to_columns(source: Rows, step: Step | Directions, columns: Field, workspace: Workspace) -> None:
+def _to_columns(source: Rows, element: Element, step: Step | Directions, columns: Field, workspace: Workspace) -> None:
     """Transform rows and keep the lowest frequencies, turned into columns."""
     x = step.x
     block = workspace.array("rows", (workspace.block, x.padded))
     low, high = _lowest(x.padded, x.kept)
     end = 0
     for rows, samples in source:
-        columns[:, end : rows.start] = 0
-        end = rows.stop
-        part = block[: end - rows.start]
-        part[:, : x.count] = samples
-        part[:, x.count :] = 0
-        part = _fft(part)
-        columns[: low.stop, rows] = part[:, low].T
-        columns[low.stop :, rows] = part[:, high].T
+        for lit in element.lit(rows):
+            columns[:, end : lit.start] = 0
+            end = lit.stop
+            part = block[: end - lit.start]
+            element.through(lit, samples[lit.start - rows.start : end - rows.start], part[:, : x.count])
+            part[:, x.count :] = 0
+            part = _fft(part)
+            columns[: low.stop, lit] = part[:, low].T
+            columns[low.stop :, lit] = part[:, high].T
     columns[:, end : step.y.count] = 0
 
 
-def _spectra(columns: Field, step: Step | Directions, workspace: Workspace) -> Iterator[tuple[slice, Field]]:
+def _spectra(
+    columns: Field, element: Element, step: Step | Directions, workspace: Workspace
+) -> Iterator[tuple[slice, Field]]:
     """Transform columns block by block and keep the lowest frequencies."""
     x, y, together = step.x, step.y, workspace.block
+    arrays = workspace.libraries.arrays
     block = workspace.array("rows", (together, y.padded))
     spectrum = workspace.array("spectrum", (together, y.kept))
     low, high = _lowest(y.padded, y.kept)
@@ -142,7 +171,10 @@ def _spectra(columns: Field, step: Step | Directions, workspace: Workspace) -> I
         mine = slice(place, min(place + together, x.kept))
         size = mine.stop - place
         part = block[:size]
-        part[:, : y.count] = columns[mine, : y.count]
+        if element.along_columns is None:
+            part[:, : y.count] = columns[mine, : y.count]
+        else:
+            arrays.multiply(columns[mine, : y.count], element.along_columns, out=part[:, : y.count])
         part[:, y.count :] = 0
         part = _fft(part)
         if y.kept < y.padded:
@@ -152,10 +184,12 @@ def _spectra(columns: Field, step: Step | Directions, workspace: Workspace) -> I
         yield mine, part
 
 
-def _across_space(columns: Field, step: Step, distance: float, wavelength: float, workspace: Workspace) -> None:
+def _across_space(
+    columns: Field, element: Element, step: Step, distance: float, wavelength: float, workspace: Workspace
+) -> None:
     """Transform columns, multiply by the transfer function, transform back, in place."""
     x, y = step.x, step.y
-    for mine, part in _spectra(columns, step, workspace):
+    for mine, part in _spectra(columns, element, step, workspace):
         part = advance(
             part,
             (x.new_pitch, y.new_pitch),

@@ -96,7 +96,9 @@ def draw_comparison(
     figure_interference(folder / "interference.png", experiment, interference)
     figure_captures(folder / "captures.png", experiment, zooms)
     return {
-        "methods.png": "All methods beside the thin lens.",
+        "methods.png": "All methods beside the thin lens. One bin a pixel shows a grid where the image is out of "
+        "focus: neighbouring pixels go to bins several apart, and how many meet in one changes from bin to bin. The "
+        "lens footprint, which is right there, spreads each pixel over what its lens sees.",
         "interference.png": "What interference between lenses adds to the image.",
         "captures.png": "Micro-images by rays and by waves, and their difference.",
     }
