@@ -116,7 +116,7 @@ def energies() -> Iterator[Row]:
     for name, make in scenes.items():
         try:
             # Every lens meets an edge before the pupil by the same rays, of which there must be many.
-            yield _energy(name, *captures(make(), spp=16, per_lens=8))
+            yield _energy(name, *captures(make(), spp=16, per_lens=16 if make is _half_hidden_wall else 8))
         except InputError as refusal:
             yield Row(f"{name}: {refusal}", math.nan, 1.0, 0.015)
     vitrine = load_scene("vitrine", parameters={"resolution": "256", "detector_width": "1.024"})
