@@ -8,6 +8,7 @@ board). Centres have ``k, l, u, v``. Other columns are ignored.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -105,6 +106,12 @@ class Table:
     def keep(self, chosen: np.ndarray) -> Table:
         """Return some of the rows."""
         return Table(self.name, {name: values[chosen] for name, values in self.columns.items()})
+
+
+def joined(tables: Sequence[Table]) -> Table:
+    """Return the rows of tables with the same columns, one after the other."""
+    first = tables[0]
+    return Table(first.name, {name: np.concatenate([table[name] for table in tables]) for name in first.columns})
 
 
 def read_table(path: str | Path, names: tuple[str, ...]) -> Table:
