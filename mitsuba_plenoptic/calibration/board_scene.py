@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..camera import PlenopticCamera
+from ..runtime.variant import set_variant
 from .observations import Board
 
 # What lies behind the board is hidden by its margin of so many squares.
@@ -37,7 +38,9 @@ def board_scene(
     Returns
     -------
     mitsuba.Scene
+        In the active variant, or ``llvm_ad_mono`` if none is.
     """
+    set_variant(None)
     rotation = Rotation.from_rotvec(pose[:3]).as_matrix()
     squares = np.array([board.columns + 1, board.rows + 1])
 
@@ -59,19 +62,18 @@ def board_scene(
         }
 
     # Two periods of the texture are a unit of it; its rows rise with the rectangle's y, that is against the board's.
-    fold = mi.ScalarTransform3f if hasattr(mi, "ScalarTransform3f") else mi.ScalarTransform4f
     first = [light, dark] if board.rows % 2 else [dark, light]
     texture = {
         "type": "checkerboard",
         "color0": first[0],
         "color1": first[1],
-        "to_uv": fold().scale(mi.ScalarPoint2f(squares / 2)),
+        "to_uv": mi.ScalarTransform3f().scale(mi.ScalarPoint2f(squares / 2)),
     }
     return mi.load_dict(
         {
             "type": "scene",
             "integrator": {"type": "path", "max_depth": 1},
-            "sensor": camera.to_sensor() | {"sampler": {"type": "multijitter", "sample_count": spp}},
+            "sensor": camera.to_sensor() | {"sampler": {"type": "independent", "sample_count": spp}},
             "squares": shining(texture, rectangle(0.0, 0.0)),
             "margin": shining(light, rectangle(_MARGIN, 1e-3 * board.square)),
         }

@@ -27,7 +27,7 @@ from .saddle import Saddles, find_saddles
 _DARK = 0.25
 
 # Corners nearer than so many pixels to a micro-image's rim are not looked for.
-_RIM = 2.0
+_RIM = 3.0
 
 # How often corners are looked for, from where they were found the time before.
 _PASSES = 3

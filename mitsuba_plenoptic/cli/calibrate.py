@@ -32,8 +32,8 @@ def calibrate(
         list[Path] | None,
         typer.Argument(
             metavar="CORNERS.csv|WHITE|PICTURES...",
-            help="Corners of a board seen through the lenses; or a white image (.exr, .png, .tiff); or, with --board, "
-            "raw pictures of the board, one for each pose.",
+            help="Corners of a board seen through the lenses; or white images (.exr, .png, .tiff) at one or several "
+            "apertures; or, with --board, raw pictures of the board, one for each pose.",
         ),
     ] = None,
     output: Annotated[
@@ -46,7 +46,11 @@ def calibrate(
     square: Annotated[float | None, number("Distance of neighbouring corners.", "none", unit="MM")] = None,
     centres: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.csv", help="Centres of micro-images, fitted jointly; WHITE writes such a file."),
+        typer.Option(
+            metavar="FILE",
+            help="Centres of micro-images, fitted jointly; WHITE writes such a file. Or those of LFToolbox and "
+            "PlenoptiCam (.json).",
+        ),
     ] = None,
     evaluate: Annotated[
         Path | None,
@@ -82,12 +86,10 @@ def calibrate(
         _evaluate(evaluate, camera, board, square)
     elif all(pictures) and board is not None:
         _detect(sources, output, camera, Board.parse(board, square or 1.0), centres, white, linear)
+    elif all(pictures):
+        _centres(sources, output, linear)
     elif len(sources) > 1:
-        raise typer.BadParameter(
-            "several pictures are taken with --board, and any other source by itself", param_hint="SOURCE"
-        )
-    elif pictures[0]:
-        _centres(sources[0], output, linear)
+        raise typer.BadParameter("give one table of corners, or pictures", param_hint="SOURCE")
     else:
         _calibrate(sources[0], output, camera, board, square, centres, report)
 
@@ -160,9 +162,9 @@ def _detect(
     typer.echo(f"{output}: {sum(len(table['k']) for table in found)} corners in {len(paths)} pictures")
 
 
-def _centres(path: Path, output: Path | None, linear: bool) -> None:
+def _centres(paths: list[Path], output: Path | None, linear: bool) -> None:
     output = _output(output)
-    found = calibration.find_centres(_picture(path, linear))
+    found = calibration.find_centres(*(_picture(path, linear) for path in paths))
     calibration.write_centres(output, found)
     along, across = found.grid.spacing
     rows = "" if found.grid.shifted_rows is None else ", every second row shifted"

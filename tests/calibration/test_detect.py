@@ -147,8 +147,7 @@ def test_pictures_without_a_board_get_one_line(pictures, change, words):
     ("arguments", "words"),
     [
         (["a.png", "--board", "4x3"], "need a white image"),
-        (["a.png", "b.png"], "several pictures"),
-        (["a.png", "b.csv", "--board", "4x3"], "several pictures"),
+        (["a.png", "b.csv", "--board", "4x3"], "one table of corners"),
     ],
 )
 def test_commands_that_lack_something(tmp_path, capsys, arguments, words):
