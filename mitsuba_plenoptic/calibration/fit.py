@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..errors import InputError
 from .adjustment import Problem, Solution, adjust, adjust_poses, information
 from .model import AT, NAMES, Observations
 from .numbers import camera_of, numbers_of, on_pixel_grid
@@ -157,8 +158,12 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     rest = [name for name in NAMES if not name.startswith("principal")]
     final = adjust(problem, on_pixel_grid(first.numbers), first.poses, rest, weights)
     deviations, correlation = _deviations(problem, final, weights)
+    try:
+        camera = camera_of(final.numbers, start)
+    except InputError as error:
+        raise InputError(f"corners: the numbers that fit them best are no camera; cover more of it: {error}") from None
     return Calibration(
-        camera_of(final.numbers, start),
+        camera,
         index,
         Evaluation(problem.residuals(final.numbers, final.poses), frames, seen.pose, final.poses),
         dict(zip(NAMES, final.numbers.tolist(), strict=True)),

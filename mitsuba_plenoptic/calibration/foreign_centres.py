@@ -36,7 +36,7 @@ def read_foreign_centres(path: str | Path) -> dict[str, np.ndarray]:
                 raise InputError(f"{path}: its grid has rows along the columns of the picture; transpose the picture")
             # Ours cover [k, k + 1).
             u, v = (grid.centres() - 0.5).reshape(-1, 2).T
-            l, k = (index.ravel() for index in np.indices(grid.shape))  # noqa: E741
+            l, k = np.indices(grid.shape, dtype=np.float64).reshape(2, -1)  # noqa: E741
         else:
             raise InputError(f"{path}: it has neither LFToolbox's LensletGridModel nor PlenoptiCam's mic_list")
     except InputError:
