@@ -168,7 +168,7 @@ def rendered_board(verdict: Verdict, corners: Table, found: Calibration, frame: 
     window = found.camera.replace(crop_offset=tuple(start.tolist()), crop_size=tuple((high - low).tolist()))
     place = {key: row for row, key in enumerate(zip(mine["k"], mine["l"], mine["cluster"], strict=True))}
     for fill in (1.0, 0.2):
-        camera = window.replace(mla_aperture="circle", mla_fill=fill)
+        camera = window if fill == 1 else window.replace(mla_aperture="circle", mla_fill=fill)
         image = render_capture(board_scene(BOARD, found.evaluation.poses[pose], camera), spp=16).image
         seen = detect_corners(image, white_image(camera), camera_centres(camera, found.index), BOARD)
         keys = list(zip(seen["k"], seen["l"], seen["cluster"], strict=True))
