@@ -107,15 +107,17 @@ def test_boards_are_found_where_the_model_sees_them(corners):
 
 
 def test_detected_boards_give_the_camera_back(corners):
-    # Told well or badly, each combination of numbers is off by about its deviation.
-    found = calibrate(corners, BOARD, PlenopticCamera.preset("raytrix").replace(
-        resolution=CAMERA.crop_size, crop_size=CAMERA.crop_size, crop_offset=(0, 0), detector_width=5.28,
-    ))  # fmt: skip
+    size = CAMERA.crop_size
+    start = PlenopticCamera.preset("raytrix").replace(
+        resolution=size, crop_size=size, crop_offset=(0, 0), detector_width=5.28
+    )
+    found = calibrate(corners, BOARD, start, camera_centres(CAMERA))
     assert found.evaluation.error < 0.25
     true = dict(zip(NAMES, numbers_of(CAMERA), strict=True))
     names = ["focal_length", "mla_distance", "detector_distance", "pitch_along", "pitch_across", "mla_rotation"]
     for name in (*names, "tilt_x", "tilt_y", "k1"):
         assert abs(found.numbers[name] - true[name]) < 4 * found.deviations[name], name
+    assert found.numbers["focal_length"] == pytest.approx(CAMERA.focal_length, rel=0.2)
 
 
 def test_a_white_image_is_enough(pictures, corners):
