@@ -1,8 +1,10 @@
 """Calibration of a real camera: its numbers from corners of a board, its micro-images' centres from white images."""
 
+from .board_scene import board_scene
+from .detect import camera_centres, detect_corners, write_corners
 from .files import read_camera, write_calibration
 from .fit import Calibration, Evaluation, calibrate, evaluate, left_out_errors
-from .observations import Board, LensIndex, Table, read_centres, read_corners
+from .observations import Board, LensIndex, Table, joined, read_centres, read_corners
 from .white import Centres, find_centres, write_centres
 
 __all__ = [
@@ -12,13 +14,18 @@ __all__ = [
     "Evaluation",
     "LensIndex",
     "Table",
+    "board_scene",
     "calibrate",
+    "camera_centres",
+    "detect_corners",
     "evaluate",
     "find_centres",
+    "joined",
     "left_out_errors",
     "read_camera",
     "read_centres",
     "read_corners",
     "write_calibration",
     "write_centres",
+    "write_corners",
 ]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..errors import InputError
 from .adjustment import Problem, Solution, adjust, adjust_poses, information
 from .model import AT, NAMES, Observations
 from .numbers import camera_of, numbers_of, on_pixel_grid
@@ -19,6 +20,9 @@ _OUTLIER = 6.0
 
 # Detected centres err together over about so many lenses along each axis, so that they tell less than their number.
 _CORRELATED = 16
+
+# Focal lengths whose deviation is a greater part of them are open.
+_OPEN = 0.5
 
 
 @dataclass(frozen=True)
@@ -157,8 +161,18 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     rest = [name for name in NAMES if not name.startswith("principal")]
     final = adjust(problem, on_pixel_grid(first.numbers), first.poses, rest, weights)
     deviations, correlation = _deviations(problem, final, weights)
+    f, uncertain = final.numbers[AT["focal_length"]], deviations[AT["focal_length"]]
+    if not uncertain < _OPEN * abs(f):
+        raise InputError(
+            f"corners: they leave the focal length open, {f:.4g} +- {uncertain:.2g} mm, as boards do that are never "
+            "tilted: add poses in which the board is, by 20 degrees or more, or give centres of micro-images"
+        )
+    try:
+        camera = camera_of(final.numbers, start)
+    except InputError as error:
+        raise InputError(f"corners: the numbers that fit them best are no camera; cover more of it: {error}") from None
     return Calibration(
-        camera_of(final.numbers, start),
+        camera,
         index,
         Evaluation(problem.residuals(final.numbers, final.poses), frames, seen.pose, final.poses),
         dict(zip(NAMES, final.numbers.tolist(), strict=True)),

@@ -8,6 +8,7 @@ board). Centres have ``k, l, u, v``. Other columns are ignored.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import numpy as np
 
 from ..errors import InputError, require_count, require_number
 from ..io.files import require_file
+from .foreign_centres import read_foreign_centres
 from .model import Observations
 
 CORNER_COLUMNS = ("k", "l", "u", "v", "cluster", "frame")
@@ -107,6 +109,12 @@ class Table:
         return Table(self.name, {name: values[chosen] for name, values in self.columns.items()})
 
 
+def joined(tables: Sequence[Table]) -> Table:
+    """Return the rows of tables with the same columns, one after the other."""
+    first = tables[0]
+    return Table(first.name, {name: np.concatenate([table[name] for table in tables]) for name in first.columns})
+
+
 def read_table(path: str | Path, names: tuple[str, ...]) -> Table:
     """Read columns of a CSV file.
 
@@ -130,7 +138,11 @@ def read_table(path: str | Path, names: tuple[str, ...]) -> Table:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path}: it is no table of numbers: {error}") from None
-    columns = dict(zip(names, rows.T, strict=True))
+    return _checked(path, dict(zip(names, rows.T, strict=True)), header=1)
+
+
+def _checked(path: Path, columns: dict[str, np.ndarray], header: int) -> Table:
+    """Return columns as a table, the first row in line 1 + `header` of the file, if their numbers can be."""
     for name, values in columns.items():
         wrong = ~np.isfinite(values) | (np.abs(values) > _LARGEST)
         if name in _WHOLE:
@@ -138,7 +150,9 @@ def read_table(path: str | Path, names: tuple[str, ...]) -> Table:
         if wrong.any():
             row = int(np.flatnonzero(wrong)[0])
             rule = "a whole number" if name in _WHOLE else "a finite number"
-            raise InputError(f"{path}, row {row + 2}: {name} = {values[row]:g}: it must be {rule} within {_LARGEST}")
+            raise InputError(
+                f"{path}, row {row + 1 + header}: {name} = {values[row]:g}: it must be {rule} within {_LARGEST}"
+            )
     return Table(
         path.name, {name: values.astype(int) if name in _WHOLE else values for name, values in columns.items()}
     )
@@ -165,13 +179,16 @@ def read_corners(path: str | Path, board: Board, size: tuple[int, int]) -> Table
 
 
 def read_centres(path: str | Path) -> Table:
-    """Read centres of micro-images.
+    """Read centres of micro-images: a CSV table, or a JSON file of LFToolbox or PlenoptiCam.
 
     Raises
     ------
     InputError
         If the table is wrong.
     """
+    path = Path(path)
+    if path.suffix.lower() == ".json":
+        return _checked(path, read_foreign_centres(path), header=0)
     return read_table(path, CENTRE_COLUMNS)
 
 

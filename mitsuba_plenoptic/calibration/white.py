@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..errors import InputError
 from ..io.files import atomic_output
 from ..lightfield import LensGrid, estimate_lens_grid
 from .observations import CENTRE_COLUMNS, Table
@@ -59,35 +60,45 @@ class Centres:
         return Table(name, {"k": k, "l": l, "u": u, "v": v})
 
 
-def find_centres(white: np.ndarray) -> Centres:
+def find_centres(*whites: np.ndarray) -> Centres:
     """Find the micro-images of a white image and the centre of each.
 
     Parameters
     ----------
-    white : (rows, columns[, channels]) array
-        A picture of something evenly white, with values proportional to light.
+    *whites : (rows, columns[, channels]) arrays
+        Pictures of something evenly white, with values proportional to light: one, or several of one camera at several
+        apertures, over which the centres are averaged.
 
     Raises
     ------
     InputError
-        If the picture shows no lattice of micro-images.
+        If a picture shows no lattice of micro-images, or they differ in size.
     """
-    grid = estimate_lens_grid(white)
-    image = np.asarray(white, dtype=np.float64)
-    if image.ndim == 3:
-        image = image.mean(axis=2)
+    sizes = {np.shape(white)[:2] for white in whites}
+    if len(sizes) != 1:
+        raise InputError(f"white images: they have {len(sizes)} sizes of pictures: one is needed, of one camera")
+    grid = estimate_lens_grid(whites[0])
+    images = [np.asarray(white, dtype=np.float64) for white in whites]
+    images = [image.mean(axis=2) if image.ndim == 3 else image for image in images]
     first = grid.centres()
     radius = grid.nearest_distance / 2
     row, column = np.indices(grid.shape)
-    size = np.array(image.shape[::-1])
+    size = np.array(images[0].shape[::-1])
     inside = ((first > radius + 1) & (first < size - radius - 1)).all(-1)
     lens, start = np.stack([column[inside], row[inside]], axis=-1), first[inside]
-    parts = [_centred(image, block, radius) for block in np.array_split(start, -(-len(start) // _BLOCK))]
-    centre, light = (np.concatenate(values) for values in zip(*parts, strict=True))
-    kept = (light > _FAINT * np.median(light)) & (np.hypot(*(centre - start).T) < radius / 2)
+    found = [_all_centred(image, start, radius) for image in images]
+    centre, light = np.mean([each[0] for each in found], axis=0), np.mean([each[1] for each in found], axis=0)
+    kept = np.all([each[1] > _FAINT * np.median(each[1]) for each in found], axis=0)
+    kept &= np.hypot(*(centre - start).T) < radius / 2
     lens, centre, light = lens[kept], centre[kept], light[kept]
     residuals = centre - _plain_grid(grid, lens, centre)
     return Centres(grid, lens, centre - 0.5, light / light.max(), residuals)
+
+
+def _all_centred(image: np.ndarray, start: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    parts = [_centred(image, block, radius) for block in np.array_split(start, -(-len(start) // _BLOCK))]
+    centre, light = (np.concatenate(values) for values in zip(*parts, strict=True))
+    return centre, light
 
 
 def _centred(image: np.ndarray, centre: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:

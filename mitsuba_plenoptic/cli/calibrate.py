@@ -1,4 +1,4 @@
-"""``mitsuba-plenoptic calibrate``: a camera from corners of a board, centres from white images, a judgement of both."""
+"""``mitsuba-plenoptic calibrate``: a camera from corners of a board, corners and centres from pictures, a judgement."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Sized
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from .. import calibration
@@ -14,10 +15,11 @@ from ..calibration import Board
 from ..calibration.model import UNITS
 from ..io.captures import read_capture
 from ..io.files import require_writable
+from ..lightfield import white_image
 from ..lightfield.exchange import read_picture
 from ..report.calibration import write_calibration_report
 from .inputs import load_camera
-from .options import CameraFile, Linear, number, output_option
+from .options import CameraFile, Linear, White, number, output_option
 
 # Outliers that are printed by line.
 _NAMED = 10
@@ -26,15 +28,16 @@ _PICTURES = (".exr", ".png", ".tif", ".tiff")
 
 
 def calibrate(
-    source: Annotated[
-        Path | None,
+    sources: Annotated[
+        list[Path] | None,
         typer.Argument(
-            metavar="CORNERS.csv|WHITE",
-            help="Corners of a board seen through the lenses; or a white image (.exr, .png, .tiff).",
+            metavar="CORNERS.csv|WHITE|PICTURES...",
+            help="Corners of a board seen through the lenses; or white images (.exr, .png, .tiff) at one or several "
+            "apertures; or, with --board, raw pictures of the board, one for each pose.",
         ),
     ] = None,
     output: Annotated[
-        Path | None, output_option("FILE", "File to write: the camera as JSON, or of a white image its centres as CSV.")
+        Path | None, output_option("FILE", "File to write: the camera as JSON; of pictures, corners or centres as CSV.")
     ] = None,
     camera: CameraFile = None,
     board: Annotated[
@@ -43,7 +46,11 @@ def calibrate(
     square: Annotated[float | None, number("Distance of neighbouring corners.", "none", unit="MM")] = None,
     centres: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.csv", help="Centres of micro-images, fitted jointly; WHITE writes such a file."),
+        typer.Option(
+            metavar="FILE",
+            help="Centres of micro-images, fitted jointly; WHITE writes such a file. Or those of LFToolbox and "
+            "PlenoptiCam (.json).",
+        ),
     ] = None,
     evaluate: Annotated[
         Path | None,
@@ -52,6 +59,7 @@ def calibrate(
     report: Annotated[
         Path | None, typer.Option(metavar="FILE.html", help="Write a page with numbers, poses and residuals, too.")
     ] = None,
+    white: White = None,
     linear: Linear = False,
 ) -> None:
     """Calibrate a real camera from corners of a checkerboard and white images.
@@ -64,18 +72,26 @@ def calibrate(
 
       mitsuba-plenoptic calibrate white.png -o centres.csv
 
+      mitsuba-plenoptic calibrate board*.png --board 9x5 --white white.png -o corners.csv
+
       mitsuba-plenoptic calibrate corners.csv --board 9x5 --square 10 --camera start.json -o camera.json
 
       mitsuba-plenoptic calibrate --evaluate corners.csv --camera camera.json --board 9x5 --square 10
     """
-    if (source is None) == (evaluate is None):
-        raise typer.BadParameter("give corners or a white image, or corners to --evaluate", param_hint="SOURCE")
+    sources = sources or []
+    if bool(sources) == (evaluate is not None):
+        raise typer.BadParameter("give corners or pictures, or corners to --evaluate", param_hint="SOURCE")
+    pictures = [path.suffix.lower() in _PICTURES for path in sources]
     if evaluate is not None:
         _evaluate(evaluate, camera, board, square)
-    elif source is not None and source.suffix.lower() in _PICTURES:
-        _centres(source, output, linear)
-    elif source is not None:
-        _calibrate(source, output, camera, board, square, centres, report)
+    elif all(pictures) and board is not None:
+        _detect(sources, output, camera, Board.parse(board, square or 1.0), centres, white, linear)
+    elif all(pictures):
+        _centres(sources, output, linear)
+    elif len(sources) > 1:
+        raise typer.BadParameter("give one table of corners, or pictures", param_hint="SOURCE")
+    else:
+        _calibrate(sources[0], output, camera, board, square, centres, report)
 
 
 def _board(board: str | None, square: float | None) -> Board:
@@ -109,10 +125,46 @@ def _evaluate(path: Path, camera: str | None, board: str | None, square: float |
     )
 
 
-def _centres(path: Path, output: Path | None, linear: bool) -> None:
+def _picture(path: Path, linear: bool) -> np.ndarray:
+    return read_capture(path).image if path.suffix.lower() == ".exr" else read_picture(path, linear=linear)
+
+
+def _detect(
+    paths: list[Path],
+    output: Path | None,
+    camera: str | None,
+    board: Board,
+    centres: Path | None,
+    white: Path | None,
+    linear: bool,
+) -> None:
     output = _output(output)
-    white = read_capture(path).image if path.suffix.lower() == ".exr" else read_picture(path, linear=linear)
-    found = calibration.find_centres(white)
+    if camera is not None:
+        known, index = load_camera(camera, {})
+        middles = calibration.camera_centres(known, index)
+        light = white_image(known) if white is None else _picture(white, linear)
+    elif white is not None:
+        light = _picture(white, linear)
+        middles = calibration.find_centres(light).table(white.name)
+    else:
+        raise typer.BadParameter(
+            "pictures of a board need a white image of the same camera, or the camera", param_hint="--white --camera"
+        )
+    if centres is not None:
+        middles = calibration.read_centres(centres)
+    found = []
+    for frame, path in enumerate(paths):
+        picture = _picture(path, linear)
+        found.append(calibration.detect_corners(picture, light, middles, board, frame=frame, name=path.name))
+        seen = len(np.unique(found[-1]["cluster"]))
+        typer.echo(f"frame {frame}, {path.name}: {seen} corners, seen {len(found[-1]['k'])} times")
+    calibration.write_corners(output, calibration.joined(found))
+    typer.echo(f"{output}: {sum(len(table['k']) for table in found)} corners in {len(paths)} pictures")
+
+
+def _centres(paths: list[Path], output: Path | None, linear: bool) -> None:
+    output = _output(output)
+    found = calibration.find_centres(*(_picture(path, linear) for path in paths))
     calibration.write_centres(output, found)
     along, across = found.grid.spacing
     rows = "" if found.grid.shifted_rows is None else ", every second row shifted"

@@ -135,6 +135,14 @@ def test_boards_at_one_distance_tell_too_little():
         calibrate(cases.corners(0.0, 0, poses)[0], cases.BOARD, START)
 
 
+def test_boards_that_are_never_tilted_tell_too_little():
+    poses = cases.POSES.copy()
+    poses[:, :3] = 0, 0, 3.1
+    table = cases.corners(0.1, 0, poses)[0]
+    with pytest.raises(InputError, match=r"focal length open.*tilted"):
+        calibrate(table.keep(np.random.default_rng(0).random(len(table["k"])) < 0.15), cases.BOARD, START)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

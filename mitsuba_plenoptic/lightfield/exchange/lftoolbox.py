@@ -137,7 +137,7 @@ def _from_variables(found: dict[str, Any]) -> xr.DataArray:
     values = values * np.float32(require_number("MaxLum", found.get("MaxLum", 1.0), positive=True))
     values = np.ascontiguousarray(values if values.shape[4] == 3 else values[..., 0])
     model, text = found.get("LensletGridModel"), found.get("Camera")
-    lenses = None if model is None else _from_model(model)
+    lenses = None if model is None else grid_of_model(model)
     camera = None if text is None else PlenopticCamera.from_dict(json.loads(text))
     bins = None if camera is None else bin_grid(camera)
     if bins is not None and bins.shape != values.shape[2:4]:
@@ -241,7 +241,7 @@ def _to_model(grid: LensGrid) -> dict[str, Any]:
     }
 
 
-def _from_model(model: dict[str, Any]) -> LensGrid | None:
+def grid_of_model(model: dict[str, Any]) -> LensGrid | None:
     """Turn a lenslet grid model into a grid, unless it describes the transposed image."""
     if str(model.get("Orientation", "horz")).lower() != "horz":
         return None

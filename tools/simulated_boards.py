@@ -1,0 +1,133 @@
+"""Boards that are rendered and detected, and the cameras that come of it beside those that rendered them."""
+
+from __future__ import annotations
+
+import math
+
+import mitsuba as mi
+import numpy as np
+from verdict import Verdict
+
+from mitsuba_plenoptic import PlenopticCamera, render_capture
+from mitsuba_plenoptic.calibration import (
+    Board,
+    LensIndex,
+    board_scene,
+    calibrate,
+    camera_centres,
+    detect_corners,
+    joined,
+)
+from mitsuba_plenoptic.calibration.model import Observations, predict
+from mitsuba_plenoptic.calibration.numbers import numbers_of
+from mitsuba_plenoptic.calibration.observations import observations
+from mitsuba_plenoptic.lightfield import white_image
+
+ROUND_TRIP_BOARD = Board(8, 6, 2.5)
+ROUND_TRIP_CAMERA = PlenopticCamera.preset("raytrix").replace(
+    resolution=(1440, 1050),
+    crop_size=(1400, 1050),
+    crop_offset=(30, 0),
+    detector_width=1440 * 0.0055,
+    mla_pitch=(0.12744, 0.1275),
+    mla_rotation=0.3,
+    mla_offset=(0.02, -0.03),
+    mla_tilt=(0.05, -0.04),
+    distortion=(3e-4, -2e-6, 1e-8, -1e-4, 5e-5),
+    # Small lenses, whose blur the main lens's rim does not cut.
+    mla_aperture="circle",
+    mla_fill=0.2,
+)
+ROUND_TRIP_POSES = np.array(
+    [
+        [0.10, 0.05, 3.10, 12, 8, 330],
+        [0.45, -0.10, 3.15, 6, 3, 310],
+        [-0.15, 0.50, 3.05, 12, 3, 295],
+        [-0.40, -0.40, 3.20, 7, 8, 280],
+        [0.05, -0.45, 3.12, 12, 7, 265],
+        [0.30, 0.30, 3.00, 7, 4, 255],
+        [0.40, 0.20, 3.20, 11, 4, 290],
+        [-0.30, 0.35, 3.14, 8, 7, 245],
+    ]
+)
+ROUND_TRIP_PHOTONS = 300
+
+# Combinations of the 17 numbers that 8 poses tell well.
+ROUND_TRIP_TOLD = 12
+
+
+def round_trip(verdict: Verdict, seeds: int = 20) -> None:
+    """Render boards by a tilted camera that distorts, add photon noise, detect, calibrate, and judge the errors.
+
+    The error of a combination of numbers is taken by what it changes of the corners' pixels: corners alone leave some
+    combinations so open that the others are not linear in the numbers over them.
+    """
+    camera, board = ROUND_TRIP_CAMERA, ROUND_TRIP_BOARD
+    size = camera.crop_size
+    start = PlenopticCamera.preset("raytrix").replace(
+        resolution=size, crop_size=size, crop_offset=(0, 0), detector_width=size[0] * camera.pixel_size
+    )
+    images = [render_capture(board_scene(board, pose, camera), spp=64).image for pose in ROUND_TRIP_POSES]
+    white, centres = white_image(camera), camera_centres(camera)
+    squares, errors = [], []
+    for seed in range(seeds):
+        generator = np.random.default_rng(seed)
+        tables = [
+            detect_corners(
+                generator.poisson(ROUND_TRIP_PHOTONS * image) / ROUND_TRIP_PHOTONS, white, centres, board, frame=frame
+            )
+            for frame, image in enumerate(images)
+        ]
+        corners = joined(tables)
+        found = calibrate(corners, board, start)
+        errors.append(found.evaluation.error)
+        seen, _ = observations(corners, board, LensIndex(0.5, 1, (0, 0)))
+        squares.append(combined_errors(seen, found.evaluation.residuals))
+    ratios = np.mean(squares, axis=0)
+    print(f"round trip: {np.mean(errors):.4f} px RMS over {len(seen)} corners of the last seed")
+    print("round trip, mean squared error over variance of each combination:", *(f"{ratio:.2f}" for ratio in ratios))
+    verdict.judge(f"round trip, {seeds} seeds: mean over combinations from 1", abs(float(ratios.mean()) - 1), 0.3)
+    # The mean of so many squares of a normal deviate is itself known to sqrt(2 / seeds).
+    bound = 0.3 + 2 * math.sqrt(2 / seeds)
+    verdict.judge("round trip: the worst combination from 1", float(np.abs(ratios - 1).max()), bound)
+
+
+def board_by_waves(verdict: Verdict) -> None:
+    """Detect a board that waves render, through the round trip's camera without tilt and distortion."""
+    board, pose = Board(4, 3, 3.0), np.array([0.45, -0.10, 3.15, 4, 3, 280])
+    camera = ROUND_TRIP_CAMERA.replace(
+        resolution=(1000, 760),
+        crop_size=(960, 760),
+        crop_offset=(20, 0),
+        detector_width=5.5,
+        mla_tilt=(0.0, 0.0),
+        distortion=(0.0,) * 5,
+    )
+    scene = board_scene(board, pose, camera)
+    waves = mi.load_dict({"type": "plenoptic_wave", "method": "bank", "radiators_per_lens": 2})
+    image = np.array(mi.render(scene, integrator=waves, spp=4))[..., 0].clip(0)
+    noisy = np.random.default_rng(0).poisson(ROUND_TRIP_PHOTONS * image) / ROUND_TRIP_PHOTONS
+    found = detect_corners(noisy, white_image(camera), camera_centres(camera), board)
+    seen, _ = observations(found, board, LensIndex(0.5, 1, (0, 0)))
+    geometry = {"pixel_size": camera.pixel_size, "row_ratio": camera.lattice.row_ratio}
+    error = seen.pixel - predict(numbers_of(camera), pose[None], seen, **geometry)[0]
+    verdict.judge("board by waves, corners not found", 12 - len(np.unique(found["cluster"])), 0)
+    verdict.judge("board by waves, corners from the model, RMS", float(np.sqrt((error**2).sum(1).mean())), 0.25, "px ")
+    verdict.judge("board by waves, mean of that", float(np.hypot(*error.mean(0))), 0.05, "px ")
+
+
+def combined_errors(seen: Observations, residuals: np.ndarray) -> np.ndarray:
+    """Squared errors over their variances of the combinations of a fit's numbers that are told best."""
+    camera = ROUND_TRIP_CAMERA
+    geometry = {"pixel_size": camera.pixel_size, "row_ratio": camera.lattice.row_ratio}
+    true, by_numbers, by_pose = predict(numbers_of(camera), ROUND_TRIP_POSES, seen, **geometry)
+    for pose in range(seen.poses):
+        # What a pose makes up for tells nothing of the camera.
+        mine = seen.pose == pose
+        own = np.linalg.qr(by_pose[mine].reshape(-1, 6))[0]
+        rest = by_numbers[mine].reshape(len(own), -1)
+        by_numbers[mine] = (rest - own @ (own.T @ rest)).reshape(by_numbers[mine].shape)
+    columns = by_numbers.reshape(2 * len(seen), -1)
+    patterns = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)[0][:, :ROUND_TRIP_TOLD]
+    variance = (residuals**2).sum() / (2 * len(seen) - columns.shape[1] - 6 * seen.poses)
+    return (patterns.T @ (seen.pixel + residuals - true).ravel()) ** 2 / variance
