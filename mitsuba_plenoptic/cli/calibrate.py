@@ -5,21 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sized
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
 
-from .. import calibration
-from ..calibration import Board
-from ..calibration.model import UNITS
 from ..io.captures import read_capture
 from ..io.files import require_writable
 from ..lightfield import white_image
 from ..lightfield.exchange import read_picture
-from ..report.calibration import write_calibration_report
 from .inputs import load_camera
 from .options import CameraFile, Linear, White, number, output_option
+
+if TYPE_CHECKING:
+    from ..calibration import Board
 
 # Outliers that are printed by line.
 _NAMED = 10
@@ -78,6 +77,8 @@ def calibrate(
 
       mitsuba-plenoptic calibrate --evaluate corners.csv --camera camera.json --board 9x5 --square 10
     """
+    from .. import calibration
+
     sources = sources or []
     if bool(sources) == (evaluate is not None):
         raise typer.BadParameter("give corners or pictures, or corners to --evaluate", param_hint="SOURCE")
@@ -85,7 +86,7 @@ def calibrate(
     if evaluate is not None:
         _evaluate(evaluate, camera, board, square)
     elif all(pictures) and board is not None:
-        _detect(sources, output, camera, Board.parse(board, square or 1.0), centres, white, linear)
+        _detect(sources, output, camera, calibration.Board.parse(board, square or 1.0), centres, white, linear)
     elif all(pictures):
         _centres(sources, output, linear)
     elif len(sources) > 1:
@@ -95,11 +96,13 @@ def calibrate(
 
 
 def _board(board: str | None, square: float | None) -> Board:
+    from .. import calibration
+
     if board is None or square is None:
         raise typer.BadParameter(
             "corners need the board and the distance of its corners", param_hint="--board --square"
         )
-    return Board.parse(board, square)
+    return calibration.Board.parse(board, square)
 
 
 def _camera(camera: str | None) -> str:
@@ -115,6 +118,8 @@ def _output(output: Path | None) -> Path:
 
 
 def _evaluate(path: Path, camera: str | None, board: str | None, square: float | None) -> None:
+    from .. import calibration
+
     judged, index = load_camera(_camera(camera), {})
     size = _board(board, square)
     found = calibration.evaluate(calibration.read_corners(path, size, judged.crop_size), size, judged, index)
@@ -138,6 +143,8 @@ def _detect(
     white: Path | None,
     linear: bool,
 ) -> None:
+    from .. import calibration
+
     output = _output(output)
     if camera is not None:
         known, index = load_camera(camera, {})
@@ -163,6 +170,8 @@ def _detect(
 
 
 def _centres(paths: list[Path], output: Path | None, linear: bool) -> None:
+    from .. import calibration
+
     output = _output(output)
     found = calibration.find_centres(*(_picture(path, linear) for path in paths))
     calibration.write_centres(output, found)
@@ -184,6 +193,8 @@ def _calibrate(
     centres: Path | None,
     report: Path | None,
 ) -> None:
+    from .. import calibration
+
     output = _output(output)
     start, _ = load_camera(_camera(camera), {})
     size = _board(board, square)
@@ -194,9 +205,11 @@ def _calibrate(
     found = calibration.calibrate(corners, size, start, middles)
     calibration.write_calibration(output, found, size)
     if report:
+        from ..report.calibration import write_calibration_report
+
         write_calibration_report(report, found, size, corners, middles)
     for name, value in found.numbers.items():
-        typer.echo(f"{name:>18} {value:14.7g} +- {found.deviations[name]:.2g} {UNITS[name]}".rstrip())
+        typer.echo(f"{name:>18} {value:14.7g} +- {found.deviations[name]:.2g} {calibration.model.UNITS[name]}".rstrip())
     for weakness, parts in found.weak_directions():
         terms = ", ".join(f"{name} {part:+.2f}" for name, part in parts.items())
         typer.echo(f"told badly, {weakness:.1f} times the deviations: {terms}")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy
 
 from ..camera import PlenopticCamera
+from ..runtime.convolve import blur
 from ..runtime.limits import require_memory
 
 # Samples of the table across what a pixel covers of the pupil plane; fewer where the table would get as wide as this.
@@ -49,11 +49,11 @@ class PupilFraction:
             f"{2 * smear * camera.lattice.aperture_reach / camera.pupil_step:.3g}",
         )
         self._step = camera.pupil_step / samples
-        blur = camera.lattice.aperture_image(self._step, smear)
-        half = math.ceil(camera.aperture_radius / self._step + samples) + blur.shape[0] // 2
+        lens = camera.lattice.aperture_image(self._step, smear)
+        half = math.ceil(camera.aperture_radius / self._step + samples) + lens.shape[0] // 2
         place = np.arange(-half, half + 1) / samples
         disc = _square_in_disc(place, place[:, None], camera.aperture_radius / camera.pupil_step)
-        fraction = scipy.signal.fftconvolve(disc, blur, mode="same")
+        fraction = blur(disc, lens)
         # The rounding of the transform is not light.
         self._table = np.where(fraction > 1e-6, fraction, 0).clip(max=1).astype(np.float32)
         self._half = half

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy  # which loads scipy.signal when it is first used: that takes long
 
 from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint
+from ..runtime.convolve import blur
 
 
 def lens_scale(camera: PlenopticCamera, distance: float) -> float:
@@ -26,7 +26,7 @@ def over_lenses(
     none.
     """
     aperture = camera.lattice.aperture_image(camera.mla_pitch / (oversample * fine), scale)
-    spread = np.asarray(scipy.signal.oaconvolve(power, aperture, mode="same"))
+    spread = blur(power, aperture)
     rows, columns = (size // fine for size in power.shape)
     # the transform's rounding is not light
     return spread.reshape(rows, fine, columns, fine).sum((1, 3)).clip(min=0)

@@ -6,7 +6,6 @@ import functools
 import math
 
 import numpy as np
-import scipy
 
 from ..bounds import MOST_PIXELS
 from ..camera import PlenopticCamera
@@ -17,6 +16,7 @@ from ..optics.phase import soft_edge
 from ..optics.pupil import PupilFraction
 from ..optics.sampling import check_memory
 from ..runtime.backend import backend
+from ..runtime.convolve import convolve
 from .lens_by_lens import object_patches, on_bins, pupil_fields
 from .lens_sets import AlignedLenses, LensSet, lens_set
 from .lens_tiles import Tile, tile_lenses
@@ -156,7 +156,7 @@ def white_power(
     everywhere = AlignedLenses(Tile(camera, wavelength, count, oversample))
     comb = np.zeros([(count - 1) * oversample + 1 for count in everywhere.bins[::-1]])
     comb[::oversample, ::oversample] = 1
-    return on_bins(libraries.arrays.asarray(scipy.signal.oaconvolve(comb, patch)), everywhere)
+    return on_bins(libraries.arrays.asarray(convolve(comb, patch)), everywhere)
 
 
 def _around_axis(camera: PlenopticCamera, lenses: int) -> PlenopticCamera:
