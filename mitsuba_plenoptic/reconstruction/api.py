@@ -14,6 +14,7 @@ from ..errors import InputError, require_count, require_number, shown
 from ..io.captures import Capture, as_array, require_pixels
 from ..optics import guards
 from ..optics.main_lens import require_ideal
+from ..optics.phase import in_millimetres
 from ..runtime.backend import one_at_a_time
 from ..runtime.limits import largest_fitting, require_memory
 from ..thin_lens import image_distance
@@ -145,7 +146,7 @@ def reconstruct(
         camera.require_resolved()
     reference = None if white is None else _white(white, image)
     _require_memory(camera, distances, oversample, image.shape)
-    wavelengths = _wavelengths(capture, wavelength, image.shape[2]) if chosen.waves else []
+    wavelengths = _wavelengths(capture, wavelength, image.shape[2], camera) if chosen.waves else []
 
     def report(done: float) -> None:
         if progress:
@@ -239,8 +240,8 @@ def _white(white: Any, image: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.broadcast_to(np.atleast_3d(pixels), image.shape), np.float32)
 
 
-def _wavelengths(capture: Capture, wavelength: Any, channels: int) -> list[float]:
-    """Wavelength of each channel."""
+def _wavelengths(capture: Capture, wavelength: Any, channels: int, camera: PlenopticCamera) -> list[float]:
+    """Wavelength of each channel; scalar waves go through lenses that are wider."""
     given: Any = capture.wavelength if wavelength is None else wavelength
     if given is None:
         raise InputError(
@@ -249,4 +250,10 @@ def _wavelengths(capture: Capture, wavelength: Any, channels: int) -> list[float
     values = [given] * channels if np.ndim(given) == 0 else list(given)
     if len(values) != channels:
         raise InputError(f"wavelength = {shown(given)}: the capture has {channels} channels; give one, or one for each")
-    return [require_wavelength(value) for value in values]
+    found = [require_wavelength(value) for value in values]
+    if in_millimetres(max(found)) >= min(camera.mla_pitches):
+        raise InputError(
+            f"wavelength = {max(found):g} nm: it must be less than the pitch of the microlenses, "
+            f"{min(camera.mla_pitches):g} mm"
+        )
+    return found

@@ -61,7 +61,7 @@ def to_radiance(
     images = []
     for distance, total, white, rays in zip(task.distances, light, whites, reach, strict=True):
         white = np.atleast_3d(white)
-        reached = (rays[..., None] >= _LEAST_REACHED * rays.max()) & (white > 0)
+        reached = (rays[..., None] >= _LEAST_REACHED * rays.max()) & (rays[..., None] > 0) & (white > 0)
         if not reached.any():
             raise InputError(f"distance = {distance:g}: no light comes from any of the {rays.size} bins there")
         if task.white is None:

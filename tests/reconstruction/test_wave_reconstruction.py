@@ -359,6 +359,7 @@ def test_the_command_writes_method_and_camera_into_the_header(tmp_path, capfd):
     [
         ({"wavelength": None}, "wavelength = None: a wave method needs one"),
         ({"wavelength": -5}, "wavelength = -5: it must be greater than 0"),
+        ({"wavelength": 64000}, "wavelength = 64000 nm: it must be less than the pitch of the microlenses, 0.064 mm"),
         ({"wavelength": (500, 600)}, "the capture has 1 channels"),
         (
             {"interleave": 0},
@@ -375,6 +376,13 @@ def test_bad_arguments_are_refused(arguments, message):
     given = {"image": np.ones((64, 64)), "distance": 240.0, "camera": camera, "method": "partial"} | arguments
     with pytest.raises(InputError, match=message):
         refocus(**given)
+
+
+def test_a_plane_that_no_ray_reaches_is_refused_by_waves_as_by_rays():
+    camera = PlenopticCamera(detector_width=0.128, resolution=(16, 1), detector_distance=0.58)
+    for method in ("ray", "coherent"):
+        with pytest.raises(InputError, match="no light comes from any of the 4 bins there"):
+            refocus(np.ones(camera.shape), 160.0, camera, 1000.0, method=method)
 
 
 def test_single_lenses_do_not_need_the_memory_of_full_fields(monkeypatch):
