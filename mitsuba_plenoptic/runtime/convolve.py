@@ -1,6 +1,7 @@
 """Convolution of real images by SciPy's Fourier transforms.
 
-`scipy.signal.fftconvolve` gives the same; to import it takes longer than most reconstructions.
+`scipy.signal` gives the same; to import it takes longer than most reconstructions. So it is asked for large images
+only, which it convolves part by part, in little memory.
 """
 
 from __future__ import annotations
@@ -11,6 +12,9 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+_LARGE = 2**24
+"""Samples of an image from which on it is convolved part by part."""
+
 
 def convolve(image: NDArray[Any], kernel: NDArray[Any]) -> NDArray[np.float64]:
     """Return all of the convolution of two images, n + k - 1 samples along each axis.
@@ -20,6 +24,10 @@ def convolve(image: NDArray[Any], kernel: NDArray[Any]) -> NDArray[np.float64]:
     image, kernel : array (rows, columns)
         Of real numbers.
     """
+    if image.size > _LARGE:
+        from scipy.signal import oaconvolve
+
+        return np.asarray(oaconvolve(image, kernel))
     size = [n + k - 1 for n, k in zip(image.shape, kernel.shape, strict=True)]
     quick = [scipy.fft.next_fast_len(n, real=True) for n in size]
     spectrum = scipy.fft.rfft2(np.asarray(image, np.float64), quick)
