@@ -86,15 +86,20 @@ class Kept:
 
     def offer(self, place: Place, radiance: Any, number: Any) -> Kept:
         """Add a place; `number` is random."""
-        power = dr.mean(radiance)
+        power = _mean(radiance)
         total = self.total + power
         taken = number * total < power
         return Kept(dr.select(taken, place, self.place), dr.select(taken, radiance, self.radiance), total)
 
     def radiance_of_all(self) -> Any:
         """Return the radiance of all places, in the colour of the one that has been drawn."""
-        power = dr.mean(self.radiance)
+        power = _mean(self.radiance)
         return dr.select(power > 0, self.radiance * (self.total / power), 0)
+
+
+def _mean(radiance: Any) -> Any:
+    """Return the mean over the channels; `dr.mean` writes the count of lanes into the kernel, anew for every batch."""
+    return dr.sum(radiance) / len(radiance)
 
 
 def seen_directly(si: Any) -> Place:
