@@ -1,0 +1,191 @@
+"""Generators of random scenes. A new one is one class with `scene`, and one entry in `GENERATORS`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import mitsuba as mi
+import numpy as np
+
+from ..camera import PlenopticCamera
+from ..design import depth_ranges
+from ..errors import InputError, require_count, require_number, shown
+from .textures import random_diffuse
+
+MOST_OBJECTS = 1000
+
+KINDS = ("rectangle", "disk", "sphere", "cube", "cylinder")
+
+_FARTHEST = 10.0
+"""Distance, over that in focus, that counts as the end of a range without end."""
+
+_BEHIND = 1.02
+"""Distance of the wall over the farthest of the objects."""
+
+
+@dataclass(frozen=True)
+class Light:
+    """Light of generated scenes.
+
+    Attributes
+    ----------
+    sky : float
+        Radiance from everywhere, from 0 to 1e6.
+    lamp : float
+        Irradiance, over pi, that a small lamp makes on what faces it in the middle of the scene, from 0 to 1e6.
+    """
+
+    sky: float = 0.5
+    lamp: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in ("sky", "lamp"):
+            require_number(f"light: {name}", getattr(self, name), minimum=0, maximum=1e6)
+        if self.sky == self.lamp == 0:
+            raise InputError("light: sky = 0 and lamp = 0: scenes would be dark")
+
+    def emitters(self, random: np.random.Generator, distance: float) -> dict[str, Any]:
+        """Describe the lights for ``mi.load_dict``; the lamp stands beside or above the camera, at random."""
+        angle = random.uniform(0, 2 * math.pi)
+        place = 0.5 * distance * np.array([math.cos(angle), math.sin(angle), 0.0])
+        squared = float(np.sum(np.square(place - [0, 0, distance])))
+        return {
+            "sky": {"type": "constant", "radiance": self.sky},
+            "lamp": {"type": "point", "position": place.tolist(), "intensity": math.pi * self.lamp * squared},
+        }
+
+
+class SceneGenerator(Protocol):
+    """Makes random scenes before a camera."""
+
+    def scene(self, camera: PlenopticCamera, light: Light, random: np.random.Generator) -> dict[str, Any]:
+        """Describe a scene for ``mi.load_dict``, without a sensor; a camera at the origin looks along +z."""
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Textured shapes at random places, turned at random, before a textured wall.
+
+    Depths are drawn evenly in disparity, so that near and far are equally frequent in what a light field measures.
+
+    Attributes
+    ----------
+    objects : int
+        How many, 0 to 1000.
+    near, far : float, optional
+        Distances between which they stand. Default: the range that the camera's microlenses resolve
+        (`design.depth_ranges`).
+    size : float
+        Half their width, over that of the field of view at their distance, 0.01 to 1.
+    plain : float
+        Probability that one has no texture, 0 to 1.
+    kinds : list of str
+        Which shapes there are: rectangle, disk, sphere, cube, cylinder.
+    tilt : float
+        Degrees by which flat shapes are turned away from the camera, at most, up to 80.
+    """
+
+    objects: int = 12
+    near: float | None = None
+    far: float | None = None
+    size: float = 0.15
+    plain: float = 0.2
+    kinds: tuple[str, ...] = KINDS
+    tilt: float = 50.0
+
+    def __post_init__(self) -> None:
+        require_count("objects", self.objects, minimum=0, maximum=MOST_OBJECTS)
+        for name in ("near", "far"):
+            if getattr(self, name) is not None:
+                require_number(name, getattr(self, name), positive=True, maximum=1e9)
+        require_number("size", self.size, minimum=0.01, maximum=1)
+        require_number("plain", self.plain, minimum=0, maximum=1)
+        require_number("tilt", self.tilt, minimum=0, maximum=80)
+        if not isinstance(self.kinds, (list, tuple)) or not self.kinds or not set(self.kinds) <= set(KINDS):
+            raise InputError(f"kinds = {shown(self.kinds)}: it must be a list of some of {', '.join(KINDS)}")
+
+    def between(self, camera: PlenopticCamera) -> tuple[float, float]:
+        """Return the nearest and the farthest distance of objects before a camera.
+
+        Raises
+        ------
+        InputError
+            If the camera resolves no distance and none are given, or near is not before far.
+        """
+        found = [limits for limits in depth_ranges(camera) if limits]
+        if not found and None in (self.near, self.far):
+            raise InputError("near, far: give both, as the camera resolves no distance by itself")
+        near = min(limits[0] for limits in found) if self.near is None else self.near
+        far = max(limits[1] for limits in found) if self.far is None else self.far
+        far = min(far, _FARTHEST * max(near, camera.focal_length))
+        if not camera.focal_length < near < far:
+            raise InputError(
+                f"near = {near:g}, far = {far:g}: they must follow one another beyond the focal length "
+                f"{camera.focal_length:g}"
+            )
+        return float(near), float(far)
+
+    def scene(self, camera: PlenopticCamera, light: Light, random: np.random.Generator) -> dict[str, Any]:
+        """Describe a scene for ``mi.load_dict``, without a sensor; a camera at the origin looks along +z."""
+        near, far = self.between(camera)
+        extent = np.array([camera.detector_width, camera.detector_height])
+        wall = _BEHIND * far
+        # Wide enough for all points of the pupil, tilts included.
+        half = 2 * max(extent) * wall / camera.mla_distance + 4 * camera.aperture_radius
+        lens = max(camera.mla_pitches) / camera.mla_distance
+        objects = {"wall": self._object("rectangle", np.array([0, 0, wall]), half, 2.0, 0.0, lens, random)}
+        for index in range(self.objects):
+            g = 1 / random.uniform(1 / far, 1 / near)
+            field = extent * g / camera.mla_distance
+            place = np.array([*(random.uniform(-0.5, 0.5, 2) * field), g])
+            kind = self.kinds[int(random.integers(len(self.kinds)))]
+            size = self.size * max(field) * random.uniform(0.5, 1.5)
+            objects[f"object_{index}"] = self._object(kind, place, size, self.tilt, self.plain, lens, random)
+        middle = 2 / (1 / near + 1 / far)
+        return {
+            "type": "scene",
+            "integrator": {"type": "direct"},
+            **light.emitters(random, middle),
+            **objects,
+        }
+
+    def _object(
+        self,
+        kind: str,
+        place: np.ndarray,
+        size: float,
+        tilt: float,
+        plain: float,
+        lens: float,
+        random: np.random.Generator,
+    ) -> dict[str, Any]:
+        """Describe one shape; `lens` is the angle between neighbouring lenses, as tangent."""
+        size = float(size)
+        towards = mi.ScalarTransform4f().translate(place.tolist())
+        # Mitsuba takes the axis of a rotation as it is: one that is not of length 1 shears.
+        axis = random.normal(size=3)
+        angle, roll = random.uniform(0, tilt), random.uniform(0, 360)
+        if kind in ("rectangle", "disk"):
+            # They face the camera, rolled and then tilted about an axis across its view.
+            turned = (
+                towards.rotate([*(axis[:2] / np.linalg.norm(axis[:2])), 0.0], angle)
+                .rotate([0, 0, 1], roll)
+                .rotate([0, 1, 0], 180)
+            )
+        else:
+            turned = towards.rotate((axis / np.linalg.norm(axis)).tolist(), roll)
+        if kind == "cylinder":
+            turned = turned.translate([0, 0, -size]).scale([0.5 * size, 0.5 * size, 2 * size])
+        else:
+            turned = turned.scale(size)
+        return {
+            "type": kind,
+            "to_world": turned,
+            "bsdf": random_diffuse(random, plain, 2 * size / (lens * float(place[2]))),
+        }
+
+
+GENERATORS: dict[str, type[SceneGenerator]] = {"shapes": Shapes}
+"""Generators by the names that recipes call them."""

@@ -1,0 +1,142 @@
+"""Where the parts of a data set lie in its folder, and which recipe made it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError, shown
+from ..io.files import require_file
+from ..report.stage_store import scene_fingerprint, write_json
+from ..runtime.software import software
+from .recipe import Recipe
+
+MANIFEST, CARD, PREVIEW, CHECKSUMS = "dataset.json", "README.md", "preview.png", "checksums.sha256"
+
+_GROWING = "recipe.count"
+"""What may differ, if it grows."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Files of a data set.
+
+    Attributes
+    ----------
+    folder : path
+        Where it lies.
+    count : int
+        Number of samples.
+    samples_per_shard : int
+        Samples in one file.
+    """
+
+    folder: Path
+    count: int
+    samples_per_shard: int
+
+    @property
+    def shards(self) -> int:
+        """Number of files of samples."""
+        return -(-self.count // self.samples_per_shard)
+
+    def shard(self, number: int) -> Path:
+        """Return the file of a shard."""
+        return self.folder / "shards" / f"shard-{number:05d}.h5"
+
+    def members(self, number: int) -> range:
+        """Return the samples of a shard."""
+        first = number * self.samples_per_shard
+        return range(first, min(first + self.samples_per_shard, self.count))
+
+    def sample(self, index: int) -> Path:
+        """Return the file of a sample that is in no shard yet."""
+        return self.folder / "samples" / f"{index:06d}.h5"
+
+
+def facts_of(recipe: Recipe) -> dict[str, Any]:
+    """Return what the bits of a data set depend on, in plain JSON values."""
+    scenes = {
+        f"scene {number + 1}": scene_fingerprint(source.scene, {})
+        for number, source in enumerate(recipe.scenes)
+        if source.scene
+    }
+    facts = {"recipe": dict(recipe.content), "files": scenes, "software": software()}
+    return dict(json.loads(json.dumps(facts)))
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """Read which recipe made a data set.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no data set.
+    """
+    path = require_file(folder / MANIFEST)
+    try:
+        content = json.loads(path.read_text())
+        numbers = [content["count"], content["samples_per_shard"]]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        raise InputError(f"{path}: it is not the manifest of a data set") from None
+    if not all(isinstance(number, int) and number > 0 for number in numbers):
+        raise InputError(f"{path}: count, samples_per_shard = {shown(numbers)}: they must be whole numbers above 0")
+    return dict(content)
+
+
+def claim(folder: Path, recipe: Recipe) -> Layout:
+    """Make the folder of a data set, or find that it holds samples of the same recipe.
+
+    Raises
+    ------
+    InputError
+        If it holds others, with the first difference, or something else.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror}") from None
+    facts = facts_of(recipe)
+    if (folder / MANIFEST).exists():
+        found = read_manifest(folder)
+        before, now = _flat(found), _flat(facts)
+        for name in sorted(set(now) | {key for key in before if key.partition(".")[0] in facts}):
+            if before.get(name) != now.get(name) and name != _GROWING:
+                raise InputError(
+                    f"{folder}: it holds samples of another recipe: {name} was {shown(before.get(name))}, is "
+                    f"{shown(now.get(name))}; choose another folder"
+                )
+        if found["count"] > recipe.count:
+            raise InputError(f"count = {recipe.count}: {folder} holds {found['count']} samples; it may only grow")
+    elif any(folder.iterdir()):
+        raise InputError(f"{folder}: it holds something else; choose an empty folder, or one that is not there")
+    sizes = {"count": recipe.count, "samples_per_shard": recipe.samples_per_shard}
+    write_json(folder / MANIFEST, {**sizes, "name": recipe.name, **facts})
+    layout = Layout(folder, recipe.count, recipe.samples_per_shard)
+    for part in (layout.shard(0), layout.sample(0)):
+        part.parent.mkdir(exist_ok=True)
+    return layout
+
+
+def checksum(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _flat(values: Any, name: str = "") -> dict[str, Any]:
+    """Return nested values by dotted names."""
+    if isinstance(values, Mapping):
+        pairs = list(values.items())
+    elif isinstance(values, list):
+        pairs = list(enumerate(values))
+    else:
+        return {name: values}
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        found |= _flat(value, f"{name}.{key}" if name else str(key))
+    return found

@@ -1,0 +1,161 @@
+"""Data sets: the same bits however they were made, and what is read of them."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import signal
+import subprocess
+import sys
+import time
+
+import mitsuba as mi
+import numpy as np
+import pytest
+import yaml
+from dataset_cases import small
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import InputError
+from mitsuba_plenoptic.dataset import DataSet, make_dataset, make_sample, parse_recipe, production
+
+
+def files(folder):
+    """All files of a data set with their bytes."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    mi.set_variant("llvm_ad_mono")
+    folder = tmp_path_factory.mktemp("data") / "whole"
+    make_dataset(parse_recipe(small()), folder)
+    return folder
+
+
+class KilledError(Exception):
+    """Stands in for the end of a process."""
+
+
+def test_a_run_that_was_stopped_or_grew_ends_with_the_same_bits(made, tmp_path, monkeypatch):
+    # Stopped before and after each of its writes, in turn; then the count grows.
+    write, writes = production.write_samples, []
+
+    def stopping(path, samples):
+        writes.append(path)
+        if len(writes) in (2, 5):
+            (path.parent / f".{path.name}.half").mkdir()
+            raise KilledError
+        write(path, samples)
+        if len(writes) in (4, 7):
+            raise KilledError
+
+    monkeypatch.setattr(production, "write_samples", stopping)
+    folder, stops = tmp_path / "stopped", 0
+    for count in (1, 3, 5, 5, 5, 5, 5):
+        try:
+            make_dataset(parse_recipe(small(count=count)), folder)
+        except KilledError:
+            stops += 1
+    assert stops == 4
+    # The recipe's own count stands in manifest and card as it was last given.
+    assert files(folder) == files(made)
+
+
+def test_samples_hold_what_the_library_itself_makes(made):
+    sample = DataSet(made)[1]
+    assert json.loads(json.dumps(make_sample(parse_recipe(small()), 1).facts)) == sample.facts
+    assert set(sample.arrays) == {"ray", "ray_exposed", "depth", "normal", "views_depth", "views_normal"}
+    capture = sample.capture("ray")
+    assert capture.camera.shape == (64, 64)
+    again = mp.expose(capture, mp.Detector(), photons=sample.facts["draws"]["noise"]["photons"],
+                      seed=sample.facts["captures"]["ray_exposed"]["metadata"]["exposure"]["seed"])  # fmt: skip
+    np.testing.assert_array_equal(again.image, sample.capture("ray", exposed=True).image)
+    lf = mp.decode(capture, truth=sample.truth)
+    np.testing.assert_array_equal(lf.depth.values, sample.arrays["views_depth"])
+    assert np.nanmin(sample.arrays["depth"]) > 100
+
+
+def test_a_scene_file_is_captured_as_by_the_command(made):
+    recipe = parse_recipe(small())
+    index = next(index for index in range(5) if recipe.plan(index).source == 1)
+    sample = DataSet(made, ["ray"])[index]
+    scene = mp.with_camera(mp.load_scene("white", parameters={"resolution": "64"}), sample.camera)
+    seed = sample.facts["captures"]["ray"]["metadata"]["seed"]
+    capture = mp.render_capture(scene, model="ray", spp=2, seed=seed)
+    np.testing.assert_array_equal(capture.image, sample.arrays["ray"])
+
+
+def test_another_recipe_is_refused_with_the_difference(made, tmp_path):
+    for changes, message in (
+        ({"seed": 4}, "it holds samples of another recipe: recipe.seed was 3, is 4; choose another folder"),
+        ({"count": 4}, r"count = 4: .* holds 5 samples; it may only grow"),
+    ):
+        with pytest.raises(InputError, match=message):
+            make_dataset(parse_recipe(small(**changes)), made)
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(InputError, match="it holds something else"):
+        make_dataset(parse_recipe(small()), tmp_path)
+
+
+def test_damage_is_found(made, tmp_path):
+    assert DataSet(made).damaged() == []
+    folder = tmp_path / "copy"
+    for name, content in files(made).items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content[:-1] + bytes([content[-1] ^ 1]) if name.startswith("shards/shard-00001") else content)
+    assert DataSet(folder).damaged() == ["shards/shard-00001.h5"]
+    (folder / "checksums.sha256").write_text(f"{'0' * 64}  ../../whole/README.md\n")
+    assert DataSet(folder).damaged() == ["../../whole/README.md"]
+    (folder / "shards/shard-00000.h5").write_bytes(b"no HDF5")
+    with pytest.raises(InputError, match=r"shard-00000.h5: it is damaged"):
+        DataSet(folder)[0]
+    (folder / "shards/shard-00002.h5").unlink()
+    with pytest.raises(InputError, match=r"shard-00002.h5: it is missing"):
+        DataSet(folder)
+
+
+def test_what_is_asked_for_and_not_there_is_named(made):
+    with pytest.raises(IndexError):
+        DataSet(made)[5]
+    with pytest.raises(InputError, match="sample 0: it has no wave; it has depth, facts"):
+        DataSet(made, ["wave"])[0]
+    assert [sample.index for sample in pickle.loads(pickle.dumps(DataSet(made, ["ray"])))] == [0, 1, 2, 3, 4]
+
+
+def test_pytorch_reads_tensors(made):
+    torch = pytest.importorskip("torch")
+    from mitsuba_plenoptic.dataset.torch_data import TorchDataset
+
+    loader = torch.utils.data.DataLoader(TorchDataset(made, ["ray", "normal"]), batch_size=5)
+    (batch,) = loader
+    assert batch["ray"].shape == (5, 64, 64)
+    assert batch["normal"].shape == (5, 3, 64, 64)
+    expected = np.moveaxis(DataSet(made)[3].arrays["normal"], -1, 0)
+    np.testing.assert_array_equal(batch["normal"][3].numpy(), expected)
+
+
+@pytest.mark.slow
+def test_killed_processes_on_workers_end_with_the_bits_of_one_process(tmp_path):
+    # Pairs of captures by rays and by waves, of a small aperture, so that waves are quick.
+    camera = {**small()["camera"], "aperture_radius": 1}
+    scenes = [{"generator": "shapes", "objects": 4, "near": 225, "far": 260}]
+    wave = {"spp": 1, "radiators_per_lens": 1, "accuracy": 0.1}
+    content = small(models=["ray", "wave"], wave=wave, camera=camera, scenes=scenes)
+    recipe = tmp_path / "recipe.yaml"
+    recipe.write_text(yaml.safe_dump(content))
+
+    def start(folder, *options):
+        words = ["-m", "mitsuba_plenoptic", "dataset", recipe, "-o", tmp_path / folder, *options]
+        return subprocess.Popen([sys.executable, *map(str, words)], stdout=subprocess.DEVNULL)
+
+    assert start("whole").wait() == 0
+    for kept in (1, 3):
+        process = start("killed", "--workers", "1")
+        while process.poll() is None and len(list((tmp_path / "killed").rglob("*.h5"))) < kept:
+            time.sleep(0.02)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    assert start("killed", "--workers", "1").wait() == 0
+    assert files(tmp_path / "killed") == files(tmp_path / "whole")
