@@ -1,0 +1,155 @@
+"""The numbers of a camera with respect to which captures are differentiated, as Dr.Jit numbers that carry gradients."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...errors import InputError, require_number, shown
+from ...lattice import make_lattice, turn
+from ...optics.main_lens import ThinLens
+from ...optics.microlens_derivatives import VaryingMicrolenses
+from ...runtime.backend import array_module
+from ..grid import Grid
+from ..patch_factors import Elements
+
+ABERRATIONS = 36
+"""Zernike polynomials whose coefficients have a gradient, if the camera does not name more."""
+
+NUMBERS = (
+    "focal_length",
+    "aperture_radius",
+    "mla_distance",
+    "mla_focal_length",
+    "mla_pitch",
+    "mla_rotation",
+    "mla_offset",
+    "mla_fill",
+    "detector_distance",
+    "detector_width",
+    "wavelength",
+    "wavefront",
+)
+"""Numbers of a camera, and the wavelength, by which captures can be differentiated."""
+
+MOVES = ("detector_width", "mla_rotation", "wavelength")
+"""Those that move the pixels against the samples of the light."""
+
+
+def values_of(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[np.float64]:
+    """Return the present value of a number, as an array: two pitches, each focal length, 36 aberrations or more."""
+    if name == "wavelength":
+        return np.array([wavelength])
+    if name == "wavefront":
+        return np.pad(np.array(camera.wavefront, np.float64), (0, max(0, ABERRATIONS - len(camera.wavefront))))
+    fields = {"mla_focal_length": "mla_focal_lengths", "mla_pitch": "mla_pitches"}
+    return np.array(np.ravel(getattr(camera, fields.get(name, name))), np.float64)
+
+
+def check_names(names: Iterable[str] | None) -> tuple[str, ...]:
+    """Return names of numbers, all for None.
+
+    Raises
+    ------
+    InputError
+        If there is no number of some name.
+    """
+    names = NUMBERS if names is None else (names,) if isinstance(names, str) else tuple(names)
+    for name in names:
+        if name not in NUMBERS:
+            raise InputError(f"{shown(name)}: it is none of the numbers with a derivative: {', '.join(NUMBERS)}")
+    return tuple(names)
+
+
+def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, NDArray[np.float64]]:
+    """Return changes of numbers by name, each as an array of what `values_of` returns.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, or a change has another size than its number or is not finite.
+    """
+    if not isinstance(changes, dict):
+        raise InputError(f"changes = {shown(changes)}: they must be numbers by name")
+    check_names(changes)
+    checked = {}
+    for name, change in changes.items():
+        size = len(values_of(camera, 1.0, name))
+        numbers = [require_number(name, number) for number in np.ravel(np.asarray(change, object)).tolist()]
+        if name == "wavefront" and len(numbers) <= size:
+            numbers += [0.0] * (size - len(numbers))
+        if len(numbers) == 1 and name in ("mla_pitch", "mla_focal_length"):
+            numbers *= size
+        if len(numbers) != size:
+            raise InputError(f"{name} = {shown(change)}: its change must be {size} number{'s' * (size > 1)}")
+        checked[name] = np.array(numbers)
+    return checked
+
+
+class VaryingNumbers:
+    """The numbers of a camera as Dr.Jit numbers, of which some carry gradients.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        In nanometres.
+    names : iterable of str
+        The numbers that vary.
+    """
+
+    def __init__(self, camera: PlenopticCamera, wavelength: float, names: Iterable[str]) -> None:
+        self.types = array_module().ad
+        self._numbers: dict[str, list[Any]] = {}
+        self._varies = set(names)
+        for name in NUMBERS:
+            values = values_of(camera, wavelength, name)
+            if name == "wavefront" and name not in self._varies:
+                values = values[: len(camera.wavefront)]
+            self._numbers[name] = [dr.opaque(self.types.Float64, value) for value in values.tolist()]
+            if name in self._varies:
+                dr.enable_grad(self._numbers[name])
+
+    def elements(self, grid: Grid, cosine: float) -> Elements:
+        """Return the elements of the camera in the frame of a grid, with microlenses up to a direction cosine."""
+        get, camera = self._numbers, grid.camera
+        lens = ThinLens(
+            get["focal_length"][0],
+            get["aperture_radius"][0],
+            get["mla_distance"][0],
+            camera.lens_model,
+            get["wavefront"],
+        )
+        # The array stays where it is in the frame of the grid, and the scene turns.
+        turned: Any = get["mla_rotation"][0] - grid.rotation if "mla_rotation" in self._varies else 0.0
+        angle = get["mla_rotation"][0] if "mla_rotation" in self._varies else grid.rotation
+        lattice = make_lattice(
+            camera.mla_lattice,
+            tuple(get["mla_pitch"]),
+            offset=turn(get["mla_offset"][0], get["mla_offset"][1], -angle),
+            aperture=camera.mla_aperture,
+            fill=get["mla_fill"][0],
+        )
+        wavelength = get["wavelength"][0]
+        microlenses = VaryingMicrolenses(camera, grid.wavelength, cosine, lattice, get["mla_focal_length"], wavelength)
+        growth: Any = wavelength / grid.wavelength if "wavelength" in self._varies else 1.0
+        return Elements(lens, microlenses, wavelength, get["detector_distance"][0], turned, growth)
+
+    def set_tangents(self, changes: dict[str, NDArray[np.float64]]) -> None:
+        """Set in which direction the numbers change."""
+        for name, change in changes.items():
+            for number, part in zip(self._numbers[name], change.tolist(), strict=True):
+                dr.set_grad(number, part)
+
+    def gradients(self) -> dict[str, NDArray[np.float64]]:
+        """Return the gradients that have been gathered."""
+        return {
+            name: np.array([float(dr.grad(number)[0]) for number in self._numbers[name]])
+            for name in sorted(self._varies)
+        }

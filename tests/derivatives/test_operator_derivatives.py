@@ -1,0 +1,106 @@
+"""Derivatives of captures: reverse against forward mode, and both against differences of the full field."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from wave_cases import HALF, WAVELENGTH, error, scattered, small_camera
+
+from mitsuba_plenoptic.capture.derivatives import NUMBERS
+from mitsuba_plenoptic.capture.full_field import full_field
+from mitsuba_plenoptic.capture.full_field_grids import field_grids
+from mitsuba_plenoptic.capture.operator import CaptureOperator
+from mitsuba_plenoptic.errors import InputError
+from mitsuba_plenoptic.optics.spectrum import Spectrum
+
+CAMERAS = {
+    "rectangular": {"mla_pitch": (0.064, 0.05), "mla_offset": (0.0, 0.013)},
+    "turned, gaps, cropped": {
+        "mla_rotation": -13.0, "mla_fill": 0.9, "detector_distance": 0.48,
+        "crop_offset": (10, 5), "crop_size": (50, 51),
+    },
+    "three focal lengths": {
+        "mla_lattice": "hexagonal", "mla_focal_length": (0.44, 0.512, 0.6), "wavefront": (0.0, 0.1, 0.0, 0.3),
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if "turned" in name else pytest.mark.slow) for name in CAMERAS]
+)
+def test_reverse_equals_forward(name):
+    """<A' t, y> = <t, A'* y> to 1e-4 of |A' t| |y|, with every number changed so that it counts as much as another."""
+    camera, rng = small_camera(2, **(HALF | CAMERAS[name])), np.random.default_rng(5)
+    weights, gradient = rng.normal(size=(2, 2)), rng.normal(size=(*camera.shape, 2)).astype(np.float32)
+    operator = CaptureOperator(
+        camera,
+        scattered(2, distances=(112.0, 128.0), image=0.05),
+        spectrum=Spectrum.lines(633, 532),
+        accuracy=0.02,
+        pupil_weights=rng.uniform(0.2, 1, (2, 3, 3)),
+    )
+    found = operator.gradient(weights, gradient)
+    assert set(found) == set(NUMBERS)
+    assert len(found["wavefront"]) == 36 and len(found["mla_pitch"]) == 2
+    change = {key: rng.choice([-1, 1]) * given / np.vdot(given, given) for key, given in found.items()}
+    forward = operator.derivative(weights, change).astype(np.float64)
+    back = sum(np.vdot(change[key], given) for key, given in found.items())
+    difference = abs(np.vdot(forward, gradient.astype(np.float64)) - back)
+    assert difference < 1e-4 * np.linalg.norm(forward) * np.linalg.norm(gradient)
+
+
+@pytest.mark.parametrize(
+    ("name", "step", "limit"),
+    [
+        ("focal_length", 4e-3, 0.005),
+        ("mla_pitch", 7e-5, 0.005),
+        ("mla_rotation", 0.1, 0.005),
+        ("detector_width", 2e-4, 0.025),
+        ("aperture_radius", 9e-3, 0.025),
+    ],
+)
+def test_derivatives_against_differences_of_the_full_field(name, step, limit):
+    camera, point = small_camera(2, **HALF), np.array((0.03, -0.02, 115.0))
+    base, sides = field_grids(camera, point, WAVELENGTH, 1.0, 1.0), []
+    for side in (1, -1):
+        changed = camera.replace(**{name: getattr(camera, name) + side * step})
+        growth = changed.detector_width / camera.detector_width
+        origin = tuple(growth * place for place in base.wide_origin)
+        sides.append(
+            full_field(changed, point, WAVELENGTH, grids=replace(base, pitch=base.pitch * growth, wide_origin=origin))
+        )
+    operator = CaptureOperator(camera, [point], wavelength=WAVELENGTH, accuracy=0)
+    assert error(operator.derivative([1.0], {name: 1.0}), (sides[0] - sides[1]) / (2 * step)) < limit
+
+
+def test_aberrations_against_differences_of_the_full_field():
+    camera, point, amounts = small_camera(2, **HALF), np.array((0.03, -0.02, 116.0)), np.zeros(15)
+    amounts[[3, 6, 10]] = 1.0, -0.7, 0.5
+    grids = field_grids(camera, point, WAVELENGTH, 1.0, 1.0)
+    up, down = (
+        full_field(camera.replace(wavefront=tuple(h * amounts)), point, WAVELENGTH, grids=grids) for h in (4e-3, -4e-3)
+    )
+    operator = CaptureOperator(camera, [point], wavelength=WAVELENGTH, accuracy=0)
+    assert error(operator.derivative([1.0], {"wavefront": amounts}), (up - down) / 8e-3) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"f_number": 1.0}, "f_number.*: it is none of the numbers"),
+        ({"mla_offset": 1.0}, "^mla_offset = 1.0: its change must be 2 numbers"),
+        ({"focal_length": float("nan")}, "^focal_length"),
+        ([1.0], "^changes = "),
+    ],
+)
+def test_mistakes(changes, message):
+    operator = CaptureOperator(small_camera(2), [(0, 0, 240.0)], wavelength=WAVELENGTH)
+    with pytest.raises(InputError, match=message):
+        operator.derivative([1.0], changes)
+
+
+@pytest.mark.parametrize("method", ["bank", "full_field"])
+def test_methods_without_derivatives_are_refused(method):
+    operator = CaptureOperator(small_camera(2), [(0, 0, 240.0)], wavelength=WAVELENGTH, method=method)
+    with pytest.raises(InputError, match=f"^method = {method}: it has no derivatives"):
+        operator.gradient([1.0], np.zeros(operator.camera.shape))
