@@ -3,7 +3,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: help demo test coverage slow fuzz lint clean llvm
+.PHONY: help demo test coverage slow fuzz docs lint clean llvm
 
 help:
 	@echo "make demo   capture and refocus the letters by rays and by waves; demo/report.html (a few minutes)"
@@ -11,6 +11,7 @@ help:
 	@echo "make coverage   run them and see what they reach: build/coverage/html, and the README's figure"
 	@echo "make slow   run the tests that take minutes"
 	@echo "make fuzz   give the package 10,000 bad inputs; fuzz/report.md tells what became of them (a few minutes)"
+	@echo "make docs   build the site with its notebooks executed: build/docs/index.html (some minutes)"
 	@echo "make lint   check format, style and types"
 	@echo "make clean  remove what make made"
 
@@ -33,6 +34,11 @@ slow: $(VENV)/.ready llvm
 fuzz: $(VENV)/.ready llvm
 	$(BIN)/python tools/fuzz.py --count $(or $(COUNT),10000) --seed $(or $(SEED),0) -o fuzz
 
+# EXECUTE=off leaves the notebooks' cells unexecuted, as .ci/run has it.
+docs: $(VENV)/.docs-ready llvm
+	$(BIN)/python -m sphinx -W --keep-going -j 2 -b html docs build/docs
+	$(BIN)/python tools/check_site.py build/docs
+
 lint: $(VENV)/.ready
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -46,6 +52,10 @@ $(VENV)/.ready: pyproject.toml
 		echo "Making $(VENV) with $$python" && \
 		"$$python" -m venv --clear $(VENV) && touch $(VENV)/.made-by-make; }
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet --editable '.[test]'
+	@touch $@
+
+$(VENV)/.docs-ready: $(VENV)/.ready
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet --editable '.[docs]'
 	@touch $@
 
 llvm: $(VENV)/.ready

@@ -1,0 +1,1 @@
+"""The history of the ten figures that matter, by ``asv run`` and ``asv publish``."""

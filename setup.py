@@ -1,0 +1,27 @@
+"""What pyproject.toml cannot say: the README with links that work on a package index, too."""
+
+import re
+import tomllib
+from pathlib import Path
+
+from setuptools import setup
+
+HERE = Path(__file__).parent
+
+
+def with_absolute_links(text: str, source: str) -> str:
+    """Make the relative links of a Markdown text point to the repository on the web, pictures to their raw files."""
+
+    def absolute(found: re.Match[str]) -> str:
+        folder = "raw" if found[1] else "blob"
+        return f"{found[1]}[{found[2]}]({source}/{folder}/main/{found[3]})"
+
+    return re.sub(r"(!?)\[([^\]]*)\]\((?!https?://|#)([^)]+)\)", absolute, text)
+
+
+if __name__ == "__main__":
+    project = tomllib.loads((HERE / "pyproject.toml").read_text())["project"]
+    setup(
+        long_description=with_absolute_links((HERE / "README.md").read_text(), project["urls"]["Source"]),
+        long_description_content_type="text/markdown",
+    )

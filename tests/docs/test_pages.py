@@ -1,0 +1,32 @@
+"""What pages tell to type exists: commands, their options, and names of Python."""
+
+from __future__ import annotations
+
+import functools
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import typer
+
+import mitsuba_plenoptic
+from mitsuba_plenoptic.cli import PROGRAM, app
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+COMMANDS = typer.main.get_command(app).commands
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_commands_and_names_exist(page):
+    text = page.read_text()
+    for line in re.findall(rf"^(?:\$ )?{PROGRAM} ([a-z].*)$", text, flags=re.MULTILINE):
+        name, *words = shlex.split(line.split("#")[0])
+        known = {option for parameter in COMMANDS[name].params for option in parameter.opts + parameter.secondary_opts}
+        assert {word for word in words if re.match(r"--?[A-Za-z]", word)} <= known | {"--help"}, line
+    for path in set(re.findall(r"\bmp\.([A-Za-z]\w*(?:\.[A-Za-z]\w*)*)", text)):
+        functools.reduce(getattr, path.split("."), mitsuba_plenoptic)
+    # What is written in prose, with its folder.
+    for path in set(re.findall(r"`(?:python )?((?:tools|tests|docs|asv|mitsuba_plenoptic)/[\w./]+)", text)):
+        assert (ROOT / path).exists(), path

@@ -1,0 +1,140 @@
+"""Everything public is documented, and the site's reference has it."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+from pathlib import Path
+
+import generated_reference
+import pytest
+import typer
+
+import mitsuba_plenoptic
+from mitsuba_plenoptic.cli import app
+from mitsuba_plenoptic.plugins import integrator, sensor
+
+ROOT = Path(__file__).parents[2]
+
+PAGES = "\n".join(page.read_text() for page in (ROOT / "docs" / "reference" / "python").glob("*.rst"))
+
+# Those that users import from, whose members the pages of the reference list.
+MODULES = sorted(
+    name
+    for name, options in re.findall(r"^\.\. automodule:: (\S+)\n((?:   :.*\n)*)", PAGES, flags=re.MULTILINE)
+    if ":no-members:" not in options
+)
+
+
+def public_names(module):
+    """Names that a module offers: of its own if it does not list them."""
+    listed = getattr(module, "__all__", None)
+    own = [name for name, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__]
+    return [name for name in (own if listed is None else listed) if not name.startswith("_")]
+
+
+def documented(docstring):
+    """Names that the sections for parameters and attributes of a NumPy docstring describe."""
+    found = set()
+    sections = r"^(?:Parameters|Attributes)\n-+\n(.*?)(?=^\S[^\n]*\n-{3,}$|\Z)"
+    for section in re.findall(sections, inspect.cleandoc(docstring or ""), flags=re.MULTILINE | re.DOTALL):
+        for line in re.findall(r"^([*\w][\w, *]*?)(?: :.*)?$", section, flags=re.MULTILINE):
+            found |= {name.strip("* ") for name in line.split(",")}
+    return found
+
+
+def missing(thing, name, inherited=frozenset()):
+    """What is not said of a function, a class or a module's constant."""
+    if inspect.isclass(thing):
+        yield from missing_of_class(thing, name)
+    elif inspect.isroutine(thing):
+        if not thing.__doc__:
+            yield f"{name}: no docstring"
+        said = documented(thing.__doc__) | inherited
+        parameters = [p for p in inspect.signature(thing).parameters if p not in ("self", "cls")]
+        # A docstring of one line says all of a function of one or two plain arguments in its sentence.
+        if len((thing.__doc__ or "").strip().splitlines()) > 1 or len(parameters) > 2:
+            yield from (f"{name}({parameter})" for parameter in parameters if parameter not in said)
+
+
+def missing_of_class(cls, name):
+    """What is not said of a class, of its constructor's parameters and of its methods."""
+    if not cls.__doc__ or cls.__doc__.startswith(f"{cls.__name__}("):
+        yield f"{name}: no docstring"
+        return
+    said = documented(cls.__doc__)
+    for base in cls.__mro__[1:]:
+        said |= documented(base.__doc__)
+    if (
+        cls.__init__ is not object.__init__
+        and not issubclass(cls, BaseException)
+        and not getattr(cls, "_is_protocol", 0)
+    ):
+        parameters = list(inspect.signature(cls.__init__).parameters)[1:]
+        yield from (f"{name}({parameter})" for parameter in parameters if parameter not in said)
+    for member, value in vars(cls).items():
+        function = value.__func__ if isinstance(value, (classmethod, staticmethod)) else value
+        if member.startswith("_"):
+            continue
+        if isinstance(function, property) and not function.__doc__:
+            yield f"{name}.{member}: no docstring"
+        elif inspect.isfunction(function) and not _inherits(cls, member, function):
+            yield from missing(function, f"{name}.{member}", frozenset(said))
+
+
+def _inherits(cls, member, function):
+    """Whether a method does what its class's base or a protocol documents."""
+    return any(hasattr(base, member) for base in cls.__mro__[1:])
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_public_names_and_parameters_are_documented(name):
+    module = importlib.import_module(name)
+    assert module.__doc__
+    found = [text for each in public_names(module) for text in missing(getattr(module, each), f"{name}.{each}")]
+    assert found == []
+
+
+def test_every_public_package_has_a_page():
+    offered = {path.parent for path in Path(mitsuba_plenoptic.__file__).parent.rglob("__init__.py")}
+    with_names = {path for path in offered if "__all__" in (path / "__init__.py").read_text()}
+    root = Path(mitsuba_plenoptic.__file__).parent
+    packages = {".".join(("mitsuba_plenoptic", *path.relative_to(root).parts)) for path in with_names}
+    # Of the bank users see the name of a method only.
+    inner = {"mitsuba_plenoptic.capture.bank", "mitsuba_plenoptic.capture.derivatives"}
+    assert packages - set(re.findall(r"automodule:: (\S+)", PAGES)) == inner
+
+
+def test_every_option_has_a_help():
+    commands = typer.main.get_command(app).commands
+    found = {(name, p.name) for name, command in commands.items() for p in command.params if not p.help}
+    assert found == set() and all(command.help for command in commands.values())
+
+
+def read_by(module):
+    """Names of the parameters that a plugin's file reads."""
+    text = inspect.getsource(module)
+    return set(re.findall(r"read_\w+\(props,(?: NAME,)? \"(\w+)\"", text))
+
+
+@pytest.mark.parametrize(
+    "name, read",
+    [
+        ("plenoptic", {*sensor.NUMBERS, *sensor.WORDS, *sensor.FIXED, "focus_distance", *read_by(sensor)}),
+        ("plenoptic_wave", read_by(integrator) | {"wavelength"}),
+    ],
+)
+def test_plugins_document_what_they_read(name, read):
+    rows = generated_reference.plugin_parameters(generated_reference.plugin_docstring(name))
+    documented = {each for names, *_ in rows for each in names.split(", ")}
+    # Mitsuba itself reads these.
+    assert documented - {"(Nested plugin)", "to_world", "shutter_open", "shutter_close"} == read
+    assert all(text.strip() for _, _, text, *_ in rows)
+
+
+def test_pages_made_from_the_sources():
+    plugins, command = generated_reference.plugins(""), generated_reference.commands("")
+    assert "``mla_pitch``" in plugins and "|" not in plugins.split("The sensor")[1].split("All lengths")[0]
+    assert "``--radiators-per-lens N``" in command and "[bold]" not in command
+    assert "| `undersampled` |" in generated_reference.guards("GUARDS")
