@@ -144,6 +144,8 @@ def reconstruct(
     if chosen.waves:
         require_ideal(camera)
         camera.require_resolved()
+        # Images are formed by the lens as it should be.
+        camera = camera.replace(wavefront=())
     reference = None if white is None else _white(white, image)
     _require_memory(camera, distances, oversample, image.shape)
     wavelengths = _wavelengths(capture, wavelength, image.shape[2], camera) if chosen.waves else []

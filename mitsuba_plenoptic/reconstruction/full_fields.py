@@ -15,8 +15,9 @@ from ..runtime.backend import backend
 from ..runtime.fft import Field, resting_drjit
 from .direction_bins import power_in_bins
 from .elements import NOTHING, converging, microlenses, to_object
-from .grids import Directions, Plan, Strip, Window, field_memory, object_extent, plan, require_feasible
+from .grids import Directions, Plan, Strip
 from .methods import Progress
+from .planning import Window, field_memory, object_extent, plan, require_feasible
 from .steps import Rows, Workspace, propagate, to_directions
 
 
@@ -42,7 +43,7 @@ def reconstruct_subsets(
     totals = [libraries.arrays.zeros((rows, columns)) for _ in distances]
     lit = lit_window(image, camera)
     if lit is not None:
-        grids = plan(camera, wavelength, distances, lit)
+        grids = plan(camera, wavelength, distances, lit, oversample)
         require_feasible(grids)
         fields = FullFields(image, camera, wavelength, grids, lit, interleave=interleave, relay=relay)
         passed = 0.0

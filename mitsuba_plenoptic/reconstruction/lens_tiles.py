@@ -15,7 +15,7 @@ from ..optics.phase import in_millimetres, phasor
 from ..optics.sampling import fast_length
 from ..runtime.backend import backend
 from ..runtime.fft import Field
-from .grids import GUARD, field_subsamples
+from .planning import GUARD, field_subsamples
 
 # Samples that are transformed together, on the processor and on a CUDA device.
 _BATCH_SAMPLES, _CUDA_BATCH_SAMPLES = 2**20, 2**25

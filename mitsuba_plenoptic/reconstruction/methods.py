@@ -74,7 +74,17 @@ METHODS: dict[str, Method] = {}
 
 
 def method(name: str, *, options: tuple[str, ...], waves: bool) -> Callable[[Refocus], Refocus]:
-    """Register a function as a `Method`."""
+    """Register a function as a `Method`.
+
+    Parameters
+    ----------
+    name : str
+        As users call it.
+    options : tuple of str
+        The options of `reconstruct` that it takes.
+    waves : bool
+        Whether it needs wavelengths.
+    """
 
     def register(refocus: Refocus) -> Refocus:
         METHODS[name] = Method(name, refocus, options, waves)

@@ -17,10 +17,10 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from .full_fields import lit_window, reconstruct_subsets
-from .grids import plan
 from .lens_by_lens import reconstruct_lens_by_lens
 from .lens_tiles import Tile, tile_lenses
 from .methods import Task, method
+from .planning import plan
 from .waves import refocus_by_waves
 
 _APART = 2

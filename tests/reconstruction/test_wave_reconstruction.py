@@ -14,10 +14,10 @@ from mitsuba_plenoptic.capture.point_spread import point_spread_function
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.exr import read_exr
 from mitsuba_plenoptic.lightfield.white import white_image
-from mitsuba_plenoptic.reconstruction import full_fields, grids
+from mitsuba_plenoptic.reconstruction import full_fields, planning
 from mitsuba_plenoptic.reconstruction.full_fields import FullFields, lit_window, reconstruct_subsets
-from mitsuba_plenoptic.reconstruction.grids import plan
 from mitsuba_plenoptic.reconstruction.lens_by_lens import reconstruct_lens_by_lens
+from mitsuba_plenoptic.reconstruction.planning import plan
 from mitsuba_plenoptic.reconstruction.ray_sums import white_sums
 
 # Grey or random pixels and single ones are no captures, and a guard says so.
@@ -285,10 +285,22 @@ def test_strips_of_the_detector_add_up_to_the_whole(monkeypatch):
     image = lit_inside(SMALL, 200, 440)
     whole = reconstruct_subsets(image, SMALL, [112.5], WAVELENGTH)[0]
     assert len(plan(SMALL, WAVELENGTH, [112.5], lit_window(image, SMALL)).strips) == 1
-    monkeypatch.setattr(full_fields, "plan", lambda *given: grids._plan(*given, 3))
+    monkeypatch.setattr(full_fields, "plan", lambda *given: planning._plan(*given, 3))
     monkeypatch.setattr(full_fields, "require_feasible", lambda made: None)
     parts = reconstruct_subsets(image, SMALL, [112.5], WAVELENGTH)[0]
     assert np.linalg.norm(parts - whole) < 2e-3 * np.linalg.norm(whole)
+
+
+@pytest.mark.parametrize("oversample", [1, 10])
+def test_bins_are_sampled_finely_enough(monkeypatch, oversample):
+    """Ten bins per lens show interference that single samples of them would smooth."""
+    camera = wave_cases.small_camera(8, **HALF)
+    options = {"method": "coherent", "oversample": oversample}
+    made = refocus(white_image(camera), 127.5, camera, **options).image
+    for samples in ("_DIRECTION_SAMPLES", "_FINE_DIRECTION_SAMPLES"):
+        monkeypatch.setattr(planning, samples, 15.0)
+    exact = refocus(white_image(camera), 127.5, camera, **options).image
+    assert np.linalg.norm(made - exact) < 2e-3 * np.linalg.norm(exact)
 
 
 def test_a_white_capture_is_one_where_its_waves_cancel():

@@ -11,7 +11,12 @@ written out here, in NumPy, for one channel and without the borders that Plenopt
 
 from __future__ import annotations
 
+import dataclasses
+import json
+import subprocess
+import tempfile
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +26,7 @@ from mitsuba_plenoptic import Capture, PlenopticCamera, decode, load_scene, reco
 from mitsuba_plenoptic.lightfield.geometry import distance_of
 from mitsuba_plenoptic.lightfield.refocus import refocus
 from mitsuba_plenoptic.reconstruction.full_fields import lit_window
-from mitsuba_plenoptic.reconstruction.grids import plan
+from mitsuba_plenoptic.reconstruction.planning import plan
 
 from .table import Row, on_cores, side_by_side
 
@@ -32,9 +37,25 @@ _DISTANCES = [210.0, 240.0, 280.0]
 PAPER_SECONDS = {"ray, point version": 330.0, "coherent": 65.0, "partially coherent, K = 2": 195.0}
 
 
-def run(runs: int) -> list[Row]:
-    """Time everything on one core."""
-    return on_cores(1, _compare_all, runs)
+def run(runs: int, old: Path | None) -> list[Row]:
+    """Time everything on one core; in the notes, beside it, what an older version takes."""
+    rows = on_cores(1, _compare_all, runs)
+    return rows if old is None else list(_beside(rows, old.resolve(), runs))
+
+
+def _beside(rows: list[Row], old: Path, runs: int) -> Iterator[Row]:
+    """Let the older version's own benchmark run, and add its figures to the rows of the same titles."""
+    with tempfile.TemporaryDirectory() as output:
+        command = [old / ".venv/bin/python", old / "tools/benchmark.py", "--only", "reconstructions"]
+        subprocess.run([*command, "--runs", str(runs), "--output", output], cwd=old, check=True)
+        found = json.loads((Path(output) / "benchmark.json").read_text())["rows"]["reconstructions"]
+    before = {(row["what"], row["against"]): row for row in found}
+    for row in rows:
+        figures = before.get((row.what, row.against))
+        if figures and figures["cpu_ratio"]:
+            said = "{ours:.3g} s, ratio {ratio:.3g}, CPU ratio {cpu_ratio:.3g}".format(**figures)
+            row = dataclasses.replace(row, note=f"{row.note}; {old.name}: {said}")
+        yield row
 
 
 def _compare_all(runs: int) -> list[Row]:
