@@ -21,6 +21,15 @@ MOST_PIXELS = 2**20
 WAVELENGTHS = (1.0, 1e6)
 """Bounds of a wavelength in nanometres, from soft X-rays to a millimetre."""
 
+WAVEFRONT_UNIT = 633.0
+"""Wavelength in nanometres in whose waves aberrations are given; other wavelengths see the same path."""
+
+MOST_ABERRATIONS = 66
+"""Zernike polynomials at most: those up to the tenth order."""
+
+STRONGEST_ABERRATION = 1000.0
+"""Waves, root mean square over the pupil, of one of them at most."""
+
 FULL_TURN = 360.0
 """Bound of a rotation in degrees, either way."""
 
@@ -68,6 +77,15 @@ def require_place(name: str, value: Any) -> tuple[float, float]:
     pair = require_pair(name, value, "(x, y)")
     x, y = (require_number(name, number, minimum=-LONGEST, maximum=LONGEST) for number in pair)
     return x, y
+
+
+def require_wavefront(value: Any, name: str = "wavefront") -> tuple[float, ...]:
+    """Return Zernike coefficients in waves, up to 66 of them, as a tuple."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if not isinstance(value, (tuple, list)) or len(value) > MOST_ABERRATIONS:
+        raise InputError(f"{name} = {shown(value)}: it must be at most {MOST_ABERRATIONS} numbers")
+    return require_numbers(name, value, len(value), STRONGEST_ABERRATION)
 
 
 def require_numbers(name: str, value: Any, count: int, largest: float) -> tuple[float, ...]:

@@ -23,6 +23,7 @@ from .bounds import (
     require_numbers,
     require_pixels,
     require_place,
+    require_wavefront,
 )
 from .errors import InputError, require_choice, require_number, shown
 from .lattice import APERTURES, LATTICES, Lattice, make_lattice
@@ -31,7 +32,7 @@ from .thin_lens import conjugate_distance, defocus_factor, image_distance
 
 LENS_MODELS = ("ideal", "parabolic")
 
-LATER = {"mla_lattice", "mla_rotation", "mla_offset", "mla_tilt", "mla_aperture", "mla_fill", "distortion"}
+LATER = {"mla_lattice", "mla_rotation", "mla_offset", "mla_tilt", "mla_aperture", "mla_fill", "distortion", "wavefront"}
 """Parameters that files written before there were other lattices do not name."""
 
 _SEVERAL = {"mla_focal_lengths": "mla_focal_length", "mla_pitches": "mla_pitch"}
@@ -91,6 +92,10 @@ class PlenopticCamera:
     distortion : five floats
         Of the main lens: k1, k2, k3 (radial, in mm^-2, mm^-4, mm^-6) and p1, p2 (tangential, in mm^-1) of the map that
         takes the distortion away in the plane of the MLA; see `mitsuba_plenoptic.optics.distortion`.
+    wavefront : floats
+        Aberrations of the main lens: coefficients of Zernike polynomials over its pupil in Noll's order, beginning with
+        piston, each in waves of 633 nm root mean square; up to 66, those left out are 0. Other wavelengths see the same
+        path.
 
     Raises
     ------
@@ -118,6 +123,7 @@ class PlenopticCamera:
     crop_size: tuple[int, int]
     lens_model: str
     distortion: tuple[float, float, float, float, float]
+    wavefront: tuple[float, ...]
 
     def __init__(
         self,
@@ -141,6 +147,7 @@ class PlenopticCamera:
         crop_size: tuple[int, int] | None = None,
         lens_model: str = "ideal",
         distortion: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
+        wavefront: Sequence[float] = (),
     ) -> None:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
@@ -192,6 +199,7 @@ class PlenopticCamera:
                 )
         put("lens_model", require_choice("lens_model", lens_model, LENS_MODELS))
         put("distortion", require_numbers("distortion", distortion, 5, 1.0))
+        put("wavefront", require_wavefront(wavefront))
         reach = np.hypot(*(np.abs(self.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))
         rise = reach * np.hypot(*np.tan(np.deg2rad(self.mla_tilt)))
         if rise >= min(self.detector_distance, self.mla_distance):
@@ -206,6 +214,11 @@ class PlenopticCamera:
     def preset(cls, name: str) -> PlenopticCamera:
         """Build a known camera: see `mitsuba_plenoptic.presets` for those there are and where their numbers are from.
 
+        Parameters
+        ----------
+        name : {"paper", "lytro", "raytrix"}
+            The camera.
+
         Raises
         ------
         InputError
@@ -218,6 +231,11 @@ class PlenopticCamera:
     @classmethod
     def from_sensor(cls, sensor: Any) -> PlenopticCamera:
         """Take the camera of a Mitsuba sensor of type ``plenoptic``.
+
+        Parameters
+        ----------
+        sensor : mitsuba.Sensor
+            A sensor of type ``plenoptic``.
 
         Raises
         ------
@@ -233,6 +251,11 @@ class PlenopticCamera:
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> PlenopticCamera:
         """Build a camera from what `to_dict` gave, for example from a file's header.
+
+        Parameters
+        ----------
+        values : dict
+            Parameters by name.
 
         Raises
         ------
@@ -258,6 +281,11 @@ class PlenopticCamera:
         """Build a camera from the text of a JSON file: an object of parameters; one that is left out has its default.
 
         What a calibration adds to them, under ``calibration``, is no part of the camera.
+
+        Parameters
+        ----------
+        text : str
+            The text of the file.
 
         Raises
         ------
@@ -303,7 +331,9 @@ class PlenopticCamera:
         columns, rows = values.pop("resolution")
         (left, top), (width, height) = values.pop("crop_offset"), values.pop("crop_size")
         sensor: dict[str, Any] = {"type": "plenoptic"} | {
-            name: ", ".join(map(repr, value)) if isinstance(value, tuple) else value for name, value in values.items()
+            name: ", ".join(map(repr, value)) if isinstance(value, tuple) else value
+            for name, value in values.items()
+            if value != ()
         }
         if to_world is not None:
             sensor["to_world"] = to_world
@@ -344,6 +374,11 @@ class PlenopticCamera:
     def replace(self, **changes: Any) -> PlenopticCamera:
         """Return a copy of the camera with some parameters changed; what records all goes on recording all.
 
+        Parameters
+        ----------
+        **changes
+            Parameters by name.
+
         Raises
         ------
         InputError
@@ -380,6 +415,11 @@ class PlenopticCamera:
         """Diameter of the cone from an on-axis point on the MLA over that on the main lens, with its sign.
 
         :math:`s = 1 + b/g - b/f_1`: zero in focus, positive for points nearer than that.
+
+        Parameters
+        ----------
+        distance : float
+            Object distance from the main lens in millimetres.
         """
         return defocus_factor(distance, self.mla_distance, self.focal_length)
 

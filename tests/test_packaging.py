@@ -45,10 +45,33 @@ def test_data_files_are_packed(package):
 
 
 def test_versions_agree():
-    expected = PROJECT["project"]["version"]
-    assert mitsuba_plenoptic.__version__ == expected
-    assert version("mitsuba-plenoptic") == expected
-    assert f"version: {expected}\n" in (ROOT / "CITATION.cff").read_text()
+    assert mitsuba_plenoptic.__version__ == version("mitsuba-plenoptic")
+    coming = PROJECT["tool"]["setuptools_scm"]["fallback_version"].removesuffix(".dev0")
+    cited = re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), flags=re.MULTILINE)[1]
+    heads = re.findall(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), flags=re.MULTILINE)
+    assert cited == coming and coming in heads
+
+
+def test_readme_links_work_in_the_repository_and_on_a_package_index():
+    text = (ROOT / "README.md").read_text()
+    relative = re.findall(r"\]\((?!https?://)([^)#]+)\)", text)
+    assert relative and all((ROOT / link).is_file() for link in relative)
+    absolute = runpy.run_path(str(ROOT / "setup.py"))["with_absolute_links"](text, "https://example.org/here")
+    assert "](https://example.org/here/raw/main/docs/reconstructions.png)" in absolute
+    assert re.findall(r"\]\((?!https?://)[^)]*\)", absolute) == []
+    assert "(https://mitsuba-renderer.org)" in absolute
+
+
+def test_the_start_page_can_be_run_from_the_page():
+    tool = runpy.run_path(str(ROOT / "tools" / "check_release.py"))
+    text = (ROOT / "docs" / "start.md").read_text()
+    commands, files = tool["page_commands"](text), tool["page_files"](text)
+    asked = " ".join(commands)
+    assert all(word in asked for word in ("pip install", "doctor", "--model wave", "reconstruct", "depth", "python "))
+    # What the commands name is on the page, or made by one before.
+    made = {word for command in commands for word in re.findall(r"-o (\S+)", command)}
+    named = {word for command in commands for word in re.findall(r"[\w.]+\.(?:xml|json|py|exr)", command)}
+    assert named <= made | set(files) and set(files) <= named
 
 
 def test_make_help_names_every_target():

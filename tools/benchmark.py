@@ -4,6 +4,7 @@ Things compared are timed in turn in the same run, so that their ratios hold on 
 over the runs. Written as Markdown and JSON. Libraries compared with: `pip install -e '.[peers]'`.
 
     python tools/benchmark.py --output out/benchmark [--only steps --only sharing] [--runs 5]
+    python tools/benchmark.py --only reconstructions --old ../version-0.1
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import scipy
-from benchmarks import captures, gpu, growth, point_spreads, reconstructions, shares, steps, workers
+from benchmarks import captures, choice, gpu, growth, point_spreads, reconstructions, shares, steps, workers
 from benchmarks.table import markdown
 
 from mitsuba_plenoptic.runtime.fft import worker_count
@@ -37,6 +38,9 @@ def main() -> None:
         "--scene", action="append", default=[], choices=point_spreads.SCENES,
         help="of sharing: its whole capture instead of parts and estimates; takes up to an hour",
     )  # fmt: skip
+    parser.add_argument(
+        "--old", type=Path, help="folder of an older version with its .venv, whose reconstructions are timed, too"
+    )
     parser.add_argument("--resolution", type=int, default=4096, help="pixels across the detector of ray captures")
     sections = {
         "steps": lambda: steps.run(sizes, arguments.runs, arguments.memory),
@@ -55,8 +59,9 @@ def main() -> None:
             *captures.samples_per_second(arguments.resolution, arguments.runs),
             *captures.command(arguments.resolution, 16),
         ],
-        "reconstructions": lambda: reconstructions.run(arguments.runs),
+        "reconstructions": lambda: reconstructions.run(arguments.runs, arguments.old),
         "shares": shares.run,
+        "choice": choice.run,
         "growth": lambda: growth.run(sizes, arguments.runs),
     }
     parser.add_argument("--only", action="append", choices=sections, help="a section; default: all")

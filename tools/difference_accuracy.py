@@ -20,14 +20,10 @@ from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, render_captu
 from mitsuba_plenoptic.report.difference import capture_difference, middle_of_micro_images
 
 COLUMNS = {
-    "captures": "{captures}",
-    "pixels": "{pixels}",
-    "samples": "{samples}",
-    "measured": "{measured:.2%}",
-    "noise": "{noise:.2%}",
-    "without noise": "{true:.2%}",
-    "noise alone": "{noise_alone}",
-}
+    "captures": "{captures}", "pixels": "{pixels}", "samples": "{samples}", "measured": "{measured:.2%}",
+    "noise": "{noise:.2%}", "without noise": "{true:.2%}", "noise alone": "{noise_alone}",
+}  # fmt: skip
+
 _SIZE = 60.0
 """Times the size of Mitsuba's Cornell box, whose walls are 2 apart: millimetres for a camera of an 80 mm lens."""
 

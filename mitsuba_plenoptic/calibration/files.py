@@ -29,7 +29,17 @@ _POSES = "by frame: rotation vector in radians and place of corner 0 in mm, from
 
 
 def write_calibration(path: str | Path, calibration: Calibration, board: Board) -> None:
-    """Write a calibrated camera, whole or not at all."""
+    """Write a calibrated camera, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        File to write.
+    calibration : Calibration
+        What to write.
+    board : Board
+        The board that was seen.
+    """
     seen = calibration.evaluation
     record = {
         "lens_index": calibration.index.to_dict(),
@@ -56,6 +66,11 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
 
 def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
     """Read a camera from a JSON file or a configuration of libpleno, or take a preset by its name.
+
+    Parameters
+    ----------
+    source : str or path
+        A preset, a JSON file, or a configuration of libpleno and COMPOTE.
 
     Returns
     -------

@@ -105,6 +105,11 @@ class Calibration:
     def weak_directions(self, count: int = 3) -> list[tuple[float, dict[str, float]]]:
         """Return what the data tell worst: combinations of numbers that can change together.
 
+        Parameters
+        ----------
+        count : int
+            How many of them.
+
         Returns
         -------
         list of (float, dict)
@@ -221,6 +226,17 @@ def left_out_errors(
     corners: Table, board: Board, calibration: Calibration, centres: Table | None = None
 ) -> dict[int, float]:
     """Calibrate without each pose in turn, and predict it: its pose is refitted, nothing else.
+
+    Parameters
+    ----------
+    corners : Table
+        Observed corners, as `read_corners` gives them.
+    board : Board
+        The board that was seen.
+    calibration : Calibration
+        What was found from all poses.
+    centres : Table, optional
+        Observed centres of micro-images.
 
     Returns
     -------

@@ -91,7 +91,15 @@ class LensIndex:
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of a file by name, all of one length."""
+    """Columns of a file by name, all of one length.
+
+    Parameters
+    ----------
+    name : str
+        What messages call it, such as its file.
+    columns : dict of str to arrays
+        Its columns, all of one length.
+    """
 
     name: str
     columns: dict[str, np.ndarray]
@@ -161,6 +169,15 @@ def _checked(path: Path, columns: dict[str, np.ndarray], header: int) -> Table:
 def read_corners(path: str | Path, board: Board, size: tuple[int, int]) -> Table:
     """Read corners of a board on a detector of so many columns and rows.
 
+    Parameters
+    ----------
+    path : path
+        The file.
+    board : Board
+        The board that was seen.
+    size : (int, int)
+        Columns and rows of the pictures.
+
     Raises
     ------
     InputError
@@ -180,6 +197,11 @@ def read_corners(path: str | Path, board: Board, size: tuple[int, int]) -> Table
 
 def read_centres(path: str | Path) -> Table:
     """Read centres of micro-images: a CSV table, or a JSON file of LFToolbox or PlenoptiCam.
+
+    Parameters
+    ----------
+    path : path
+        The file.
 
     Raises
     ------

@@ -27,6 +27,12 @@ _BANDS = (
 )
 """Bands, each with the allowed error of many radiators below which it is used."""
 
+_FINEST = Band(cone=2.5, margin=200, bends=5, orders=32, edge=3.0, smooth=True)
+"""Band of derivatives that are judged one by one (`tools/derivative_accuracy.py`)."""
+
+_EXACT = 0.004
+"""Allowed error below which it is used."""
+
 _FEW = 512
 """Radiators up to which the light that is cut does not average out."""
 
@@ -35,14 +41,14 @@ _FEW_STRICTER = 5.0
 _SHARP = 1 / 4
 """Samples over which edges of the pupil are softened for many radiators: walls lose 0.3 % of the light, not 1.2 %."""
 
-_WAVES_PER_ERROR = 10.0
+WAVES_PER_ERROR = 10.0
 """Waves across one microlens by which wavefronts may differ, over the allowed error of the sum of many."""
 
 _NEIGHBOURHOOD = 25
 """Lenses whose radiators' point spreads overlap, about."""
 
 _MANY = 1600
-"""Overlapping point spreads from which on the allowed error is reached by `_WAVES_PER_ERROR`."""
+"""Overlapping point spreads from which on the allowed error is reached by `WAVES_PER_ERROR`."""
 
 
 def check_accuracy(accuracy: Any, name: str = "accuracy") -> float:
@@ -64,6 +70,17 @@ def band_for(accuracy: float, count: int) -> Band:
     allowed = accuracy / _FEW_STRICTER if count <= _FEW else accuracy
     band = next(band for limit, band in _BANDS if allowed < limit)
     return band if count <= _FEW else replace(band, edge=_SHARP)
+
+
+def derivative_band_for(accuracy: float, count: int) -> Band:
+    """Choose how much of the diffracted light to keep for derivatives.
+
+    They weigh light that goes far: its phase changes fastest. What a hard edge of the pupil folds back changes fastest
+    of all, so that edges are softer.
+    """
+    if accuracy < _EXACT:
+        return _FINEST
+    return replace(band_for(accuracy, count), edge=2.0, smooth=True)
 
 
 def wavefront_step(accuracy: float, camera: PlenopticCamera, positions: NDArray[np.float64]) -> float:
@@ -90,4 +107,4 @@ def wavefront_step(accuracy: float, camera: PlenopticCamera, positions: NDArray[
     image = conjugate_coordinate(positions[:, :2], positions[:, 2:], camera.mla_distance)
     lenses = np.unique(np.floor(image / camera.mla_pitch), axis=0)
     overlap = min(len(positions), _NEIGHBOURHOOD * len(positions) / len(lenses))
-    return accuracy * _WAVES_PER_ERROR * min(1.0, (overlap / _MANY) ** 0.5)
+    return accuracy * WAVES_PER_ERROR * min(1.0, (overlap / _MANY) ** 0.5)

@@ -142,6 +142,10 @@ class Child:
             if used_up == self.max_depth:
                 continue
             some, own_medium = dr.compress(kind == value), own // 2
+            taken = mi.Bool(True)
+            if dr.width(some) == 1:
+                # Dr.Jit writes the numbers of a single lane into the kernel: it is followed twice, and taken once.
+                some, taken = mi.UInt32([some[0], some[0]]), mi.Bool([True, False])
             sampler = random_numbers(int(np.random.SeedSequence([seed, value]).generate_state(1)[0]), dr.width(some))
             light = sample(
                 self._copy(used_up, bool(own % 2)),
@@ -151,7 +155,7 @@ class Child:
                 media[own_medium - 1] if own_medium else None,
                 mi.Bool(True),
             )
-            dr.scatter(result, light, some)
+            dr.scatter(result, light, some, taken)
         return result
 
     def _copy(self, used: int, hides: bool) -> Any:
@@ -173,6 +177,11 @@ def random_numbers(seed: int, lanes: int) -> Any:
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed, lanes)
     return sampler
+
+
+def channel_mean(radiance: Any) -> Any:
+    """Return the mean over the channels; `dr.mean` writes the count of lanes into the kernel, anew for every batch."""
+    return dr.sum(radiance) / len(radiance)
 
 
 def sample(integrator: Any, scene: Any, sampler: Any, ray: Any, medium: Any, active: Any) -> Any:

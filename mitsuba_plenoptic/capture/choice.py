@@ -1,4 +1,4 @@
-"""Which way to compute a wave capture is the quicker one."""
+"""Which way to compute a wave capture is possible, and the quicker one."""
 
 from __future__ import annotations
 
@@ -11,9 +11,13 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..optics.main_lens import main_lens
+from .accuracy import WAVES_PER_ERROR
 from .bank import near_weight
 from .bank.blend import blur_of
+from .bank.radial import distance_of
 from .lens_window import LensWindow
+from .patch_plan import patches_fit
+from .sharing import patterns_at
 from .sight import Sight
 
 _PROBES = 2**14
@@ -22,11 +26,10 @@ _PROBES = 2**14
 _BLUR = 13.0
 """Lenses of blur from which on the time of a patch grows with their area."""
 
-_WORTH = 150_000
-"""Radiators blurred over `_BLUR` lenses whose patches take as long as learning a bank and tracing its rays, about.
+_BANK, _BANK_PER_PIXEL = 4000, 0.004
+"""Patches blurred over `_BLUR` lenses that take as long as learning a bank, and as its rays to a pixel, about.
 
-A rough figure for the camera of the paper: full letters, of 70,000 radiators, are quicker by patches, and a full still
-life, of 1,150,000, by the bank.
+Rough figures for the camera of the paper; `tools/benchmark.py --only choice` shows both ways side by side.
 """
 
 
@@ -64,8 +67,10 @@ class Probes:
         return cls(np.stack(channels), np.broadcast_to(lens.vergence(distance).numpy(), _PROBES))
 
 
-def bank_is_quicker(camera: PlenopticCamera, sight: Sight, per_lens: int, accuracy: float, seed: int) -> bool:
-    """Estimate from some rays whether a kernel bank records what is out of focus sooner than patches do.
+def bank_is_better(
+    camera: PlenopticCamera, sight: Sight, wavelength: float, per_lens: int, accuracy: float, seed: int
+) -> bool:
+    """Find whether patches would be too large, or a kernel bank records sooner than they what is out of focus.
 
     Parameters
     ----------
@@ -73,6 +78,8 @@ def bank_is_quicker(camera: PlenopticCamera, sight: Sight, per_lens: int, accura
         The camera.
     sight : Sight
         The scene.
+    wavelength : float
+        Wavelength in nanometres.
     per_lens : int
         Radiators in a lens, of all passes.
     accuracy : float
@@ -80,13 +87,32 @@ def bank_is_quicker(camera: PlenopticCamera, sight: Sight, per_lens: int, accura
     seed : int
         Of the random numbers.
     """
-    count = per_lens * len(LensWindow.of(camera).index)
-    if accuracy == 0 or count <= _WORTH / _most_work(camera):
+    if accuracy == 0:
+        return False
+    lens = main_lens(camera)
+
+    def too_large(vergences: NDArray[np.floating]) -> bool:
+        ends = np.array([vergences.min(), vergences.max()], np.float64)
+        return not patches_fit(camera, wavelength, accuracy, distance_of(lens, ends))
+
+    window = len(LensWindow.of(camera).index)
+    count, worth = per_lens * window, _BANK + _BANK_PER_PIXEL * math.prod(camera.shape)
+    few = count * _most_work(camera) <= worth
+    # What the scene's size tells costs no rays.
+    if few and not too_large(np.array(sight.vergences(lens))):
         return False
     probes = Probes.of(camera, sight, seed)
     far = (probes.radiance.max(0) > 0) * (1 - near_weight(camera, probes.vergence, accuracy))
-    work = float(np.mean(far * np.maximum(1, np.abs(blur_of(camera, probes.vergence)) / _BLUR) ** 2))
-    return count * work > _WORTH
+    lit = far > 0
+    if not lit.any():
+        return False
+    if too_large(probes.vergence[lit]):
+        return True
+    blurred = np.maximum(1, np.abs(blur_of(camera, probes.vergence)) / _BLUR) ** 2
+    found = count * float(lit.mean())
+    distances = distance_of(lens, probes.vergence[lit].astype(np.float64))
+    patterns = min(found, patterns_at(camera, distances, window, wavelength, accuracy * WAVES_PER_ERROR))
+    return patterns * float((far * blurred)[lit].mean()) > worth
 
 
 def _most_work(camera: PlenopticCamera) -> float:

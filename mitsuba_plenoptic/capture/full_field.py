@@ -84,6 +84,7 @@ def full_field(
     microlenses: bool = True,
     refinement: float = 1.0,
     growth: float = 1.0,
+    grids: FieldGrids | None = None,
 ) -> NDArray[np.float32]:
     """Integrate one scene point's intensity over the recorded pixels.
 
@@ -101,6 +102,8 @@ def full_field(
         Whether the microlenses are there.
     refinement, growth : float
         Factors on the sampling density and on the window's margins, to test convergence.
+    grids : FieldGrids, optional
+        Those of a camera that hardly differs, by which differences between the two are free of their grids'.
 
     Returns
     -------
@@ -112,7 +115,7 @@ def full_field(
     InputError
         If the grids would need too much memory.
     """
-    grids = field_grids(camera, position, wavelength, refinement, growth)
+    grids = grids or field_grids(camera, position, wavelength, refinement, growth)
     pupil = _pupil_field(camera, position, wavelength, grids, pupil_weights)
     mla = _at_mla(camera, wavelength, grids, pupil)
     del pupil

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..optics.main_lens import MainLens
 from .chains import Optics, leads_to
-from .child import random_numbers
+from .child import channel_mean, random_numbers
 from .places import Vertex
 from .visibility import LANES, PUPIL_CELLS, aimed_at, tolerance
 
@@ -67,7 +67,8 @@ def pupil_radiance(
     for start in range(0, count, batch):
         stop = min(start + batch, count)
         lane = dr.arange(mi.UInt32, (stop - start) * cells * _SAMPLES)
-        which, cell = lane // (cells * _SAMPLES) + start, lane // _SAMPLES % cells
+        which = lane // (cells * _SAMPLES) + dr.opaque(mi.UInt32, start)
+        cell = lane // _SAMPLES % cells
         sampler = random_numbers(seed + start, dr.width(lane))
         within = sampler.next_2d()
         x, y = (
@@ -83,5 +84,6 @@ def pupil_radiance(
         radiance = child.sample(
             optics.scene, seed + start, chain.ray, chain.medium, chain.used(child), hidden, arrived, optics.media
         )
-        result[start:stop] = dr.block_sum(dr.mean(weight * radiance), _SAMPLES).numpy().reshape(-1, cells) / _SAMPLES
+        mean = dr.block_sum(channel_mean(weight * radiance), _SAMPLES) / _SAMPLES
+        result[start:stop] = mean.numpy().reshape(-1, cells)
     return result.reshape(-1, PUPIL_CELLS, PUPIL_CELLS)

@@ -52,6 +52,8 @@ class Band:
         What a hard edge diffracts beyond the patch is folded back into it; what an edge softened over one sample
         diffracts there is lost. A single spread is truer without that light. A sum of many is truer with it, since
         what one point sends away comes to another's patch: its power is right, and so are the rims of micro-images.
+    smooth : bool
+        Whether the softened edges have no kinks: less of what they diffract is then folded back.
     """
 
     cone: float
@@ -59,6 +61,7 @@ class Band:
     bends: float
     orders: float
     edge: float = 1.0
+    smooth: bool = False
 
 
 @dataclass(frozen=True)

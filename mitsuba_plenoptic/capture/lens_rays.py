@@ -166,8 +166,9 @@ class LensRaySum:
             # The first compile the kernels, of which light paths of other lengths need others.
             for seed in range(_TRIALS):
                 start = time.perf_counter()
-                dr.eval(self._trace_bins(box, bins, self._candidates, np.random.SeedSequence(seed)))
-                dr.sync_thread()
+                sums = self._trace_bins(box, bins, self._candidates, np.random.SeedSequence(seed))
+                # What strips and bands are gathered in
+                [np.stack([part.numpy() for part in parts]).copy() for parts in sums]
                 times.append(time.perf_counter() - start)
         seconds = min(times)
         return seconds / (lines * columns)

@@ -8,6 +8,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from .child import channel_mean
+
 
 @dataclass
 class Flight:
@@ -63,7 +65,7 @@ def fly(medium: Any, ray: Any, si: Any, number: Any, sampler: Any, channel: Any,
     transmittance, pdf = medium.transmittance_eval_pdf(mei, si, active)
     chance = _of_channel(pdf, channel)
     weight = dr.select(absorbing, transmittance, dr.select(chance > 0, transmittance / chance, 0))
-    real = dr.mean(mei.sigma_t / mei.combined_extinction)
+    real = channel_mean(mei.sigma_t / mei.combined_extinction)
     met, is_real = active & mei.is_valid(), sampler.next_1d(active) < real
     scattered, collided = met & is_real, met & ~is_real
     weight = dr.select(scattered, weight * mei.sigma_s / real, weight)

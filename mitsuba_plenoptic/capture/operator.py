@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -15,15 +16,16 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, shown
 from ..io.checkpoints import digest
 from ..optics import guards
-from ..optics.main_lens import main_lens, require_ideal
+from ..optics.main_lens import main_lens, require_ideal, require_round
 from ..optics.sampling import check_positions
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import one_at_a_time
-from ..runtime.batches import BatchMap
+from ..runtime.batches import BatchMap, Threads
 from ..runtime.jobs import Job, LongSum, Task
 from .accuracy import DEFAULT_ACCURACY, check_accuracy
 from .bank.blend import near_weight
 from .bank.plan import BankPlan
+from .derivatives import DerivativePlan, check_changes, check_names
 from .full_field_plan import FullFieldPlan
 from .patch_plan import Cost, PatchPlan
 from .pupil_weights import PupilWeights
@@ -117,10 +119,13 @@ class CaptureOperator:
         self._spectrum = spectrum
         if not isinstance(method, str) or method not in PLANS:
             raise InputError(f"method = {shown(method)}: it must be one of {', '.join(METHODS)}")
+        if method == "bank":
+            require_round(camera)
         self._method, self._accuracy = method, check_accuracy(accuracy)
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
         self._portions = list(_portions(camera, self.points, method, self._accuracy))
         self._plans: dict[tuple[float, str], Plan] = {}
+        self._derivative_plans: dict[float, DerivativePlan] = {}
 
     @one_at_a_time
     def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[np.float32]:
@@ -177,19 +182,8 @@ class CaptureOperator:
         InputError
             If the image has another shape or is not finite, or the work would need too much memory.
         """
-        try:
-            pixels = np.asarray(image, np.float32)
-        except (TypeError, ValueError, OverflowError):
-            raise InputError("image: it must be numbers, (rows, columns) or (rows, columns, channels)") from None
-        rows, columns = self.camera.shape
-        if pixels.ndim not in (2, 3) or pixels.shape[:2] != (rows, columns) or not np.isfinite(pixels).all():
-            raise InputError(
-                f"image of shape {pixels.shape}: it must be finite and have {rows} rows, {columns} columns"
-            )
-        channels = pixels.reshape(rows, columns, -1)
+        channels = self._check_image(image)
         wavelengths, matrix = self._mixing(channels.shape[2])
-        if channels.shape[2] != len(matrix):
-            raise InputError(f"image of shape {pixels.shape}: the spectrum has {len(matrix)} channels")
         job = job or Job()
         result = np.zeros((len(self.points), len(wavelengths)))
         with guards.watch():
@@ -200,7 +194,116 @@ class CaptureOperator:
                     found = self._planned(wavelength, portion, job, len(some)).gather(given, job, done, self._items)
                     result[np.ix_(portion.points, np.array(some))] += portion.fractions[:, None] * found
                     done += len(portion.points)
-        return result[:, 0] if pixels.ndim == 2 and len(wavelengths) == 1 else result
+        return result[:, 0] if np.ndim(image) == 2 and len(wavelengths) == 1 else result
+
+    @one_at_a_time
+    def derivative(self, weights: Any, changes: dict[str, Any], *, job: Job | None = None) -> NDArray[np.float32]:
+        """Differentiate `forward` in the direction of changes of the camera's numbers.
+
+        Points, weights and the relative power over each pupil are held, and so is that of all light through the pupil.
+        Each point has a spread of its own, whatever the accuracy. Derivatives by method "patch" only.
+
+        Parameters
+        ----------
+        weights : array (n,) or (n, channels)
+            As for `forward`.
+        changes : dict
+            Change of each number that changes, by name: ``focal_length``, ``aperture_radius``, ``mla_distance``,
+            ``mla_focal_length`` (one, or each of three), ``mla_pitch`` (of both, or of each), ``mla_rotation`` (in
+            degrees), ``mla_offset`` (two), ``mla_fill``, ``detector_distance``, ``detector_width``, ``wavelength`` (in
+            nanometres, of all) and ``wavefront`` (the first of its coefficients, or all).
+        job : Job, optional
+            Who is told of the progress; the work is done by threads of this process.
+
+        Returns
+        -------
+        float32 array
+            Of the shape of the image.
+
+        Raises
+        ------
+        InputError
+            If an input has a wrong shape or value, the method has no derivatives, or the work would need too much
+            memory.
+        """
+        factors, checked = self._check(weights), check_changes(self.camera, changes)
+        wavelengths, matrix = self._mixing(factors.shape[1])
+        job = self._for_derivatives(job)
+
+        def tasks() -> Iterator[Task]:
+            for wavelength, some in _groups(wavelengths):
+                plan = self._derivative_plan(wavelength, job, len(some))
+                push = partial(plan.push, factors[:, some], checked)
+                yield Task(len(self.points), push, partial(_mix, matrix=matrix[:, some]))
+
+        with guards.watch():
+            items = self.sums * len(self.points)
+            image = job.run(tasks(), (*self.camera.shape, len(matrix)), items)
+        return image[..., 0] if np.ndim(weights) == 1 and len(matrix) == 1 else image
+
+    @one_at_a_time
+    def gradient(
+        self, weights: Any, image_gradient: Any, names: Iterable[str] | None = None, *, job: Job | None = None
+    ) -> dict[str, NDArray[np.float64]]:
+        """Apply the transpose of `derivative`: take the gradient of a figure back from the image to the camera.
+
+        One pass back through all point spreads, whatever the count of numbers.
+
+        Parameters
+        ----------
+        weights : array (n,) or (n, channels)
+            As for `forward`.
+        image_gradient : array
+            Derivatives of the figure with respect to the pixels, of the shape of the image.
+        names : iterable of str, optional
+            The numbers. Default: all.
+        job : Job, optional
+            Who is told of the progress; the work is done by threads of this process.
+
+        Returns
+        -------
+        dict
+            By name the derivatives of the figure, float64 arrays: two of ``mla_pitch`` (along the rows and across
+            them; where they are one number, add the two) and of ``mla_offset``, of ``mla_focal_length`` as many as
+            there are, of ``wavefront`` 36 or more, of all others one. `adjoint` gives those of the weights.
+
+        Raises
+        ------
+        InputError
+            As of `derivative`.
+        """
+        factors, channels, chosen = self._check(weights), self._check_image(image_gradient), check_names(names)
+        wavelengths, matrix = self._mixing(factors.shape[1])
+        if channels.shape[2] != len(matrix):
+            raise InputError(f"image of shape {np.shape(image_gradient)}: the weights make {len(matrix)} channels")
+        job = self._for_derivatives(job)
+        total: dict[str, NDArray[np.float64]] = {}
+        with guards.watch():
+            for done, (wavelength, some) in enumerate(_groups(wavelengths)):
+                given = _mix(channels, matrix[:, some].T)
+                plan = self._derivative_plan(wavelength, job, len(some))
+                counted = done * len(self.points), self.sums * len(self.points)
+                found = plan.pull(factors[:, some], given, chosen, job, *counted)
+                total = {name: found[name] + total.get(name, 0.0) for name in chosen}
+        return total
+
+    def _for_derivatives(self, job: Job | None) -> Job:
+        """Return a job by which derivatives can be computed."""
+        if self._method != "patch":
+            raise InputError(f"method = {self._method}: it has no derivatives; use patch")
+        job = job or Job()
+        if not isinstance(job.workers, Threads):
+            raise InputError("job: derivatives are computed by threads of this process only")
+        return job
+
+    def _derivative_plan(self, wavelength: float, job: Job, channels: int) -> DerivativePlan:
+        """Return the plan of the derivatives at a wavelength, made when it is first asked for."""
+        if wavelength not in self._derivative_plans:
+            numbers = self.camera, self.points, self._pupil_weights, wavelength, self._accuracy
+            self._derivative_plans[wavelength] = DerivativePlan(*numbers)
+        plan = self._derivative_plans[wavelength]
+        plan.check_memory(job.workers, channels)
+        return plan
 
     def estimate(self, job: Job | None = None) -> Cost:
         """Estimate what `forward` takes, by doing a little of it at the first wavelength.
@@ -312,6 +415,22 @@ class CaptureOperator:
             "accuracy": self._accuracy,
             "points_digest": digest(self.points, factors, *arrays),
         }
+
+    def _check_image(self, image: Any) -> NDArray[np.float32]:
+        """Return an image as (rows, columns, channels)."""
+        try:
+            pixels = np.asarray(image, np.float32)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError("image: it must be numbers, (rows, columns) or (rows, columns, channels)") from None
+        rows, columns = self.camera.shape
+        if pixels.ndim not in (2, 3) or pixels.shape[:2] != (rows, columns) or not np.isfinite(pixels).all():
+            raise InputError(
+                f"image of shape {pixels.shape}: it must be finite and have {rows} rows, {columns} columns"
+            )
+        channels = pixels.reshape(rows, columns, -1)
+        if self._spectrum is not None and channels.shape[2] != self._spectrum.channels:
+            raise InputError(f"image of shape {pixels.shape}: the spectrum has {self._spectrum.channels} channels")
+        return channels
 
     def _check(self, weights: Any) -> NDArray[np.float64]:
         """Return weights as (n, channels)."""

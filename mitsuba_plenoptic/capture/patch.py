@@ -25,26 +25,17 @@ some of the light that the edges of the microlenses scatter.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lattice import turn
-from ..optics.free_space import transfer
-from ..optics.main_lens import main_lens
-from ..optics.microlens_orders import axis_transmission, plane_transmission
-from ..optics.microlenses import is_separable
-from ..optics.phase import in_millimetres, phasor, soft_edge
-from ..optics.sampling import fast_length
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, fft, pack
-from ..runtime.indexing import split
 from .grid import Grid, Placement
+from .patch_factors import Elements, PatchFactors
 from .pupil_weights import PupilWeights
 
 
@@ -107,142 +98,25 @@ class PatchBatch:
     ) -> None:
         self.libraries = backend()
         self.sizes = _CUDA if self.libraries.is_cuda else _PROCESSOR
-        self.samples = int(placement.samples[0])
-        self.corner = placement.corner
-        step = in_millimetres(grid.wavelength) / (self.samples * grid.pitch)
-        finest = float(step.min())
-        half = 2 * grid.cosine / finest
-        # Orders that would fold back into the kept band are cut; a few more samples keep those of use.
-        self.mla_samples = max(self.samples, fast_length(0.87 * (self.samples + half)))
-        highest = min(self.samples + half, 2 * self.mla_samples - self.samples - half) / 2 * finest
-        self.chief = (placement.first + placement.last) // 2
-        self.pupil, power = self._pupil(grid, placement, positions, step, weights)
-        arrays = self.libraries.arrays
-        lit = power > 0
-        scale = arrays.asarray(step.prod() * amplitudes) / arrays.sqrt(arrays.where(lit, power, 1))
-        scale = arrays.where(lit, scale, 0)
-        scale /= in_millimetres(grid.wavelength) * float(self.mla_samples) ** 2
-        self.separable = is_separable(grid.camera)
-        self.along_x, self.along_y = self._curvature_and_lenses(grid, placement, scale, highest)
-        self.lenses = None if self.separable else self._lenses(grid, placement, highest)
-        self.transfer = self._transfer(grid, step)
-
-    def _pupil(
-        self,
-        grid: Grid,
-        placement: Placement,
-        positions: NDArray[np.float64],
-        step: NDArray[np.float64],
-        weights: PupilWeights | None,
-    ) -> tuple[Field, NDArray[np.float64]]:
-        """Plane waves from the pupil, (n, directions, directions), and each radiator's power through it."""
-        types = self.libraries.types
-        lens, lam = main_lens(grid.camera), in_millimetres(grid.wavelength)
-        count = len(positions)
-        size = int((placement.last - placement.first).max()) + 1
-        index = dr.arange(types.UInt32, count * size * size)
-        radiator, row, column = split(types, index, size, size)
-
-        def value(numbers: NDArray[Any]) -> Any:
-            return dr.gather(types.Float64, types.Float64(np.ascontiguousarray(numbers, np.float64)), radiator)
-
-        def constant(number: float) -> Any:
-            return dr.opaque(types.Float64, number)
-
-        start = grid.origin + placement.corner * grid.pitch - placement.image
-        chief_path = np.sqrt((placement.image**2).sum(1) + lens.pupil_distance**2)
-        nx = types.Float64(column) + value(placement.first[:, 0])
-        ny = types.Float64(row) + value(placement.first[:, 1])
-        sx, sy = nx * constant(step[0]), ny * constant(step[1])
-        b = constant(lens.pupil_distance)
-        R = b / dr.sqrt(1 - sx * sx - sy * sy)
-        pupil = Px, Py = value(placement.image[:, 0]) - R * sx, value(placement.image[:, 1]) - R * sy
-        point = value(positions[:, 0]), value(positions[:, 1]), value(positions[:, 2])
-        waves = lens.path(pupil, point, grid.wavelength) + (R - value(chief_path)) / constant(lam)
-        start[:, 1] *= grid.pitch[0] / grid.pitch[1]
-        waves += (nx * value(start[:, 0]) + ny * value(start[:, 1])) / constant(self.samples * grid.pitch[0])
-        # The power is that of the hard edge.
-        sample = R * constant(math.sqrt(step.prod()) * grid.band.edge)
-        cover = soft_edge(types.Float(lens.inside(pupil) / sample))
-        bright = types.Float(lens.amplitude(pupil, point) * R * R / b)
-        power = types.Float64(bright * bright * cover)
-        if weights is not None:
-            passed, amplitude = weights.at(radiator, *turn(Px, Py, grid.rotation), lens.pupil_radius, sample)
-            power *= types.Float64(passed)
-            cover *= amplitude
-        power = dr.block_sum(power, size * size) * step.prod()
-        packed = pack(phasor(waves) * (bright * cover))
+        made = PatchFactors(grid, placement, positions, amplitudes, weights)
+        elements = Elements.of(grid.camera, grid.wavelength, made.highest)
+        self.samples, self.mla_samples = made.samples, made.mla_samples
+        self.corner, self.chief = placement.corner, made.chief
+        count, directions = len(positions), made.directions
+        packed, power = made.pupil(elements)
+        packed = pack(packed)
         dr.eval(packed, power)
-        return as_field(packed, (count, size, size)), self.libraries.from_drjit(power)
-
-    def _curvature_and_lenses(
-        self, grid: Grid, placement: Placement, scale: Any, highest: float
-    ) -> tuple[Field, Field]:
-        """Factors on the MLA along x and along y, (n, samples); those along y carry the scale.
-
-        The microlenses are among them if they are such a product.
-        """
-        types = self.libraries.types
-        camera, lam = grid.camera, in_millimetres(grid.wavelength)
-        lenses = axis_transmission(camera, grid.wavelength, highest) if self.separable else None
-        index = dr.arange(types.UInt32, len(scale) * self.mla_samples)
-        _, radiator, sample = split(types, index, len(scale), self.mla_samples)
-        square = (placement.image**2).sum(1) + main_lens(camera).pupil_distance ** 2
-        factors = []
-        for axis, size in ((0, np.ones(len(scale))), (1, scale)):
-
-            def value(numbers: Any) -> Any:
-                if isinstance(numbers, np.ndarray):
-                    numbers = np.ascontiguousarray(numbers)
-                return dr.gather(types.Float64, types.Float64(numbers), radiator)
-
-            m = value(self._corner(grid, placement)[:, axis])
-            m += types.Float64(sample) * dr.opaque(types.Float64, self._mla_pitch(grid)[axis])
-            mu = m - value(placement.image[:, axis])
-            # path from the pupil: (mu^2 - (s mu)^2) / 2 R, of which the part along the other axis is tiny
-            curvature = (1 - placement.image[:, axis] ** 2 / square) / (2 * lam * np.sqrt(square))
-            shift = (placement.first - self.chief)[:, axis] + self.samples // 2
-            factor = phasor(mu * mu * value(curvature) + types.Float64(sample) * value(shift / self.mla_samples))
-            if lenses is not None:
-                factor *= lenses.along(m, axis)
-            factor *= types.Float(value(size))
-            factors.append(as_field(pack(factor), (len(scale), self.mla_samples)))
-        return factors[0], factors[1]
-
-    def _lenses(self, grid: Grid, placement: Placement, highest: float) -> Field:
-        """Transmission of the microlenses, (n, samples along y, samples along x)."""
-        types = self.libraries.types
-        count, size = len(placement.image), self.mla_samples
-        radiator, row, column = split(types, dr.arange(types.UInt32, count * size * size), size, size)
-        corner, pitch = self._corner(grid, placement), self._mla_pitch(grid)
-        x, y = (
-            dr.gather(types.Float64, types.Float64(np.ascontiguousarray(corner[:, axis])), radiator)
-            + types.Float64(index) * dr.opaque(types.Float64, pitch[axis])
-            for axis, index in ((0, column), (1, row))
+        self.pupil = as_field(packed, (count, directions, directions))
+        self.separable = made.separable
+        scale = made.scale(elements, power)
+        self.along_x, self.along_y = (
+            as_field(pack(made.along(elements, axis, scale)), (count, self.mla_samples)) for axis in (0, 1)
         )
-        lenses = plane_transmission(grid.camera, grid.wavelength, highest).at(x, y)
-        return as_field(pack(lenses), (count, size, size))
-
-    def _corner(self, grid: Grid, placement: Placement) -> NDArray[np.float64]:
-        """Places of the first samples on the MLA, (n, 2)."""
-        return grid.origin + placement.corner * grid.pitch
-
-    def _mla_pitch(self, grid: Grid) -> NDArray[np.float64]:
-        """Distance between samples on the MLA along x and y."""
-        return self.samples * grid.pitch / self.mla_samples
-
-    def _transfer(self, grid: Grid, step: NDArray[np.float64]) -> Field:
-        """Transfer function from MLA to detector, (along x, along y), of all directions of all the radiators."""
-        types = self.libraries.types
-        low, high = self.chief.min(0), self.chief.max(0)
-        columns, rows = (int(size) for size in high - low + self.samples)
-        index = dr.arange(types.UInt32, rows * columns)
-        _, row, column = split(types, index, rows, columns)
-        first = low - self.samples // 2
-        sx = (types.Float64(column) + dr.opaque(types.Float64, float(first[0]))) * dr.opaque(types.Float64, step[0])
-        sy = (types.Float64(row) + dr.opaque(types.Float64, float(first[1]))) * dr.opaque(types.Float64, step[1])
-        packed = pack(transfer(sx, sy, grid.camera.detector_distance, grid.wavelength))
-        return self.libraries.arrays.ascontiguousarray(as_field(packed, (rows, columns)).T)
+        self.lenses = None
+        if not self.separable:
+            self.lenses = as_field(pack(made.lenses(elements)), (count, self.mla_samples, self.mla_samples))
+        transfer = as_field(pack(made.transfer(elements)), made.transfer_shape)
+        self.transfer = self.libraries.arrays.ascontiguousarray(transfer.T)
 
     @property
     def together(self) -> int:

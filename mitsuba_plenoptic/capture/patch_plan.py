@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -19,7 +20,7 @@ from ..runtime.backend import backend
 from ..runtime.batches import BatchMap, Part, PartialSum
 from ..runtime.fft import resting_drjit
 from ..runtime.jobs import Job
-from .accuracy import band_for, wavefront_step
+from .accuracy import band_for, derivative_band_for, wavefront_step
 from .aperture_power import aperture_power
 from .grid import Grid, place
 from .patch_batches import Fields, Gather, Scatter
@@ -34,8 +35,13 @@ _CHUNK = 64
 _PATCH_LIMIT = 2**26
 """Bytes of one radiator's field above which many are refused: blurred over thousands of pixels, they take days."""
 
+_MANY, _OFF_AXIS = 2**20, 2
+"""Radiators that are many, and how much more memory than those on the axis patches off the axis may take."""
+
 _CHUNK_BYTES = 2**26
-_TRIAL = 4
+
+_FIRST, _TRIAL_SECONDS = 2, 0.1
+"""Point spreads that are timed at least, for an estimate, and how long those of one patch size are timed, about."""
 
 _JUDGED = 16
 """Patterns of which the loss is found where gaps between the microlenses take some of the light."""
@@ -63,6 +69,29 @@ class Cost:
     memory: float
 
 
+def patches_fit(camera: PlenopticCamera, wavelength: float, accuracy: float, distances: NDArray[np.float64]) -> bool:
+    """Tell whether the patches of very many points at some distances are small enough to be computed.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    accuracy : float
+        Allowed relative error.
+    distances : float64 array (n,)
+        Of points on the axis; those of others are somewhat larger, which is allowed for.
+    """
+    points = np.column_stack([np.zeros((len(distances), 2)), distances])
+    try:
+        grid = Grid.of(camera, wavelength, band_for(accuracy, _MANY), points)
+        samples = place(grid, points).samples.max()
+    except InputError:  # no field can hold them
+        return False
+    return bool(8.0 * samples**2 <= _PATCH_LIMIT / _OFF_AXIS)
+
+
 class PatchPlan:
     """Radiators gathered into patterns, and patterns into chunks of one patch size and neighbourhood.
 
@@ -81,6 +110,8 @@ class PatchPlan:
         Wavelength in nanometres.
     accuracy : float
         Allowed relative error.
+    exact : bool
+        Whether every radiator has a pattern of its own, on a grid that suits derivatives, whatever the allowed error.
     """
 
     def __init__(
@@ -90,10 +121,13 @@ class PatchPlan:
         pupil_weights: PupilWeights | None,
         wavelength: float,
         accuracy: float,
+        *,
+        exact: bool = False,
     ) -> None:
         self._camera, self._pupil_weights, self._count = camera, pupil_weights, len(points)
-        self._grid = Grid.of(camera, wavelength, band_for(accuracy, len(points)), points)
-        step = wavefront_step(accuracy, camera, points)
+        band = (derivative_band_for if exact else band_for)(accuracy, len(points))
+        self._grid = Grid.of(camera, wavelength, band, points)
+        step = 0.0 if exact else wavefront_step(accuracy, camera, points)
         patterns = find_patterns(self._grid.camera, self._grid.to_frame(points), pupil_weights, wavelength, step)
         placement = place(self._grid, patterns.positions)
         shifts = patterns.shift @ self._grid.lens_samples
@@ -213,6 +247,14 @@ class PatchPlan:
         with resting_drjit():
             return self.scatter(chunk, weights).prepare()()
 
+    def _timed(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> tuple[Part, float]:
+        """Compute a chunk and return the seconds that it takes, too."""
+        backend().synchronize()
+        start = time.perf_counter()
+        part = self._sum_of(chunk, weights)
+        backend().synchronize()
+        return part, time.perf_counter() - start
+
     def _sent(self, chunks: list[NDArray[np.int64]], weights: NDArray[np.float64]) -> float:
         """Return the sum of all samples if all the power behind the apertures were on the patches."""
         power = weights[self._order].sum(1)
@@ -264,15 +306,19 @@ class PatchPlan:
         fields = self._fields(chunk)
         placement = fields.placement
         copies = [Copies(shift, np.ones((len(shift), 1), np.float32)) for shift in shifts]
-        box = self._recorder.box
         corner, size = tile_extent(placement.corner, int(placement.samples[0]), copies)
-        tile = np.zeros((len(samples), int(size[1]), int(size[0])), np.float32)
-        place = corner - np.array([box.left, box.top])
+        return Gather(fields, copies, self._tile(samples, corner, corner + size))
+
+    def _tile(self, samples: Any, low: NDArray[np.int64], high: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Cut a rectangle of the grid out of the recorded samples; beyond these it is zero."""
+        box = self._recorder.box
+        place, size = low - np.array([box.left, box.top]), high - low
+        tile = np.zeros((*samples.shape[:-2], int(size[1]), int(size[0])), np.float32)
         low, high = np.maximum(place, 0), np.minimum(place + size, [box.columns, box.rows])
         if (low < high).all():
             inner = (slice(low[1] - place[1], high[1] - place[1]), slice(low[0] - place[0], high[0] - place[0]))
-            tile[:, inner[0], inner[1]] = backend().to_host(samples[:, low[1] : high[1], low[0] : high[0]])
-        return Gather(fields, copies, tile)
+            tile[(..., *inner)] = backend().to_host(samples[..., low[1] : high[1], low[0] : high[0]])
+        return tile
 
     # -- cost ------------------------------------------------------------------------------------------
 
@@ -305,16 +351,16 @@ class PatchPlan:
         seconds = arrived = sent = 0.0
         for size in np.unique(samples):
             of_size = [chunk for chunk in self._chunks if samples[chunk[0]] == size]
-            some = of_size[len(of_size) // 2][:_TRIAL]
-            self._sum_of(some[:1], ones)  # compiles the kernels
-            backend().synchronize()
-            start = time.perf_counter()
-            part = self._sum_of(some, ones)
-            backend().synchronize()
-            taken = time.perf_counter() - start
+            upto = np.cumsum([len(chunk) for chunk in of_size])
+            chunk = of_size[int(np.searchsorted(upto, upto[-1] / 2))]  # as most patterns have it
+            self._timed(chunk[:_FIRST], ones)  # compiles the kernels; those of one pattern are others
+            _, taken = self._timed(chunk[:_FIRST], ones)
+            # What a chunk takes beside its patterns counts little where it is whole.
+            some = chunk[: max(_FIRST, math.ceil(_FIRST * _TRIAL_SECONDS / taken))]
+            part, taken = self._timed(some, ones)
             arrived += float(part.sums.sum(dtype=np.float64))
             sent += self._sent([some], ones)
-            seconds += taken / len(some) * sum(len(chunk) for chunk in of_size) / batch_map.workers
+            seconds += taken / len(some) * int(upto[-1]) / batch_map.workers
         guards.require(guards.PATCH, 1 - arrived / sent if sent else 0.0)
         return Cost(len(self._order), len(samples), seconds, memory)
 

@@ -8,6 +8,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from .child import channel_mean
+
 
 @dataclass
 class Place:
@@ -86,20 +88,15 @@ class Kept:
 
     def offer(self, place: Place, radiance: Any, number: Any) -> Kept:
         """Add a place; `number` is random."""
-        power = _mean(radiance)
+        power = channel_mean(radiance)
         total = self.total + power
         taken = number * total < power
         return Kept(dr.select(taken, place, self.place), dr.select(taken, radiance, self.radiance), total)
 
     def radiance_of_all(self) -> Any:
         """Return the radiance of all places, in the colour of the one that has been drawn."""
-        power = _mean(self.radiance)
+        power = channel_mean(self.radiance)
         return dr.select(power > 0, self.radiance * (self.total / power), 0)
-
-
-def _mean(radiance: Any) -> Any:
-    """Return the mean over the channels; `dr.mean` writes the count of lanes into the kernel, anew for every batch."""
-    return dr.sum(radiance) / len(radiance)
 
 
 def seen_directly(si: Any) -> Place:

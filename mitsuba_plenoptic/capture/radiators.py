@@ -251,7 +251,9 @@ def _trace_lenses(
     """
     lane = dr.arange(mi.UInt32, len(lenses) * len(pairs) * spp)
     radiator = lane // spp
-    cell, pair = radiator // len(pairs) + lenses.start, radiator % len(pairs)
+    # A literal would be compiled anew into the kernels of every batch.
+    cell = radiator // len(pairs) + dr.opaque(mi.UInt32, lenses.start)
+    pair = radiator % len(pairs)
     place = [dr.gather(mi.Float, mi.Float(pairs[:, i].astype(np.float32)), pair) for i in range(4)]
     P = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(place[2], place[3])) * lens.pupil_radius
     i, j = (dr.gather(mi.Float, mi.Float(index.astype(np.float32)), cell) for index in window.index.T)

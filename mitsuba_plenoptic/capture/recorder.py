@@ -13,6 +13,7 @@ from ..lattice import turn
 from ..runtime.backend import backend
 from ..runtime.batches import Box
 from .grid import Grid
+from .moved_pixels import MovedPixels
 from .pixels import PixelIntegrals
 from .turned_samples import TurnedSamples
 
@@ -68,13 +69,16 @@ class Recorder:
         image = 4.0 * (self.box.rows * self.box.columns + 2 * math.prod(self._camera.shape))
         return image + (12.0 * self.box.rows * self.box.columns if self._grid.rotation != 0 else 0)
 
-    def record(self, sums: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Integrate samples over the pixels.
+    def record(self, sums: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
+        """Integrate samples over the pixels, or find how the integrals change where the pixels move.
 
         Parameters
         ----------
         sums : float32 array (channels, rows, columns)
             Intensity per square millimetre on the samples of `box`.
+        move : {"detector_width", "mla_rotation", "wavelength"}, optional
+            What changes by 1 while the samples stay as they are: the detector's width, its angle against the lattice,
+            or the wavelength with which their distances grow.
 
         Returns
         -------
@@ -85,16 +89,18 @@ class Recorder:
         target = image[self._window]
         for channel, samples in enumerate(sums):
             upright = samples if self._upright is None else self._upright.forward(samples)
-            target[..., channel] = backend().to_host(self._integrals.forward(upright))
+            target[..., channel] = backend().to_host(self._pixels_of(move).forward(upright))
         return image
 
-    def spread(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+    def spread(self, image: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
         """Apply the adjoint of `record`.
 
         Parameters
         ----------
         image : float32 array (rows, columns, channels)
             Of all recorded pixels.
+        move : str, optional
+            As of `record`.
 
         Returns
         -------
@@ -104,7 +110,7 @@ class Recorder:
         arrays = backend().arrays
         channels = []
         for channel in np.moveaxis(image[self._window], -1, 0):
-            samples = self._integrals.adjoint(arrays.asarray(np.ascontiguousarray(channel, np.float32)))
+            samples = self._pixels_of(move).adjoint(arrays.asarray(np.ascontiguousarray(channel, np.float32)))
             channels.append(samples if self._upright is None else self._upright.adjoint(samples))
         return arrays.stack(channels)
 
@@ -125,6 +131,18 @@ class Recorder:
     def _origin(self) -> tuple[float, float]:
         """X and y of the first sample, in the frame of the lattice, from the detector's corner."""
         return self.box.left * float(self._grid.pitch[0]), self.box.top * float(self._grid.pitch[1])
+
+    def _pixels_of(self, move: str | None) -> PixelIntegrals | MovedPixels:
+        """Return the integrals over the pixels, or over the lines by which these grow where they move."""
+        if move is None:
+            return self._integrals
+        width = self._camera.detector_width
+        axis = width / 2, self._camera.detector_height / 2
+        if move == "mla_rotation":
+            return MovedPixels.turned(self._integrals, axis)
+        if move == "wavelength":
+            return MovedPixels.shrunk(self._integrals, axis, self._grid.wavelength)
+        return MovedPixels.widened(self._integrals, axis, width)
 
     @cached_property
     def _integrals(self) -> PixelIntegrals:

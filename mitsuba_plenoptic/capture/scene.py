@@ -20,6 +20,11 @@ from .scene_file import check_scene_file
 def scene_path(name: str) -> Path:
     """Path of a scene that comes with the package, by its name without suffix.
 
+    Parameters
+    ----------
+    name : str
+        Such as ``letters``.
+
     Raises
     ------
     InputError

@@ -68,7 +68,7 @@ def visible_cells(
     for start in range(0, len(P), batch):
         some = slice(start, min(start + batch, len(P)))
         lane = dr.arange(mi.UInt32, (some.stop - start) * cells)
-        which, target = lane // cells + start, dr.gather(mi.Point3f, targets, lane % cells)
+        which, target = lane // cells + dr.opaque(mi.UInt32, start), dr.gather(mi.Point3f, targets, lane % cells)
         blocked = _blocked(optics, target, dr.gather(Vertex, vertex, which), dr.gather(mi.Ray3f, ray, which))
         seen = ~blocked.numpy().reshape(-1, cells)
         seen[np.arange(len(seen)), own[some]] = True

@@ -20,7 +20,7 @@ from ..optics.main_lens import main_lens
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job, Task
 from .bank import LensBank, finest_pitch, near_weight
-from .choice import Probes, bank_is_quicker
+from .choice import Probes, bank_is_better
 from .estimate import estimate_waves
 from .lens_rays import LensRaySum
 from .noise import PARTS, keep_spread, keep_variances, with_halves, with_spread
@@ -113,7 +113,7 @@ class WaveCapture:
             spp=spp,
             occlusion=self.occlusion,
         )
-        rays = self._lens_rays(seed, spp) if method == "bank" else []
+        rays = self._lens_rays(seed, spp, blank=True) if method == "bank" else []
         return self._whole(cost, rays)
 
     def _whole(self, cost: Cost, rays: list[LensRaySum]) -> Cost:
@@ -143,8 +143,13 @@ class WaveCapture:
         if self.method != "auto":
             return self.method
         per_lens = self.passes * self.radiators_per_lens**2
-        quicker = self.occlusion and bank_is_quicker(self.camera, self.sight, per_lens, self.accuracy, seed)
-        return "bank" if quicker else "patch"
+        # A bank takes the main lens to be round.
+        better = (
+            self.occlusion
+            and not any(self.camera.wavefront)
+            and bank_is_better(self.camera, self.sight, max(self.wavelengths), per_lens, self.accuracy, seed)
+        )
+        return "bank" if better else "patch"
 
     def _near(self, method: str) -> Any:
         """Return the function that tells how much of the light needs exact point spreads, None if all does."""
@@ -181,8 +186,11 @@ class WaveCapture:
             pupil_weights=radiators.pupil_weights,
         )
 
-    def _lens_rays(self, seed: int, spp: int, runs: int = 1) -> list[LensRaySum]:
-        """Return the sums that record by rays through the lenses' centres what is out of focus, to be averaged."""
+    def _lens_rays(self, seed: int, spp: int, runs: int = 1, blank: bool = False) -> list[LensRaySum]:
+        """Return the sums that record by rays through the lenses' centres what is out of focus, to be averaged.
+
+        Blank ones record nothing, but tell what they take.
+        """
         paths = spp * self.passes
         runs = min(runs, paths)
         between = self.sight.vergences(main_lens(self.camera))
@@ -191,7 +199,7 @@ class WaveCapture:
         types = range(len(self.camera.mla_focal_lengths))
         pitch = finest_pitch(self.camera, self.wavelengths)
         banks = [
-            [LensBank.learn(self.camera, wavelength, self.accuracy, between, type_, pitch) for type_ in types]
+            [LensBank.learn(self.camera, wavelength, self.accuracy, between, type_, pitch, blank) for type_ in types]
             for wavelength in self.wavelengths
         ]
         # Neighbouring seeds must not share runs.

@@ -17,6 +17,7 @@ from . import (
     calibrate,
     compare,
     convert,
+    dataset,
     depth,
     doctor,
     epi,
@@ -74,6 +75,7 @@ app.command("expose")(expose.expose)
 app.command("calibrate")(calibrate.calibrate)
 app.command("convert")(convert.convert)
 app.command("sweep")(sweep.sweep)
+app.command("dataset")(dataset.dataset)
 app.command("compare")(compare.compare)
 app.command("reproduce")(reproduce.reproduce)
 app.command("info")(info.info)

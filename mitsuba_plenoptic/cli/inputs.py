@@ -64,7 +64,9 @@ def named_camera(source: str | None) -> PlenopticCamera | None:
     return None if source is None else load_camera(source, {})[0]
 
 
-def open_scene(scene: str, parameters: dict[str, str], variant: str | None, camera: str | None = None) -> Any:
+def open_scene(
+    scene: str, parameters: dict[str, str], variant: str | None, camera: str | None = None, number: int = 0
+) -> Any:
     """Load a scene to be rendered, in the variant of its film's colours unless told, and say what is poor about it.
 
     Parameters
@@ -77,13 +79,15 @@ def open_scene(scene: str, parameters: dict[str, str], variant: str | None, came
         Mitsuba variant.
     camera : str, optional
         What `load_camera` takes, to be put in the place of the scene's own.
+    number : int
+        Of the sensor that is to be rendered.
     """
     other = named_camera(camera)
     colours = None if variant else _colours_of_film(scene, parameters)
     loaded = load_scene(scene, variant=variant or (_COLOURS if colours else DEFAULT_VARIANT), parameters=parameters)
     if other is not None:
         loaded = with_camera(loaded, other)
-    sensor = plenoptic_sensor(loaded)
+    sensor = plenoptic_sensor(loaded, number)
     seen = PlenopticCamera.from_sensor(sensor)
     if colours:
         _log.info("variant %s, as the film records %s; --variant chooses another", _COLOURS, colours)

@@ -67,6 +67,7 @@ def render(
     workers: Workers = None,
     scheduler: Scheduler = None,
     camera: CameraFile = None,
+    sensor: Annotated[int, number("Which of the scene's sensors, counted from 0.")] = 0,
     white: Annotated[
         Path | None,
         typer.Option(metavar="FILE.exr", help="Write the camera's white image, too, computed from its parameters."),
@@ -119,8 +120,8 @@ def render(
     wave = {name: value for name, value in options.items() if value is not None}
     if estimate:
         with batches_on(workers, scheduler) as batch_map:
-            loaded = open_scene(scene, parameters, variant, camera)
-            cost = estimate_capture(loaded, model=model, spp=spp, seed=seed, batch_map=batch_map, **wave)
+            loaded = open_scene(scene, parameters, variant, camera, sensor)
+            cost = estimate_capture(loaded, sensor=sensor, model=model, spp=spp, seed=seed, batch_map=batch_map, **wave)
         what = f"{cost.radiators} radiators, {cost.patterns} point spreads, " if cost.radiators else ""
         typer.echo(f"{scene}: {what}about {cost.seconds:.3g} s and {cost.memory / 2**30:.2g} GiB")
         return
@@ -136,10 +137,11 @@ def render(
     checkpoint = require_writable(checkpoint or output.with_name(output.name + SUFFIX))
     with Checkpoint(checkpoint, "resume" if resume else "refuse") as kept, batches_on(workers, scheduler) as batch_map:
         with progress_bar("Rendering") as progress, stopped_by_hand(kept, progress):
-            loaded = open_scene(scene, parameters, variant, camera)
+            loaded = open_scene(scene, parameters, variant, camera, sensor)
             start = time.perf_counter()
             capture = render_capture(
                 loaded,
+                sensor=sensor,
                 model=model,
                 spp=spp,
                 seed=seed,
@@ -154,7 +156,7 @@ def render(
             # Brings libraries that take a second to load.
             from ..lightfield import ground_truth
 
-            write_ground_truth(beside, ground_truth(loaded, names))
+            write_ground_truth(beside, ground_truth(loaded, names, sensor=sensor))
             capture.metadata[NAME] = beside.name
             typer.echo(f"{beside}: ground truth, {', '.join(names)}")
         write_capture(output, capture)

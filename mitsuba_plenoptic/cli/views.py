@@ -11,37 +11,26 @@ from ..lightfield import pick_views
 from ..lightfield.exchange import open_light_field
 from ..report.brightness import Brightness
 from ..report.output_files import require_picture_path, write_views
+from . import options
 from .inputs import named_camera
-from .options import (
-    CameraFile,
-    Exposure,
-    LightFieldSource,
-    Linear,
-    Percentile,
-    Truth,
-    ViewCount,
-    White,
-    number,
-    output_option,
-)
 
 
 def views(
-    source: LightFieldSource,
+    source: options.LightFieldSource,
     output: Annotated[
         Path,
-        output_option(
+        options.output_option(
             "FILE", "File to write: OpenEXR with a part for each view if it ends in .exr, a mosaic if in .png."
         ),
     ],
-    count: Annotated[int | None, number("Write N x N views, evenly spread over the pupil.", "all")] = None,
-    white: White = None,
-    view_count: ViewCount = None,
-    linear: Linear = False,
-    camera: CameraFile = None,
-    truth: Truth = None,
-    exposure: Exposure = None,
-    percentile: Percentile = None,
+    count: Annotated[int | None, options.number("Write N x N views, evenly spread over the pupil.", "all")] = None,
+    white: options.White = None,
+    view_count: options.ViewCount = None,
+    linear: options.Linear = False,
+    camera: options.CameraFile = None,
+    truth: options.Truth = None,
+    exposure: options.Exposure = None,
+    percentile: options.Percentile = None,
 ) -> None:
     """Show the scene from many places on the main lens.
 

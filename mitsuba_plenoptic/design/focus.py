@@ -42,6 +42,11 @@ def focus_types(camera: PlenopticCamera) -> tuple[str, ...]:
     - ``galilean``: on the main lens's image, a virtual one behind the detector, where it would be without the MLA;
       :math:`z < f_2`. These two make the "focused plenoptic camera" or "2.0" (Lumsdaine and Georgiev 2009, "The
       focused plenoptic camera"; Perwass and Wietzke 2012, "Single lens 3D-camera with extended depth-of-field").
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
     """
     # Rounding must not take a lens out of focus.
     limit = camera.pixel_size * (1 + 1e-9)
@@ -59,6 +64,11 @@ def mla_object_distances(camera: PlenopticCamera) -> tuple[float, ...]:
     """Distance a before the MLA, towards the main lens, of what each type of microlens images on the detector.
 
     :math:`1/a + 1/z = 1/f_2`; negative for a virtual image behind the MLA, infinite for :math:`z = f_2`.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
     """
     return tuple(conjugate_distance(f2, camera.detector_distance) for f2 in camera.mla_focal_lengths)
 
@@ -68,6 +78,11 @@ def best_distances(camera: PlenopticCamera) -> tuple[float, ...]:
 
     For an unfocused one, `PlenopticCamera.focus_distance`. Where there is no such plane it is
     infinite or negative.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
     """
     return tuple(conjugate_distance(camera.focal_length, image) for image in best_images(camera))
 
@@ -85,6 +100,13 @@ def virtual_depth(camera: PlenopticCamera, distance: float) -> float:
 
     A point is then seen by about as many microlenses along an axis, each of which shrinks the image by that factor
     (Perwass and Wietzke 2012, section 2). Negative for an image behind the MLA.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    distance : float
+        Object distance from the main lens in millimetres.
     """
     return (camera.mla_distance - image_distance(camera.focal_length, distance)) / camera.detector_distance
 
@@ -129,6 +151,15 @@ def lens_footprint(camera: PlenopticCamera, distance: float, mla_focal_length: f
     r"""Enlargement of a lens's aperture in the object plane, seen through it by a pixel: :math:`|1 - s \kappa|`.
 
     Projected onto the MLA through the main lens's centre; see the head of this module.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    distance : float
+        Object distance from the main lens in millimetres.
+    mla_focal_length : float
+        Focal length of the microlens in millimetres.
     """
     return abs(1 - camera.defocus(distance) * camera.pupil_shift(mla_focal_length))
 
@@ -137,6 +168,13 @@ def pixel_footprint(camera: PlenopticCamera, distance: float) -> float:
     """Width of a pixel in the object plane, seen through its lens's centre: :math:`p |s| b / z`.
 
     Projected onto the MLA through the main lens's centre; see the head of this module.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    distance : float
+        Object distance from the main lens in millimetres.
     """
     return abs(camera.defocus(distance)) * camera.pupil_step
 
@@ -147,6 +185,13 @@ def lenses_across(camera: PlenopticCamera, distance: float) -> float:
     Of two pitches the greater counts. From 1 on every point is seen by at least two lenses, in part; from 2 on by two
     lenses' centres, which for micro-images that touch is Perwass and Wietzke's virtual depth of 2 (2012, section 2.2,
     total covering).
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    distance : float
+        Object distance from the main lens in millimetres.
     """
     return camera.blur_diameter(distance) / max(camera.mla_pitches)
 
@@ -155,6 +200,15 @@ def effective_resolution(
     camera: PlenopticCamera, distance: float, wavelength: float | None = None
 ) -> EffectiveResolution:
     """Return the finest detail that is told apart at an object distance.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    distance : float
+        Object distance from the main lens in millimetres.
+    wavelength : float
+        Wavelength in nanometres.
 
     Raises
     ------
@@ -184,6 +238,13 @@ def refocus_range(camera: PlenopticCamera, wavelength: float | None = None) -> t
     "Digital Light Field Photography", section 3.4). A microlens that is in focus at the distance a, not on the main
     lens, must besides blur the main lens's image by less than its own width, which it does as far as 2a. The far
     end may be infinite.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
     """
     slack = direction_count(camera, wavelength) * camera.mla_pitch / camera.aperture_diameter
     ends = []
@@ -205,6 +266,13 @@ def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> li
     For an unfocused type that is `refocus_range`. For another, its blur on the detector,
     :math:`w |1/v - 1/v_0|`, is at most a pixel, or the spot of diffraction if that is wider, and every point is seen by
     two lenses at least (`lenses_across` of 1).
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
 
     Returns
     -------
@@ -234,7 +302,17 @@ def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> li
 
 
 def suitable_oversample(camera: PlenopticCamera, distance: float, wavelength: float | None = None) -> int:
-    """Bins per lens that show the finest detail at a distance and no more: an `oversample` for `reconstruct`."""
+    """Bins per lens that show the finest detail at a distance and no more: an `oversample` for `reconstruct`.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    distance : float
+        Object distance from the main lens in millimetres.
+    wavelength : float
+        Wavelength in nanometres.
+    """
     return max(1, math.floor(effective_resolution(camera, distance, wavelength).samples_per_lens + 1e-6))
 
 

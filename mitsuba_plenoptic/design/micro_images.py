@@ -36,6 +36,13 @@ def spot_radius(camera: PlenopticCamera, wavelength: float) -> float:
 
     :math:`\lambda z / w` for a rectangular aperture, w its narrower side; :math:`1.22\, \lambda z / d` for a disc of
     diameter d; for a hexagon that of the disc of its area.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
     """
     return wavelength * 1e-6 * camera.detector_distance / camera.lattice.diffraction_width
 
@@ -65,6 +72,11 @@ def white_mean(camera: PlenopticCamera) -> float:
     A micro-image of area :math:`(\pi/4)(D_1 z / b)^2` reads 1 whatever its lens's aperture, because a pixel is the
     mean radiance over the aperture; there is one on each :math:`A ((b + z)/b)^2` of the detector, A the area of
     the lattice's cell.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
     """
     growth = camera.micro_image_pitch / camera.mla_pitch
     return math.pi / 4 * camera.micro_image_diameter**2 / (camera.lattice.cell_area * growth**2)
@@ -77,6 +89,13 @@ def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.nda
     :math:`(1 + b/z)(c - m) + (1 + b/z - b/f_2) d`, m the point of the chief ray, which is in its lens's cell. For
     that to be in the pupil, c must be within :math:`(D_1/2) / (1 + b/z)` of some
     :math:`m - d (1 + b/z - b/f_2) / (1 + b/z)`: a cell enlarged by apertures.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    beyond : float
+        Distance in millimetres by which lenses are looked for farther out.
 
     Returns
     -------

@@ -141,6 +141,13 @@ def write_capture(path: str | Path, capture: Capture) -> None:
     The header attribute ``mitsuba_plenoptic`` is a JSON object with ``camera``, ``wavelength``, ``model`` and
     ``metadata``. Any EXR viewer shows the image. An existing file is replaced only by a complete one.
 
+    Parameters
+    ----------
+    path : path
+        File to write.
+    capture : Capture
+        What to write.
+
     Raises
     ------
     InputError
@@ -160,6 +167,11 @@ def write_capture(path: str | Path, capture: Capture) -> None:
 
 def read_capture(path: str | Path) -> Capture:
     """Read a capture that `write_capture` wrote.
+
+    Parameters
+    ----------
+    path : path
+        The file.
 
     Raises
     ------

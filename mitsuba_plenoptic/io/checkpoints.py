@@ -132,6 +132,11 @@ class Checkpoint:
 
         A disk that is full costs a warning, not the run: the checkpoint of before stays.
 
+        Parameters
+        ----------
+        snapshot : Snapshot
+            What is done so far.
+
         Raises
         ------
         KeyboardInterrupt

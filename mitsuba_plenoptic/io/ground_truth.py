@@ -103,6 +103,13 @@ def write_ground_truth(path: str | Path, truth: GroundTruth) -> None:
     Their channels are depth.Z, position.X, .Y and .Z, normal.X, .Y and .Z, albedo.R, .G and .B, and shape_index.I. The
     views lie as `lightfield.view_mosaic` lays them.
 
+    Parameters
+    ----------
+    path : path
+        File to write.
+    truth : GroundTruth
+        What to write.
+
     Raises
     ------
     InputError
@@ -123,6 +130,11 @@ def write_ground_truth(path: str | Path, truth: GroundTruth) -> None:
 
 def read_ground_truth(path: str | Path) -> GroundTruth:
     """Read what `write_ground_truth` wrote.
+
+    Parameters
+    ----------
+    path : path
+        The file.
 
     Raises
     ------

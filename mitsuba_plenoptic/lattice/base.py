@@ -92,12 +92,32 @@ class Lattice(abc.ABC):
     @staticmethod
     @abc.abstractmethod
     def in_cell(u: Any, v: Any, width: Any) -> Any:
-        """Whether a point at this offset from the centre is in a cell of equal pitches `width`."""
+        """Whether a point at this offset from the centre is in a cell of equal pitches `width`.
+
+        Parameters
+        ----------
+        u : float or array
+            Offset along the rows.
+        v : float or array
+            Offset across them.
+        width : float
+            Pitch of the cell.
+        """
 
     @staticmethod
     @abc.abstractmethod
     def point_in_cell(s: Any, t: Any, width: Any) -> tuple[Any, Any]:
-        """Map the unit square evenly to a cell of equal pitches `width`."""
+        """Map the unit square evenly to a cell of equal pitches `width`.
+
+        Parameters
+        ----------
+        s : float or array
+            From 0 to 1.
+        t : float or array
+            From 0 to 1.
+        width : float
+            Pitch of the cell.
+        """
 
     # -- sizes ---------------------------------------------------------------------------------------
 
@@ -214,7 +234,17 @@ class Lattice(abc.ABC):
         return difference - self.lens_types * floor((difference + 0.5) / self.lens_types)
 
     def cell_point(self, s: Any, t: Any, scale: Any = 1.0) -> tuple[Any, Any]:
-        """Map the unit square evenly to a cell, shrunk by `scale`; the result is an offset from the centre."""
+        """Map the unit square evenly to a cell, shrunk by `scale`; the result is an offset from the centre.
+
+        Parameters
+        ----------
+        s : float or array
+            From 0 to 1.
+        t : float or array
+            From 0 to 1.
+        scale : float
+            Width of the result over that of the cell.
+        """
         u, v = self.point_in_cell(s, t, scale * self.pitches[0])
         return self.from_frame(u, v * self.aspect)
 
@@ -230,6 +260,13 @@ class Lattice(abc.ABC):
 
     def aperture_image(self, step: float, scale: float) -> np.ndarray:
         """Draw an aperture, enlarged by `scale`, into samples of width `step`: the fractions of its area in each.
+
+        Parameters
+        ----------
+        step : float
+            Width of a sample in millimetres.
+        scale : float
+            By how much the aperture is enlarged.
 
         Returns
         -------
@@ -296,6 +333,13 @@ class Lattice(abc.ABC):
 
     def lenses_within(self, low: tuple[float, float], high: tuple[float, float]) -> np.ndarray:
         """Find the lenses whose centre lies in the rectangle from `low` to `high`.
+
+        Parameters
+        ----------
+        low : (float, float)
+            Corner of least x and y, in millimetres.
+        high : (float, float)
+            Corner of greatest x and y.
 
         Returns
         -------

@@ -111,17 +111,7 @@ def lens_disagreement(lf: xr.DataArray, slope: float) -> np.ndarray:
     for the disparity :math:`\delta` in lenses per view: samples are interpolated within micro-images, never between
     lenses (Perwass and Wietzke 2012).
 
-    Parameters
-    ----------
-    lf : xarray.DataArray
-        A light field.
-    slope : float
-        Disparity in lenses per view.
-
-    Returns
-    -------
-    (t, s) float32 array
-        NaN where neighbours see nothing in common.
+    Arguments and result are those of `view_disagreement`; NaN where neighbours see nothing in common.
     """
     opened = (lf["weight"].values >= _HALF_OPEN).astype(np.float32)
     sums = np.zeros((2, *lf.shape[2:4]), dtype=np.float32)

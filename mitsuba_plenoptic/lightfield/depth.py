@@ -145,6 +145,13 @@ class DepthError:
 def depth_error(found: xr.Dataset, confidence: float = 0.5) -> DepthError:
     """Compare the depths of `depth_map` with the truth, where the confidence is above a bound.
 
+    Parameters
+    ----------
+    found : xarray.Dataset
+        What `depth_map` returned.
+    confidence : float
+        Depths of a higher confidence are compared.
+
     Raises
     ------
     InputError

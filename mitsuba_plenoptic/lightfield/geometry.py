@@ -130,6 +130,11 @@ def _object_coordinate(c: np.ndarray, camera: PlenopticCamera, axis: str) -> tup
 def camera_of(lf: xr.DataArray) -> PlenopticCamera:
     """Return the camera of a light field.
 
+    Parameters
+    ----------
+    lf : xarray.DataArray
+        A light field, (v, u, t, s[, c]).
+
     Raises
     ------
     InputError
@@ -190,6 +195,11 @@ def depth_range(lf: xr.DataArray) -> tuple[float, float]:
 
     Beyond it the parallax is ambiguous where the scene has fine detail. The far end is infinite if points that far
     still move less.
+
+    Parameters
+    ----------
+    lf : xarray.DataArray
+        A light field, (v, u, t, s[, c]).
     """
     near, far = distance_of(lf, np.array([-1.0, 1.0]))
     return float(near), float(far)
@@ -202,6 +212,13 @@ def disparity(lf: xr.DataArray, distance: float) -> float:
     through the pupil's centre and :math:`s = 1 + b/g - b/f_1`. Neighbouring views are
     :math:`\Delta P = -\Delta p\, b/z` apart, so the point moves by :math:`\delta = -s\, \Delta p\, b / (z D_2)`: zero
     in focus, negative (against the view) for nearer points.
+
+    Parameters
+    ----------
+    lf : xarray.DataArray
+        A light field, (v, u, t, s[, c]).
+    distance : float
+        Object distance from the main lens in millimetres.
 
     Raises
     ------

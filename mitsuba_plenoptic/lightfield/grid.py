@@ -141,6 +141,11 @@ def lens_grid(camera: PlenopticCamera) -> LensGrid:
     position than the default they are all lenses whose micro-image is centred in the image, in whole rows and
     columns, as `estimate_lens_grid` finds them.
 
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+
     Raises
     ------
     InputError

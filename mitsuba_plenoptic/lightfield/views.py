@@ -39,6 +39,13 @@ def as_view(lf: xr.DataArray, image: np.ndarray) -> xr.DataArray:
 def pick_views(lf: xr.DataArray, count: int) -> xr.DataArray:
     """Keep so many views along each axis: those in the middle of as many equal parts of the pupil.
 
+    Parameters
+    ----------
+    lf : xarray.DataArray
+        A light field, (v, u, t, s[, c]).
+    count : int
+        Views along each axis.
+
     Raises
     ------
     InputError
@@ -53,6 +60,11 @@ def pick_views(lf: xr.DataArray, count: int) -> xr.DataArray:
 def view_mosaic(lf: xr.DataArray) -> np.ndarray:
     """Lay the views side by side as they lie on the pupil, seen from behind the camera.
 
+    Parameters
+    ----------
+    lf : xarray.DataArray
+        A light field, (v, u, t, s[, c]).
+
     Returns
     -------
     (v t, u s[, 3]) array
@@ -64,6 +76,11 @@ def view_mosaic(lf: xr.DataArray) -> np.ndarray:
 
 def lens_mosaic(lf: xr.DataArray) -> np.ndarray:
     """Lay the samples of each lens together, as on a detector with a whole number of pixels a lens.
+
+    Parameters
+    ----------
+    lf : xarray.DataArray
+        A light field, (v, u, t, s[, c]).
 
     Returns
     -------

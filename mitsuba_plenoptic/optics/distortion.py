@@ -38,6 +38,13 @@ def undistort(x: Any, y: Any, distortion: Any) -> tuple[Any, Any]:
 def undistorted(m: np.ndarray, distortion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return U(m) of places (n, 2) with its derivatives.
 
+    Parameters
+    ----------
+    m : (n, 2) array
+        Places on the MLA in millimetres.
+    distortion : five numbers
+        k1, k2, k3, p1 and p2.
+
     Returns
     -------
     place : (n, 2) array

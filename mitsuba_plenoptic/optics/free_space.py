@@ -195,9 +195,9 @@ def transfer(sx: Any, sy: Any, distance: float, wavelength: float, *, shift: tup
     ----------
     sx, sy : float64 arrays of Dr.Jit
         Direction cosines along x and y.
-    distance : float
+    distance : float or Dr.Jit number
         Distance to the new plane in millimetres.
-    wavelength : float
+    wavelength : float or Dr.Jit number
         Wavelength in nanometres.
     shift : (float, float)
         How far down and across the new plane's samples lie from the old one's, in millimetres.
@@ -208,11 +208,13 @@ def transfer(sx: Any, sy: Any, distance: float, wavelength: float, *, shift: tup
     """
     types = array_types(sx)
 
-    def in_waves(length: float) -> Any:
-        return dr.opaque(types.Float64, length / in_millimetres(wavelength))
+    def in_waves(length: Any) -> Any:
+        waves = length / in_millimetres(wavelength)
+        return waves if dr.is_array_v(waves) else dr.opaque(types.Float64, waves)
 
     square = sx * sx + sy * sy
-    waves = in_waves(distance) * (dr.sqrt(dr.maximum(1 - square, 0)) - 1)
+    # The root of 0 has no derivative.
+    waves = in_waves(distance) * (dr.sqrt(dr.select(square < 1, 1 - square, 1)) - 1)
     if any(shift):
         waves = waves + sy * in_waves(shift[0]) + sx * in_waves(shift[1])
     return dr.select(square < 1, phasor(waves), 0)

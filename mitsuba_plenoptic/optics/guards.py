@@ -185,6 +185,13 @@ def watch() -> Iterator[dict[str, float]]:
 def judge(guard: Guard, fraction: float) -> None:
     """Take note of a fraction of the power.
 
+    Parameters
+    ----------
+    guard : Guard
+        What was watched.
+    fraction : float
+        What was measured, from 0 to 1.
+
     Raises
     ------
     PhysicsError
@@ -202,6 +209,13 @@ def judge(guard: Guard, fraction: float) -> None:
 def require(guard: Guard, fraction: float) -> None:
     """Refuse a fraction of the power that is beyond a guard's bound, without taking note of it.
 
+    Parameters
+    ----------
+    guard : Guard
+        What was watched.
+    fraction : float
+        What was measured, from 0 to 1.
+
     Raises
     ------
     PhysicsError
@@ -213,6 +227,13 @@ def require(guard: Guard, fraction: float) -> None:
 
 def judge_window(in_rim: float, before: float = 0.0) -> None:
     """Take note of the fraction of a field's power in the rim of its window, after a way and before.
+
+    Parameters
+    ----------
+    in_rim : float
+        The fraction after the way.
+    before : float
+        The fraction before it.
 
     Raises
     ------

@@ -11,6 +11,7 @@ arrays or Dr.Jit arrays; where those carry gradients, so do the results.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -23,6 +24,7 @@ from ..thin_lens import vergence
 from . import rays
 from .distortion import undistort
 from .phase import in_millimetres, parabola
+from .wavefront import Wavefront
 
 
 class MainLens(Protocol):
@@ -35,6 +37,10 @@ class MainLens(Protocol):
     @property
     def pupil_distance(self) -> Any:
         """Distance from the exit pupil to the MLA."""
+
+    @property
+    def is_round(self) -> bool:
+        """Whether it is the same all around the axis."""
 
     def vergence(self, distance: Any) -> Any:
         """Return the reciprocal of the distance, behind the rear principal plane, of an object plane's image."""
@@ -68,7 +74,17 @@ class MainLens(Protocol):
         """Return the place on the MLA of the ray from a scene point through a pupil point; `aim` leads back."""
 
     def path(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any], wavelength: float) -> Any:
-        """Return the path from a scene point to an exit pupil point, less that to the pupil's centre, in waves."""
+        """Return the path from a scene point to an exit pupil point, less that to the pupil's centre, in waves.
+
+        Parameters
+        ----------
+        pupil : (array, array)
+            Point on the exit pupil in millimetres.
+        point : (array, array, array)
+            Scene point in the camera frame in millimetres.
+        wavelength : float
+            Wavelength in nanometres.
+        """
 
     def amplitude(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
         """Return the modulus of a scene point's field on the exit pupil, in units that are the same for all of it."""
@@ -83,6 +99,15 @@ class MainLens(Protocol):
         """Return by how many waves, at the pupil's edge, wavefronts differ whose images lie a small step apart.
 
         Beyond the tilt that goes with the step. `radius` is the distance of the images from the axis.
+
+        Parameters
+        ----------
+        radius : array
+            Distance of the images from the axis in millimetres.
+        step : array
+            Distance between the images in millimetres.
+        wavelength : float
+            Wavelength in nanometres.
         """
 
 
@@ -101,12 +126,24 @@ class ThinLens:
     model : {"ideal", "parabolic"}
         How rays refract: by slopes, stigmatically, or by direction cosines, as the parabolic phase element that waves
         always pass.
+    aberrations : floats or Dr.Jit numbers
+        Coefficients of Zernike polynomials, see `wavefront`.
     """
 
     focal_length: Any
     pupil_radius: Any
     pupil_distance: Any
     model: str = "ideal"
+    aberrations: Any = ()
+
+    @property
+    def is_round(self) -> bool:
+        """Without aberrations it is."""
+        return len(self.aberrations) == 0
+
+    @functools.cached_property
+    def _wavefront(self) -> Wavefront:
+        return Wavefront(self.aberrations, self.pupil_radius)
 
     def vergence(self, distance: Any) -> Any:
         r"""Return :math:`1/g' = 1/f_1 - 1/g`; zero or negative where there is no real image."""
@@ -125,6 +162,9 @@ class ThinLens:
 
     def _refract(self, direction: tuple[Any, Any], pupil: tuple[Any, Any]) -> tuple[Any, Any]:
         tx, ty = (rays.main_lens_slope(t, P, self.focal_length) for t, P in zip(direction, pupil, strict=True))
+        if not self.is_round:
+            sx, sy = self._wavefront.slope(*pupil)
+            tx, ty = tx + sx, ty + sy
         return tx, ty
 
     def aim(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[Any, Any]:
@@ -136,21 +176,35 @@ class ThinLens:
         """Return the place on the MLA of the ray from a scene point through a pupil point, without aberrations."""
         b, f1, g = self.pupil_distance, self.focal_length, point[2]
         x, y = (rays.mla_point(X, P, g, b, f1) for X, P in zip(point[:2], pupil, strict=True))
+        if not self.is_round:
+            sx, sy = self._wavefront.slope(*pupil)
+            x, y = x + b * sx, y + b * sy
         return x, y
 
     def path(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any], wavelength: float) -> Any:
-        r"""Return :math:`(|P - X| - |X| - P^2 / 2 f_1) / \lambda`, the two paths' difference without cancellation.
+        r"""Return :math:`(|P - X| - |X| - P^2 / 2 f_1 + W(P)) / \lambda`, the paths' difference without cancellation.
 
-        The lens is a thin parabolic phase element (Goodman, "Introduction to Fourier Optics", section 5.1).
+        The lens is a thin parabolic phase element (Goodman, "Introduction to Fourier Optics", section 5.1) with the
+        aberrations W.
+
+        Parameters
+        ----------
+        pupil : (array, array)
+            Point on the exit pupil in millimetres.
+        point : (array, array, array)
+            Scene point in the camera frame in millimetres.
+        wavelength : float
+            Wavelength in nanometres.
         """
         (Px, Py), (X, Y, g) = pupil, point
         square = Px * Px + Py * Py
         axis = _signed(_sqrt(X * X + Y * Y + g * g), g)
         difference = (square - 2 * (Px * X + Py * Y)) / (_distance(pupil, point) + axis)
-        return difference * (1 / in_millimetres(wavelength)) + parabola(square, self.focal_length, wavelength)
+        waves = difference * (1 / in_millimetres(wavelength)) + parabola(square, self.focal_length, wavelength)
+        return waves if self.is_round else waves + self._wavefront.path(Px, Py) * (1 / in_millimetres(wavelength))
 
     def amplitude(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
-        """Return |g| / |P - X|^2: the first Rayleigh-Sommerfeld solution (Goodman, section 3.5)."""
+        r"""Return :math:`|g| / |P - X|^2`: the first Rayleigh-Sommerfeld solution (Goodman, section 3.5)."""
         length = _distance(pupil, point)
         return abs(point[2]) / (length * length)
 
@@ -159,13 +213,26 @@ class ThinLens:
         return self.pupil_radius - _sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
 
     def cosines(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
-        """Return (P - X) / |P - X| - P / f1 along x and y."""
+        r"""Return :math:`(P - X) / |P - X| - P / f_1` along x and y, and the slope of the aberrations."""
         length = _distance(pupil, point)
         sx, sy = ((P - X) / length - P / self.focal_length for P, X in zip(pupil, point[:2], strict=True))
+        if not self.is_round:
+            x, y = self._wavefront.slope(*pupil)
+            sx, sy = sx + x, sy + y
         return sx, sy
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
-        r"""Return :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda`, of the third order (a: pupil's radius, d: step)."""
+        r"""Return :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda`, of the third order (a: pupil's radius, d: step).
+
+        Parameters
+        ----------
+        radius : array
+            Distance of the images from the axis in millimetres.
+        step : array
+            Distance between the images in millimetres.
+        wavelength : float
+            Wavelength in nanometres.
+        """
         a, b = self.pupil_radius, self.pupil_distance
         return a * (a * a + 3 * radius * radius) * step / (2 * b**3 * in_millimetres(wavelength))
 
@@ -208,6 +275,11 @@ class DistortedLens(ThinLens):
 def require_ideal(camera: PlenopticCamera) -> None:
     """Refuse, for work by waves, a camera with a tilted array or a main lens that distorts.
 
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+
     Raises
     ------
     InputError
@@ -218,8 +290,30 @@ def require_ideal(camera: PlenopticCamera) -> None:
             raise InputError(f"{name} = {getattr(camera, name)}: waves need 0; work by rays, or set it to 0")
 
 
+def require_round(camera: PlenopticCamera) -> None:
+    """Refuse, for work by a kernel bank, a camera whose main lens has aberrations.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+
+    Raises
+    ------
+    InputError
+        If it has.
+    """
+    if any(camera.wavefront):
+        raise InputError("wavefront: method bank needs a main lens without aberrations; use patch, or set them to 0")
+
+
 def main_lens(camera: PlenopticCamera) -> MainLens:
     """Return a camera's main lens as waves pass it.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
 
     Raises
     ------
@@ -227,4 +321,5 @@ def main_lens(camera: PlenopticCamera) -> MainLens:
         If the camera has a tilted array or its main lens distorts, which waves do not know.
     """
     require_ideal(camera)
-    return ThinLens(camera.focal_length, camera.aperture_radius, camera.mla_distance, camera.lens_model)
+    numbers = camera.focal_length, camera.aperture_radius, camera.mla_distance
+    return ThinLens(*numbers, camera.lens_model, camera.wavefront)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
@@ -30,7 +31,7 @@ from ..lattice import turn
 from ..runtime.backend import array_module, backend_of
 from ..runtime.fft import Field, array_types, as_field, pack, unpack, worker_count
 from ..runtime.indexing import split
-from .microlenses import is_separable, transmission
+from .microlenses import from_centre, is_separable, transmission
 from .phase import in_millimetres
 from .sampling import check_memory, fast_length
 
@@ -70,15 +71,34 @@ def axis_orders(camera: PlenopticCamera, wavelength: float, count: int, axis: in
     -------
     complex128 array (2 count + 1,)
     """
-    pitch, width = camera.mla_pitches[axis], camera.lattice.aperture_widths[axis]
-    area = in_millimetres(wavelength) * camera.mla_focal_length
+    return axis_order_derivatives(camera, wavelength, count, axis)[0]
+
+
+def axis_order_derivatives(
+    camera: PlenopticCamera, wavelength: float, count: int, axis: int
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]:
+    r"""Return the amplitudes of `axis_orders`, and their derivatives by two numbers that they depend on.
+
+    These are :math:`\lambda f_2 / D_2^2`, and the width of the aperture over the pitch.
+    """
+    pitch = camera.mla_pitches[axis]
+    width = camera.lattice.aperture_widths[axis] / pitch
+    area = in_millimetres(wavelength) * camera.mla_focal_length / pitch**2
     q = np.arange(-count, count + 1)
-    shift = area * q / pitch
+    shift = area * q
     scale = math.sqrt(2 / area)
     sines, cosines = scipy.special.fresnel(np.stack([shift - width / 2, shift + width / 2]) * scale)
     integral = (cosines[1] - cosines[0]) - 1j * (sines[1] - sines[0])
-    centred = integral / (scale * pitch) * np.exp(1j * math.pi * area * (q / pitch) ** 2)
-    return centred * np.where(q % 2, -1, 1)
+    centred = integral / scale * np.exp(1j * math.pi * area * q.astype(float) ** 2)
+    # The integrand e at the edges, and its moments by parts: x e = i (area / 2 pi) e' - area q e.
+    edges = [
+        np.exp(-1j * math.pi * (side * width / 2) ** 2 / area - 1j * math.pi * q * side * width) for side in (-1, 1)
+    ]
+    part = 1j * area / (2 * math.pi)
+    first = part * (edges[1] - edges[0]) - shift * centred
+    second = part * ((edges[1] + edges[0]) * width / 2 - centred) - shift * first
+    sign = np.where(q % 2, -1, 1)
+    return centred * sign, 1j * math.pi / area**2 * second * sign, (edges[1] + edges[0]) / 2 * sign
 
 
 class AxisTransmission:
@@ -98,24 +118,36 @@ class AxisTransmission:
         highest = cosine / in_millimetres(wavelength)
         self._length = max(_TABLE_LENGTH, 2 ** math.ceil(math.log2(64 * max(highest * max(camera.mla_pitches), 1))))
         self._pitches, self._offset = camera.mla_pitches, camera.mla_offset
-        self._words = [_words(self._table(camera, wavelength, highest, axis)) for axis in (0, 1)]
+        counts = [int(highest * pitch) for pitch in camera.mla_pitches]
+        self._words = [self.table(axis_orders(camera, wavelength, counts[axis], axis)) for axis in (0, 1)]
 
-    def _table(self, camera: PlenopticCamera, wavelength: float, highest: float, axis: int) -> NDArray[np.complex64]:
-        count = int(highest * camera.mla_pitches[axis])
+    def table(self, amplitudes: NDArray[np.complex128]) -> Any:
+        """Return a table over the pitch of a sum of orders, those from the most negative on."""
+        count = len(amplitudes) // 2
         spectrum = np.zeros(self._length, np.complex128)
-        spectrum[np.arange(-count, count + 1)] = axis_orders(camera, wavelength, count, axis)
+        spectrum[np.arange(-count, count + 1)] = amplitudes
         table = (np.fft.ifft(spectrum) * self._length).astype(np.complex64)
-        return np.append(table, table[0])
+        return words(np.append(table, table[0]))
 
     def along(self, coordinate: Any, axis: int) -> Any:
         """Return the factor along one axis (0: x, 1: y) at float64 coordinates of Dr.Jit, as Complex2f."""
+        return self.look(self._words[axis], coordinate, axis)
+
+    def look(self, table: Any, coordinate: Any, axis: int) -> Any:
+        """Return what a `table` has at some coordinates along an axis, as Complex2f."""
         node, part = _node(coordinate - self._offset[axis], self._pitches[axis], self._length)
         types = array_types(coordinate)
-        low, high = (unpack(dr.gather(types.UInt64, self._words[axis], node + step)) for step in (0, 1))
+        low, high = (unpack(dr.gather(types.UInt64, types.UInt64(table), node + step)) for step in (0, 1))
         return types.Complex2f(dr.lerp(low.real, high.real, part), dr.lerp(low.imag, high.imag, part))
 
 
-def plane_orders(camera: PlenopticCamera, wavelength: float, cosine: float, fine: int = _FINE) -> NDArray[np.complex64]:
+def plane_orders(
+    camera: PlenopticCamera,
+    wavelength: float,
+    cosine: float,
+    fine: int = _FINE,
+    factor: Callable[[Any, Any, Any], Any] | None = None,
+) -> NDArray[np.complex64]:
     """Return the amplitudes of the orders of any array, in its own frame and without its offset.
 
     Parameters
@@ -128,6 +160,8 @@ def plane_orders(camera: PlenopticCamera, wavelength: float, cosine: float, fine
         Largest direction cosine, relative to that of the incident light, that is kept.
     fine : int
         Samples across the smaller pitch of which they are made, at least.
+    factor : callable, optional
+        What the transmission is multiplied by, from the offset from a lens's centre and the type of the lens.
 
     Returns
     -------
@@ -151,7 +185,7 @@ def plane_orders(camera: PlenopticCamera, wavelength: float, cosine: float, fine
     )
     shape = [fast_length(side / pitch * fine, 2) for side in sides[::-1]]
     spectrum = scipy.fft.fft2(
-        _period_samples(camera, wavelength, shape), norm="forward", overwrite_x=True, workers=worker_count()
+        _period_samples(camera, wavelength, shape, factor), norm="forward", overwrite_x=True, workers=worker_count()
     )
     order = [np.arange(-count, count + 1) for count in counts]
     # Fine samples lie half a step within the period.
@@ -160,7 +194,9 @@ def plane_orders(camera: PlenopticCamera, wavelength: float, cosine: float, fine
     return (spectrum[np.ix_(*order)] * np.exp(-2j * math.pi * waves) * held).astype(np.complex64)
 
 
-def _period_samples(camera: PlenopticCamera, wavelength: float, shape: list[int]) -> Field:
+def _period_samples(
+    camera: PlenopticCamera, wavelength: float, shape: list[int], factor: Callable[[Any, Any, Any], Any] | None
+) -> Field:
     """Return the transmission at fine samples of one period, in the middles of equal rectangles."""
     types = array_module()
     sides = camera.lattice.period(len(camera.mla_focal_lengths))
@@ -170,7 +206,9 @@ def _period_samples(camera: PlenopticCamera, wavelength: float, shape: list[int]
         (types.Float64(place) + 0.5) * (side / count)
         for place, side, count in zip((column, row), sides, shape[::-1], strict=True)
     )
-    packed = pack(transmission(camera.replace(mla_rotation=0.0, mla_offset=(0.0, 0.0)), wavelength, x, y))
+    centred = camera.replace(mla_rotation=0.0, mla_offset=(0.0, 0.0))
+    samples = transmission(centred, wavelength, x, y)
+    packed = pack(samples if factor is None else samples * types.Float(factor(*from_centre(centred, x, y))))
     return np.asarray(backend_of(packed).to_host(as_field(packed, tuple(shape))))
 
 
@@ -189,17 +227,24 @@ class PlaneTransmission:
 
     def __init__(self, camera: PlenopticCamera, wavelength: float, cosine: float) -> None:
         amplitudes = plane_orders(camera, wavelength, cosine)
-        half = [size // 2 for size in amplitudes.shape]
-        self._shape = tuple(fast_length(_PER_ORDER * max(count, 1)) for count in half)
-        spectrum = np.zeros(self._shape, np.complex64)
-        spectrum[np.ix_(*(np.arange(-count, count + 1) for count in half))] = amplitudes
-        table = scipy.fft.ifft2(spectrum, norm="forward", overwrite_x=True, workers=worker_count())
-        self._words = _words(np.pad(table, ((0, 1), (0, 1)), mode="wrap"))
+        self._shape = tuple(fast_length(_PER_ORDER * max(size // 2, 1)) for size in amplitudes.shape)
+        self._words = self.table(amplitudes)
         self._period = camera.lattice.period(len(camera.mla_focal_lengths))
         self._rotation, self._offset = camera.mla_rotation, camera.mla_offset
 
+    def table(self, amplitudes: NDArray[np.complex64]) -> Any:
+        """Return a table over the period of a sum of orders, laid out as by `plane_orders`."""
+        spectrum = np.zeros(self._shape, np.complex64)
+        spectrum[np.ix_(*(np.arange(-(size // 2), size // 2 + 1) for size in amplitudes.shape))] = amplitudes
+        table = scipy.fft.ifft2(spectrum, norm="forward", overwrite_x=True, workers=worker_count())
+        return words(np.pad(table, ((0, 1), (0, 1)), mode="wrap"))
+
     def at(self, x: Any, y: Any) -> Any:
         """Return the transmission at float64 places of Dr.Jit in the camera's frame, as Complex2f."""
+        return self.look(self._words, x, y)
+
+    def look(self, table: Any, x: Any, y: Any) -> Any:
+        """Return what a `table` has at some places, as Complex2f."""
         types = array_types(x)
         x, y = turn(x - self._offset[0], y - self._offset[1], -self._rotation)
         (column, across), (row, down) = (
@@ -209,7 +254,7 @@ class PlaneTransmission:
         width = dr.opaque(types.UInt32, self._shape[1] + 1)
         below = row * width + column
         corners = [
-            unpack(dr.gather(types.UInt64, self._words, line + step))
+            unpack(dr.gather(types.UInt64, types.UInt64(table), line + step))
             for line in (below, below + width)
             for step in (0, 1)
         ]
@@ -220,7 +265,7 @@ class PlaneTransmission:
         return types.Complex2f(real, imaginary)
 
 
-def _words(table: NDArray[np.complex64]) -> Any:
+def words(table: NDArray[np.complex64]) -> Any:
     """Return a table as a Dr.Jit array of 64-bit words, on the active processor."""
     return array_module().UInt64(np.ascontiguousarray(table).reshape(-1).view(np.uint64))
 

@@ -57,14 +57,20 @@ def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> 
     -------
     Complex2f of Dr.Jit
     """
-    types, lattice, lengths = array_types(x), camera.lattice, camera.mla_focal_lengths
+    dx, dy, which = from_centre(camera, x, y)
+    types = array_types(x)
+    focal_length = dr.gather(types.Float64, types.Float64(camera.mla_focal_lengths), which)
+    phase = phasor(parabola(dx * dx + dy * dy, focal_length, wavelength))
+    return dr.select(camera.lattice.in_aperture(dx, dy), phase, 0)
+
+
+def from_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any, Any]:
+    """Return the offset of places, float64 arrays of Dr.Jit, from their lenses' centres, and the types of these."""
+    types, lattice = array_types(x), camera.lattice
     i, j = lattice.cell(x, y)
     cx, cy = lattice.centre(i, j)
-    dx, dy = x - cx, y - cy
-    which = types.UInt32(lattice.lens_type(i, j)) if len(lengths) > 1 else types.UInt32(0)
-    focal_length = dr.gather(types.Float64, types.Float64(lengths), which)
-    phase = phasor(parabola(dx * dx + dy * dy, focal_length, wavelength))
-    return dr.select(lattice.in_aperture(dx, dy), phase, 0)
+    several = len(camera.mla_focal_lengths) > 1
+    return x - cx, y - cy, types.UInt32(lattice.lens_type(i, j)) if several else types.UInt32(0)
 
 
 def transmission_along(

@@ -16,7 +16,7 @@ from ..capture.sight import Sight
 from ..capture.wave_capture import WaveCapture
 from ..errors import InputError, shown
 from ..optics import guards
-from ..optics.main_lens import require_ideal
+from ..optics.main_lens import require_ideal, require_round
 from ..runtime.jobs import Job
 from .properties import read_choice, read_count, read_flag, read_plain
 
@@ -35,6 +35,11 @@ RGB_WAVELENGTHS = (611.4, 549.1, 464.3)
 
 # Integrators that follow light from the emitters and cannot tell the radiance along a ray.
 _LIGHT_TRACERS = ("ParticleTracerIntegrator", "AdjointIntegrator")
+
+
+_NO_GRADIENTS = (
+    f"{NAME}: mi.render gives no gradients of it; differentiate captures by CaptureOperator.derivative and .gradient"
+)
 
 
 def make_class() -> type:
@@ -88,7 +93,7 @@ def make_class() -> type:
 
         Scalar waves and thin elements: no polarisation, and both lenses are thin parabolic phases, whose geometric
         twin is the sensor's ``lens_model="parabolic"``. Objects before a radiator hide parts of the pupil but do
-        not diffract. A mirror image or a refracted one radiates from the mirror or the glass. Polarized variants
+        not diffract. What is seen in mirrors and through glass radiates from where it seems to be. Polarized variants
         compute as if unpolarized.
 
         The same seed gives the same bits, on any number of threads.
@@ -145,6 +150,14 @@ def make_class() -> type:
             film = self.record(scene, sensor, seed=seed, spp=spp)
             return film.develop() if develop else None
 
+        def render_forward(self, *arguments: Any, **options: Any) -> Any:
+            """Refuse: scene and camera are not differentiated through `mi.render`."""
+            raise InputError(_NO_GRADIENTS)
+
+        def render_backward(self, *arguments: Any, **options: Any) -> None:
+            """Refuse, as `render_forward` does."""
+            raise InputError(_NO_GRADIENTS)
+
         def record(
             self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False
         ) -> Any:
@@ -196,6 +209,8 @@ def make_class() -> type:
         def _capture(self, scene: Any, sensor: Any) -> WaveCapture:
             camera = PlenopticCamera.from_sensor(sensor)
             require_ideal(camera)
+            if self.method == "bank":
+                require_round(camera)
             return WaveCapture(
                 camera=camera,
                 sight=Sight.of(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None),

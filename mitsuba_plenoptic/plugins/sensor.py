@@ -32,7 +32,7 @@ POSITIVE = (
 SEVERAL = {"mla_focal_length": "mla_focal_lengths", "mla_pitch": "mla_pitches"}
 NUMBERS = (*POSITIVE, *SEVERAL, "mla_rotation", "mla_offset")
 WORDS = ("mla_lattice", "mla_aperture", "lens_model")
-FIXED = ("mla_tilt", "distortion")
+FIXED = ("mla_tilt", "distortion", "wavefront")
 
 _CROSSTALK_RAYS = 2**16
 
@@ -53,8 +53,8 @@ def make_class() -> type:
            - |exposed|, |differentiable|
          * - aperture_radius
            - |float|
-           - Radius of the main lens, as for ``thinlens``. (Default: 5)
-           - |exposed|, |differentiable|, |discontinuous|
+           - Radius of the main lens, as for ``thinlens``; only the edge of the pupil moves with it. (Default: 5)
+           - |exposed|
          * - mla_distance
            - |float|
            - Distance from the main lens to the microlens array. (Default: 120)
@@ -117,6 +117,10 @@ def make_class() -> type:
            - |string|
            - Distortion of the main lens, "k1, k2, k3, p1, p2": see ``mitsuba_plenoptic.optics.distortion``.
              (Default: none)
+         * - wavefront
+           - |string|
+           - Aberrations of the main lens: coefficients of Zernike polynomials in Noll's order, in waves of 633 nm, with
+             commas between them. (Default: none)
          * - to_world
            - |transform|
            - Camera to world, without scale. The camera looks along +z, +x is left and +y is up.
@@ -199,6 +203,7 @@ def make_class() -> type:
                 "mla_offset": _flat(read_numbers(props, NAME, "mla_offset")),
                 "mla_tilt": _flat(read_numbers(props, NAME, "mla_tilt")),
                 "distortion": read_numbers(props, NAME, "distortion"),
+                "wavefront": read_numbers(props, NAME, "wavefront"),
             }
             try:
                 camera = PlenopticCamera(
@@ -227,8 +232,7 @@ def make_class() -> type:
             differentiable, discontinuous = mi.ParamFlags.Differentiable, mi.ParamFlags.Discontinuous
             callback.put("to_world", self.m_to_world, differentiable | discontinuous)
             for name in NUMBERS:
-                flags = differentiable if name == "focal_length" else differentiable | discontinuous
-                callback.put(name, getattr(self, name), flags)
+                callback.put(name, getattr(self, name), _flags(name))
 
         def parameters_changed(self, keys: list[str] | None = None) -> None:
             """Check and take over changed parameters."""
@@ -256,7 +260,7 @@ def make_class() -> type:
                 aperture=camera.mla_aperture,
                 fill=self.mla_fill,
             )
-            lens = self.focal_length, self.aperture_radius, self.mla_distance, self.lens_model
+            lens = self.focal_length, self.aperture_radius, self.mla_distance, self.lens_model, self.wavefront
             self._main_lens = DistortedLens(*lens, self.distortion) if any(self.distortion) else ThinLens(*lens)
             self._candidates = [mi.Float(steps) for steps in crosstalk_neighbours(camera).T]
             dr.make_opaque(*self._candidates)
@@ -423,6 +427,14 @@ def make_class() -> type:
             return "\n".join(["PlenopticSensor[", *lines, f"  film = {self.film().class_name()}", "]"])
 
     return PlenopticSensor
+
+
+def _flags(name: str) -> Any:
+    """Return how a number may be differentiated by rays, which know nothing of edges that move."""
+    if name == "aperture_radius":
+        return mi.ParamFlags.NonDifferentiable
+    differentiable = mi.ParamFlags.Differentiable
+    return differentiable if name == "focal_length" else differentiable | mi.ParamFlags.Discontinuous
 
 
 def _flat(offset: tuple[float, ...] | None) -> tuple[float, ...] | None:

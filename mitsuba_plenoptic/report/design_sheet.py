@@ -56,6 +56,9 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
         rows.append(
             ("distortion", ", ".join(map(four_digits, camera.distortion)), "", "k1, k2, k3, p1, p2; by rays only")
         )
+    if any(camera.wavefront):
+        strength = math.sqrt(sum(part**2 for part in camera.wavefront[3:]))
+        rows.append(("aberrations", four_digits(strength), "waves", "root mean square at 633 nm, beside tilt"))
     return rows
 
 

@@ -68,7 +68,11 @@ def one_at_a_time(function: Callable[_P, _R]) -> Callable[_P, _R]:
     def in_turn(*arguments: _P.args, **options: _P.kwargs) -> _R:
         require_own_process()
         with _turn:
-            return function(*arguments, **options)
+            try:
+                return function(*arguments, **options)
+            finally:
+                # Kernels that nobody waits for may still read NumPy's arrays, which the caller is free to drop.
+                dr.sync_thread()
 
     return in_turn
 

@@ -49,6 +49,8 @@ def resting_drjit() -> Iterator[None]:
     global _resting, _busy_threads
     with _rest:
         if _resting == 0:
+            # No thread is taken from kernels at work.
+            dr.sync_thread()
             _busy_threads = dr.thread_count()
             dr.set_thread_count(1)
         _resting += 1

@@ -5,9 +5,12 @@ from __future__ import annotations
 import logging
 import time
 
+import mitsuba as mi
 import pytest
 
-from mitsuba_plenoptic import InputError, estimate_capture, load_scene, render_capture
+from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, load_scene, render_capture
+from mitsuba_plenoptic.capture.choice import bank_is_better
+from mitsuba_plenoptic.capture.sight import Sight
 
 
 @pytest.mark.parametrize("name", ["letters", pytest.param("still_life", marks=pytest.mark.slow)])
@@ -53,3 +56,21 @@ def test_what_would_be_refused_is_refused():
         estimate_capture(load_scene("letters"), batch_map=lambda batches: iter(()))
     with pytest.raises(InputError, match="spp = 0"):
         estimate_capture(load_scene("letters"), spp=0)
+
+
+@pytest.mark.parametrize("sky", [True, False])
+def test_a_small_detector_before_a_sky_is_the_banks(sky, camera_dict):
+    """Patches of the sky would be refused, however few radiators there are; without it patches are the quicker way."""
+    card = {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().translate([0, 0, 240]).scale(0.2),
+        "emitter": {"type": "area", "radiance": 1.0},
+    }
+    lights = {"card": card} | ({"sky": {"type": "constant"}} if sky else {})
+    camera = camera_dict(resolution=64, detector_width=0.128)
+    scene = load_scene({"type": "scene", "integrator": {"type": "path"}, "camera": camera, **lights})
+    sensor = scene.sensors()[0]
+    plenoptic = PlenopticCamera.from_sensor(sensor)
+    sight = Sight.of(scene, sensor, scene.integrator(), None)
+    assert bank_is_better(plenoptic, sight, 633.0, 1, 0.01, 0) == sky
+    assert not bank_is_better(plenoptic, sight, 633.0, 1, 0.0, 0)

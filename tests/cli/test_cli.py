@@ -318,6 +318,20 @@ def test_ground_truth_lies_beside_the_capture_and_reaches_views_and_depth(tmp_pa
     assert not (tmp_path / "new.exr").exists()
 
 
+def test_ground_truth_is_of_the_sensor_that_is_rendered(tmp_path, run, complaint):
+    other = '<sensor type="plenoptic"><film type="hdrfilm"><integer name="width" value="96"/>' \
+        '<integer name="height" value="96"/><rfilter type="box"/><string name="pixel_format" value="luminance"/>' \
+        '</film><float name="detector_width" value="0.192"/></sensor><emitter type="constant"/>'  # fmt: skip
+    scene = write_scene(tmp_path, other, sensor=SMALL_SENSOR)
+    for sensor, size in ((0, 64), (1, 96)):
+        path = tmp_path / "raw.exr"
+        run("render", scene, "-o", path, "--spp", 1, "--aov", "depth", "--sensor", sensor)
+        assert read_capture(path).camera.shape == (size, size)
+        assert read_ground_truth(tmp_path / "raw.truth.exr").camera == read_capture(path).camera
+    message = complaint("render", scene, "-o", tmp_path / "raw.exr", "--sensor", 2)
+    assert message == "sensor = 2: the scene's are numbered from 0 to 1"
+
+
 def test_noise_is_kept_and_told_and_an_estimate_writes_nothing(run, tmp_path):
     path = tmp_path / "raw.exr"
     small = ("letters", "-D", "resolution=64", "--spp", "2")

@@ -238,7 +238,9 @@ def test_other_sensors_are_refused():
         integrator.render(scene, scene.sensors()[0])
 
 
-def test_a_background_at_infinity_is_refused_with_the_estimate(camera_dict):
+def test_a_background_at_infinity_is_recorded_by_the_bank_or_refused_with_the_estimate(camera_dict):
     sky = scene_of(camera_dict(resolution=128, detector_width=0.256), sky={"type": "constant"})
     with pytest.raises(ValueError, match=r"GiB"):
-        render_capture(sky, model="wave", spp=1, radiators_per_lens=2)
+        render_capture(sky, model="wave", spp=1, radiators_per_lens=2, method="patch")
+    waves, rays = (render_capture(sky, model=model, spp=4) for model in ("wave", "ray"))
+    assert waves.image.mean() == pytest.approx(rays.image.mean(), rel=0.015)

@@ -201,11 +201,20 @@ class Table:
         sides = []
         for part in np.split(values, np.cumsum([side.nodes for side in coordinates.sides])[:-1]):
             for axis in (0, 1):
+                # Splines of all columns at once: a product with those of the unit vectors.
                 nodes = np.arange(part.shape[axis])
-                spline = scipy.interpolate.make_interp_spline(nodes, part, min(3, nodes[-1]), axis=axis)
-                part = spline(np.arange((part.shape[axis] - 1) * _FINER[axis] + 1) / _FINER[axis])
-            sides.append(part.astype(np.float32).transpose(0, 2, 1, 3))
+                spline = scipy.interpolate.make_interp_spline(nodes, np.eye(len(nodes)), min(3, nodes[-1]))
+                matrix = spline(np.arange((len(nodes) - 1) * _FINER[axis] + 1) / _FINER[axis]).astype(np.float32)
+                part = np.moveaxis(np.tensordot(matrix, part, (1, axis)), 0, axis)
+            sides.append(part.transpose(0, 2, 1, 3))
         return cls(coordinates, np.ascontiguousarray(np.concatenate(sides)))
+
+    @classmethod
+    def blank(cls, coordinates: Coordinates, rank: int) -> Table:
+        """Return a table without light."""
+        _, edges, angles = coordinates.shape
+        lines = sum(side.lines for side in coordinates.sides)
+        return cls(coordinates, np.zeros((lines, angles * _FINER[2], (edges - 1) * _FINER[1] + 1, rank), np.float32))
 
     @functools.cached_property
     def _flat(self) -> dict[Any, Any]:

@@ -120,6 +120,11 @@ def save_light_field(path: str | Path, lf: xr.DataArray) -> None:
 def require_light_field_path(path: str | Path) -> Path:
     """Check, before a long computation, that a light field can be written there, in a format that the name tells.
 
+    Parameters
+    ----------
+    path : path
+        The file.
+
     Raises
     ------
     InputError

@@ -45,6 +45,11 @@ def read_labelled(path: str | Path) -> xr.DataArray:
 
     NetCDF 4 is HDF5, whose files can link to others, and is not read here.
 
+    Parameters
+    ----------
+    path : path
+        The file.
+
     Raises
     ------
     InputError

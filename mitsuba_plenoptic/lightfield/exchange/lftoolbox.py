@@ -11,7 +11,6 @@ manual calls the first four axes t, s, v, u, with the letters of pupil and field
 
 from __future__ import annotations
 
-import importlib
 import json
 import math
 from pathlib import Path
@@ -24,6 +23,7 @@ import xarray as xr
 from ...camera import PlenopticCamera
 from ...errors import InputError, require_choice, require_number
 from ...io.files import atomic_output, require_file
+from ...io.hdf5 import h5py_module, stored_array
 from ...runtime.limits import require_memory
 from ..geometry import grid_of, light_field, require_light_field
 from ..grid import LensGrid, bin_grid
@@ -174,55 +174,30 @@ def _read_version_5(path: Path) -> dict[str, Any]:
 
 
 def _read_hdf5(path: Path) -> dict[str, Any]:
-    try:
-        h5py = importlib.import_module("h5py")
-    except ImportError:
-        raise InputError("a MATLAB 7.3 file needs the package h5py; install it, or save with '-v7' in MATLAB") from None
+    h5py = h5py_module("a MATLAB 7.3 file (one saved with '-v7' does not)")
     with h5py.File(path, "r") as file:
-        stored = _dataset(h5py, file, "LF")
+        stored = stored_array(file, "LF")
         if stored is None:
             raise InputError("it has no variable LF")
         # HDF5 lists MATLAB's dimensions in the opposite order.
         _check(stored.shape[::-1])
         found: dict[str, Any] = {"LF": np.transpose(stored[()])}
-        largest = _dataset(h5py, file, "MaxLum")
+        largest = stored_array(file, "MaxLum")
         if largest is not None:
             found["MaxLum"] = float(largest[0, 0])
         if isinstance(file.get("LensletGridModel", getlink=True), h5py.HardLink):
-            found["LensletGridModel"] = _read_model(h5py, file["LensletGridModel"])
+            found["LensletGridModel"] = _read_model(file["LensletGridModel"])
     return found
 
 
-def _read_model(h5py: Any, group: Any) -> dict[str, Any]:
+def _read_model(group: Any) -> dict[str, Any]:
     model: dict[str, Any] = {}
     for name in _MODEL:
-        stored = _dataset(h5py, group, name)
+        stored = stored_array(group, name)
         if stored is not None and stored.size <= 16:
             values = stored[()].ravel()
             model[name] = "".join(map(chr, values)) if name == "Orientation" else float(values[0])
     return model
-
-
-def _dataset(h5py: Any, group: Any, name: str) -> Any:
-    """Return the array of numbers of a name that lies in this very file, or None if there is none.
-
-    HDF5 can link to other files, keep data in other files and assemble them from other files; of a light field from a
-    stranger that would read files of the user's.
-    """
-    if not isinstance(group, h5py.Group):
-        raise InputError("its lens grid is not a structure")
-    link = group.get(name, getlink=True)
-    if link is None:
-        return None
-    stored = group[name] if isinstance(link, h5py.HardLink) else None
-    if not isinstance(stored, h5py.Dataset) or stored.is_virtual or stored.external:
-        raise InputError(f"{name} is not an array in the file itself: links to other files are not followed")
-    if stored.dtype.kind not in "fiu" or stored.dtype.itemsize > 8:
-        raise InputError(f"{name} is not an array of numbers")
-    # A chunk is decompressed whole, however little of it the array uses.
-    if stored.chunks and math.prod(stored.chunks) > max(stored.size, 1) + _SMALL:
-        raise InputError(f"{name} is stored in chunks of {stored.chunks}, larger than itself")
-    return stored
 
 
 def _to_model(grid: LensGrid) -> dict[str, Any]:
