@@ -6,6 +6,7 @@ nothing is shared and nothing but the last 0.1 % of the light is cut (`tools/ben
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -69,7 +70,10 @@ def band_for(accuracy: float, count: int) -> Band:
     """Choose how much of the diffracted light to keep for an allowed error of the sum of some radiators."""
     allowed = accuracy / _FEW_STRICTER if count <= _FEW else accuracy
     band = next(band for limit, band in _BANDS if allowed < limit)
-    return band if count <= _FEW else replace(band, edge=_SHARP)
+    if count <= _FEW:
+        return band
+    # What many points send farther than their orders averages out: nothing is gained by keeping it.
+    return replace(band, edge=_SHARP, beyond=math.inf if allowed < _EXACT else band.orders)
 
 
 def derivative_band_for(accuracy: float, count: int) -> Band:
@@ -80,7 +84,7 @@ def derivative_band_for(accuracy: float, count: int) -> Band:
     """
     if accuracy < _EXACT:
         return _FINEST
-    return replace(band_for(accuracy, count), edge=2.0, smooth=True)
+    return replace(band_for(accuracy, count), edge=2.0, smooth=True, beyond=math.inf)
 
 
 def wavefront_step(accuracy: float, camera: PlenopticCamera, positions: NDArray[np.float64]) -> float:

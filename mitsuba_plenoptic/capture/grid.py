@@ -46,6 +46,8 @@ class Band:
         Directions that are kept beside the pupil's cone, over those that a wide microlens scatters to, at least.
     orders : float
         The same, in orders of the diffraction by a microlens's aperture (see `optics.microlenses.diffraction`).
+    beyond : float
+        Directions that are kept beyond the geometric cone in the same orders, at most.
     edge : float
         Samples over which the edges of the pupil, and of what hides parts of it, are softened.
 
@@ -60,6 +62,7 @@ class Band:
     margin: float
     bends: float
     orders: float
+    beyond: float = math.inf
     edge: float = 1.0
     smooth: bool = False
 
@@ -117,6 +120,7 @@ class Grid:
         bent = scattering(camera)
         beside = max(band.bends * bent, diffraction(camera, wavelength, band.orders))
         half_band = max(band.cone * (cosine + bent), cosine + beside)
+        half_band = min(half_band, cosine + bent + diffraction(camera, wavelength, band.beyond))
         largest = in_millimetres(wavelength) / (2 * half_band)
         largest = min(largest, max(_PITCH_PER_PIXEL * camera.pixel_size, largest / _FINER))
         steps = np.array(camera.lattice.grid_step) * (camera.micro_image_pitch / camera.mla_pitch)

@@ -7,7 +7,7 @@ import pytest
 import scipy
 from wave_cases import WAVELENGTH, capture, error, small_camera
 
-from mitsuba_plenoptic.capture.bank import Convolution, LensBank, near_weight
+from mitsuba_plenoptic.capture.bank import Convolution, LensBank, lens_bank, near_weight
 from mitsuba_plenoptic.capture.bank.radial import RadialFields
 from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.capture.point_spread import point_fields
@@ -52,6 +52,17 @@ def test_radial_field_is_that_of_the_full_field():
     found = np.interp(r[near], np.arange(field.samples.shape[1]) * field.step, np.abs(field.samples[0]) ** 2)
     exact = np.abs(mla.samples[row, near]) ** 2
     assert error(found * (found @ exact) / (found @ found), exact) < 0.003
+
+
+@pytest.mark.parametrize("rotation", [0.0, 7.0])
+def test_kernels_are_brought_to_the_pixels_grid_as_they_are(rotation):
+    """As a linear map, so that kernels whose sum is near zero are not blown up, and with their power."""
+    place = np.arange(96) - 48
+    wide, narrow = (np.exp(-(place**2 + place[:, None] ** 2) / (2 * size**2)).astype(np.float32) for size in (8, 6))
+    narrow *= wide.sum() / narrow.sum() * 0.9999
+    first, second, difference = lens_bank._on_grid(np.stack([wide, narrow, wide - narrow]), 1e-3, 1.7e-3, rotation)
+    assert error(difference, first - second) < 1e-3
+    assert first.sum() == pytest.approx(wide.sum(), rel=1e-3)
 
 
 @pytest.mark.parametrize("distance", [NEAR, FAR])

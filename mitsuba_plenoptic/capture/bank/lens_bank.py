@@ -20,7 +20,7 @@ from .learning import Learner
 from .patterns import LensPatterns
 from .table import Coordinates, Table
 
-_CORE, _SPOTS = 20, 40
+_CORE, _SPOTS = 20, 60
 """Widths of the kernels' core, by which coefficients are found, and of all of them, beyond a lens's geometric spot.
 
 In units of :math:`\\lambda z / D_2`, a lens's diffraction.
@@ -189,5 +189,4 @@ def _on_grid(kernels: NDArray[np.float32], fine: float, pitch: float, rotation: 
     for target, kernel in zip(result, kernels, strict=True):
         upright = turned.forward(kernel) if rotation else kernel
         target[...] = integrals.forward(upright / np.float32(fine**2))
-        target *= kernel.sum() / target.sum()
     return result

@@ -3,7 +3,7 @@ r"""What the pattern of a lens depends on, as coordinates of a table.
 Light of a point with the defocus m, blurred over :math:`N = D_1 |m| / D_2` lenses, has at a lens the curvature of its
 wavefront, which goes with 1 / N, and the diffraction of the pupil's rim. Its ripples are those of a knife edge in the
 coordinate :math:`w = e \sqrt{2 F / N}` (Goodman, "Introduction to Fourier Optics", section 4.5), e the distance from
-the rim in pitches and :math:`F = D_1 D_2 / \lambda b`; in its shadow what counts is how much of the lens e reaches.
+the rim in pitches and :math:`F = D_1 D_2 / \lambda b`; in its shadow what counts is e itself, how much of the lens it reaches.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .patterns import Nodes
 from .radial import RadialFields, distance_of
 
 SHADOW = 3.0
-"""Distance beyond the rim, in pitches, at which a lens is dark; at most the radius of the blur."""
+"""Distance beyond the rim, in pitches, at which a lens is dark."""
 
 _RIPPLES = 6.0
 """Coordinate w from the rim inwards from which on ripples are left out."""
@@ -128,15 +128,13 @@ class Coordinates:
         depth, edge, angle = (index.ravel() for index in np.indices(self.shape))
         blur = np.abs(self._blur())[depth]
         place = np.linspace(-SHADOW, _RIPPLES, _EDGES)[edge]
-        shadow = np.minimum(1, blur / (2 * SHADOW))
-        inside = np.where(place < 0, place * shadow, place * np.sqrt(blur) / self.ripple)
+        inside = np.where(place < 0, place, place * np.sqrt(blur) / self.ripple)
         radius = float(main_lens(self.camera).pupil_radius) * np.maximum(0, 1 - 2 * inside / blur)
         return Nodes(depth, distance[depth], radius, angle * (2 * np.pi / _ANGLES))
 
     def reach(self, vergence: Any) -> Any:
         """Return how far beyond the pupil's rim, in millimetres, a lens still has light."""
-        minimum = dr.minimum if dr.is_array_v(vergence) else np.minimum
-        return self.camera.aperture_radius * minimum(1, 2 * SHADOW / abs(blur_of(self.camera, vergence)))
+        return self.camera.aperture_radius * (2 * SHADOW / abs(blur_of(self.camera, vergence)))
 
     @property
     def widest(self) -> float:
@@ -161,8 +159,7 @@ class Coordinates:
         blur = blur_of(self.camera, vergence)
         size = dr.maximum(abs(blur), 1e-6)
         inside = (1 - dr.sqrt(Px * Px + Py * Py) * (1 / self.camera.aperture_radius)) * size * 0.5
-        shadow = dr.minimum(1, size * (1 / (2 * SHADOW)))
-        place = dr.select(inside < 0, inside / shadow, inside * dr.rsqrt(size) * self.ripple)
+        place = dr.select(inside < 0, inside, inside * dr.rsqrt(size) * self.ripple)
         last = (_EDGES - 1) * _FINER[1]
         edge = dr.clip((place + SHADOW) * (last / (_RIPPLES + SHADOW)), 0, last)
         depth, known = type(edge)(0), dr.mask_t(edge)(False)
