@@ -25,11 +25,15 @@ _SHARED = 2.0
 _SURE = 1e-3
 
 
+# Views that are apart by less than this fraction of the brightness agree: without texture they do so on every plane.
+_AGREE = 0.1
+
+
 @dataclass(frozen=True)
 class Evidence:
     """What the evidence of some kind of disagreement is worth.
 
-    Found by maximum likelihood on captures of the scenes that `tools/confidence_fit.py` lists.
+    Found by maximum likelihood on captures of the scenes that `tools/confidence_fit.py` lists; weights are rounded.
 
     Attributes
     ----------
@@ -43,8 +47,8 @@ class Evidence:
     weights: tuple[float, float, float, float]
 
 
-VIEWS = Evidence(20.0, (-1.87, 0.20, 0.71, -0.94))
-LENSES = Evidence(3.0, (-7.52, 2.28, 0.20, -3.79))
+VIEWS = Evidence(20.0, (0.5, 0.2, 0.7, -1.4))
+LENSES = Evidence(3.0, (1.3, 2.2, 0.2, -3.8))
 
 
 @dataclass(frozen=True)
@@ -114,8 +118,9 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
         Index of the plane, with fractions.
     told : (4, rows, columns) array
         One; the log odds that the plane is right, if the evidence is taken at its word, by the bin alone and with its
-        neighbours; and the logarithm of the deviation that views have even on the best plane, over the brightness. It
-        is high where no plane explains the views: at edges of what is in front, on gloss and on steep surfaces.
+        neighbours; and the logarithm of the deviation that views have even on the best plane, over a tenth of the
+        brightness, or zero where it is less. It is high where no plane explains the views: at edges of what is in
+        front, on gloss and on steep surfaces.
     """
     inverse = found.inverse
     bright = np.maximum(found.brightness, _DARK * found.brightness.mean())
@@ -131,8 +136,8 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
     ends = [np.interp(at / (1 + sign * tolerance), inverse[order], planes[order]) for sign in (-1, 1)]
     low, high = np.minimum(*ends), np.maximum(*ends)
     odds = [logit(_mass(part, low, high).clip(_SURE, 1 - _SURE)) for part in (alone, together)]
-    residual = energy.min(axis=0) - np.log(bright + np.finfo(np.float32).tiny)
-    return place, np.stack([np.ones_like(place), *odds, residual])
+    residual = energy.min(axis=0) - np.log(_AGREE * bright + np.finfo(np.float32).tiny)
+    return place, np.stack([np.ones_like(place), *odds, residual.clip(0)])
 
 
 def _normalised(logarithm: np.ndarray) -> np.ndarray:
