@@ -54,14 +54,29 @@ COLUMNS = {
 }
 
 
-def made(number: int) -> Any:
-    """Heap tiles at random places, turned and textured at random, before a wall; a third of them without texture."""
-    random = np.random.default_rng(number)
-    camera = mp.PlenopticCamera(detector_width=4.096, resolution=(2048, 2048))
+def made(number: int, camera: mp.PlenopticCamera | None = None, near: float = 205, far: float = 290) -> Any:
+    """Heap tiles at random places, turned and textured at random, before a wall; a third of them without texture.
 
-    def tile(at: np.ndarray, size: float, tilt: float, plain: bool) -> dict[str, Any]:
+    Parameters
+    ----------
+    number : int
+        Another one is another heap.
+    camera : PlenopticCamera, optional
+        Default: the paper's, with half the lenses along each axis.
+    near, far : float
+        Distances between which the tiles' middles are; the wall is some of that range farther.
+    """
+    random = np.random.default_rng(number)
+    camera = camera or mp.PlenopticCamera(detector_width=4.096, resolution=(2048, 2048))
+    field = camera.detector_width / camera.mla_distance
+    # Tiles are as large as the field is, and as flat as the range of distances is small beside it.
+    size = field * (near + far) / 2 / (4.096 / 120 * 247.5)
+    steepest = 50 * min(1.0, (far - near) / size / 85)
+
+    def tile(at: np.ndarray, half: float, tilt: float, plain: bool) -> dict[str, Any]:
         x, y, g = at
-        place = mi.ScalarTransform4f().translate([x, y, g]).rotate(list(random.normal(size=3)), tilt)
+        axis = random.normal(size=3)
+        place = mi.ScalarTransform4f().translate([x, y, g]).rotate(list(axis / np.linalg.norm(axis)), tilt)
         pattern = gaussian_filter(random.normal(size=(96, 96)), random.uniform(0.6, 2.5), mode="wrap")
         pattern = np.clip(0.45 + 0.22 * pattern / pattern.std(), 0.02, 0.95)
         if plain:
@@ -69,15 +84,17 @@ def made(number: int) -> Any:
         texture = {"type": "bitmap", "raw": True, "data": mi.TensorXf(pattern[..., None].astype(np.float32))}
         return {
             "type": "rectangle",
-            "to_world": place.rotate([0, 1, 0], 180).scale(size),
+            "to_world": place.rotate([0, 1, 0], 180).scale(half),
             "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": texture}},
         }
 
-    objects = {"wall": tile(np.array([0, 0, 300.0]), 8.0, 8.0, False)}
+    objects = {"wall": tile(np.array([0, 0, far + (far - near) / 8.5]), 8.0 * size, 8.0 * steepest / 50, False)}
     for index in range(18):
-        g = random.uniform(205, 290)
+        g = random.uniform(near, far)
         place = np.array([*(random.uniform(-0.5, 0.5, 2) * 4.096 * g / 120), g])
-        objects[f"tile_{index}"] = tile(place, random.uniform(0.5, 1.6), random.uniform(0, 50), index % 3 == 0)
+        objects[f"tile_{index}"] = tile(
+            place, size * random.uniform(0.5, 1.6), random.uniform(0, steepest), index % 3 == 0
+        )
     light = {"type": "point", "position": [30.0, 40.0, 100.0], "intensity": 4e4}
     return mp.load_scene(
         {

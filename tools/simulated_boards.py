@@ -59,6 +59,8 @@ ROUND_TRIP_TOLD = 12
 def round_trip(verdict: Verdict, seeds: int = 20) -> None:
     """Render boards by a tilted camera that distorts, add photon noise, detect, calibrate, and judge the errors.
 
+    Each seed renders anew, since the noise of the rendering is part of the errors whose variance is judged.
+
     The error of a combination of numbers is taken by what it changes of the corners' pixels: corners alone leave some
     combinations so open that the others are not linear in the numbers over them.
     """
@@ -67,17 +69,16 @@ def round_trip(verdict: Verdict, seeds: int = 20) -> None:
     start = PlenopticCamera.preset("raytrix").replace(
         resolution=size, crop_size=size, crop_offset=(0, 0), detector_width=size[0] * camera.pixel_size
     )
-    images = [render_capture(board_scene(board, pose, camera), spp=64).image for pose in ROUND_TRIP_POSES]
+    scenes = [board_scene(board, pose, camera) for pose in ROUND_TRIP_POSES]
     white, centres = white_image(camera), camera_centres(camera)
     squares, errors = [], []
     for seed in range(seeds):
         generator = np.random.default_rng(seed)
-        tables = [
-            detect_corners(
-                generator.poisson(ROUND_TRIP_PHOTONS * image) / ROUND_TRIP_PHOTONS, white, centres, board, frame=frame
-            )
-            for frame, image in enumerate(images)
-        ]
+        tables = []
+        for frame, scene in enumerate(scenes):
+            image = render_capture(scene, spp=64, seed=seed * len(scenes) + frame).image
+            noisy = generator.poisson(ROUND_TRIP_PHOTONS * image) / ROUND_TRIP_PHOTONS
+            tables.append(detect_corners(noisy, white, centres, board, frame=frame))
         corners = joined(tables)
         found = calibrate(corners, board, start)
         errors.append(found.evaluation.error)

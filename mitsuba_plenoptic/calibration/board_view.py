@@ -44,6 +44,8 @@ class Picture:
         Centres of micro-images, column and row.
     radius : float
         Of the micro-images in pixels.
+    even : float
+        Distance from their centres up to which the main lens's rim takes no light from them.
     """
 
     name: str
@@ -51,6 +53,7 @@ class Picture:
     weight: np.ndarray
     centre: np.ndarray
     radius: float
+    even: float
 
 
 @dataclass(frozen=True)

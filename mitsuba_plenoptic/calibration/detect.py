@@ -26,6 +26,11 @@ from .saddle import Saddles, find_saddles
 # Pixels of less than this fraction of the light in the middle of micro-images are not used.
 _DARK = 0.25
 
+# Micro-images are evenly lit as far from their centres as they give this fraction of their middle's light on average.
+# Beyond, the main lens's rim cuts the blur of what is seen, which moves it outwards. Where this is less than so much of
+# the micro-images' radius, there is too little without the rest.
+_EVEN, _LEAST_EVEN = 0.97, 0.6
+
 # Corners nearer than so many pixels to a micro-image's rim are not looked for.
 _RIM = 3.0
 
@@ -142,7 +147,26 @@ def _picture(image: np.ndarray, white: np.ndarray, centres: Table, name: str) ->
     # Micro-images may be smaller than their distance allows, on all of the picture that they cover.
     low, high = middle[inside].min(0).astype(int), middle[inside].max(0).astype(int) + 1
     lit = (weight[low[1] : high[1], low[0] : high[0]] > 0).mean() * np.prod(high - low) / inside.sum()
-    return Picture(name, divided, weight, middle[inside], min(nearest, float(np.sqrt(lit / np.pi))))
+    radius = min(nearest, float(np.sqrt(lit / np.pi)))
+    even = evenly_lit(light, middle[inside], radius)
+    return Picture(name, divided, weight, middle[inside], radius, even if even > _LEAST_EVEN * radius else radius)
+
+
+def evenly_lit(light: np.ndarray, centre: np.ndarray, radius: float) -> float:
+    """Return how far from their centres micro-images are as light as in their middle, in pixels, on average."""
+    half = int(radius) + 1
+    whole = centre[((centre > half) & (centre < np.array(light.shape)[::-1] - half - 1)).all(1)]
+    steps = np.stack(np.meshgrid(*[np.arange(-half, half + 1)] * 2), axis=-1).reshape(-1, 2)
+    pixel = np.round(whole).astype(int)[:, None] + steps
+    values = light[pixel[:, :, 1], pixel[:, :, 0]]
+    own = values[:, np.abs(steps).max(1) <= 1].mean(1)
+    lit = own > 0
+    distance = np.hypot(*np.moveaxis(pixel - whole[:, None], 2, 0))
+    # Rings of half a pixel, as far as all of them is seen.
+    ring = (2 * distance[lit]).astype(int)
+    share = np.bincount(ring.ravel(), (values[lit] / own[lit, None]).ravel()) / np.maximum(np.bincount(ring.ravel()), 1)
+    dark = np.flatnonzero(share[: 2 * half] < _EVEN)
+    return min(radius, dark[0] / 2) if dark.size else radius
 
 
 def _grey(name: str, image: np.ndarray) -> np.ndarray:
@@ -161,7 +185,13 @@ def _refined(picture: Picture, found: BoardView) -> tuple[np.ndarray, np.ndarray
         corner, lens, expected = _expected(picture, place, disparity)
         # A micro-image shows the directions as they are, or turned by half a turn.
         saddles = find_saddles(
-            picture.image, picture.weight, expected, angles[corner], picture.centre[lens], picture.radius
+            picture.image,
+            picture.weight,
+            expected,
+            angles[corner],
+            picture.centre[lens],
+            radius=picture.radius,
+            even=picture.even,
         )
         good = saddles.deviation < _DEVIATION
         if good.any():

@@ -53,7 +53,14 @@ class Saddles:
 
 
 def find_saddles(
-    image: np.ndarray, weight: np.ndarray, place: np.ndarray, angles: np.ndarray, centre: np.ndarray, radius: float
+    image: np.ndarray,
+    weight: np.ndarray,
+    place: np.ndarray,
+    angles: np.ndarray,
+    centre: np.ndarray,
+    *,
+    radius: float,
+    even: float,
 ) -> Saddles:
     """Refine corners, each within a window of its micro-image.
 
@@ -69,14 +76,22 @@ def find_saddles(
         Centre of the micro-image that each corner is in.
     radius : float
         Of the micro-images in pixels.
+    even : float
+        Distance from their centres within which pixels are used.
     """
     blocks = np.array_split(np.arange(len(place)), max(1, -(-len(place) // _BLOCK)))
-    parts = [_fit(image, weight, place[rows], angles[rows], centre[rows], radius) for rows in blocks]
+    parts = [_fit(image, weight, place[rows], angles[rows], centre[rows], radius, even) for rows in blocks]
     return Saddles(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
 def _fit(
-    image: np.ndarray, weight: np.ndarray, place: np.ndarray, angles: np.ndarray, centre: np.ndarray, radius: float
+    image: np.ndarray,
+    weight: np.ndarray,
+    place: np.ndarray,
+    angles: np.ndarray,
+    centre: np.ndarray,
+    radius: float,
+    even: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     n = len(place)
     # Cut off at the rim of the micro-image alone, a window would draw the corner to one side.
@@ -85,10 +100,10 @@ def _fit(
     steps = np.stack(np.meshgrid(*[np.arange(-half, half + 1)] * 2), axis=-1).reshape(-1, 2)
     pixel = np.round(place).astype(int)[:, None] + steps
     x, y = (pixel[:, :, axis].clip(0, image.shape[1 - axis] - 1) for axis in (0, 1))
-    # A window with a soft rim that is symmetrical about the corner, without what is beyond the micro-image.
+    # A window with a soft rim that is symmetrical about the corner, without what is beyond the evenly lit part.
     distance = np.hypot(*np.moveaxis(pixel - place[:, None], 2, 0))
     w = weight[y, x] * (reach + 0.5 - distance).clip(0, 1)
-    w *= np.hypot(*np.moveaxis(pixel - centre[:, None], 2, 0)) < radius
+    w *= np.hypot(*np.moveaxis(pixel - centre[:, None], 2, 0)) < even
     w *= (pixel == np.stack([x, y], axis=-1)).all(2)
     value = image[y, x]
     enough = w.sum(1) > 12

@@ -15,7 +15,7 @@ from ..runtime.jobs import Progress, counted
 from ..runtime.limits import require_memory
 from .agreement import lens_disagreement, view_disagreement
 from .geometry import camera_of, depth_range, disparity, distance_of, require_light_field
-from .plane_choice import LENSES, VIEWS, choose
+from .plane_choice import LENSES, VIEWS, Disagreement, Evidence, choose
 from .refocus import shift_and_add
 
 RIGHT = 0.01
@@ -77,38 +77,22 @@ def depth_map(
     if not near < far:
         raise InputError(f"near = {near:g}, far = {far:g}: near must be less than far")
     bins, channels = lf.sizes["t"] * lf.sizes["s"], lf.sizes.get("c", 1)
-    # Views are moved in copies; each plane leaves a cost and an image.
-    copies, plane = 6.0 * lf.size, 4.0 * bins * (channels + 1)
+    # Views are moved in copies, probabilities are taken in several of the cost that each plane leaves.
+    copies, plane = 6.0 * lf.size + 4.0 * bins * channels, 40.0 * bins
     require_memory(
         copies + plane * planes,
         f"depth map of {planes} planes",
         lambda limit: f"planes = {int((limit - copies) // plane)}" if limit > copies + 3 * plane else None,
     )
     slopes = np.linspace(disparity(lf, near), disparity(lf, far), planes)
-    focused = "unfocused" not in focus_types(camera_of(lf))
-    disagreement, evidence = (lens_disagreement, LENSES) if focused else (view_disagreement, VIEWS)
-    variance = np.empty((planes, *lf.shape[2:4]), dtype=np.float32)
-    image = np.empty((planes, *lf.shape[2:]), dtype=np.float32)
-    for index, slope in enumerate(counted(slopes, progress)):
-        variance[index] = disagreement(lf, slope)
-        image[index] = shift_and_add(lf, slope).values
-    # What cannot be compared agrees as badly as any.
-    worst = np.fmax.reduce(variance, axis=0)
-    if np.isnan(worst).all():
-        raise InputError(
-            f"near = {near:g}, far = {far:g}: views have nothing in common there; of a focused camera, neighbouring "
-            "lenses see no common part of what is near the plane in focus on the microlens array"
-        )
-    variance = np.where(np.isnan(variance), np.nan_to_num(worst), variance)
-
-    central = lf.sel(u=0.0, v=0.0, method="nearest").values.reshape(*lf.shape[2:4], -1).mean(axis=2)
-    inverse = 1 / distance_of(lf, slopes)
-    brightness = scipy.ndimage.gaussian_filter(central, _AROUND)
-    choice = choose(variance, brightness, inverse, evidence, RIGHT)
+    choice = choose(*disagreement_of_planes(lf, slopes, progress), RIGHT)
     found = np.interp(choice.place, np.arange(planes), slopes)
     depth = np.where(choice.probability < 0.5, np.nan, distance_of(lf, found))
-    row, column = np.indices(found.shape)
-    sharp = image[np.rint(choice.place).astype(np.int64), row, column]
+    nearest_plane = np.rint(choice.place).astype(np.int64)
+    sharp = np.empty(lf.shape[2:], dtype=np.float32)
+    for index in np.unique(nearest_plane):
+        here = nearest_plane == index
+        sharp[here] = shift_and_add(lf, slopes[index]).values[here]
     dims = ("t", "s")
     maps: dict[str, Any] = {
         "depth": (dims, depth, {"units": "mm"}),
@@ -123,6 +107,43 @@ def depth_map(
         coords={dim: lf[dim] for dim in ("t", "s", "c") if dim in lf.coords},
         attrs={**lf.attrs, "near": near, "far": far, "planes": planes},
     )
+
+
+def disagreement_of_planes(
+    lf: xr.DataArray, slopes: np.ndarray, progress: Progress | None = None
+) -> tuple[Disagreement, Evidence]:
+    """Measure how badly the views agree about planes of some disparities, and tell what that is worth.
+
+    Parameters
+    ----------
+    lf : xarray.DataArray
+        A light field of a camera.
+    slopes : (planes,) array
+        Disparities in lenses per view, evenly spaced.
+    progress : callable, optional
+        Called with the planes done and their number.
+
+    Raises
+    ------
+    InputError
+        If views have nothing in common on any plane.
+    """
+    focused = "unfocused" not in focus_types(camera_of(lf))
+    measure, evidence = (lens_disagreement, LENSES) if focused else (view_disagreement, VIEWS)
+    variance = np.empty((len(slopes), *lf.shape[2:4]), dtype=np.float32)
+    for index, slope in enumerate(counted(slopes, progress)):
+        variance[index] = measure(lf, slope)
+    # What cannot be compared agrees as badly as any.
+    worst = np.fmax.reduce(variance, axis=0)
+    distances = distance_of(lf, slopes)
+    if np.isnan(worst).all():
+        raise InputError(
+            f"near = {distances[0]:g}, far = {distances[-1]:g}: views have nothing in common there; of a focused "
+            "camera, neighbouring lenses see no common part of what is near the plane in focus on the microlens array"
+        )
+    variance = np.where(np.isnan(variance), np.nan_to_num(worst), variance)
+    central = lf.sel(u=0.0, v=0.0, method="nearest").values.reshape(*lf.shape[2:4], -1).mean(axis=2)
+    return Disagreement(variance, scipy.ndimage.gaussian_filter(central, _AROUND), 1 / distances), evidence
 
 
 @dataclass(frozen=True)

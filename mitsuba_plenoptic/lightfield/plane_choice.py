@@ -25,26 +25,30 @@ _SHARED = 2.0
 _SURE = 1e-3
 
 
+# Views that are apart by less than this fraction of the brightness agree: without texture they do so on every plane.
+_AGREE = 0.1
+
+
 @dataclass(frozen=True)
 class Evidence:
     """What the evidence of some kind of disagreement is worth.
 
-    Found by maximum likelihood on captures of scenes like those that `tools/depth_accuracy.py --tuning` measures.
+    Found by maximum likelihood on captures of the scenes that `tools/confidence_fit.py` lists; weights are rounded.
 
     Attributes
     ----------
     samples : float
         N, of the bin alone.
-    weights : (float, float, float)
-        Of 1 and the log odds that a depth is right, by the bin alone and with its neighbours.
+    weights : four floats
+        Of what `indications` returns, for the log odds that a depth is right.
     """
 
     samples: float
-    weights: tuple[float, float, float]
+    weights: tuple[float, float, float, float]
 
 
-VIEWS = Evidence(20.0, (0.22, 0.26, 0.61))
-LENSES = Evidence(3.0, (-0.39, 0.91, 0.61))
+VIEWS = Evidence(20.0, (0.5, 0.2, 0.7, -1.4))
+LENSES = Evidence(3.0, (1.3, 2.2, 0.2, -3.8))
 
 
 @dataclass(frozen=True)
@@ -63,12 +67,11 @@ class Choice:
     probability: np.ndarray
 
 
-def choose(
-    variance: np.ndarray, brightness: np.ndarray, inverse: np.ndarray, evidence: Evidence, tolerance: float
-) -> Choice:
-    """Choose the most probable plane of each bin.
+@dataclass(frozen=True)
+class Disagreement:
+    """How badly views agree about planes.
 
-    Parameters
+    Attributes
     ----------
     variance : (planes, rows, columns) array
         Disagreement about each plane.
@@ -76,15 +79,55 @@ def choose(
         Of the bins.
     inverse : (planes,) array
         Inverse distances of the planes, falling or rising evenly.
+    """
+
+    variance: np.ndarray
+    brightness: np.ndarray
+    inverse: np.ndarray
+
+
+def choose(found: Disagreement, evidence: Evidence, tolerance: float) -> Choice:
+    """Choose the most probable plane of each bin.
+
+    Parameters
+    ----------
+    found : Disagreement
+        About all planes.
     evidence : Evidence
         What the disagreement is worth.
     tolerance : float
         Relative error of a distance that counts as right.
     """
-    level = _NOISE * np.maximum(brightness, _DARK * brightness.mean())
+    place, told = indications(found, evidence.samples, tolerance)
+    return Choice(place, expit(np.tensordot(evidence.weights, told, 1)))
+
+
+def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the most probable planes, and what tells whether they are right.
+
+    Parameters
+    ----------
+    found, tolerance
+        As for `choose`.
+    samples : float
+        N of the bin alone.
+
+    Returns
+    -------
+    place : (rows, columns) array
+        Index of the plane, with fractions.
+    told : (4, rows, columns) array
+        One; the log odds that the plane is right, if the evidence is taken at its word, by the bin alone and with its
+        neighbours; and the logarithm of the deviation that views have even on the best plane, over a tenth of the
+        brightness, or zero where it is less. It is high where no plane explains the views: at edges of what is in
+        front, on gloss and on steep surfaces.
+    """
+    inverse = found.inverse
+    bright = np.maximum(found.brightness, _DARK * found.brightness.mean())
+    level = _NOISE * bright
     # A light field that is black everywhere has no evidence either.
-    energy = 0.5 * np.log(variance + np.square(level) + np.finfo(np.float32).tiny)
-    alone = _normalised(-evidence.samples * energy)
+    energy = 0.5 * np.log(found.variance + np.square(level) + np.finfo(np.float32).tiny)
+    alone = _normalised(-samples * energy)
     together = _with_neighbours(_normalised(-_SHARED * energy))
     place = _summit(together)
     planes = np.arange(len(inverse))
@@ -93,8 +136,8 @@ def choose(
     ends = [np.interp(at / (1 + sign * tolerance), inverse[order], planes[order]) for sign in (-1, 1)]
     low, high = np.minimum(*ends), np.maximum(*ends)
     odds = [logit(_mass(part, low, high).clip(_SURE, 1 - _SURE)) for part in (alone, together)]
-    constant, own, shared = evidence.weights
-    return Choice(place, expit(constant + own * odds[0] + shared * odds[1]))
+    residual = energy.min(axis=0) - np.log(_AGREE * bright + np.finfo(np.float32).tiny)
+    return place, np.stack([np.ones_like(place), *odds, residual.clip(0)])
 
 
 def _normalised(logarithm: np.ndarray) -> np.ndarray:

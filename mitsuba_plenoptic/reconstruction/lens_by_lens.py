@@ -150,9 +150,7 @@ def object_patches(fields: Field, tile: Tile, batch: LensBatch, distance: float)
         padded = fft(padded, axis=1)
     intensity = padded.real**2
     intensity += padded.imag**2
-    per_bin = tile.samples // tile.oversample
-    bins = arrays.repeat(arrays.eye(size // per_bin, dtype=np.float32), per_bin, axis=1)
-    sums = arrays.tensordot(arrays.tensordot(intensity, bins, (1, 1)), bins, (1, 1))
+    sums = arrays.tensordot(arrays.tensordot(intensity, tile.to_bins, (1, 1)), tile.to_bins, (1, 1))
     # Areas over the distance, which may be infinite.
     slope = camera.mla_pitch / camera.mla_distance / tile.samples
     scale = tile.pupil_pitch**2 / in_millimetres(tile.wavelength) * slope / camera.pixel_size
@@ -204,5 +202,6 @@ def on_bins(total: np.ndarray, lenses: LensSet) -> np.ndarray:
         kept = slice(max(first, 0), min(end, count))
         into.append(slice(kept.start * tile.oversample, kept.stop * tile.oversample))
         out.append(slice((kept.start - first) * tile.oversample, (kept.stop - first) * tile.oversample))
-    image[tuple(into)] = backend().to_host(total[tuple(out)])
+    # Integrals of dark bins are zero but for rounding, on either side.
+    image[tuple(into)] = backend().to_host(total[tuple(out)]).clip(0)
     return image

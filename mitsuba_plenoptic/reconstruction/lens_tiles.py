@@ -20,6 +20,9 @@ from .planning import GUARD, field_subsamples
 # Samples that are transformed together, on the processor and on a CUDA device.
 _BATCH_SAMPLES, _CUDA_BATCH_SAMPLES = 2**20, 2**25
 
+_FINE_GUARD = 2 * GUARD
+"""What `GUARD` is for one bin per lens: several resolve the power, which has twice the frequencies of the field."""
+
 _MARGIN = 4.5
 """Bins around the geometric image: more than full fields need, as the pupil's edge is softened over one sample."""
 
@@ -107,10 +110,13 @@ class Tile:
 
     @cached_property
     def samples(self) -> int:
-        """Object samples across a lens's image, enough for the pupil's light and a multiple of the bins."""
+        """Object samples across a lens's image, enough for the pupil's light and a multiple of the bins.
+
+        A bin as wide as the lens's image averages over all frequencies that a few samples confuse.
+        """
         camera = self.camera
         needed = (
-            GUARD
+            (GUARD if self.oversample == 1 else _FINE_GUARD)
             * camera.mla_pitch
             * camera.aperture_diameter
             / (in_millimetres(self.wavelength) * camera.mla_distance)
@@ -121,6 +127,23 @@ class Tile:
     def object_samples(self) -> int:
         """Object samples across the patch."""
         return self.lenses * self.samples
+
+    @cached_property
+    def to_bins(self) -> Field:
+        r"""From the power at samples across the patch to that in bins along an axis, float32 (bins, samples).
+
+        Where samples miss nothing of the power, it is the trigonometric polynomial through them, whose integrals over
+        bins of m samples are exact: a frequency of f periods a sample counts :math:`m \,\mathrm{sinc}(f m)` times.
+        """
+        count, per_bin = self.object_samples, self.samples // self.oversample
+        first = np.zeros(count)
+        first[:per_bin] = 1
+        if self.oversample > 1:
+            frequency = np.fft.rfftfreq(count)
+            middle = np.exp(-1j * np.pi * frequency * (per_bin - 1))
+            first = np.fft.irfft(per_bin * np.sinc(frequency * per_bin) * middle, count)
+        bins = [np.roll(first, start) for start in range(0, count, per_bin)]
+        return backend().arrays.asarray(np.array(bins, dtype=np.float32))
 
     @property
     def pupil_pitch(self) -> float:

@@ -17,6 +17,7 @@ from mitsuba_plenoptic.calibration import (
     find_centres,
     read_corners,
 )
+from mitsuba_plenoptic.calibration.detect import evenly_lit
 from mitsuba_plenoptic.calibration.model import NAMES, Observations, predict
 from mitsuba_plenoptic.calibration.numbers import numbers_of
 from mitsuba_plenoptic.calibration.saddle import find_saddles
@@ -46,7 +47,7 @@ def test_saddles_and_their_deviations_are_true(blur):
     shift = np.stack([np.arange(count) * side, np.zeros(count)], axis=-1)
     start = true + shift + generator.uniform(-0.7, 0.7, (count, 2))
     centre = np.full((count, 2), side // 2) + shift
-    found = find_saddles(strip, np.ones_like(strip), start, angles + 0.1, centre, 9.0)
+    found = find_saddles(strip, np.ones_like(strip), start, angles + 0.1, centre, radius=9.0, even=9.0)
     error = found.place - true - shift
     assert np.abs(error.mean(0)).max() < 4 * np.sqrt((error**2).mean() / count)
     assert np.sqrt((error**2).sum(1).mean()) < 0.06 + 0.06 * blur
@@ -71,10 +72,22 @@ POSES = np.array(
 PHOTONS = 300
 
 
+@pytest.mark.parametrize("fill", [0.2, 0.5])
+def test_pixels_whose_light_the_rim_cuts_are_told(fill):
+    camera = CAMERA.replace(mla_fill=fill, mla_tilt=(0.0, 0.0), distortion=(0.0,) * 5)
+    # Through a lens's point d from its centre, a pixel p from its micro-image's sees the pupil at b p / z + d s.
+    b, z = camera.mla_distance, camera.detector_distance
+    slopes = [abs(1 + b / z - b / f) for f in camera.mla_focal_lengths]
+    reach = camera.aperture_radius - np.array(slopes) * camera.mla_pitch / 2 * fill
+    even = reach * z / b / camera.pixel_size
+    found = evenly_lit(white_image(camera), camera_centres(camera).pixel, 9.0)
+    assert even.min() - 0.5 <= found <= even.max() + 0.5
+
+
 @pytest.fixture(scope="module")
 def pictures():
     generator = np.random.default_rng(2)
-    images = (render_capture(board_scene(BOARD, pose, CAMERA), spp=16).image for pose in POSES)
+    images = (render_capture(board_scene(BOARD, pose, CAMERA), spp=32).image for pose in POSES)
     return [generator.poisson(PHOTONS * image) / PHOTONS for image in images]
 
 
