@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from ..camera import PlenopticCamera
+
 
 def brightness(lattice: Any, aperture_radius: Any, detector_distance: Any, pixel_size: Any) -> Any:
     r"""Return :math:`A_{pupil} z^2 / (A_{lens} A_{pixel})`, of the weight of a radiator what depends on the camera.
@@ -20,3 +22,8 @@ def brightness(lattice: Any, aperture_radius: Any, detector_distance: Any, pixel
     """
     pupil = math.pi * aperture_radius**2
     return pupil * detector_distance**2 / (lattice.lens_area * pixel_size**2)
+
+
+def brightness_of(camera: PlenopticCamera) -> float:
+    """Return `brightness` for a camera."""
+    return float(brightness(camera.lattice, camera.aperture_radius, camera.detector_distance, camera.pixel_size))

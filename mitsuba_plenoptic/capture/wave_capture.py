@@ -27,7 +27,7 @@ from .operator import CaptureOperator
 from .patch_plan import Cost
 from .radiators import Radiators, find_radiators, sample_pairs
 from .sight import Sight
-from .units import brightness
+from .units import brightness_of
 
 _log = logging.getLogger(__name__)
 
@@ -259,8 +259,7 @@ class WaveCapture:
         """Return the weights (n, 1) of radiators of radiance 1."""
         camera = self.camera
         cell = camera.lattice.cell_area / (self.radiators_per_lens**2 * self.passes)
-        numbers = camera.lattice, camera.aperture_radius, camera.detector_distance, camera.pixel_size
-        whole = cell / camera.mla_distance**2 * float(brightness(*numbers))
+        whole = cell / camera.mla_distance**2 * brightness_of(camera)
         return np.asarray(whole / radiators.fraction[:, None])
 
 

@@ -10,7 +10,7 @@ from wave_cases import HALF, WAVELENGTH, error
 from mitsuba_plenoptic import InputError
 from mitsuba_plenoptic.capture.full_field import full_field
 from mitsuba_plenoptic.capture.full_field_grids import field_grids
-from mitsuba_plenoptic.capture.units import brightness
+from mitsuba_plenoptic.capture.units import brightness_of
 from mitsuba_plenoptic.plugins.films import develop, develop_back
 
 WALL = "wall.bsdf.reflectance.data"
@@ -129,7 +129,7 @@ def test_camera_against_differences_of_the_full_field_and_reverse_against_forwar
         moved = camera.replace(
             **{name: np.add(getattr(camera, name), np.multiply(side, step)).tolist() for name, step in STEPS.items()}
         )
-        growth = units(moved) / units(camera)
+        growth = brightness_of(moved) / brightness_of(camera)
         sides.append(
             sum(
                 growth
@@ -144,11 +144,6 @@ def test_camera_against_differences_of_the_full_field_and_reverse_against_forwar
     found = pulled(scene, list(directions), gradient)
     back = sum(np.vdot(np.ravel(found[key]), np.ravel(direction)) for key, direction in directions.items())
     assert abs(np.vdot(change, gradient) - back) < 1e-4 * np.linalg.norm(change) * np.linalg.norm(gradient)
-
-
-def units(camera):
-    """Return the part of the weights that depends on the camera."""
-    return brightness(camera.lattice, camera.aperture_radius, camera.detector_distance, camera.pixel_size)
 
 
 def test_what_is_black_has_a_gradient_too():
