@@ -96,7 +96,7 @@ class RayRefocus:
         return dr.custom(_RayOp, capture, self)
 
 
-class _RayOp(dr.CustomOp):  # type: ignore[misc]
+class _RayOp(dr.CustomOp):
     """One use of a `RayRefocus`."""
 
     def eval(self, capture: Any, refocus: RayRefocus) -> Any:

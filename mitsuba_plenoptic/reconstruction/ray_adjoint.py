@@ -47,7 +47,7 @@ def _from_axes(bins: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.
 def _matrix(axis: AxisBins) -> np.ndarray:
     """Return the weights (bins, pixels) of one axis."""
     matrix = np.zeros((axis.count, axis.pupil.size))
-    bin_of = np.repeat(np.arange(axis.count), np.diff(axis.start.astype(np.int64)))
+    bin_of = np.searchsorted(axis.start, np.arange(axis.pixel.size), side="right") - 1
     matrix[bin_of, axis.pixel] = axis.weight
     return matrix
 
