@@ -47,6 +47,7 @@ from .runtime.jobs import Job
 
 if TYPE_CHECKING:
     from .calibration import calibrate
+    from .fitting import fit
     from .lightfield import decode, ground_truth
     from .reconstruction import Reconstruction, reconstruct
     from .runtime.progress import progress_bar
@@ -55,6 +56,7 @@ if TYPE_CHECKING:
 _LATER = {
     "calibrate": "calibration",
     "decode": "lightfield",
+    "fit": "fitting",
     "ground_truth": "lightfield",
     "Reconstruction": "reconstruction",
     "reconstruct": "reconstruction",
@@ -81,6 +83,7 @@ __all__ = [
     "decode",
     "estimate_capture",
     "expose",
+    "fit",
     "ground_truth",
     "load_scene",
     "point_spread_function",

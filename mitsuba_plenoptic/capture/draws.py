@@ -53,7 +53,7 @@ class Found:
         return Found(self.lane[kept], self.radiance[kept] * scale, self.variance[kept] * scale**2, vertex)
 
 
-def draw(optics: Optics, seed: int, ray: Any, spp: int) -> Found:
+def draw(optics: Optics, seed: int, ray: Any, spp: int, dark: bool = False) -> Found:
     """Follow light paths, `spp` neighbouring lanes for each ray, and gather those of equal places.
 
     Parameters
@@ -66,15 +66,17 @@ def draw(optics: Optics, seed: int, ray: Any, spp: int) -> Found:
         Rays from the camera, each `spp` times.
     spp : int
         Light paths of a ray.
+    dark : bool
+        Whether to keep what does not shine, too, of scenes in which nothing branches.
 
     Returns
     -------
     Found
     """
-    return (_draw_plain if optics.plain else _draw_places)(optics, seed, ray, spp)
+    return _draw_plain(optics, seed, ray, spp, dark) if optics.plain else _draw_places(optics, seed, ray, spp)
 
 
-def _draw_plain(optics: Optics, seed: int, ray: Any, spp: int) -> Found:
+def _draw_plain(optics: Optics, seed: int, ray: Any, spp: int, dark: bool) -> Found:
     """Ask the child alone: all light of a ray comes from where it first hits."""
     sampler = child.random_numbers(seed, dr.width(ray))
     radiance = child.sample(optics.child.integrator, optics.scene, sampler, ray, None, mi.Bool(True))
@@ -82,13 +84,24 @@ def _draw_plain(optics: Optics, seed: int, ray: Any, spp: int) -> Found:
         np.stack([dr.block_sum(value, spp).numpy() for value in values], axis=-1)
         for values in (channels(radiance), [value * value for value in channels(radiance)])
     ]
-    shining = np.flatnonzero(~(sums[0].max(axis=-1) <= 0)).astype(np.uint32)
+    shines = ~(sums[0].max(axis=-1) <= 0)
+    if dark:
+        shines |= _may_shine(optics, ray, spp)
+    shining = np.flatnonzero(shines).astype(np.uint32)
     mean, variance = _moments(sums[0][shining], sums[1][shining], spp)
     lane = shining * np.uint32(spp)
     if not lane.size:
         return Found(lane, mean, variance, None)
     si = optics.scene.ray_intersect(dr.gather(mi.Ray3f, ray, mi.UInt32(lane)))
     return Found(lane, mean, variance, Vertex(mi.UnpolarizedSpectrum(0), seen_directly(si), mi.UInt32(0)))
+
+
+def _may_shine(optics: Optics, ray: Any, spp: int) -> NDArray[np.bool_]:
+    """Return which rays, each `spp` lanes, meet anything."""
+    if optics.scene.environment() is not None:
+        return np.ones(dr.width(ray) // spp, bool)
+    first = dr.arange(mi.UInt32, dr.width(ray) // spp) * spp
+    return np.array(optics.scene.ray_intersect(dr.gather(mi.Ray3f, ray, first)).is_valid())
 
 
 def _draw_places(optics: Optics, seed: int, ray: Any, spp: int) -> Found:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
-from functools import partial
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -20,13 +19,14 @@ from ..optics.main_lens import main_lens, require_ideal, require_round
 from ..optics.sampling import check_positions
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import one_at_a_time
-from ..runtime.batches import BatchMap, Threads
+from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job, LongSum, Task
 from .accuracy import DEFAULT_ACCURACY, check_accuracy
 from .bank.blend import near_weight
 from .bank.plan import BankPlan
-from .derivatives import DerivativePlan, check_changes, check_names
+from .derivatives import Differentials, check_changes, check_names
 from .full_field_plan import FullFieldPlan
+from .mixing import groups, mix
 from .patch_plan import Cost, PatchPlan
 from .pupil_weights import PupilWeights
 
@@ -125,7 +125,7 @@ class CaptureOperator:
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
         self._portions = list(_portions(camera, self.points, method, self._accuracy))
         self._plans: dict[tuple[float, str], Plan] = {}
-        self._derivative_plans: dict[float, DerivativePlan] = {}
+        self._differentials: Differentials | None = None
 
     @one_at_a_time
     def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[np.float32]:
@@ -188,8 +188,8 @@ class CaptureOperator:
         result = np.zeros((len(self.points), len(wavelengths)))
         with guards.watch():
             done = 0
-            for wavelength, some in _groups(wavelengths):
-                given = _mix(channels, matrix[:, some].T)
+            for wavelength, some in groups(wavelengths):
+                given = mix(channels, matrix[:, some].T)
                 for portion in self._portions:
                     found = self._planned(wavelength, portion, job, len(some)).gather(given, job, done, self._items)
                     result[np.ix_(portion.points, np.array(some))] += portion.fractions[:, None] * found
@@ -228,17 +228,7 @@ class CaptureOperator:
         """
         factors, checked = self._check(weights), check_changes(self.camera, changes)
         wavelengths, matrix = self._mixing(factors.shape[1])
-        job = self._for_derivatives(job)
-
-        def tasks() -> Iterator[Task]:
-            for wavelength, some in _groups(wavelengths):
-                plan = self._derivative_plan(wavelength, job, len(some))
-                push = partial(plan.push, factors[:, some], checked)
-                yield Task(len(self.points), push, partial(_mix, matrix=matrix[:, some]))
-
-        with guards.watch():
-            items = self.sums * len(self.points)
-            image = job.run(tasks(), (*self.camera.shape, len(matrix)), items)
+        image = self._for_derivatives().push(factors, checked, wavelengths, matrix, job or Job())
         return image[..., 0] if np.ndim(weights) == 1 and len(matrix) == 1 else image
 
     @one_at_a_time
@@ -276,34 +266,15 @@ class CaptureOperator:
         wavelengths, matrix = self._mixing(factors.shape[1])
         if channels.shape[2] != len(matrix):
             raise InputError(f"image of shape {np.shape(image_gradient)}: the weights make {len(matrix)} channels")
-        job = self._for_derivatives(job)
-        total: dict[str, NDArray[np.float64]] = {}
-        with guards.watch():
-            for done, (wavelength, some) in enumerate(_groups(wavelengths)):
-                given = _mix(channels, matrix[:, some].T)
-                plan = self._derivative_plan(wavelength, job, len(some))
-                counted = done * len(self.points), self.sums * len(self.points)
-                found = plan.pull(factors[:, some], given, chosen, job, *counted)
-                total = {name: found[name] + total.get(name, 0.0) for name in chosen}
-        return total
+        return self._for_derivatives().pull(factors, channels, chosen, wavelengths, matrix, job or Job())
 
-    def _for_derivatives(self, job: Job | None) -> Job:
-        """Return a job by which derivatives can be computed."""
+    def _for_derivatives(self) -> Differentials:
+        """Return the derivatives of the sums, or refuse methods that have none."""
         if self._method != "patch":
             raise InputError(f"method = {self._method}: it has no derivatives; use patch")
-        job = job or Job()
-        if not isinstance(job.workers, Threads):
-            raise InputError("job: derivatives are computed by threads of this process only")
-        return job
-
-    def _derivative_plan(self, wavelength: float, job: Job, channels: int) -> DerivativePlan:
-        """Return the plan of the derivatives at a wavelength, made when it is first asked for."""
-        if wavelength not in self._derivative_plans:
-            numbers = self.camera, self.points, self._pupil_weights, wavelength, self._accuracy
-            self._derivative_plans[wavelength] = DerivativePlan(*numbers)
-        plan = self._derivative_plans[wavelength]
-        plan.check_memory(job.workers, channels)
-        return plan
+        if self._differentials is None:
+            self._differentials = Differentials(self.camera, self.points, self._pupil_weights, self._accuracy)
+        return self._differentials
 
     def estimate(self, job: Job | None = None) -> Cost:
         """Estimate what `forward` takes, by doing a little of it at the first wavelength.
@@ -364,7 +335,7 @@ class CaptureOperator:
     def tasks(self, weights: NDArray[np.float64], job: Job) -> Iterator[Task]:
         """Yield the sum at each distinct wavelength, for weights (n, channels or wavelengths)."""
         wavelengths, matrix = self._mixing(weights.shape[1])
-        for wavelength, some in _groups(wavelengths):
+        for wavelength, some in groups(wavelengths):
             for portion in self._portions:
 
                 def plan(wavelength: float = wavelength, some: list[int] = some, portion: Portion = portion) -> LongSum:
@@ -374,7 +345,7 @@ class CaptureOperator:
                 def combine(
                     sums: NDArray[np.float32], part: NDArray[np.float32] = matrix[:, some]
                 ) -> NDArray[np.float32]:
-                    return _mix(sums, part)
+                    return mix(sums, part)
 
                 yield Task(len(portion.points), plan, combine)
 
@@ -449,17 +420,6 @@ class CaptureOperator:
         if self._spectrum is not None and factors.shape[1] != wavelengths:
             raise InputError(f"weights of shape {factors.shape}: the spectrum has {wavelengths} wavelengths")
         return factors
-
-
-def _mix(image: NDArray[np.float32], matrix: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Mix the channels of an image, (rows, columns, channels), by a matrix (new channels, channels)."""
-    return image if np.array_equal(matrix, np.eye(len(matrix))) else np.asarray(image @ matrix.T)
-
-
-def _groups(wavelengths: tuple[float, ...]) -> Iterator[tuple[float, list[int]]]:
-    """Yield each distinct wavelength and the columns that have it: they share their point spreads."""
-    for wavelength in dict.fromkeys(wavelengths):
-        yield wavelength, [column for column, other in enumerate(wavelengths) if other == wavelength]
 
 
 def _portions(camera: PlenopticCamera, points: NDArray[np.float64], method: str, accuracy: float) -> Iterator[Portion]:

@@ -51,10 +51,12 @@ _LEVEL = 1e-3
 
 @dataclass(frozen=True)
 class Radiators:
-    """Incoherent point sources in the camera frame, only those that shine.
+    """Incoherent point sources in the camera frame.
 
     Attributes
     ----------
+    pupil : (n, 2) float64 array
+        Where the rays that have found them pass the pupil.
     positions : (n, 3) float64 array
         Places.
     radiance : (n, channels) float64 array
@@ -69,6 +71,7 @@ class Radiators:
         How the light of each fills the pupil: what it sees of it, and how slantwise; None if all fill all evenly.
     """
 
+    pupil: np.ndarray
     positions: np.ndarray
     radiance: np.ndarray
     variance: np.ndarray
@@ -79,6 +82,7 @@ class Radiators:
         """Return some of them."""
         weights = self.pupil_weights
         return Radiators(
+            self.pupil[which],
             self.positions[which],
             self.radiance[which],
             self.variance[which],
@@ -122,6 +126,7 @@ def find_radiators(
     occlusion: bool,
     weight: Callable[[np.ndarray], np.ndarray] | None = None,
     lenses: np.ndarray | None = None,
+    dark: bool = False,
 ) -> Radiators:
     """Trace the pairs of every lens into the scene and keep what shines.
 
@@ -143,6 +148,8 @@ def find_radiators(
         Returns, for the vergences of the radiators' images, what fraction of their light counts.
     lenses : int array, optional
         Numbers, in `LensWindow.index`, of the lenses whose pairs are traced. Default: all.
+    dark : bool
+        Whether to keep what a ray meets though it does not shine: it could.
     """
     window, lens = LensWindow.of(camera), main_lens(camera)
     camera.require_resolved()
@@ -154,7 +161,7 @@ def find_radiators(
     held = 0
     for start in range(0, len(traced.index), together):
         some = range(start, min(start + together, len(traced.index)))
-        found.append(_trace_lenses(sight, lens, traced, pairs, some, spp, seed + start, occlusion, weight))
+        found.append(_trace_lenses(sight, lens, traced, pairs, some, spp, seed + start, occlusion, weight, dark))
         # How many shine is known as they are found; the parts and their concatenation are alive at once.
         held += 2 * sum(array.nbytes for array in found[-1])
         require_memory(held, f"{held // RADIATOR_BYTES} radiators or more in {some.stop} of {len(traced.index)} lenses")
@@ -165,7 +172,7 @@ def find_radiators(
     positions = _flatten_caustics(positions, P, radiance.mean(axis=1), curved)
     weights = _pupil_weights(*over_pupil)
     fraction = sampled_fraction(positions, weights, lens, window)
-    return Radiators(positions, radiance, variance, fraction, weights)
+    return Radiators(P, positions, radiance, variance, fraction, weights)
 
 
 def _judge_astigmatism(camera: PlenopticCamera, lens: MainLens, astigmatism: np.ndarray, radiance: np.ndarray) -> None:
@@ -240,8 +247,9 @@ def _trace_lenses(
     seed: int,
     occlusion: bool,
     weight: Callable[[np.ndarray], np.ndarray] | None,
+    dark: bool,
 ) -> tuple[np.ndarray, ...]:
-    """Find the shining radiators of some lenses.
+    """Find the radiators of some lenses.
 
     Returns
     -------
@@ -260,7 +268,7 @@ def _trace_lenses(
     q = mi.Point2f(*window.place(i + place[0], j + place[1]))
     slope = mi.Point2f(*lens.aim((P.x, P.y), (q.x, q.y)))
     ray, cosine = sight.ray((P.x, P.y), (slope.x, slope.y))
-    found = draw(sight.optics, seed, ray, spp)
+    found = draw(sight.optics, seed, ray, spp, dark)
     bad = int(np.count_nonzero(~np.isfinite(found.radiance).all(axis=-1)))
     if bad:
         raise InputError(f"scene: the radiance of {bad} radiators is NaN or infinite: all must be finite")

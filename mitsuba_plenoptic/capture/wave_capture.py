@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import logging
-import math
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -28,6 +27,7 @@ from .operator import CaptureOperator
 from .patch_plan import Cost
 from .radiators import Radiators, find_radiators, sample_pairs
 from .sight import Sight
+from .units import brightness_of
 
 _log = logging.getLogger(__name__)
 
@@ -71,10 +71,10 @@ class WaveCapture:
             Pixel values, none negative; with noise twice as many channels, those of the standard deviations last.
         """
         method = self._chosen(seed)
-        sets = self._radiators(method, seed, spp)
+        sets = self.radiators(method, seed, spp)
         # Columns of the weights: the capture's channels, and what tells the noise of each.
         columns = self.wavelengths + tuple(np.repeat(self.wavelengths, 1 + PARTS)) if noise else self.wavelengths
-        operators = [self._operator(radiators, method, columns) for radiators in sets]
+        operators = [self.operator(radiators, method, columns) for radiators in sets]
         rays = self._lens_rays(seed, spp, runs=PARTS if noise else 1) if method == "bank" else []
         total = sum(len(operator.points) * operator.sums for operator in operators)
         if total == 0 and not rays:
@@ -107,7 +107,7 @@ class WaveCapture:
         cost = estimate_waves(
             self.camera,
             partial(find_radiators, self.sight, self.camera, weight=self._near(method), seed=seed),
-            partial(self._operator, method=method, columns=self.wavelengths),
+            partial(self.operator, method=method, columns=self.wavelengths),
             job,
             pairs=sample_pairs(self.radiators_per_lens, np.zeros(4)),
             spp=spp,
@@ -157,8 +157,18 @@ class WaveCapture:
             return None
         return lambda vergence: np.asarray(near_weight(self.camera, vergence, self.accuracy))
 
-    def _radiators(self, method: str, seed: int, spp: int) -> list[Radiators]:
-        """Find the radiators of all passes."""
+    def radiators(self, method: str, seed: int, spp: int, dark: bool = False) -> list[Radiators]:
+        """Find the radiators of all passes.
+
+        Parameters
+        ----------
+        method : str
+            How their light is summed: what a bank records is left out.
+        seed, spp
+            As of `compute`.
+        dark : bool
+            Whether to keep those that do not shine.
+        """
         # The first pass is not shifted: it is the best single set.
         shifts = [np.zeros(4), *np.random.default_rng(seed).random((self.passes - 1, 4))]
         seeds = np.random.SeedSequence(seed).generate_state(self.passes)
@@ -171,11 +181,13 @@ class WaveCapture:
                 seed=int(pass_seed) >> 1,
                 occlusion=self.occlusion,
                 weight=self._near(method),
+                dark=dark,
             )
             for shift, pass_seed in zip(shifts, seeds, strict=True)
         ]
 
-    def _operator(self, radiators: Radiators, method: str, columns: tuple[float, ...]) -> CaptureOperator:
+    def operator(self, radiators: Radiators, method: str, columns: tuple[float, ...]) -> CaptureOperator:
+        """Return the operator of the light of some radiators, with a wavelength for each column of their weights."""
         # What the bank records is left out of the radiators.
         return CaptureOperator(
             self.camera,
@@ -218,7 +230,7 @@ class WaveCapture:
         """Yield the radiators' sums of all passes; what an operator has planned goes when its pass is done."""
         for radiators in sets:
             operator = operators.pop(0)
-            scale = self._scale() / radiators.fraction[:, None]
+            scale = self.scale(radiators)
             weights = scale * radiators.radiance
             if noise is None:
                 yield from operator.tasks(weights, job)
@@ -243,13 +255,12 @@ class WaveCapture:
             arrays += [None] * 3 if weights is None else [weights.table, weights.index, weights.slant]
         return {"radiators": sum(len(radiators.positions) for radiators in sets), "scene_digest": digest(*arrays)}
 
-    def _scale(self) -> float:
-        """Return the weight of a radiator of radiance 1 that lands wholly in the sampled lenses."""
+    def scale(self, radiators: Radiators) -> NDArray[np.float64]:
+        """Return the weights (n, 1) of radiators of radiance 1."""
         camera = self.camera
-        b, z, lattice = camera.mla_distance, camera.detector_distance, camera.lattice
-        cell = lattice.cell_area / self.radiators_per_lens**2
-        pupil = math.pi * camera.aperture_radius**2
-        return float(cell * pupil * z**2 / (b**2 * lattice.lens_area * camera.pixel_size**2 * self.passes))
+        cell = camera.lattice.cell_area / (self.radiators_per_lens**2 * self.passes)
+        whole = cell / camera.mla_distance**2 * brightness_of(camera)
+        return np.asarray(whole / radiators.fraction[:, None])
 
 
 def _task(work: LensRaySum, runs: int) -> Task:

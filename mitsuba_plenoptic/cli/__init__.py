@@ -22,6 +22,7 @@ from . import (
     doctor,
     epi,
     expose,
+    fit,
     info,
     reconstruct,
     render,
@@ -73,6 +74,7 @@ app.command("stack")(stack.stack)
 app.command("depth")(depth.depth)
 app.command("expose")(expose.expose)
 app.command("calibrate")(calibrate.calibrate)
+app.command("fit")(fit.fit)
 app.command("convert")(convert.convert)
 app.command("sweep")(sweep.sweep)
 app.command("dataset")(dataset.dataset)

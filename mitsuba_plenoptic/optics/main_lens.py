@@ -11,8 +11,7 @@ arrays or Dr.Jit arrays; where those carry gradients, so do the results.
 
 from __future__ import annotations
 
-import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import drjit as dr
@@ -135,15 +134,16 @@ class ThinLens:
     pupil_distance: Any
     model: str = "ideal"
     aberrations: Any = ()
+    _wavefront: Wavefront = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        # At once: what is first made where Dr.Jit suspends gradients would carry none later.
+        object.__setattr__(self, "_wavefront", Wavefront(self.aberrations, self.pupil_radius))
 
     @property
     def is_round(self) -> bool:
         """Without aberrations it is."""
         return len(self.aberrations) == 0
-
-    @functools.cached_property
-    def _wavefront(self) -> Wavefront:
-        return Wavefront(self.aberrations, self.pupil_radius)
 
     def vergence(self, distance: Any) -> Any:
         r"""Return :math:`1/g' = 1/f_1 - 1/g`; zero or negative where there is no real image."""

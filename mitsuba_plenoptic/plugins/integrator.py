@@ -5,19 +5,22 @@ from __future__ import annotations
 from typing import Any
 
 import mitsuba as mi
-import numpy as np
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..capture.accuracy import DEFAULT_ACCURACY, check_accuracy
 from ..capture.operator import METHODS
 from ..capture.patch_plan import Cost
+from ..capture.render_gradients import RenderGradients
+from ..capture.replay import Replay
 from ..capture.sight import Sight
 from ..capture.wave_capture import WaveCapture
 from ..errors import InputError, shown
 from ..optics import guards
 from ..optics.main_lens import require_ideal, require_round
 from ..runtime.jobs import Job
+from .films import develop, develop_back, put
+from .gradients import accumulate, numbers_and_others, tangent
 from .properties import read_choice, read_count, read_flag, read_plain
 
 NAME = "plenoptic_wave"
@@ -35,11 +38,6 @@ RGB_WAVELENGTHS = (611.4, 549.1, 464.3)
 
 # Integrators that follow light from the emitters and cannot tell the radiance along a ray.
 _LIGHT_TRACERS = ("ParticleTracerIntegrator", "AdjointIntegrator")
-
-
-_NO_GRADIENTS = (
-    f"{NAME}: mi.render gives no gradients of it; differentiate captures by CaptureOperator.derivative and .gradient"
-)
 
 
 def make_class() -> type:
@@ -98,6 +96,11 @@ def make_class() -> type:
 
         The same seed gives the same bits, on any number of threads.
 
+        ``mi.render`` differentiates captures, forward and in reverse, by the numbers that the sensor exposes and by
+        what the light depends on: textures, emitters and BSDFs. Radiators, and how their light fills the pupil, are
+        held: shapes do not move. ``path`` is replaced by ``prb``, which replays its light paths; with other nested
+        integrators, and in scenes with mirrors, glass, masks or media, there are gradients by the camera only.
+
         .. tabs::
             .. code-tab:: xml
 
@@ -150,13 +153,41 @@ def make_class() -> type:
             film = self.record(scene, sensor, seed=seed, spp=spp)
             return film.develop() if develop else None
 
-        def render_forward(self, *arguments: Any, **options: Any) -> Any:
-            """Refuse: scene and camera are not differentiated through `mi.render`."""
-            raise InputError(_NO_GRADIENTS)
+        def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
+            """Return the change of the capture with the tangents of parameters, for `mi.render`."""
+            sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+            names, gradients = self._gradients(scene, params, sensor, seed, spp)
+            with guards.watch():
+                change = gradients.forward({name: tangent(sensor, name) for name in names})
+            return develop(sensor.film(), change)
 
-        def render_backward(self, *arguments: Any, **options: Any) -> None:
-            """Refuse, as `render_forward` does."""
-            raise InputError(_NO_GRADIENTS)
+        def render_backward(
+            self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
+        ) -> None:
+            """Take the gradient of the capture back to that of parameters, for `mi.render`."""
+            sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+            names, gradients = self._gradients(scene, params, sensor, seed, spp)
+            shape = *PlenopticCamera.from_sensor(sensor).shape, len(self.wavelengths)
+            with guards.watch():
+                found = gradients.backward(develop_back(sensor.film(), grad_in, shape), names)
+            for name, gradient in found.items():
+                accumulate(sensor, name, gradient)
+
+        def _gradients(
+            self, scene: Any, params: Any, sensor: Any, seed: Any, spp: int
+        ) -> tuple[tuple[str, ...], RenderGradients]:
+            """Return which of the camera's numbers have gradients, and what differentiates; or refuse."""
+            if self.method not in ("auto", "patch"):
+                raise InputError(f"{NAME}: method = {self.method}: it has no gradients; use patch")
+            names, others = numbers_and_others(params, sensor)
+            seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
+            spp = spp or sensor.sampler().sample_count()
+            capture = self._capture(scene, sensor)
+            try:
+                replay = Replay.of(capture.sight, spp, seed) if others else None
+            except InputError as error:
+                raise InputError(f"{NAME}: {error}") from None
+            return names, RenderGradients(capture, seed, spp, replay)
 
         def record(
             self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False
@@ -192,13 +223,7 @@ def make_class() -> type:
             with guards.watch():
                 image = capture.compute(seed=seed, spp=spp, job=job or Job(), noise=noise)
 
-            channels = len(self.wavelengths)
-            film.prepare([f"noise.{channel}" for channel in range(channels * noise)])
-            rows, columns = capture.camera.shape
-            block = np.ones((rows, columns, 4 + image.shape[2] - channels), dtype=np.float32)
-            block[..., :3] = image[..., :channels]
-            block[..., 4:] = image[..., channels:]
-            film.put_block(mi.ImageBlock(mi.TensorXf(block), film.crop_offset()))
+            put(film, image, len(self.wavelengths))
             return film
 
         def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:

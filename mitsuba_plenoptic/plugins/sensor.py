@@ -32,7 +32,7 @@ POSITIVE = (
 SEVERAL = {"mla_focal_length": "mla_focal_lengths", "mla_pitch": "mla_pitches"}
 NUMBERS = (*POSITIVE, *SEVERAL, "mla_rotation", "mla_offset")
 WORDS = ("mla_lattice", "mla_aperture", "lens_model")
-FIXED = ("mla_tilt", "distortion", "wavefront")
+FIXED = ("mla_tilt", "distortion")
 
 _CROSSTALK_RAYS = 2**16
 
@@ -53,7 +53,8 @@ def make_class() -> type:
            - |exposed|, |differentiable|
          * - aperture_radius
            - |float|
-           - Radius of the main lens, as for ``thinlens``; only the edge of the pupil moves with it. (Default: 5)
+           - Radius of the main lens, as for ``thinlens``; only the edge of the pupil moves with it, so that it has a
+             gradient by waves alone. (Default: 5)
            - |exposed|
          * - mla_distance
            - |float|
@@ -120,7 +121,8 @@ def make_class() -> type:
          * - wavefront
            - |string|
            - Aberrations of the main lens: coefficients of Zernike polynomials in Noll's order, in waves of 633 nm, with
-             commas between them. (Default: none)
+             commas between them. (Default: none, and then it is not exposed)
+           - |exposed|, |differentiable|, |discontinuous|
          * - to_world
            - |transform|
            - Camera to world, without scale. The camera looks along +z, +x is left and +y is up.
@@ -150,7 +152,7 @@ def make_class() -> type:
 
         The capture has the orientation of a ``perspective`` sensor's image. Gradients flow through the ``path``
         and ``direct`` integrators, but the pupil's moving edge contributes none: the gradient is that of the
-        light inside the micro-images.
+        light inside the micro-images. Those of captures by waves, through ``plenoptic_wave``, are whole.
 
         .. tabs::
             .. code-tab:: xml
@@ -223,6 +225,7 @@ def make_class() -> type:
             # One number where one is enough, so that it can be set as such.
             self.mla_pitch = mi.Float(camera.to_dict()["mla_pitch"])
             self.mla_offset = mi.Point2f(camera.mla_offset)
+            self.wavefront = mi.Float(camera.wavefront)
             self.m_needs_sample_3 = True
             self._update()
 
@@ -231,7 +234,7 @@ def make_class() -> type:
             super().traverse(callback)
             differentiable, discontinuous = mi.ParamFlags.Differentiable, mi.ParamFlags.Discontinuous
             callback.put("to_world", self.m_to_world, differentiable | discontinuous)
-            for name in NUMBERS:
+            for name in self._numbers:
                 callback.put(name, getattr(self, name), _flags(name))
 
         def parameters_changed(self, keys: list[str] | None = None) -> None:
@@ -246,7 +249,7 @@ def make_class() -> type:
                 raise InputError(f"{NAME}: to_world: it must not scale; give lengths in scene units instead")
             camera = self.camera
             # Opaque values are kernel inputs, so that changing one does not compile the kernels again.
-            dr.make_opaque(*(getattr(self, name) for name in NUMBERS))
+            dr.make_opaque(*(getattr(self, name) for name in self._numbers))
             # An upright lattice needs no turning, unless the gradient for its angle is asked for.
             turned = camera.mla_rotation != 0 or dr.grad_enabled(self.mla_rotation)
             pitches = self.mla_pitch, self.mla_pitch
@@ -260,17 +263,23 @@ def make_class() -> type:
                 aperture=camera.mla_aperture,
                 fill=self.mla_fill,
             )
-            lens = self.focal_length, self.aperture_radius, self.mla_distance, self.lens_model, self.wavefront
+            aberrations = tuple(dr.gather(mi.Float, self.wavefront, i) for i in range(dr.width(self.wavefront)))
+            lens = self.focal_length, self.aperture_radius, self.mla_distance, self.lens_model, aberrations
             self._main_lens = DistortedLens(*lens, self.distortion) if any(self.distortion) else ThinLens(*lens)
             self._candidates = [mi.Float(steps) for steps in crosstalk_neighbours(camera).T]
             dr.make_opaque(*self._candidates)
+
+        @property
+        def _numbers(self) -> tuple[str, ...]:
+            """Names of the numbers that are exposed."""
+            return NUMBERS + ("wavefront",) * bool(self._given.wavefront)
 
         @property
         def camera(self) -> PlenopticCamera:
             """The camera's present numbers."""
             film, given = self.film(), self._given
             numbers: dict[str, Any] = {
-                name: _plain(getattr(self, name), getattr(given, SEVERAL.get(name, name))) for name in NUMBERS
+                name: _plain(getattr(self, name), getattr(given, SEVERAL.get(name, name))) for name in self._numbers
             }
             numbers |= {name: numbers[name][0] for name in (*POSITIVE, "mla_rotation")}
             return PlenopticCamera(

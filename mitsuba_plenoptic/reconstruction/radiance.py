@@ -61,7 +61,7 @@ def to_radiance(
     images = []
     for distance, total, white, rays in zip(task.distances, light, whites, reach, strict=True):
         white = np.atleast_3d(white)
-        reached = (rays[..., None] >= _LEAST_REACHED * rays.max()) & (rays[..., None] > 0) & (white > 0)
+        reached = is_reached(rays)[..., None] & (white > 0)
         if not reached.any():
             raise InputError(f"distance = {distance:g}: no light comes from any of the {rays.size} bins there")
         if task.white is None:
@@ -72,3 +72,8 @@ def to_radiance(
         np.divide(total, white, out=image, where=np.broadcast_to(reached, total.shape), casting="same_kind")
         images.append(image)
     return images
+
+
+def is_reached(rays: np.ndarray) -> np.ndarray:
+    """Return which bins get enough of the rays of white, (rows, columns), to be divided by what they get."""
+    return np.asarray((rays >= _LEAST_REACHED * rays.max()) & (rays > 0))

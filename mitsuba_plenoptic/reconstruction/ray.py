@@ -29,7 +29,7 @@ def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
     list of (rows, columns, channels) float32 arrays
         Radiance.
     """
-    radius = _pupil_radius(task.camera)
+    radius = pupil_radius(task.camera)
 
     def sums(image: np.ndarray, progress: Progress) -> list[np.ndarray]:
         found = []
@@ -42,7 +42,7 @@ def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
     return to_radiance(task, sums, model=lambda: whites, reach=whites)
 
 
-def _pupil_radius(camera: PlenopticCamera) -> float:
+def pupil_radius(camera: PlenopticCamera) -> float:
     """Radius within which a pixel's central ray must pass: half a pixel more than the pupil's, and half a lens's view.
 
     A pixel at a micro-image's rim is lit in part though its centre may look past the pupil; leaving such pixels out

@@ -46,15 +46,26 @@ def ray_sums(
     (rows, columns, channels) array
         Sum of the pixels by bin.
     """
-    if focus_type(camera) != "unfocused" or not camera.lenses_like_bins:
+    axes = aligned_axes(camera, distance, radius, footprint, oversample)
+    if axes is None:
         return splat(image, camera, distance, radius, footprint=footprint, oversample=oversample)
-    x, y = (_axis(camera, distance, radius, axis, footprint, oversample) for axis in (0, 1))
+    x, y = axes
     values = image.shape[2] * x.count * max(y.count, image.shape[0])
     if values > _MOST_VALUES:
         raise InputError(
             f"images of {x.count} x {y.count} bins: {values} values are summed at once, at most {_MOST_VALUES} can be"
         )
     return bin_image(image, x, y, radius)
+
+
+def aligned_axes(
+    camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
+) -> tuple[AxisBins, AxisBins] | None:
+    """Return where the pixels of each axis go, if pixels and bins are arranged alike; None where they are not."""
+    if focus_type(camera) != "unfocused" or not camera.lenses_like_bins:
+        return None
+    x, y = (_axis(camera, distance, radius, axis, footprint, oversample) for axis in (0, 1))
+    return x, y
 
 
 @functools.lru_cache(maxsize=32)

@@ -11,6 +11,8 @@ bit.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
@@ -56,35 +58,73 @@ def splat(
     (rows, columns, channels) float64 array
         Sum of the pixels by bin.
     """
-    focal_lengths = camera.mla_focal_lengths
-    fine, footprints = 1, [np.ones((1, 1, 1, 1))] * len(focal_lengths)
-    if footprint == "lens":
-        fine = max(_LEAST, -(-_FINE // oversample))
-        step = camera.mla_pitch / (oversample * fine)
-        footprints = [_in_bins(_footprint(camera, distance, f2, step), fine) for f2 in focal_lengths]
-    # Pixels that land in bins beyond the border may still reach across it.
-    margin = max(taps.shape[0] // 2 for taps in footprints)
-    columns, rows = (count * oversample for count in camera.bin_count)
-    across, down = columns + 2 * margin, rows + 2 * margin
-    require_memory(
-        # Counted samples, bins, and what is known of every pixel while those of a block are joined.
-        down * across * (24.0 * fine**2 + 8.0 * (image.shape[2] + 2)) + 100.0 * image.shape[0] * image.shape[1],
-        f"{columns} x {rows} bins with footprints of {2 * margin + 1} of them",
-    )
-
-    place, lens_type, pixel = _landing(camera, distance, radius, oversample, fine, (down, across))
-    values = image.reshape(-1, image.shape[2])[pixel]
+    plan = Splat.of(camera, distance, radius, footprint, oversample, image.shape[2])
+    values = image.reshape(-1, image.shape[2])[plan.pixel]
+    (down, across), margin = plan.size, plan.margin
     total = np.zeros((image.shape[2], down + 2 * margin, across + 2 * margin))
-    for number, taps in enumerate(footprints):
-        mine = slice(None) if len(footprints) == 1 else np.flatnonzero(lens_type == number)
-        reach = taps.shape[0] // 2
+    for mine, taps in plan.types():
+        first = margin - taps.shape[0] // 2
         for out, weights in zip(total, values.T, strict=True):
-            samples = np.bincount(place[mine], weights=weights[mine], minlength=down * across * fine**2)
-            spread = _spread(samples.reshape(down, across, fine**2), taps)
-            first = margin - reach
-            out[first : first + spread.shape[0], first : first + spread.shape[1]] += spread
-    total = total[:, 2 * margin : 2 * margin + rows, 2 * margin : 2 * margin + columns]
+            samples = np.bincount(plan.place[mine], weights=weights[mine], minlength=down * across * plan.fine**2)
+            part = _spread(samples.reshape(down, across, plan.fine**2), taps)
+            out[first : first + part.shape[0], first : first + part.shape[1]] += part
+    total = total[:, 2 * margin : down, 2 * margin : across]
     return np.moveaxis(total, 0, -1)
+
+
+@dataclass(frozen=True)
+class Splat:
+    """Where the pixels go, and what they cover there.
+
+    Attributes
+    ----------
+    fine : int
+        Fine samples across a bin.
+    footprints : list of (taps, taps, fine, fine) arrays
+        Of each type of lens.
+    margin : int
+        Bins beyond each border in which pixels are counted that reach across it.
+    size : (int, int)
+        Rows and columns of bins with these.
+    place, lens_type, pixel : int arrays
+        Of the pixels that land there: sample, counted bin by bin, type of lens, and flat index.
+    """
+
+    fine: int
+    footprints: list[np.ndarray]
+    margin: int
+    size: tuple[int, int]
+    place: np.ndarray
+    lens_type: np.ndarray
+    pixel: np.ndarray
+
+    @classmethod
+    def of(
+        cls, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int, channels: int
+    ) -> Splat:
+        """Follow the rays of a camera's pixels; arguments as of `splat`."""
+        focal_lengths = camera.mla_focal_lengths
+        fine, footprints = 1, [np.ones((1, 1, 1, 1))] * len(focal_lengths)
+        if footprint == "lens":
+            fine = max(_LEAST, -(-_FINE // oversample))
+            step = camera.mla_pitch / (oversample * fine)
+            footprints = [_in_bins(_footprint(camera, distance, f2, step), fine) for f2 in focal_lengths]
+        # Pixels that land in bins beyond the border may still reach across it.
+        margin = max(taps.shape[0] // 2 for taps in footprints)
+        columns, rows = (count * oversample for count in camera.bin_count)
+        across, down = columns + 2 * margin, rows + 2 * margin
+        require_memory(
+            # Counted samples, bins, and what is known of every pixel while those of a block are joined.
+            down * across * (24.0 * fine**2 + 8.0 * (channels + 2)) + 100.0 * camera.shape[0] * camera.shape[1],
+            f"{columns} x {rows} bins with footprints of {2 * margin + 1} of them",
+        )
+        landing = _landing(camera, distance, radius, oversample, fine, (down, across))
+        return cls(fine, footprints, margin, (down, across), *landing)
+
+    def types(self) -> Iterator[tuple[slice | np.ndarray, np.ndarray]]:
+        """Yield for each type of lens which of the pixels are its, and its footprint."""
+        for number, taps in enumerate(self.footprints):
+            yield slice(None) if len(self.footprints) == 1 else np.flatnonzero(self.lens_type == number), taps
 
 
 def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from wave_cases import HALF, WAVELENGTH, error, scattered, small_camera
 
+from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.capture.derivatives import NUMBERS
 from mitsuba_plenoptic.capture.full_field import full_field
 from mitsuba_plenoptic.capture.full_field_grids import field_grids
@@ -104,3 +105,30 @@ def test_methods_without_derivatives_are_refused(method):
     operator = CaptureOperator(small_camera(2), [(0, 0, 240.0)], wavelength=WAVELENGTH, method=method)
     with pytest.raises(InputError, match=f"^method = {method}: it has no derivatives"):
         operator.gradient([1.0], np.zeros(operator.camera.shape))
+
+
+@pytest.mark.parametrize("amount", [0.05, 0.15])
+def test_defocus_of_the_bare_main_lens_in_closed_form(amount):
+    """On the axis of a lens of radius 1: [sin(u/4) / (u/4)]^2 (Born and Wolf, section 8.8), and its derivative."""
+    camera = PlenopticCamera(
+        aperture_radius=1.0,
+        mla_distance=119.5,
+        detector_distance=0.5,
+        # One weak microlens about the axis.
+        mla_focal_length=1e5,
+        mla_pitch=2.0,
+        mla_offset=(1.0, 1.0),
+        detector_width=0.008,
+        resolution=(4, 4),
+    )
+    point = [(0.0, 0.0, 240.0)]
+    sharp = CaptureOperator(camera, point, wavelength=WAVELENGTH, accuracy=0).forward([1.0])[1:3, 1:3].mean()
+    defocused = camera.replace(wavefront=(0.0, 0.0, 0.0, amount))
+    operator = CaptureOperator(defocused, point, wavelength=WAVELENGTH, accuracy=0)
+    # sqrt(3) (2 r^2 - 1) waves: u/4 is pi times the difference between rim and centre.
+    growth = np.pi * 2 * np.sqrt(3)
+    x = growth * amount
+    value, slope = np.sinc(x / np.pi) ** 2, 2 * np.sinc(x / np.pi) * (np.cos(x) - np.sinc(x / np.pi)) / x * growth
+    change = operator.derivative([1.0], {"wavefront": (0.0, 0.0, 0.0, 1.0)})[1:3, 1:3].mean()
+    assert operator.forward([1.0])[1:3, 1:3].mean() / sharp == pytest.approx(value, rel=1e-3)
+    assert change / sharp == pytest.approx(slope, rel=1e-3)

@@ -259,6 +259,7 @@ def test_a_smearing_filter_and_a_missing_film_are_refused_with_the_line_to_add(c
         ("mla_pitch", "path", {"mla_pitch": "0.064, 0.06", "mla_aperture": "circle"}),
         ("mla_pitch", "path", {"mla_pitch": "0.064, 0.06", "mla_lattice": "hexagonal"}),
         ("mla_offset", "path", {"mla_lattice": "hexagonal"}),
+        ("wavefront", "path", {"wavefront": "0, 0.4, 0, 1.5"}),
     ],
 )
 def test_gradients_agree_with_finite_differences(camera_dict, parameter, integrator, numbers):

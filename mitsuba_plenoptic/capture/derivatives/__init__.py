@@ -1,6 +1,14 @@
 """Derivatives of captures with respect to the numbers of the camera."""
 
-from .numbers import ABERRATIONS, NUMBERS, check_changes, check_names
-from .plan import DerivativePlan
+from .differentials import Differentials
+from .numbers import ABERRATIONS, NUMBERS, brightness_slopes, check_changes, check_names, values_of
 
-__all__ = ["ABERRATIONS", "NUMBERS", "DerivativePlan", "check_changes", "check_names"]
+__all__ = [
+    "ABERRATIONS",
+    "NUMBERS",
+    "Differentials",
+    "brightness_slopes",
+    "check_changes",
+    "check_names",
+    "values_of",
+]

@@ -17,6 +17,7 @@ from ...optics.microlens_derivatives import VaryingMicrolenses
 from ...runtime.backend import array_module
 from ..grid import Grid
 from ..patch_factors import Elements
+from ..units import brightness
 
 ABERRATIONS = 36
 """Zernike polynomials whose coefficients have a gradient, if the camera does not name more."""
@@ -91,6 +92,15 @@ def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, NDArray[np
     return checked
 
 
+def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str, NDArray[np.float64]]:
+    """Return the derivatives, by each number, of the logarithm of what `units.brightness` returns."""
+    numbers = VaryingNumbers(camera, 1.0, names)
+    value = dr.log(numbers.brightness(camera))
+    if dr.grad_enabled(value):
+        dr.backward(value)
+    return numbers.gradients()
+
+
 class VaryingNumbers:
     """The numbers of a camera as Dr.Jit numbers, of which some carry gradients.
 
@@ -129,17 +139,22 @@ class VaryingNumbers:
         # The array stays where it is in the frame of the grid, and the scene turns.
         turned: Any = get["mla_rotation"][0] - grid.rotation if "mla_rotation" in self._varies else 0.0
         angle = get["mla_rotation"][0] if "mla_rotation" in self._varies else grid.rotation
-        lattice = make_lattice(
-            camera.mla_lattice,
-            tuple(get["mla_pitch"]),
-            offset=turn(get["mla_offset"][0], get["mla_offset"][1], -angle),
-            aperture=camera.mla_aperture,
-            fill=get["mla_fill"][0],
-        )
+        lattice = self._lattice(camera, turn(get["mla_offset"][0], get["mla_offset"][1], -angle))
         wavelength = get["wavelength"][0]
         microlenses = VaryingMicrolenses(camera, grid.wavelength, cosine, lattice, get["mla_focal_length"], wavelength)
         growth: Any = wavelength / grid.wavelength if "wavelength" in self._varies else 1.0
         return Elements(lens, microlenses, wavelength, get["detector_distance"][0], turned, growth)
+
+    def brightness(self, camera: PlenopticCamera) -> Any:
+        """Return what `units.brightness` does."""
+        get, lattice = self._numbers, self._lattice(camera, (0.0, 0.0))
+        pixel = get["detector_width"][0] / camera.resolution[0]
+        return brightness(lattice, get["aperture_radius"][0], get["detector_distance"][0], pixel)
+
+    def _lattice(self, camera: PlenopticCamera, offset: Any) -> Any:
+        """Return the upright lattice with an offset."""
+        pitches, fill = tuple(self._numbers["mla_pitch"]), self._numbers["mla_fill"][0]
+        return make_lattice(camera.mla_lattice, pitches, offset=offset, aperture=camera.mla_aperture, fill=fill)
 
     def set_tangents(self, changes: dict[str, NDArray[np.float64]]) -> None:
         """Set in which direction the numbers change."""

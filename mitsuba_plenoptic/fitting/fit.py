@@ -1,0 +1,264 @@
+"""Fitting numbers of a camera to captures of known light: least squares with the captures' own derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bounds import require_wavelength
+from ..camera import PlenopticCamera
+from ..capture.accuracy import check_accuracy
+from ..errors import InputError, require_number, shown
+from .light import View
+from .model import Model, Number, changed, numbers_of, scales, values
+
+_ROUNDS = 2
+"""How often the noise of photons is taken from the model anew."""
+
+_MOST_STEPS = 30
+
+_DONE = 1e-7
+"""Relative change of the numbers, or of the sum of squares, that ends a round."""
+
+_FARTHEST = 50.0
+"""Units, of `Fit.scales`, by which numbers may change where no bounds are given."""
+
+_LEAST_PHOTONS = 1.0
+"""Photons of which the noise is that of a dark pixel."""
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A change of all numbers at once that the captures tell to some deviation, apart from other directions.
+
+    Attributes
+    ----------
+    deviation : float
+        Standard deviation along it, in the units of `Fit.scales`.
+    parts : dict
+        By number, its part in the direction; their squares add to 1.
+    """
+
+    deviation: float
+    parts: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What a fit found.
+
+    Attributes
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    values, deviations : dict
+        By name the fitted numbers and their standard deviations; those of a parameter with several are named with what
+        place they have, from 1: ``mla_offset.1``.
+    covariance : float64 array (numbers, numbers)
+        Of the numbers, in their order in `values`: the inverse of Fisher's information, from the captures' derivatives.
+    scales : dict
+        The unit of each number in `directions`: a hundredth of it, a degree, a pitch, a wave.
+    directions : tuple of Direction
+        What can be told, from the worst on: numbers with large parts in a direction of a large deviation cannot be
+        told apart.
+    chi_square : float
+        Sum of the squared residuals over their variances, divided by pixels minus numbers: near 1 where the model and
+        the noise are right.
+    steps : int
+        Cameras that have been tried.
+    """
+
+    camera: PlenopticCamera
+    values: dict[str, float]
+    deviations: dict[str, float]
+    covariance: NDArray[np.float64]
+    scales: dict[str, float]
+    directions: tuple[Direction, ...]
+    chi_square: float
+    steps: int
+
+
+def fit(
+    camera: PlenopticCamera,
+    views: View | Sequence[View],
+    names: Iterable[str] | str,
+    *,
+    wavelength: float = 633.0,
+    photons: float | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    accuracy: float = 0.0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Fit:
+    r"""Find the numbers of a camera that explain captures of known light best, by waves.
+
+    Least squares of the pixels over their deviations, with the derivatives of `CaptureOperator` (a trust region method:
+    ``scipy.optimize.least_squares``). The light is held. Where the noise is that of photons, its variance is that of
+    the model, taken anew after a first fit, so that the fit is as good as maximum likelihood.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        Where to start; the numbers that are not fitted are right. It must be near: spots of the model that lie beside
+        those of a capture by more than their width do not find them. `lattice_from_white` brings a lattice near.
+    views : View, or sequence of View
+        Captures by one camera, and their light.
+    names : str or iterable of str
+        What is fitted: names of the numbers by which captures are differentiated, as of `CaptureOperator.derivative`.
+    wavelength : float
+        In nanometres.
+    photons : float, optional
+        Photons of a pixel of value 1, for views whose noise is not given.
+    bounds : mapping, optional
+        By name, as in `Fit.values`, the lowest and the highest value. Default: what keeps lengths within half of where
+        they start, angles within 50 degrees, and ``mla_fill`` at most 1.
+    accuracy : float
+        As of `CaptureOperator`. Above 0 shared point spreads make the model jump a little.
+    progress : callable, optional
+        Called with the cameras that have been tried and the most that are.
+
+    Raises
+    ------
+    InputError
+        If an input has a wrong value or the noise of a view is not known.
+    """
+    from scipy.optimize import least_squares
+
+    given = [views] if isinstance(views, View) else list(views)
+    _check(camera, given, photons)
+    numbers = numbers_of(camera, names)
+    start = values(camera, numbers)
+    unit = scales(camera, numbers)
+    limits = _limits(numbers, start, unit, bounds)
+    for number, value, low, high in zip(numbers, start, *limits, strict=True):
+        if not low <= value <= high:
+            raise InputError(f"bounds: {number.label} starts at {value:g}: it must lie from {low:g} to {high:g}")
+    images = np.stack([view.image for view in given]).astype(np.float64)
+    trial = _Trials(camera, given, numbers, require_wavelength(wavelength), check_accuracy(accuracy), progress)
+    x = start
+    for _ in range(_ROUNDS if photons is not None else 1):
+        noise = _noise(given, trial.expected(x), photons)
+
+        def residuals(x: NDArray[np.float64], noise: NDArray[np.float64] = noise) -> NDArray[np.float64]:
+            return np.asarray(((trial.expected(x) - images) / noise).ravel())
+
+        def jacobian(x: NDArray[np.float64], noise: NDArray[np.float64] = noise) -> NDArray[np.float64]:
+            return np.asarray((trial.derivatives(x) / noise).reshape(len(numbers), -1).T)
+
+        options = {"bounds": limits, "x_scale": unit, "xtol": _DONE, "ftol": _DONE, "max_nfev": _MOST_STEPS}
+        x = least_squares(residuals, x, jacobian, **options).x
+    noise = _noise(given, trial.expected(x), photons)
+    square = float((((trial.expected(x) - images) / noise) ** 2).sum())
+    rows = (trial.derivatives(x) / noise).reshape(len(numbers), -1).T * unit
+    return _summary(changed(camera, numbers, x), numbers, x, rows, unit, square / (images.size - x.size), trial.count)
+
+
+class _Trials:
+    """Cameras that are tried, of which the last one is kept."""
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        views: list[View],
+        numbers: list[Number],
+        wavelength: float,
+        accuracy: float,
+        progress: Callable[[int, int], None] | None,
+    ) -> None:
+        self._camera, self._numbers, self._progress = camera, numbers, progress
+        self._options = views, wavelength, accuracy
+        self.count = 0
+        self._x: NDArray[np.float64] | None = None
+        self._slopes: NDArray[np.float64] | None = None
+
+    def expected(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what a camera of these numbers records."""
+        if self._x is None or not np.array_equal(x, self._x):
+            self._model = Model(changed(self._camera, self._numbers, x), *self._options)
+            self._images, self._slopes, self._x = self._model.images(), None, x.copy()
+            self.count += 1
+            if self._progress:
+                self._progress(min(self.count, _ROUNDS * _MOST_STEPS), _ROUNDS * _MOST_STEPS)
+        return self._images
+
+    def derivatives(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the derivatives of that."""
+        images = self.expected(x)
+        if self._slopes is None:
+            self._slopes = self._model.derivatives(self._numbers, images)
+        return self._slopes
+
+
+def _check(camera: PlenopticCamera, views: list[View], photons: float | None) -> None:
+    """Refuse views that do not fit together."""
+    if not views:
+        raise InputError("views: give at least one capture of known light")
+    if photons is not None:
+        require_number("photons", photons, positive=True)
+    for view in views:
+        if view.image.shape != camera.shape:
+            raise InputError(f"image of shape {view.image.shape}: the camera records {camera.shape}")
+        if view.noise is None and photons is None:
+            raise InputError("photons: tell them, or the noise of every view")
+
+
+def _limits(
+    numbers: list[Number],
+    start: NDArray[np.float64],
+    unit: NDArray[np.float64],
+    bounds: Mapping[str, tuple[float, float]] | None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the lowest and the highest values of the numbers: not far from the start, unless told."""
+    labels = [number.label for number in numbers]
+    low, high = start - _FARTHEST * unit, start + _FARTHEST * unit
+    high[[label == "mla_fill" for label in labels]] = 1.0
+    for name, pair in (bounds or {}).items():
+        if name not in labels:
+            raise InputError(f"bounds: {shown(name)} is not fitted; there are {', '.join(labels)}")
+        if np.shape(pair) != (2,) or not pair[0] < pair[1]:
+            raise InputError(f"bounds: {name} = {shown(pair)}: it must be the lowest and the highest value")
+        low[labels.index(name)], high[labels.index(name)] = pair
+    return low, high
+
+
+def _noise(views: list[View], expected: NDArray[np.float64], photons: float | None) -> NDArray[np.float64]:
+    """Return the standard deviations of all pixels."""
+    if photons is None:
+        return np.stack([np.broadcast_to(view.noise, view.image.shape) for view in views])
+    shot = np.sqrt(np.maximum(expected, _LEAST_PHOTONS / photons) / photons)
+    return np.stack(
+        [own if view.noise is None else own * 0 + view.noise for view, own in zip(views, shot, strict=True)]
+    )
+
+
+def _summary(
+    camera: PlenopticCamera,
+    numbers: list[Number],
+    x: NDArray[np.float64],
+    rows: NDArray[np.float64],
+    unit: NDArray[np.float64],
+    chi_square: float,
+    steps: int,
+) -> Fit:
+    """Gather what a fit found; `rows` are the weighted derivatives for changes of one unit."""
+    labels = [number.label for number in numbers]
+    for label, told in zip(labels, np.abs(rows).max(axis=0).tolist(), strict=True):
+        if not told:
+            raise InputError(f"{label}: the captures tell nothing of it")
+    _, singular, vectors = np.linalg.svd(rows, full_matrices=False)
+    with np.errstate(divide="ignore"):
+        deviations = 1 / singular
+    covariance: Any = (vectors.T * deviations**2) @ vectors * np.outer(unit, unit)
+    directions = tuple(
+        Direction(float(deviation), dict(zip(labels, vector.tolist(), strict=True)))
+        for deviation, vector in zip(deviations[::-1], vectors[::-1], strict=True)
+    )
+
+    def by_label(given: NDArray[np.float64]) -> dict[str, float]:
+        return dict(zip(labels, given.tolist(), strict=True))
+
+    own = by_label(np.sqrt(np.diag(covariance)))
+    return Fit(camera, by_label(x), own, covariance, by_label(unit), directions, chi_square, steps)

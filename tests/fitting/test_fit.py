@@ -1,0 +1,123 @@
+"""Fits of cameras to captures of known points, judged by the noise that was added."""
+
+import numpy as np
+import pytest
+from wave_cases import HALF, WAVELENGTH, scattered, small_camera
+
+from mitsuba_plenoptic import CaptureOperator, InputError, fit
+from mitsuba_plenoptic.capture.units import brightness_of
+from mitsuba_plenoptic.fitting import View, lattice_from_white
+
+TRUE = small_camera(2, **HALF)
+POINTS = scattered(5, distances=(112.0, 128.0), image=0.05)
+PHOTONS = 2000.0
+ACCURACY = 0.03
+
+
+def weights_of(brightest):
+    """Return the weights by which the brightest pixel has this value."""
+    operator = CaptureOperator(TRUE, POINTS, wavelength=WAVELENGTH, accuracy=ACCURACY)
+    image = brightness_of(TRUE) * operator.forward(np.ones(len(POINTS)))
+    return np.full(len(POINTS), brightest / image.max()), image * (brightest / image.max())
+
+
+def test_numbers_are_found_within_their_deviations():
+    weights, image = weights_of(1.0)
+    seen = np.random.default_rng(4).poisson(image * PHOTONS) / PHOTONS
+    start = TRUE.replace(mla_pitch=0.0643, mla_offset=(0.001, -0.001), detector_distance=TRUE.detector_distance * 1.01)
+    names = "mla_pitch", "mla_offset", "detector_distance"
+    tried = []
+    found = fit(
+        start,
+        View(seen, POINTS, weights),
+        names,
+        wavelength=WAVELENGTH,
+        photons=PHOTONS,
+        accuracy=ACCURACY,
+        progress=lambda done, total: tried.append((done, total)),
+    )
+    true = {
+        "mla_pitch": 0.064,
+        "mla_offset.1": 0.0,
+        "mla_offset.2": 0.0,
+        "detector_distance": 0.512,
+    }
+    assert list(found.values) == list(true)
+    errors = [(found.values[name] - value) / found.deviations[name] for name, value in true.items()]
+    # Chi-squared of four numbers: a hundredth lies beyond 13.3.
+    inverse = np.linalg.inv(found.covariance)
+    difference = np.array([found.values[name] - value for name, value in true.items()])
+    assert difference @ inverse @ difference < 13.3
+    assert max(map(abs, errors)) < 3.5
+    assert found.chi_square == pytest.approx(1, abs=0.15)
+    assert found.camera.mla_pitch == found.values["mla_pitch"]
+    assert found.deviations["mla_pitch"] < 1e-4
+    assert [done for done, _ in tried] == list(range(1, found.steps + 1))
+    # The directions are those of the covariance, the worst first.
+    worst = found.directions[0]
+    vector = np.array([worst.parts[name] * found.scales[name] for name in true])
+    assert worst.deviation >= found.directions[-1].deviation
+    assert vector @ inverse @ vector == pytest.approx(worst.deviation**-2, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_one_camera_that_explains_the_data_is_found_exactly():
+    """Without noise the fit ends where it began to be true, whatever the deviations."""
+    weights, image = weights_of(1.0)
+    start = TRUE.replace(mla_offset=(0.002, 0.001))
+    found = fit(start, View(image, POINTS, weights, 0.01), ["mla_offset"], wavelength=WAVELENGTH, accuracy=ACCURACY)
+    assert found.camera.mla_offset == pytest.approx((0, 0), abs=2e-6)
+
+
+@pytest.mark.parametrize("numbers", [{}, {"mla_lattice": "hexagonal"}, {"mla_pitch": (0.064, 0.0606)}])
+def test_lattice_from_white(numbers):
+    """Discs at the micro-images' centres, of a camera that is turned and shifted."""
+    camera = small_camera(16, mla_rotation=0.7, mla_offset=(0.011, -0.013), **numbers)
+    size = camera.resolution[0]
+    x = (np.arange(size) + 0.5 - size / 2) * camera.pixel_size
+    shrunk = camera.mla_distance / (camera.mla_distance + camera.detector_distance)
+    across, up = np.meshgrid(x * shrunk, x * shrunk)
+    cx, cy = camera.lattice.centre(*camera.lattice.cell(across, up))
+    white = 1 / (1 + np.exp((np.hypot(across - cx, up - cy) - 0.02) / 0.001))
+    pitches = np.array(camera.mla_pitches) * (1.02, 0.985 if "mla_pitch" in numbers else 1.02)
+    pitch = tuple(pitches) if "mla_pitch" in numbers else pitches[0]
+    start = camera.replace(mla_pitch=pitch, mla_rotation=-0.3, mla_offset=(0.0, 0.0))
+    found = lattice_from_white(start, white)
+    assert found.mla_pitches == pytest.approx(camera.mla_pitches, rel=1e-3)
+    assert found.mla_rotation == pytest.approx(0.7, abs=0.02)
+    assert found.mla_offset == pytest.approx(camera.mla_offset, abs=3e-4)
+
+
+@pytest.mark.parametrize(
+    ("names", "options", "message"),
+    [
+        ("wavelength", {}, "wavelength: it is no number of a camera"),
+        ("f_number", {}, "f_number"),
+        ("wavefront", {}, "wavefront: the camera has no coefficients"),
+        ((), {}, "names = .*: name at least one"),
+        ("mla_pitch", {"photons": None}, "photons: tell them, or the noise"),
+        ("mla_pitch", {"photons": -1}, "photons"),
+        ("mla_pitch", {"bounds": {"mla_pitch": (0.07, 0.08)}}, "bounds: mla_pitch starts at 0.064: it must lie from"),
+        ("mla_pitch", {"bounds": {"mla_fill": (0.5, 1)}}, "bounds: .*mla_fill.* is not fitted; there are mla_pitch"),
+        (
+            "mla_pitch",
+            {"bounds": {"mla_pitch": (1, 0)}},
+            "bounds: mla_pitch = .*: it must be the lowest and the highest",
+        ),
+    ],
+)
+def test_mistakes(names, options, message):
+    view = View(np.zeros(TRUE.shape), POINTS, np.ones(len(POINTS)))
+    with pytest.raises(InputError, match=message):
+        fit(TRUE, view, names, **({"photons": PHOTONS} | options))
+
+
+def test_views_that_do_not_fit_are_refused():
+    with pytest.raises(InputError, match="one channel"):
+        View(np.zeros((4, 4, 3)), POINTS, np.ones(len(POINTS)))
+    with pytest.raises(InputError, match="weights of shape"):
+        View(np.zeros(TRUE.shape), POINTS, np.ones(2))
+    with pytest.raises(InputError, match="noise of shape"):
+        View(np.zeros(TRUE.shape), POINTS, np.ones(len(POINTS)), 0.0)
+    with pytest.raises(InputError, match="the camera records"):
+        fit(TRUE, View(np.zeros((3, 3)), POINTS, np.ones(len(POINTS))), "mla_pitch", photons=1.0)
