@@ -11,7 +11,7 @@ PACKAGE = Path(mitsuba_plenoptic.__file__).parent
 
 # Each may import what stands before it; runtime and io serve all of them.
 FLOORS = (
-    "errors", "bounds", "thin_lens", "runtime", "lattice", "presets", "camera", "io", "detector", "optics", "design",
+    "errors", "bounds", "thin_lens", "runtime", "lattice", "prescription", "presets", "camera", "io", "detector", "optics", "design",
     "capture", "plugins", "lightfield", "calibration", "reconstruction", "report", "dataset",
     "cli", "__main__",
 )  # fmt: skip

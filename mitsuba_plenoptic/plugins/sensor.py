@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -12,9 +13,12 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..design import crosstalk_neighbours
 from ..errors import InputError
+from ..io.lens_file import read_prescription
 from ..lattice import make_lattice
 from ..optics import rays
+from ..optics.lens_system import LensSystem
 from ..optics.main_lens import DistortedLens, ThinLens
+from ..prescription import Prescription
 from .properties import read_number, read_numbers, read_plain
 
 NAME = "plenoptic"
@@ -43,21 +47,23 @@ def make_class() -> type:
     """Define the plugin's class for the active Mitsuba variant, to which its types are bound."""
 
     class PlenopticSensor(mi.Sensor):
-        r"""Plenoptic (light-field) camera: thin main lens, microlens array, detector.
+        r"""Plenoptic (light-field) camera: main lens, microlens array, detector.
 
         .. pluginparameters::
 
          * - focal_length
            - |float|
-           - Focal length of the main lens. (Default: 80)
+           - Focal length of the main lens. (Default: 80, or that of ``main_lens``, which is scaled to what is given)
            - |exposed|, |differentiable|
          * - aperture_radius
            - |float|
-           - Radius of the main lens, as for ``thinlens``; only the edge of the pupil moves with it. (Default: 5)
+           - Radius of the main lens, as for ``thinlens``, or of the entrance pupil of ``main_lens``; only the edge of
+             the pupil moves with it. (Default: 5, or ``main_lens`` fully open)
            - |exposed|
          * - mla_distance
            - |float|
-           - Distance from the main lens to the microlens array. (Default: 120)
+           - Distance from the main lens, from the rear principal plane of ``main_lens``, to the microlens array.
+             (Default: 120)
            - |exposed|, |differentiable|, |discontinuous|
          * - focus_distance
            - |float|
@@ -121,6 +127,11 @@ def make_class() -> type:
            - |string|
            - Aberrations of the main lens: coefficients of Zernike polynomials in Noll's order, in waves of 633 nm, with
              commas between them. (Default: none)
+         * - main_lens
+           - |string|
+           - Surfaces and glasses of a real main lens: a YAML or JSON file, beside the scene or anywhere, the name of a
+             bundled lens (``cooke_triplet``, ``double_gauss``, ``singlet``, ``tessar``), or the text of such a JSON file.
+             (Default: a thin lens)
          * - to_world
            - |transform|
            - Camera to world, without scale. The camera looks along +z, +x is left and +y is up.
@@ -206,6 +217,7 @@ def make_class() -> type:
                 "wavefront": read_numbers(props, NAME, "wavefront"),
             }
             try:
+                given["main_lens"] = _read_main_lens(props, "main_lens")
                 camera = PlenopticCamera(
                     **{name: value for name, value in given.items() if value is not None},
                     resolution=tuple(film.size()),
@@ -260,8 +272,13 @@ def make_class() -> type:
                 aperture=camera.mla_aperture,
                 fill=self.mla_fill,
             )
-            lens = self.focal_length, self.aperture_radius, self.mla_distance, self.lens_model, self.wavefront
-            self._main_lens = DistortedLens(*lens, self.distortion) if any(self.distortion) else ThinLens(*lens)
+            lens = self.focal_length, self.aperture_radius, self.mla_distance
+            if camera.main_lens is not None:
+                self._main_lens: Any = LensSystem(camera.main_lens, *lens)
+            elif any(self.distortion):
+                self._main_lens = DistortedLens(*lens, self.lens_model, self.wavefront, self.distortion)
+            else:
+                self._main_lens = ThinLens(*lens, self.lens_model, self.wavefront)
             self._candidates = [mi.Float(steps) for steps in crosstalk_neighbours(camera).T]
             dr.make_opaque(*self._candidates)
 
@@ -276,6 +293,7 @@ def make_class() -> type:
             return PlenopticCamera(
                 **numbers,
                 **{name: getattr(self, name) for name in (*WORDS, *FIXED)},
+                main_lens=given.main_lens,
                 resolution=tuple(film.size()),
                 crop_offset=tuple(film.crop_offset()),
                 crop_size=tuple(film.crop_size()),
@@ -306,7 +324,7 @@ def make_class() -> type:
             """Detector point, point on a lens, its centre and focal length, and which of the candidates it is."""
             film, lattice = self.film(), self._lattice
             pixel = self.detector_width / film.size()[0]
-            b, z = self.mla_distance, self.detector_distance
+            b, z = self._main_lens.pupil_distance, self.detector_distance
             px, py = (
                 (film_sample[axis] * film.crop_size()[axis] + film.crop_offset()[axis] - 0.5 * film.size()[axis])
                 * pixel
@@ -355,7 +373,7 @@ def make_class() -> type:
 
         def pupil_ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[Any, Any]:
             """Return the ray through a place of the microlens array and a point of the pupil, and whether it does."""
-            slope = tuple((P - m) / self.mla_distance for P, m in zip(pupil, place, strict=True))
+            slope = tuple((P - m) / self._main_lens.pupil_distance for P, m in zip(pupil, place, strict=True))
             return self._ray(*self._main_lens.trace(place, slope))
 
         def _ray(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], open_: Any) -> tuple[Any, Any]:
@@ -411,14 +429,16 @@ def make_class() -> type:
             )
 
         def bbox(self) -> Any:
-            """Bounds of the main lens, where all rays start."""
+            """Bounds of the main lens, or of its first surface, where all rays start."""
             to_world = self.world_transform()
-            radius = self.camera.aperture_radius
+            camera = self.camera
+            radius, depths = camera.aperture_radius, (0.0,)
+            if camera.main_lens is not None:
+                radius, depths = LensSystem.of(camera).front_bounds
             box = mi.ScalarBoundingBox3f()
-            for x in (-radius, radius):
-                for y in (-radius, radius):
-                    corner = to_world @ mi.Point3f(x, y, 0)
-                    box.expand(mi.ScalarPoint3f([float(corner[i][0]) for i in range(3)]))
+            for x, y, z in itertools.product((-radius, radius), (-radius, radius), depths):
+                corner = to_world @ mi.Point3f(x, y, z)
+                box.expand(mi.ScalarPoint3f([float(corner[i][0]) for i in range(3)]))
             return box
 
         def to_string(self) -> str:
@@ -427,6 +447,16 @@ def make_class() -> type:
             return "\n".join(["PlenopticSensor[", *lines, f"  film = {self.film().class_name()}", "]"])
 
     return PlenopticSensor
+
+
+def _read_main_lens(props: Any, name: str) -> Prescription | None:
+    """Take a main lens from a plugin's properties: a file, a bundled lens or the text of a JSON file."""
+    source = read_plain(props, name, None)
+    if source is None:
+        return None
+    if not isinstance(source, str):
+        raise InputError(f"{name} = {source!r}: it must be text: a file or a bundled lens")
+    return read_prescription(source, lambda path: str(mi.file_resolver().resolve(path)))
 
 
 def _flags(name: str) -> Any:
