@@ -586,6 +586,25 @@ class PlenopticCamera:
                 "micro-image is resolved"
             )
 
+    def require_thin(self, what: str) -> None:
+        """Refuse a camera with a real main lens, for work that knows thin ones only.
+
+        Parameters
+        ----------
+        what : str
+            The work, the beginning of a sentence.
+
+        Raises
+        ------
+        InputError
+            If it has one.
+        """
+        if self.main_lens is not None:
+            raise InputError(
+                f"main_lens = {self.main_lens.name or 'prescription'}: {what} for thin main lenses only; "
+                "leave main_lens out, or capture by rays"
+            )
+
     @property
     def bin_count(self) -> tuple[int, int]:
         """Bins across a reconstruction and down it: as many squares of one pitch as fit the detector.

@@ -28,6 +28,10 @@ _FIELDS, _ACROSS, _WIDER = 9, 121, 2.0
 """Places on the array and points across the exit pupil that are tried for light; how far out, in its radii."""
 
 
+_SECANTS = 8
+"""Steps by which chief rays are found."""
+
+
 @dataclass(frozen=True, eq=False)
 class LensSystem:
     """A lens of surfaces, stopped down and scaled, before an array.
@@ -159,6 +163,52 @@ class LensSystem:
         x, y, z = (self.scale * value for value in point)
         L, M, N = direction
         return (x, y, self.front + z), (L / N, M / N), is_open
+
+    def beside(
+        self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], change: tuple[Any, Any]
+    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any]]:
+        """Return where a ray goes that leaves the MLA from the same place by slopes a little different.
+
+        By paraxial optics: between the principal planes it keeps its height. Ray differentials need no more.
+
+        Parameters
+        ----------
+        point, slope : tuple of array
+            The ray as `trace` returns it.
+        change : (array, array)
+            By how much the slopes differ on the MLA.
+        """
+        moved, turned = [], []
+        for x, t, d in zip(point[:2], slope, change, strict=True):
+            height = self.mla_distance * d
+            turn = d - height / self.focal_length
+            moved.append(x + height + point[2] * turn)
+            turned.append(t + turn)
+        return (moved[0], moved[1], point[2]), (turned[0], turned[1])
+
+    def chief_slope(self, height: Any) -> Any:
+        """Return the slope on the MLA of the ray from heights on its y axis through the middle of the stop.
+
+        Parameters
+        ----------
+        height : float64 array
+            Heights in millimetres.
+        """
+        lens = self._backwards[: len(self._backwards) - self.prescription.stop]
+
+        def at_stop(slope: Any) -> Any:
+            N = 1 / np.sqrt(1 + slope * slope)
+            start = (0.0 * height, height / self.scale, -self.back_distance / self.scale)
+            return sequential.follow(lens, start, (0.0 * slope, slope * N, N))[0][1]
+
+        height = np.asarray(height, np.float64)
+        slope = -height / self.pupil_distance
+        other = slope + 1e-3 * self.pupil_radius / self.pupil_distance
+        for _ in range(_SECANTS):
+            low, high = at_stop(slope), at_stop(other)
+            step = np.where(high == low, 0.0, low * (other - slope) / np.where(high == low, 1.0, high - low))
+            slope, other = slope - step, slope
+        return slope
 
     def _follow(self, place: tuple[Any, Any], slope: tuple[Any, Any]) -> Any:
         """Return what `sequential.follow` does for rays from the MLA, in lengths of the prescription."""
