@@ -57,8 +57,8 @@ class PlenopticCamera:
         Focal length :math:`f_1` of the main lens. Default 80, or that of the `main_lens`, which is scaled to what is
         given.
     aperture_radius : float, optional
-        Radius :math:`D_1/2` of the main lens; of its entrance pupil if it is a `main_lens`, which is stopped down to it.
-        Default 5, or the fully open `main_lens`.
+        Radius :math:`D_1/2` of the main lens; of its entrance pupil if it is a `main_lens`, which is stopped
+        down to it. Default 5, or the fully open `main_lens`.
     mla_distance : float, optional
         Distance :math:`b` from the main lens, from its rear principal plane if it is a `main_lens`, to the microlens
         array (MLA). Default 120 unless `focus_distance` is given.
@@ -168,7 +168,9 @@ class PlenopticCamera:
         put("main_lens", _prescription(main_lens))
         own = (80.0, 5.0) if self.main_lens is None else _own_numbers(self.main_lens, focal_length)
         put("focal_length", require_length("focal_length", own[0] if focal_length is None else focal_length))
-        put("aperture_radius", require_length("aperture_radius", own[1] if aperture_radius is None else aperture_radius))
+        put(
+            "aperture_radius", require_length("aperture_radius", own[1] if aperture_radius is None else aperture_radius)
+        )
         if mla_distance is not None and focus_distance is not None:
             raise InputError(
                 f"mla_distance = {shown(mla_distance)} and focus_distance = {shown(focus_distance)}: "

@@ -178,14 +178,26 @@ def main() -> None:
         for scene, limit in (("letters", 0.3), ("still_life", 0.7)):
             thin = rays_per_second(scene, None)
             speeds += [
-                {"scene": scene, "lens": name, "ratio": rays_per_second(scene, name) / thin, "thin": thin, "limit": limit}
+                {
+                    "scene": scene,
+                    "lens": name,
+                    "ratio": rays_per_second(scene, name) / thin,
+                    "thin": thin,
+                    "limit": limit,
+                }
                 for name in ("double_gauss", "singlet")
             ]
         results["speed"] = speeds
         texts += [
             "Samples per second of ray captures over those of the thin lens\n",
             markdown(
-                {"scene": "{scene}", "lens": "{lens}", "ratio": "{ratio:.2f}", "limit": "{limit}", "thin": "{thin:.3g}/s"},
+                {
+                    "scene": "{scene}",
+                    "lens": "{lens}",
+                    "ratio": "{ratio:.2f}",
+                    "limit": "{limit}",
+                    "thin": "{thin:.3g}/s",
+                },
                 speeds,
             ),
         ]

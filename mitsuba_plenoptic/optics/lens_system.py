@@ -1,8 +1,8 @@
 r"""A real lens, surface by surface: its rays.
 
 The camera frame's origin is the front principal plane, z rises towards the scene, and the microlens array (MLA) is at
-the distance b behind the rear principal plane, both planes at the prescription's own wavelength. A camera's focal length
-scales the prescription as a whole, and its aperture's radius is that of the entrance pupil.
+the distance b behind the rear principal plane, both planes at the prescription's own wavelength. A camera's focal
+length scales the prescription as a whole, and its aperture's radius is that of the entrance pupil.
 
 There is no :math:`\cos^4`: as with the thin lens a pixel is the mean radiance over its lens, and what surfaces and stop
 block is dark. Vignetting and the pupil's aberrations change which part of a micro-image is lit, and nothing else.
@@ -11,6 +11,7 @@ block is dark. Vignetting and the pupil's aberrations change which part of a mic
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +23,6 @@ from ..errors import InputError
 from ..prescription import Paraxial, Prescription, paraxial
 from ..thin_lens import vergence
 from . import sequential
-
 
 _FIELDS, _ACROSS, _WIDER = 9, 121, 2.0
 """Places on the array and points across the exit pupil that are tried for light; how far out, in its radii."""
@@ -263,4 +263,6 @@ class LensSystem:
 
 
 def _rsqrt(value: Any) -> Any:
-    return dr.rsqrt(value) if dr.is_array_v(value) else 1 / np.sqrt(value)
+    if dr.is_array_v(value):
+        return dr.rsqrt(value)
+    return 1 / math.sqrt(value) if isinstance(value, float) else 1 / np.sqrt(value)

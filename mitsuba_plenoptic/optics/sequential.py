@@ -6,6 +6,7 @@ prescription; a caller that scales a lens scales what goes in and what comes out
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -94,8 +95,8 @@ def follow(
     r"""Follow rays through a lens.
 
     A ray meets a conic at the parameter :math:`s = C / (B + \sqrt{B^2 - A C})` behind the plane of its vertex, with
-    :math:`A = c (1 + k N^2)`, :math:`B = N - c (x L + y M)`, :math:`C = c (x^2 + y^2)` (Welford, "Aberrations of Optical
-    Systems", section 4.3, with a conic constant); an asphere by Newton's steps from there. It is refracted by
+    :math:`A = c (1 + k N^2)`, :math:`B = N - c (x L + y M)`, :math:`C = c (x^2 + y^2)` (Welford, "Aberrations of
+    Optical Systems", section 4.3, with a conic constant); an asphere by Newton's steps from there. It is refracted by
     :math:`\mathbf{d}' = \eta \mathbf{d} + (\cos\theta' - \eta \cos\theta) \mathbf{n}` with :math:`\eta = n / n'`
     (Snell's law as a vector; same, section 4.4).
 
@@ -196,4 +197,7 @@ def _meet(surface: Element, place: tuple[Any, Any], direction: tuple[Any, Any, A
 
 def _sqrt(value: Any) -> Any:
     """Square root, of what is below zero that of nearly nothing."""
-    return dr.sqrt(dr.maximum(value, _LEAST)) if dr.is_array_v(value) else np.sqrt(np.maximum(value, _LEAST))
+    if dr.is_array_v(value):
+        return dr.sqrt(dr.maximum(value, _LEAST))
+    # NumPy's scalars would turn Dr.Jit arrays that they meet into NumPy's, without gradients.
+    return math.sqrt(max(value, _LEAST)) if isinstance(value, float) else np.sqrt(np.maximum(value, _LEAST))

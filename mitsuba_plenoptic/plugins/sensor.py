@@ -129,8 +129,8 @@ def make_class() -> type:
              commas between them. (Default: none)
          * - main_lens
            - |string|
-           - Surfaces and glasses of a real main lens: a YAML or JSON file, beside the scene or anywhere, the name of a
-             bundled lens (``cooke_triplet``, ``double_gauss``, ``singlet``, ``tessar``), or the text of such a JSON file.
+           - Surfaces and glasses of a real main lens: a YAML or JSON file, beside the scene or anywhere, the name of
+             a bundled lens (``cooke_triplet``, ``double_gauss``, ``singlet``, ``tessar``), or the text of a JSON file.
              (Default: a thin lens)
          * - to_world
            - |transform|
@@ -437,7 +437,8 @@ def make_class() -> type:
             """Bounds of the main lens, or of its first surface, where all rays start."""
             to_world = self.world_transform()
             camera = self.camera
-            radius, depths = camera.aperture_radius, (0.0,)
+            radius: float = camera.aperture_radius
+            depths: tuple[float, ...] = (0.0,)
             if camera.main_lens is not None:
                 radius, depths = LensSystem.of(camera).front_bounds
             box = mi.ScalarBoundingBox3f()

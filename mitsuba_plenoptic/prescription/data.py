@@ -18,7 +18,7 @@ _NAMES = {"radius", "thickness", "glass", "semi_aperture", "conic", "asphere", "
 
 @dataclass(frozen=True)
 class Surface:
-    r"""A surface of a lens, around the axis: :math:`z(r) = c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2}) + \sum a_i r^{2 i}`.
+    r"""A surface of a lens, of the height :math:`c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2}) + \sum a_i r^{2 i}`.
 
     Parameters
     ----------
@@ -104,7 +104,8 @@ class Surface:
         )
         if (1 + made.conic) * (made.semi_aperture * made.curvature) ** 2 >= 1:
             raise InputError(
-                f"{where}: semi_aperture = {made.semi_aperture:g}: the surface of radius {made.radius:g} ends before that"
+                f"{where}: semi_aperture = {made.semi_aperture:g}: the surface of radius {made.radius:g} ends before "
+                "that"
             )
         return made
 
@@ -158,12 +159,15 @@ class Prescription:
         """
         known = {"surfaces", "name", "source", "wavelength"}
         if not isinstance(value, dict) or not set(map(str, value)) <= known or "surfaces" not in value:
-            raise InputError(f"main_lens = {shown(value)}: it must have surfaces, and may have name, source, wavelength")
+            raise InputError(
+                f"main_lens = {shown(value)}: it must have surfaces, and may have name, source, wavelength"
+            )
         listed = value["surfaces"]
         if not isinstance(listed, (list, tuple)) or not 1 <= len(listed) <= MOST_SURFACES:
             raise InputError(f"main_lens: surfaces = {shown(listed)}: it must be a list of 1 to {MOST_SURFACES}")
         surfaces = tuple(
-            Surface.from_plain(surface, f"main_lens: surface {number}") for number, surface in enumerate(listed, start=1)
+            Surface.from_plain(surface, f"main_lens: surface {number}")
+            for number, surface in enumerate(listed, start=1)
         )
         stops = []
         for number, surface in enumerate(listed):

@@ -150,9 +150,13 @@ class Glass:
             return cls("index", (require_number(where, value, minimum=_LOWEST, maximum=_HIGHEST),))
         name = value.get("name", "")
         forms = {key: entry for key, entry in value.items() if key != "name"}
-        if not isinstance(name, str) or set(forms) not in (*({form} for form in _COUNTS if form != "abbe"), {"index", "abbe"}):
+        if not isinstance(name, str) or set(forms) not in (
+            *({form} for form in _COUNTS if form != "abbe"),
+            {"index", "abbe"},
+        ):
             raise InputError(
-                f"{where} = {shown(value)}: it must have index, index and abbe, sellmeier, schott or table, and may have name"
+                f"{where} = {shown(value)}: it must have index, index and abbe, sellmeier, schott or table, and may "
+                "have name"
             )
         form = "abbe" if "abbe" in forms else next(iter(forms))
         entries = [forms["index"], forms["abbe"]] if form == "abbe" else forms[form]

@@ -80,7 +80,9 @@ def paraxial(prescription: Prescription, wavelength: float | None = None) -> Par
         told = "infinite" if abs(C) <= 1e-12 else f"{-1 / C:.4g} mm"
         raise InputError(f"main_lens: its focal length is {told}: it must be positive, so that it forms an image")
     if min(abs(before[0, 0]), abs(after[1, 1])) < 1e-9:
-        raise InputError("main_lens: one of its pupils is at infinity: object- or image-side telecentric lenses are not supported")
+        raise InputError(
+            "main_lens: one of its pupils is at infinity: object- or image-side telecentric lenses are not supported"
+        )
     radius = prescription.surfaces[prescription.stop].semi_aperture
     values = (
         -1 / C,

@@ -58,7 +58,9 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
         width = design.field_width(camera, camera.focus_distance)
         rows.append(("field width", four_digits(width), "mm", "in the focused plane"))
     if camera.main_lens is not None:
-        rows.append(("kind", "real", "", "below, resolution and refocusing are those of a thin lens of this focal length"))
+        rows.append(
+            ("kind", "real", "", "below, resolution and refocusing are those of a thin lens of this focal length")
+        )
     rows.append(("lens model", camera.lens_model, "", ""))
     if any(camera.distortion):
         rows.append(
