@@ -1,4 +1,4 @@
-"""Main lenses as files: our YAML or JSON, which holds what `Prescription.to_plain` returns."""
+"""Main lenses as files: our YAML or JSON, which holds what `Prescription.to_plain` returns, and what others write."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import yaml
 from ..errors import InputError
 from ..prescription import Prescription, bundled_prescription
 from .files import require_file
+from .lens_designs import SUFFIXES, read_design
 from .yaml_file import read_yaml
 
 
@@ -20,7 +21,8 @@ def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -
     Parameters
     ----------
     source : str or Path
-        A YAML or JSON file; the name of a bundled lens, where there is no such file; or the text of a JSON file.
+        A YAML or JSON file, a Zemax ``.zmx`` or CODE V ``.seq`` file (see `lens_designs`); the name of a
+        bundled lens, where there is no such file; or the text of a JSON file.
     resolve : callable, optional
         Finds a file by its name, for example beside a scene.
 
@@ -40,6 +42,8 @@ def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -
     path = Path(resolve(text))
     if not path.exists():
         return bundled_prescription(text)
+    if path.suffix.lower() in SUFFIXES:
+        return read_design(path)
     try:
         return Prescription.from_plain(read_yaml(require_file(path)))
     except InputError as error:

@@ -145,6 +145,11 @@ class LensSystem:
         """Return the reciprocal of the distance, behind the rear principal plane, of an object plane's image.
 
         At other wavelengths than the prescription's own the principal planes move, too.
+
+        Parameters
+        ----------
+        distance : float or array
+            Distance of the plane before the front principal plane.
         """
         if self._light == self.prescription.wavelength:
             return vergence(self.focal_length, distance)

@@ -8,6 +8,7 @@ from importlib import resources
 import yaml
 
 from ..errors import InputError, shown
+from . import lenses
 from .data import Prescription
 
 BUNDLED = ("cooke_triplet", "double_gauss", "singlet", "tessar")
@@ -33,5 +34,5 @@ def bundled_prescription(name: str) -> Prescription:
         raise InputError(
             f"main_lens = {shown(name)}: there is no such file, and the bundled lenses are {', '.join(BUNDLED)}"
         )
-    text = (resources.files(__package__) / "lenses" / f"{stem}.yaml").read_text(encoding="utf-8")
+    text = (resources.files(lenses) / f"{stem}.yaml").read_text(encoding="utf-8")
     return Prescription.from_plain(yaml.safe_load(text))

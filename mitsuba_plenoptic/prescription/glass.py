@@ -197,9 +197,21 @@ def catalogue_glass(name: str, where: str = "glass") -> Glass:
         ) from None
     maker, _, own = name.rpartition(":")
     try:
-        found = materials.Material(own, maker or None)
-        indices = [float(np.ravel(found.n(wavelength * 1e-3))[0]) for wavelength in _CATALOGUE]
+        return tabulated_glass(materials.Material(own, maker or None), name)
     except Exception:  # whatever Optiland makes of a name that it does not know
         raise InputError(f"{where} = {shown(name)}: no catalogue has a glass of that name") from None
+
+
+def tabulated_glass(material: Any, name: str) -> Glass:
+    """Return a material of Optiland as a table, from 380 to 1000 nm.
+
+    Parameters
+    ----------
+    material : optiland.materials.BaseMaterial
+        The material.
+    name : str
+        Its name.
+    """
+    indices = [float(np.ravel(material.n(wavelength * 1e-3))[0]) for wavelength in _CATALOGUE]
     pairs = [number for pair in zip(_CATALOGUE.tolist(), indices, strict=True) for number in pair]
     return Glass("table", tuple(pairs), name)
