@@ -231,7 +231,8 @@ class LensSystem:
         return sequential.elements(self.prescription, self._light, stop_radius=self.stop_radius, backwards=True)
 
     @functools.cached_property
-    def _forwards(self) -> list[sequential.Element]:
+    def forwards(self) -> list[sequential.Element]:
+        """The surfaces in the order of the scene's light, stopped down, before the scaling."""
         return sequential.elements(self.prescription, self._light, stop_radius=self.stop_radius)
 
     def through(
@@ -261,7 +262,7 @@ class LensSystem:
         N = _rsqrt(1 + tx * tx + ty * ty)
         # Along the light z falls; the lens counts the other way.
         start = (x, y, self.numbers.front_principal - z)
-        (x, y, z), (L, M, N), is_open, path = sequential.follow(self._forwards, start, (-tx * N, -ty * N, N))
+        (x, y, z), (L, M, N), is_open, path = sequential.follow(self.forwards, start, (-tx * N, -ty * N, N))
         left = (self.back_distance / self.scale - z) / N
         place = (self.scale * (x + left * L), self.scale * (y + left * M))
         return place, (-L / N, -M / N), is_open, self.scale * (path + left)

@@ -6,6 +6,7 @@ prescription; a caller that scales a lens scales what goes in and what comes out
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -89,8 +90,24 @@ def elements(
     ]
 
 
+def widened(surface: Element, factor: float) -> Element:
+    """Return a surface that lets light pass farther out.
+
+    Parameters
+    ----------
+    surface : Element
+        The surface.
+    factor : float
+        By how much its semi-aperture grows.
+    """
+    return dataclasses.replace(surface, semi_aperture=factor * surface.semi_aperture)
+
+
 def follow(
-    lens: Sequence[Element], point: tuple[Any, Any, Any], direction: tuple[Any, Any, Any]
+    lens: Sequence[Element],
+    point: tuple[Any, Any, Any],
+    direction: tuple[Any, Any, Any],
+    squares: list[Any] | None = None,
 ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any, Any], Any, Any]:
     r"""Follow rays through a lens.
 
@@ -108,6 +125,8 @@ def follow(
         Where rays are; z is counted from the first surface's vertex, its `gap` less.
     direction : (array, array, array)
         Their direction cosines, the third positive.
+    squares : list, optional
+        Takes, for each surface, the squares of the distances from the axis at which rays meet it.
 
     Returns
     -------
@@ -140,6 +159,8 @@ def follow(
             z = 0.0
         path = path + surface.before * s
         square = x * x + y * y
+        if squares is not None:
+            squares.append(square)
         is_open = is_open & (square <= surface.semi_aperture * surface.semi_aperture)
         if surface.before != surface.after:
             slope = _slope(surface, square)
