@@ -94,7 +94,8 @@ def field_grids(
     p, lam, lens = camera.pixel_size, in_millimetres(wavelength), lens_of_point(camera, position, wavelength)
     radius = lens.pupil_radius
     if isinstance(lens, ExitPupil):
-        image = bundle_footprint(*(rays[None] for rays in lens.bundle), lens.pupil_distance)
+        places, cosines = lens.bundle
+        image = bundle_footprint(places[None], cosines[None], lens.pupil_distance)
     else:
         image = footprint(camera, position[None])
     place, half_width = image.centre[0], image.half_width[0]

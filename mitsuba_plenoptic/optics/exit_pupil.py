@@ -130,7 +130,7 @@ class ExitPupil:
         return P, E, slopes, scale * (before + path + left)[kept], stops, is_open
 
     def _image(self, P: NDArray, slopes: NDArray, is_open: NDArray) -> tuple[float, float, float]:
-        """Return the centre of the sphere, in the frame of the exit pupil: the paraxial distance, along a middle ray."""
+        """Return the sphere's centre, from that of the exit pupil: at the paraxial distance, on a middle ray."""
         vergence = float(self._lens.vergence(self._point[2]))
         behind = math.copysign(_FARTHEST_IMAGE, vergence) if abs(vergence) * _FARTHEST_IMAGE < 1 else 1 / vergence
         z = behind + self.pupil_distance - float(self._lens.mla_distance)
@@ -168,12 +168,30 @@ class ExitPupil:
         return total
 
     def path(self, pupil: _Place, point: tuple[Any, Any, Any], wavelength: float) -> Any:
-        """Return the path to a pupil point, as `MainLens.path` does; `point` must be this pupil's own."""
+        """Return the path to a pupil point, as `MainLens.path` does.
+
+        Parameters
+        ----------
+        pupil : (array, array)
+            Point on the plane of the exit pupil in millimetres.
+        point : (array, array, array)
+            Scene point; it must be this pupil's own.
+        wavelength : float
+            Wavelength in nanometres.
+        """
         waves = _sphere_path(pupil, self._sphere) + self._polynomial(self._aberration, pupil)
         return waves * (1 / in_millimetres(wavelength))
 
     def amplitude(self, pupil: _Place, point: tuple[Any, Any, Any]) -> Any:
-        """Return the amplitude at a pupil point, as `MainLens.amplitude` does; `point` must be this pupil's own."""
+        """Return the amplitude at a pupil point, as `MainLens.amplitude` does.
+
+        Parameters
+        ----------
+        pupil : (array, array)
+            Point on the plane of the exit pupil in millimetres.
+        point : (array, array, array)
+            Scene point; it must be this pupil's own.
+        """
         return self._polynomial(self._amplitude, pupil)
 
     def inside(self, pupil: _Place) -> Any:

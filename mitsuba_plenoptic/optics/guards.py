@@ -150,8 +150,8 @@ CROSSTALK = Guard(
 )
 
 
-# A real main lens's path is a polynomial over its exit pupil. Its error, root mean square in waves, takes (2 pi error)^2
-# from the peak of a point: 0.4 % for a hundredth of a wave.
+# A real main lens's path is a polynomial over its exit pupil. Its error, root mean square in waves, takes
+# (2 pi error)^2 from the peak of a point: 0.4 % for a hundredth of a wave.
 MAIN_LENS = Guard(
     "main_lens_fit",
     "of a point's peak is uncertain, since the path through the main lens is too uneven for its polynomial",

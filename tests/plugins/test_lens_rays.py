@@ -175,8 +175,14 @@ def test_what_knows_thin_lenses_only_refuses_the_capture(tmp_path):
     for refused, what in (
         (lambda: reconstruct(capture, 240), "captures are reconstructed"),
         (lambda: decode(capture), "white images are computed"),
-        (lambda: point_spread_function(camera, (0, 0, 240), wavelength=633), "waves are followed, but by method full_field,"),
-        (lambda: render_capture(white_scene(camera), model="wave", wavelength=633), "waves are followed, but by method full_field,"),
+        (
+            lambda: point_spread_function(camera, (0, 0, 240), wavelength=633),
+            "waves are followed, but by method full_field,",
+        ),
+        (
+            lambda: render_capture(white_scene(camera), model="wave", wavelength=633),
+            "waves are followed, but by method full_field,",
+        ),
     ):
         with pytest.raises(InputError, match=f"main_lens = Plano-convex singlet: {what} for thin main lenses only"):
             refused()
