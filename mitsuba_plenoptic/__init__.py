@@ -39,9 +39,12 @@ from .errors import InputError
 from .io.captures import Capture, read_capture, write_capture
 from .io.checkpoints import Checkpoint
 from .io.ground_truth import GroundTruth, read_ground_truth, write_ground_truth
+from .io.lens_file import read_prescription
 from .optics.guards import PhysicsError, PhysicsWarning
+from .optics.lens_system import LensSystem
 from .optics.spectrum import Spectrum
 from .plugins.other_camera import with_camera
+from .prescription import Prescription
 from .runtime.cluster import Cluster
 from .runtime.jobs import Job
 
@@ -74,9 +77,11 @@ __all__ = [
     "GroundTruth",
     "InputError",
     "Job",
+    "LensSystem",
     "PhysicsError",
     "PhysicsWarning",
     "PlenopticCamera",
+    "Prescription",
     "Reconstruction",
     "Spectrum",
     "calibrate",
@@ -90,6 +95,7 @@ __all__ = [
     "progress_bar",
     "read_capture",
     "read_ground_truth",
+    "read_prescription",
     "reconstruct",
     "render_capture",
     "scene_path",

@@ -6,8 +6,9 @@ What else follows from them is in `mitsuba_plenoptic.design`.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 from xml.etree import ElementTree
 
@@ -27,13 +28,17 @@ from .bounds import (
 )
 from .errors import InputError, require_choice, require_number, shown
 from .lattice import APERTURES, LATTICES, Lattice, make_lattice
+from .prescription import Prescription, bundled_prescription, paraxial
 from .presets import PRESETS
-from .thin_lens import conjugate_distance, defocus_factor, image_distance
+from .thin_lens import conjugate_distance, defocus_factor, image_distance, vergence
 
 LENS_MODELS = ("ideal", "parabolic")
 
 LATER = {"mla_lattice", "mla_rotation", "mla_offset", "mla_tilt", "mla_aperture", "mla_fill", "distortion", "wavefront"}
 """Parameters that files written before there were other lattices do not name."""
+
+_OPTIONAL = {"focus_distance", "main_lens"}
+"""Parameters that `to_dict` may leave out."""
 
 _SEVERAL = {"mla_focal_lengths": "mla_focal_length", "mla_pitches": "mla_pitch"}
 """Parameters of one number or several, by the fields that hold them as tuples."""
@@ -48,13 +53,15 @@ class PlenopticCamera:
 
     Parameters
     ----------
-    focal_length : float
-        Focal length :math:`f_1` of the main lens.
-    aperture_radius : float
-        Radius :math:`D_1/2` of the main lens.
+    focal_length : float, optional
+        Focal length :math:`f_1` of the main lens. Default 80, or that of the `main_lens`, which is scaled to what is
+        given.
+    aperture_radius : float, optional
+        Radius :math:`D_1/2` of the main lens; of its entrance pupil if it is a `main_lens`, which is stopped
+        down to it. Default 5, or the fully open `main_lens`.
     mla_distance : float, optional
-        Distance :math:`b` from the main lens to the microlens array (MLA). Default 120 unless
-        `focus_distance` is given.
+        Distance :math:`b` from the main lens, from its rear principal plane if it is a `main_lens`, to the microlens
+        array (MLA). Default 120 unless `focus_distance` is given.
     focus_distance : float, optional
         Distance of the object plane that is in focus on the MLA; an alternative to `mla_distance`,
         :math:`1/g + 1/b = 1/f_1`. May be infinite.
@@ -96,13 +103,17 @@ class PlenopticCamera:
         Aberrations of the main lens: coefficients of Zernike polynomials over its pupil in Noll's order, beginning with
         piston, each in waves of 633 nm root mean square; up to 66, those left out are 0. Other wavelengths see the same
         path.
+    main_lens : Prescription, str or dict, optional
+        Surfaces and glasses of a real main lens: a prescription, the name of a bundled one, or what
+        `Prescription.from_plain` takes. Default: a thin lens.
 
     Raises
     ------
     InputError
         If a length is not a number from 1e-9 to 1e9 (`focus_distance` may be infinite), a side of the detector is not
         from 1 to 1048576 pixels, one pitch is more than ten times the other, the crop window leaves the detector, a
-        tilted array touches detector or main lens, or the distortion folds the image.
+        tilted array touches detector or main lens, the distortion folds the image, or a `main_lens` is not one, cannot
+        open so far, is given with aberrations or distortion, or reaches to the array.
     """
 
     focal_length: float
@@ -124,12 +135,13 @@ class PlenopticCamera:
     lens_model: str
     distortion: tuple[float, float, float, float, float]
     wavefront: tuple[float, ...]
+    main_lens: Prescription | None
 
     def __init__(
         self,
         *,
-        focal_length: float = 80.0,
-        aperture_radius: float = 5.0,
+        focal_length: float | None = None,
+        aperture_radius: float | None = None,
         mla_distance: float | None = None,
         focus_distance: float | None = None,
         mla_focal_length: float | Sequence[float] = 0.512,
@@ -148,12 +160,17 @@ class PlenopticCamera:
         lens_model: str = "ideal",
         distortion: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
         wavefront: Sequence[float] = (),
+        main_lens: Prescription | str | dict[str, Any] | None = None,
     ) -> None:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        put("focal_length", require_length("focal_length", focal_length))
-        put("aperture_radius", require_length("aperture_radius", aperture_radius))
+        put("main_lens", _prescription(main_lens))
+        own = (80.0, 5.0) if self.main_lens is None else _own_numbers(self.main_lens, focal_length)
+        put("focal_length", require_length("focal_length", own[0] if focal_length is None else focal_length))
+        put(
+            "aperture_radius", require_length("aperture_radius", own[1] if aperture_radius is None else aperture_radius)
+        )
         if mla_distance is not None and focus_distance is not None:
             raise InputError(
                 f"mla_distance = {shown(mla_distance)} and focus_distance = {shown(focus_distance)}: "
@@ -200,6 +217,8 @@ class PlenopticCamera:
         put("lens_model", require_choice("lens_model", lens_model, LENS_MODELS))
         put("distortion", require_numbers("distortion", distortion, 5, 1.0))
         put("wavefront", require_wavefront(wavefront))
+        if self.main_lens is not None:
+            self._require_main_lens(own[1])
         reach = np.hypot(*(np.abs(self.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))
         rise = reach * np.hypot(*np.tan(np.deg2rad(self.mla_tilt)))
         if rise >= min(self.detector_distance, self.mla_distance):
@@ -207,6 +226,24 @@ class PlenopticCamera:
         radius, (k1, k2, k3) = np.linspace(0, reach, 64) ** 2, self.distortion[:3]
         if np.min(1 + radius * (3 * k1 + radius * (5 * k2 + radius * 7 * k3))) <= 0:
             raise InputError(f"distortion = {self.distortion}: it folds the image within {reach:.3g} mm of the axis")
+
+    def _require_main_lens(self, widest: float) -> None:
+        """Refuse what a real main lens cannot be or be given with; `widest` is the radius to which it opens."""
+        assert self.main_lens is not None
+        for name in ("distortion", "wavefront"):
+            if any(getattr(self, name)):
+                raise InputError(f"{name} = {getattr(self, name)}: a main_lens brings its own; leave it out")
+        # What rounding to single precision adds is no wider stop.
+        if self.aperture_radius > widest * (1 + 1e-6):
+            raise InputError(f"aperture_radius = {self.aperture_radius:g}: the main_lens opens to {widest:.6g} at most")
+        numbers = paraxial(self.main_lens)
+        scale = self.focal_length / numbers.focal_length
+        nearest = -scale * min(numbers.rear_principal, numbers.rear_principal - numbers.exit_pupil)
+        if self.mla_distance <= nearest:
+            raise InputError(
+                f"mla_distance = {self.mla_distance:g}: the array would stand within the main_lens or its exit pupil; "
+                f"it must be more than {nearest:.4g}"
+            )
 
     # -- to and from other forms ---------------------------------------------------------------------
 
@@ -268,8 +305,10 @@ class PlenopticCamera:
         return cls._from_names(values)
 
     def to_dict(self) -> dict[str, Any]:
-        """All parameters by name, in plain numbers, strings and tuples."""
-        values = {_SEVERAL.get(name, name): value for name, value in asdict(self).items()}
+        """All parameters by name, in plain numbers, strings and tuples; a real main lens as a dictionary of such."""
+        values = {_SEVERAL.get(f.name, f.name): getattr(self, f.name) for f in fields(self) if f.name != "main_lens"}
+        if self.main_lens is not None:
+            values["main_lens"] = self.main_lens.to_plain()
         if len(self.mla_focal_lengths) == 1:
             values["mla_focal_length"] = self.mla_focal_length
         if self.lattice.aspect == 1:
@@ -309,7 +348,7 @@ class PlenopticCamera:
         """Build a camera from parameters of unknown origin."""
         if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
             raise InputError(f"camera = {shown(values)}: it must be camera parameters by name")
-        for name in sorted(set(values) - set(cls().to_dict()) - {"focus_distance"}):
+        for name in sorted(set(values) - set(cls().to_dict()) - _OPTIONAL):
             raise InputError(f"{name}: it is not a camera parameter")
         return cls(**values)
 
@@ -331,7 +370,11 @@ class PlenopticCamera:
         columns, rows = values.pop("resolution")
         (left, top), (width, height) = values.pop("crop_offset"), values.pop("crop_size")
         sensor: dict[str, Any] = {"type": "plenoptic"} | {
-            name: ", ".join(map(repr, value)) if isinstance(value, tuple) else value
+            name: json.dumps(value)
+            if isinstance(value, dict)
+            else ", ".join(map(repr, value))
+            if isinstance(value, tuple)
+            else value
             for name, value in values.items()
             if value != ()
         }
@@ -394,6 +437,23 @@ class PlenopticCamera:
     # -- main lens -----------------------------------------------------------------------------------
 
     @property
+    def pupil_distance(self) -> float:
+        """Distance from the exit pupil to the MLA: :math:`b` for a thin lens, which is its own pupil."""
+        if self.main_lens is None:
+            return self.mla_distance
+        numbers = paraxial(self.main_lens)
+        scale = self.focal_length / numbers.focal_length
+        return self.mla_distance + scale * (numbers.rear_principal - numbers.exit_pupil)
+
+    @property
+    def pupil_radius(self) -> float:
+        """Radius of the exit pupil near the axis: :math:`D_1/2` for a thin lens."""
+        if self.main_lens is None:
+            return self.aperture_radius
+        numbers = paraxial(self.main_lens)
+        return self.aperture_radius * (numbers.exit_radius / numbers.entrance_radius)
+
+    @property
     def aperture_diameter(self) -> float:
         """Diameter :math:`D_1` of the main lens."""
         return 2 * self.aperture_radius
@@ -425,6 +485,11 @@ class PlenopticCamera:
 
     def blur_diameter(self, distance: float) -> float:
         """Diameter on the MLA of the image of a point at `distance`, by rays: :math:`D_1 |s|`."""
+        if self.main_lens is not None:
+            # The cone from the exit pupil to the image, which lies this far before the MLA.
+            power = vergence(self.focal_length, distance)
+            gap = self.mla_distance - (math.inf if power == 0 else 1 / power)
+            return 2 * self.pupil_radius * (1.0 if math.isinf(gap) else abs(gap / (self.pupil_distance - gap)))
         return self.aperture_diameter * abs(self.defocus(distance))
 
     # -- detector and lattice ------------------------------------------------------------------------
@@ -470,19 +535,19 @@ class PlenopticCamera:
     @property
     def pupil_step(self) -> float:
         """What a pixel covers of the pupil, seen through its lens's centre: its width times :math:`b / z`."""
-        return self.pixel_size * self.mla_distance / self.detector_distance
+        return self.pixel_size * self.pupil_distance / self.detector_distance
 
     @property
     def lit_radius(self) -> float:
         """Radius within which the pupil is seen by some of a pixel: half a pixel's width more than the pupil's own."""
-        return self.aperture_radius + self.pupil_step / 2
+        return self.pupil_radius + self.pupil_step / 2
 
     def pupil_shift(self, mla_focal_length: float) -> float:
         r"""How fast the place on the pupil, seen by a point of the detector, moves with that on the lens.
 
         :math:`\kappa = 1 + b/z - b/f_2`, which is 1 for :math:`z = f_2`.
         """
-        return 1 + self.mla_distance / self.detector_distance - self.mla_distance / mla_focal_length
+        return 1 + self.pupil_distance / self.detector_distance - self.pupil_distance / mla_focal_length
 
     @property
     def detector_height(self) -> float:
@@ -523,6 +588,25 @@ class PlenopticCamera:
                 "micro-image is resolved"
             )
 
+    def require_thin(self, what: str) -> None:
+        """Refuse a camera with a real main lens, for work that knows thin ones only.
+
+        Parameters
+        ----------
+        what : str
+            The work, the beginning of a sentence.
+
+        Raises
+        ------
+        InputError
+            If it has one.
+        """
+        if self.main_lens is not None:
+            raise InputError(
+                f"main_lens = {self.main_lens.name or 'prescription'}: {what} for thin main lenses only; "
+                "leave main_lens out, or capture by rays"
+            )
+
     @property
     def bin_count(self) -> tuple[int, int]:
         """Bins across a reconstruction and down it: as many squares of one pitch as fit the detector.
@@ -549,15 +633,29 @@ class PlenopticCamera:
     @property
     def micro_image_diameter(self) -> float:
         """Diameter of the main lens's image under one microlens, :math:`D_1 z / b`."""
-        return self.aperture_diameter * self.detector_distance / self.mla_distance
+        return 2 * self.pupil_radius * self.detector_distance / self.pupil_distance
 
     @property
     def micro_image_pitch(self) -> float:
         """Distance of neighbouring micro-images of a row, :math:`D_2 (b + z) / b`."""
-        return self.mla_pitch * (self.mla_distance + self.detector_distance) / self.mla_distance
+        return self.mla_pitch * (self.pupil_distance + self.detector_distance) / self.pupil_distance
 
     # -- object side ---------------------------------------------------------------------------------
 
     def bin_size(self, distance: float) -> float:
         """Width in the object plane of one bin of a reconstruction, :math:`D_2 g / b`."""
         return self.mla_pitch * distance / self.mla_distance
+
+
+def _prescription(value: Prescription | str | dict[str, Any] | None) -> Prescription | None:
+    """Return the main lens that is given in any of its forms."""
+    if value is None or isinstance(value, Prescription):
+        return value
+    return bundled_prescription(value) if isinstance(value, str) else Prescription.from_plain(value)
+
+
+def _own_numbers(lens: Prescription, focal_length: float | None) -> tuple[float, float]:
+    """Return a lens's focal length and the radius of its open entrance pupil, scaled to what focal length is given."""
+    numbers = paraxial(lens)
+    given = numbers.focal_length if focal_length is None else require_length("focal_length", focal_length)
+    return given, numbers.entrance_radius * given / numbers.focal_length

@@ -101,6 +101,7 @@ def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> T
     index : LensIndex, optional
         How its lenses are counted. Default: from lens (0, 0) of its lattice.
     """
+    camera.require_thin("centres of micro-images are computed")
     camera.require_resolved()
     lattice, size = camera.lattice, np.array(camera.crop_size)
     index = index or LensIndex(0.5 if lattice.stagger == 2 else 0.0, 1, (0, 0))

@@ -148,6 +148,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     InputError
         If the data cannot determine a camera; the message says what they lack.
     """
+    start.require_thin("cameras are calibrated")
     size = np.array(start.crop_size)
     for table in filter(None, (corners, centres)):
         require_on_detector(table, start.crop_size)

@@ -29,7 +29,6 @@ from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import guards
 from ..optics.free_space import advance
-from ..optics.main_lens import main_lens
 from ..optics.microlens_orders import axis_transmission, open_fraction, plane_transmission
 from ..optics.microlenses import is_separable
 from ..optics.phase import in_millimetres, phasor, soft_edge
@@ -37,7 +36,7 @@ from ..optics.power import band_edge_fraction, fraction, power, rim
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, fft, fft2, irfft, pack, resting_drjit, rfft
 from ..runtime.indexing import quotient
-from .full_field_grids import BLOCK, FieldGrids, field_grids
+from .full_field_grids import BLOCK, FieldGrids, field_grids, lens_of_point
 from .pupil_weights import PupilWeights
 
 
@@ -162,7 +161,7 @@ def _pupil_field(
     Px = types.Float64(column) * step + dr.opaque(types.Float64, grids.wide_origin[0])
     Py = types.Float64(row) * step + dr.opaque(types.Float64, grids.wide_origin[1])
     X, Y, g = (dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
-    lens, pupil, point = main_lens(camera), (Px, Py), (X, Y, g)
+    lens, pupil, point = lens_of_point(camera, position, wavelength), (Px, Py), (X, Y, g)
     # The edge is softened over one sample, so that it is round; the power is that of the hard edge.
     cover = types.Float(soft_edge(lens.inside(pupil) / step))
     bright = types.Float(lens.amplitude(pupil, point))
@@ -185,7 +184,7 @@ def _at_mla(camera: PlenopticCamera, wavelength: float, grids: FieldGrids, pupil
     with resting_drjit():
         spectrum = fft2(pupil.samples.copy())
     guards.judge(guards.UNDERSAMPLED, band_edge_fraction(spectrum))
-    spectrum = advance(spectrum, pupil.pitch, main_lens(camera).pupil_distance, wavelength)
+    spectrum = advance(spectrum, pupil.pitch, camera.pupil_distance, wavelength)
     (left, top), (columns, rows) = grids.offset, grids.count
     arrays = backend().arrays
     samples = arrays.empty((rows, columns), np.complex64)

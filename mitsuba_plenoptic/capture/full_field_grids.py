@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -9,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..optics.main_lens import main_lens
+from ..optics.exit_pupil import ExitPupil
+from ..optics.lens_system import LensSystem
+from ..optics.main_lens import MainLens, main_lens
 from ..optics.microlenses import diffraction, scattering
 from ..optics.phase import in_millimetres
-from ..optics.sampling import check_memory, fast_length, footprint
+from ..optics.sampling import bundle_footprint, check_memory, fast_length, footprint
 
 _WINDOW_MARGIN = 1.2
 """Window over what it must hold, on the way to the MLA."""
@@ -51,6 +54,29 @@ class FieldGrids:
     margin: int  # pixels of the detector's window before the first recorded one
 
 
+def lens_of_point(camera: PlenopticCamera, position: NDArray[np.float64], wavelength: float) -> MainLens | ExitPupil:
+    """Return a camera's main lens as the waves of one scene point pass it.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    position : float64 array (3,)
+        Scene point in the camera frame.
+    wavelength : float
+        Wavelength in nanometres.
+    """
+    if camera.main_lens is None:
+        return main_lens(camera)
+    X, Y, g = position.tolist()
+    return _exit_pupil(camera, (X, Y, g), wavelength)
+
+
+@functools.lru_cache(maxsize=16)
+def _exit_pupil(camera: PlenopticCamera, position: tuple[float, float, float], wavelength: float) -> ExitPupil:
+    return ExitPupil(LensSystem.of(camera, wavelength), position)
+
+
 def field_grids(
     camera: PlenopticCamera,
     position: NDArray[np.float64],
@@ -65,9 +91,13 @@ def field_grids(
     InputError
         If they would need too much memory.
     """
-    p, lam, lens = camera.pixel_size, in_millimetres(wavelength), main_lens(camera)
+    p, lam, lens = camera.pixel_size, in_millimetres(wavelength), lens_of_point(camera, position, wavelength)
     radius = lens.pupil_radius
-    image = footprint(camera, position[None])
+    if isinstance(lens, ExitPupil):
+        places, cosines = lens.bundle
+        image = bundle_footprint(places[None], cosines[None], lens.pupil_distance)
+    else:
+        image = footprint(camera, position[None])
     place, half_width = image.centre[0], image.half_width[0]
     steepest = float((np.abs(image.cosine[0]) + image.half_cosine[0]).max())
     bent = steepest + max(_KEPT_BENDS * scattering(camera), diffraction(camera, wavelength, _KEPT_ORDERS))

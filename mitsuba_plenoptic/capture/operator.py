@@ -113,7 +113,12 @@ class CaptureOperator:
     ) -> None:
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
-        require_ideal(camera)
+        if camera.main_lens is None or method != "full_field":
+            require_ideal(camera)
+        elif any(camera.mla_tilt):
+            raise InputError(f"mla_tilt = {camera.mla_tilt}: waves need 0; work by rays, or set it to 0")
+        elif pupil_weights is not None:
+            raise InputError("pupil_weights: behind a main_lens the pupil is another for each point; leave them out")
         self.camera, self.points = camera, check_positions(points)
         self._wavelength = None if wavelength is None else require_wavelength(wavelength)
         self._spectrum = spectrum

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
+from ..optics.lens_system import LensSystem
 
 MOST_OVERLAP = 100_000
 """Lenses that may light one pixel."""
@@ -125,8 +127,16 @@ def crosstalk_lenses(camera: PlenopticCamera) -> int:
 
 def _crosstalk(camera: PlenopticCamera) -> tuple[float, float, float]:
     """About how many lenses light a pixel, within which distance, and the part of their apertures that adds."""
-    b, z, lattice = camera.mla_distance, camera.detector_distance, camera.lattice
-    reach = camera.aperture_radius / (1 + b / z)
+    b, z, lattice = camera.pupil_distance, camera.detector_distance, camera.lattice
+    reach = _pupil_reach(camera) / (1 + b / z)
     smear = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths) / (1 + b / z)
     covered = math.pi * (reach + smear * lattice.aperture_reach + max(camera.mla_pitches)) ** 2
     return covered / lattice.cell_area, reach, smear
+
+
+@functools.lru_cache(maxsize=64)
+def _pupil_reach(camera: PlenopticCamera) -> float:
+    """Distance from the axis up to which light passes the exit pupil's plane."""
+    if camera.main_lens is None:
+        return camera.aperture_radius
+    return LensSystem.of(camera).pupil_reach(math.hypot(camera.detector_width, camera.detector_height) / 2)

@@ -119,6 +119,7 @@ def bin_grid(camera: PlenopticCamera) -> LensGrid:
     InputError
         If no micro-image is centred in the recorded window, or a lens is less than a pixel wide.
     """
+    camera.require_thin("light fields are decoded")
     camera.require_resolved()
     start, count = [], []
     spacing = camera.micro_image_pitch / camera.pixel_size
@@ -170,6 +171,7 @@ def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:
     (lenses, 2) float64 array
         Columns and rows, by lattice row.
     """
+    camera.require_thin("centres of micro-images are computed")
     camera.require_resolved()
     x, y = (
         rays.chief_point(camera.pixel_coordinates(axis)[[0, -1]], camera.mla_distance, camera.detector_distance)

@@ -46,6 +46,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     InputError
         If micro-images are so wide or so much out of focus that it would take an hour, or too much memory.
     """
+    camera.require_thin("white images are computed")
     fractions = _Fractions(camera)
     half = fractions.half
     rows, columns = camera.shape

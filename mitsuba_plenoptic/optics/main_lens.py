@@ -273,7 +273,7 @@ class DistortedLens(ThinLens):
 
 
 def require_ideal(camera: PlenopticCamera) -> None:
-    """Refuse, for work by waves, a camera with a tilted array or a main lens that distorts.
+    """Refuse, for work by waves, a camera with a tilted array or a main lens that distorts or is not thin.
 
     Parameters
     ----------
@@ -285,6 +285,7 @@ def require_ideal(camera: PlenopticCamera) -> None:
     InputError
         Naming the parameter.
     """
+    camera.require_thin("waves are followed, but by method full_field,")
     for name in ("mla_tilt", "distortion"):
         if any(getattr(camera, name)):
             raise InputError(f"{name} = {getattr(camera, name)}: waves need 0; work by rays, or set it to 0")
@@ -318,7 +319,7 @@ def main_lens(camera: PlenopticCamera) -> MainLens:
     Raises
     ------
     InputError
-        If the camera has a tilted array or its main lens distorts, which waves do not know.
+        If the camera has a tilted array or its main lens distorts or is not thin, which waves do not know.
     """
     require_ideal(camera)
     numbers = camera.focal_length, camera.aperture_radius, camera.mla_distance

@@ -76,7 +76,20 @@ def footprint(camera: PlenopticCamera, positions: NDArray[np.float64]) -> Footpr
     if np.any(square >= 1):
         worst = positions[np.argmax(square.max(1))]
         raise InputError(f"position = {tuple(worst.tolist())}: its light leaves the main lens too steeply")
-    place = P + lens.pupil_distance * cosine / np.sqrt(1 - square)[..., None]
+    return bundle_footprint(np.broadcast_to(P, cosine.shape), cosine, lens.pupil_distance)
+
+
+def bundle_footprint(pupil: NDArray[np.float64], cosine: NDArray[np.float64], distance: float) -> Footprint:
+    """Return where rays that leave the exit pupil come to the MLA.
+
+    Parameters
+    ----------
+    pupil, cosine : float64 array (n, rays, 2)
+        Places on the exit pupil and direction cosines, for each scene point.
+    distance : float
+        Distance from the pupil to the MLA.
+    """
+    place = pupil + distance * cosine / np.sqrt(1 - (cosine**2).sum(-1))[..., None]
     low, high = place.min(1), place.max(1)
     first, last = cosine.min(1), cosine.max(1)
     return Footprint((low + high) / 2, (high - low) / 2, (first + last) / 2, (last - first) / 2)

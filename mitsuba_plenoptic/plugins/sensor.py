@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -12,9 +13,12 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..design import crosstalk_neighbours
 from ..errors import InputError
+from ..io.lens_file import read_prescription
 from ..lattice import make_lattice
 from ..optics import rays
+from ..optics.lens_system import LensSystem
 from ..optics.main_lens import DistortedLens, ThinLens
+from ..prescription import Prescription
 from .properties import read_number, read_numbers, read_plain
 
 NAME = "plenoptic"
@@ -43,22 +47,24 @@ def make_class() -> type:
     """Define the plugin's class for the active Mitsuba variant, to which its types are bound."""
 
     class PlenopticSensor(mi.Sensor):
-        r"""Plenoptic (light-field) camera: thin main lens, microlens array, detector.
+        r"""Plenoptic (light-field) camera: main lens, microlens array, detector.
 
         .. pluginparameters::
 
          * - focal_length
            - |float|
-           - Focal length of the main lens. (Default: 80)
+           - Focal length of the main lens. (Default: 80, or that of ``main_lens``, which is scaled to what is given)
            - |exposed|, |differentiable|
          * - aperture_radius
            - |float|
-           - Radius of the main lens, as for ``thinlens``; only the edge of the pupil moves with it, so that it has a
-             gradient by waves alone. (Default: 5)
+           - Radius of the main lens, as for ``thinlens``, or of the entrance pupil of ``main_lens``; only the edge of
+             the pupil moves with it, so that it has a gradient by waves alone. (Default: 5, or ``main_lens`` fully
+             open)
            - |exposed|
          * - mla_distance
            - |float|
-           - Distance from the main lens to the microlens array. (Default: 120)
+           - Distance from the main lens, from the rear principal plane of ``main_lens``, to the microlens array.
+             (Default: 120)
            - |exposed|, |differentiable|, |discontinuous|
          * - focus_distance
            - |float|
@@ -123,6 +129,11 @@ def make_class() -> type:
            - Aberrations of the main lens: coefficients of Zernike polynomials in Noll's order, in waves of 633 nm, with
              commas between them. (Default: none, and then it is not exposed)
            - |exposed|, |differentiable|, |discontinuous|
+         * - main_lens
+           - |string|
+           - Surfaces and glasses of a real main lens: a YAML or JSON file, beside the scene or anywhere, the name of
+             a bundled lens (``cooke_triplet``, ``double_gauss``, ``singlet``, ``tessar``), or the text of a JSON file.
+             (Default: a thin lens)
          * - to_world
            - |transform|
            - Camera to world, without scale. The camera looks along +z, +x is left and +y is up.
@@ -208,6 +219,7 @@ def make_class() -> type:
                 "wavefront": read_numbers(props, NAME, "wavefront"),
             }
             try:
+                given["main_lens"] = _read_main_lens(props, "main_lens")
                 camera = PlenopticCamera(
                     **{name: value for name, value in given.items() if value is not None},
                     resolution=tuple(film.size()),
@@ -264,8 +276,13 @@ def make_class() -> type:
                 fill=self.mla_fill,
             )
             aberrations = tuple(dr.gather(mi.Float, self.wavefront, i) for i in range(dr.width(self.wavefront)))
-            lens = self.focal_length, self.aperture_radius, self.mla_distance, self.lens_model, aberrations
-            self._main_lens = DistortedLens(*lens, self.distortion) if any(self.distortion) else ThinLens(*lens)
+            lens = self.focal_length, self.aperture_radius, self.mla_distance
+            if camera.main_lens is not None:
+                self._main_lens: Any = LensSystem(camera.main_lens, *lens)
+            elif any(self.distortion):
+                self._main_lens = DistortedLens(*lens, self.lens_model, aberrations, self.distortion)
+            else:
+                self._main_lens = ThinLens(*lens, self.lens_model, aberrations)
             self._candidates = [mi.Float(steps) for steps in crosstalk_neighbours(camera).T]
             dr.make_opaque(*self._candidates)
 
@@ -285,6 +302,7 @@ def make_class() -> type:
             return PlenopticCamera(
                 **numbers,
                 **{name: getattr(self, name) for name in (*WORDS, *FIXED)},
+                main_lens=given.main_lens,
                 resolution=tuple(film.size()),
                 crop_offset=tuple(film.crop_offset()),
                 crop_size=tuple(film.crop_size()),
@@ -315,7 +333,7 @@ def make_class() -> type:
             """Detector point, point on a lens, its centre and focal length, and which of the candidates it is."""
             film, lattice = self.film(), self._lattice
             pixel = self.detector_width / film.size()[0]
-            b, z = self.mla_distance, self.detector_distance
+            b, z = self._main_lens.pupil_distance, self.detector_distance
             px, py = (
                 (film_sample[axis] * film.crop_size()[axis] + film.crop_offset()[axis] - 0.5 * film.size()[axis])
                 * pixel
@@ -364,7 +382,7 @@ def make_class() -> type:
 
         def pupil_ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[Any, Any]:
             """Return the ray through a place of the microlens array and a point of the pupil, and whether it does."""
-            slope = tuple((P - m) / self.mla_distance for P, m in zip(pupil, place, strict=True))
+            slope = tuple((P - m) / self._main_lens.pupil_distance for P, m in zip(pupil, place, strict=True))
             return self._ray(*self._main_lens.trace(place, slope))
 
         def _ray(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], open_: Any) -> tuple[Any, Any]:
@@ -394,9 +412,14 @@ def make_class() -> type:
             ray.wavelengths = wavelengths
             if differential:
                 for name, dx, dy in (("x", pixel, 0), ("y", 0, pixel)):
-                    point, slope, _ = self._trace(px + dx, py + dy, *lens)
-                    setattr(ray, f"o_{name}", to_world @ mi.Point3f(*point))
-                    setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
+                    if isinstance(self._main_lens, LensSystem):
+                        # Surface by surface it would cost three times as much.
+                        z = self.detector_distance
+                        beside, turned = self._main_lens.beside(point, slope, (-dx / z, -dy / z))
+                    else:
+                        beside, turned, _ = self._trace(px + dx, py + dy, *lens)
+                    setattr(ray, f"o_{name}", to_world @ mi.Point3f(*beside))
+                    setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(*turned, 1)))
                 ray.has_differentials = True
             return ray, dr.select(open_, weight * dr.width(self._candidates[0]), 0)
 
@@ -420,14 +443,17 @@ def make_class() -> type:
             )
 
         def bbox(self) -> Any:
-            """Bounds of the main lens, where all rays start."""
+            """Bounds of the main lens, or of its first surface, where all rays start."""
             to_world = self.world_transform()
-            radius = self.camera.aperture_radius
+            camera = self.camera
+            radius: float = camera.aperture_radius
+            depths: tuple[float, ...] = (0.0,)
+            if camera.main_lens is not None:
+                radius, depths = LensSystem.of(camera).front_bounds
             box = mi.ScalarBoundingBox3f()
-            for x in (-radius, radius):
-                for y in (-radius, radius):
-                    corner = to_world @ mi.Point3f(x, y, 0)
-                    box.expand(mi.ScalarPoint3f([float(corner[i][0]) for i in range(3)]))
+            for x, y, z in itertools.product((-radius, radius), (-radius, radius), depths):
+                corner = to_world @ mi.Point3f(x, y, z)
+                box.expand(mi.ScalarPoint3f([float(corner[i][0]) for i in range(3)]))
             return box
 
         def to_string(self) -> str:
@@ -436,6 +462,16 @@ def make_class() -> type:
             return "\n".join(["PlenopticSensor[", *lines, f"  film = {self.film().class_name()}", "]"])
 
     return PlenopticSensor
+
+
+def _read_main_lens(props: Any, name: str) -> Prescription | None:
+    """Take a main lens from a plugin's properties: a file, a bundled lens or the text of a JSON file."""
+    source = read_plain(props, name, None)
+    if source is None:
+        return None
+    if not isinstance(source, str):
+        raise InputError(f"{name} = {source!r}: it must be text: a file or a bundled lens")
+    return read_prescription(source, lambda path: str(mi.file_resolver().resolve(path)))
 
 
 def _flags(name: str) -> Any:

@@ -133,6 +133,7 @@ def reconstruct(
     camera = capture.camera
     if not isinstance(method, str) or method not in METHODS:
         raise InputError(f"method = {shown(method)}: it must be one of {', '.join(METHODS)}")
+    camera.require_thin("captures are reconstructed")
     chosen = METHODS[method]
     if footprint not in FOOTPRINTS:
         raise InputError(f"footprint = {shown(footprint)}: it must be one of {', '.join(FOOTPRINTS)}")

@@ -8,6 +8,8 @@ from typing import NamedTuple
 from .. import design
 from ..camera import PlenopticCamera
 from ..errors import InputError
+from ..optics.lens_figures import field_figures
+from ..prescription import Prescription, paraxial
 from ..thin_lens import image_distance
 
 
@@ -21,6 +23,9 @@ class Row(NamedTuple):
     note: str
 
 
+_FIELDS = (0.0, 0.7, 1.0)
+"""Distances from the axis, over that of the detector's corner, at which a real main lens is judged."""
+
 # A row without its group.
 _Line = tuple[str, str, str, str]
 
@@ -29,6 +34,7 @@ def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> li
     """List a camera's parameters and derived quantities; without a wavelength not those of diffraction."""
     groups = {
         "Main lens": _main_lens(camera),
+        **({} if camera.main_lens is None else {"Surfaces of the main lens": _surfaces(camera, camera.main_lens)}),
         "Microlenses": _microlenses(camera),
         "Detector": _detector(camera),
         "Micro-images": _micro_images(camera),
@@ -51,6 +57,10 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
     if 0 < camera.focus_distance < math.inf:
         width = design.field_width(camera, camera.focus_distance)
         rows.append(("field width", four_digits(width), "mm", "in the focused plane"))
+    if camera.main_lens is not None:
+        rows.append(
+            ("kind", "real", "", "below, resolution and refocusing are those of a thin lens of this focal length")
+        )
     rows.append(("lens model", camera.lens_model, "", ""))
     if any(camera.distortion):
         rows.append(
@@ -59,6 +69,32 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
     if any(camera.wavefront):
         strength = math.sqrt(sum(part**2 for part in camera.wavefront[3:]))
         rows.append(("aberrations", four_digits(strength), "waves", "root mean square at 633 nm, beside tilt"))
+    return rows
+
+
+def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
+    """Paraxial numbers of a real main lens, and what it does to the light over the field."""
+    numbers = paraxial(lens)
+    scale = camera.focal_length / numbers.focal_length
+    wanted = f"at {lens.wavelength:g} nm"
+    rows = [
+        ("prescription", lens.name or "without a name", "", f"{len(lens.surfaces)} surfaces, scaled by {scale:.6g}"),
+        ("focal length", f"{camera.focal_length:.6g}", "mm", wanted),
+        ("back focal length", f"{scale * numbers.back_focal:.6g}", "mm", "from the last vertex"),
+        ("front principal plane", f"{scale * numbers.front_principal:.6g}", "mm", "behind the first vertex"),
+        ("rear principal plane", f"{scale * numbers.rear_principal:.6g}", "mm", "behind the last vertex"),
+        ("entrance pupil", f"{scale * numbers.entrance_pupil:.6g}", "mm", "behind the first vertex"),
+        ("exit pupil", f"{scale * numbers.exit_pupil:.6g}", "mm", "behind the last vertex"),
+        ("radius of the exit pupil", f"{camera.pupil_radius:.6g}", "mm", ""),
+    ]
+    corner = math.hypot(camera.detector_width, camera.detector_height) / 2
+    for figures in field_figures(camera, tuple(part * corner for part in _FIELDS)):
+        at = f"{four_digits(figures.height)} mm from the axis"
+        rows += [
+            ("spot", four_digits(1e3 * figures.spot), "um", f"root mean square radius on the MLA, {at}"),
+            ("light", f"{figures.light:.1%}", "", f"of that on the axis, {at}"),
+            ("distortion", f"{figures.distortion:+.3%}", "", at),
+        ]
     return rows
 
 

@@ -1,0 +1,274 @@
+r"""A real lens, surface by surface: its rays.
+
+The camera frame's origin is the front principal plane, z rises towards the scene, and the microlens array (MLA) is at
+the distance b behind the rear principal plane, both planes at the prescription's own wavelength. A camera's focal
+length scales the prescription as a whole, and its aperture's radius is that of the entrance pupil.
+
+There is no :math:`\cos^4`: as with the thin lens a pixel is the mean radiance over its lens, and what surfaces and stop
+block is dark. Vignetting and the pupil's aberrations change which part of a micro-image is lit, and nothing else.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from ..camera import PlenopticCamera
+from ..errors import InputError
+from ..prescription import Paraxial, Prescription, paraxial
+from ..thin_lens import vergence
+from . import sequential
+
+_FIELDS, _ACROSS, _WIDER = 9, 121, 2.0
+"""Places on the array and points across the exit pupil that are tried for light; how far out, in its radii."""
+
+
+_SECANTS = 8
+"""Steps by which chief rays are found."""
+
+
+@dataclass(frozen=True, eq=False)
+class LensSystem:
+    """A lens of surfaces, stopped down and scaled, before an array.
+
+    Parameters
+    ----------
+    prescription : Prescription
+        The lens.
+    focal_length : float or Dr.Jit array
+        Focal length to which it is scaled.
+    aperture_radius : float or Dr.Jit array
+        Radius of its entrance pupil.
+    mla_distance : float or Dr.Jit array
+        Distance from the rear principal plane to the array.
+    wavelength : float, optional
+        Wavelength in nanometres of the light. Default: the prescription's own.
+    """
+
+    prescription: Prescription
+    focal_length: Any
+    aperture_radius: Any
+    mla_distance: Any
+    wavelength: float | None = None
+
+    @classmethod
+    def of(cls, camera: PlenopticCamera, wavelength: float | None = None) -> LensSystem:
+        """Return the main lens of a camera that has a prescription.
+
+        Parameters
+        ----------
+        camera : PlenopticCamera
+            The camera.
+        wavelength : float, optional
+            Wavelength in nanometres. Default: the prescription's own.
+        """
+        assert camera.main_lens is not None
+        return cls(camera.main_lens, camera.focal_length, camera.aperture_radius, camera.mla_distance, wavelength)
+
+    @functools.cached_property
+    def numbers(self) -> Paraxial:
+        """Paraxial numbers of the prescription as it is written, at its own wavelength."""
+        return paraxial(self.prescription)
+
+    @functools.cached_property
+    def scale(self) -> Any:
+        """By how much the prescription is enlarged."""
+        return self.focal_length / self.numbers.focal_length
+
+    @functools.cached_property
+    def stop_radius(self) -> Any:
+        """Radius of the stop before the scaling."""
+        full = self.prescription.surfaces[self.prescription.stop].semi_aperture
+        return self.aperture_radius / self.scale * (full / self.numbers.entrance_radius)
+
+    @property
+    def is_round(self) -> bool:
+        """Off the axis a pupil that surfaces vignette is not round."""
+        return False
+
+    @property
+    def pupil_distance(self) -> Any:
+        """Distance from the paraxial exit pupil to the MLA."""
+        return self.mla_distance + self.scale * (self.numbers.rear_principal - self.numbers.exit_pupil)
+
+    @property
+    def pupil_radius(self) -> Any:
+        """Radius of the paraxial exit pupil."""
+        return self.aperture_radius * (self.numbers.exit_radius / self.numbers.entrance_radius)
+
+    @property
+    def front(self) -> Any:
+        """Place z of the first surface's vertex in the camera frame."""
+        return self.scale * self.numbers.front_principal
+
+    @property
+    def back_distance(self) -> Any:
+        """Distance from the last surface's vertex to the MLA."""
+        return self.mla_distance + self.scale * self.numbers.rear_principal
+
+    @property
+    def front_bounds(self) -> tuple[float, tuple[float, float]]:
+        """Semi-aperture of the first surface, and the places z between which it lies."""
+        surface = self.prescription.surfaces[0]
+        radius = surface.semi_aperture
+        sag = sequential.height(sequential.elements(self.prescription, self._light)[0], radius * radius)
+        low, high = sorted((0.0, -float(sag)))
+        return self.scale * radius, (self.front + self.scale * low, self.front + self.scale * high)
+
+    def pupil_reach(self, field: float) -> float:
+        """Return how far from the axis rays to the MLA pass the plane of the exit pupil.
+
+        Parameters
+        ----------
+        field : float
+            Distance from the axis up to which the MLA is looked at, in millimetres.
+
+        Raises
+        ------
+        InputError
+            If no ray gets through the lens, even to the axis.
+        """
+        radius, distance = self.pupil_radius, self.pupil_distance
+        axis = np.linspace(-_WIDER, _WIDER, _ACROSS) * radius
+        y, Px, Py = np.meshgrid(np.linspace(0, field, _FIELDS), axis[_ACROSS // 2 :], axis, indexing="ij")
+        _, _, is_open = self.trace((np.zeros_like(y), y), (Px / distance, (Py - y) / distance))
+        if not np.any(is_open[0]):
+            raise InputError("main_lens: no ray gets through it to the middle of the array")
+        return float(np.max(np.hypot(Px, Py)[is_open])) + (axis[1] - axis[0])
+
+    def vergence(self, distance: Any) -> Any:
+        """Return the reciprocal of the distance, behind the rear principal plane, of an object plane's image.
+
+        At other wavelengths than the prescription's own the principal planes move, too.
+
+        Parameters
+        ----------
+        distance : float or array
+            Distance of the plane before the front principal plane.
+        """
+        if self._light == self.prescription.wavelength:
+            return vergence(self.focal_length, distance)
+        here = paraxial(self.prescription, self._light)
+        # How much farther behind the front principal plane an object is, and the rear one's image.
+        front = self.scale * (here.front_principal - self.numbers.front_principal)
+        rear = self.scale * (here.rear_principal - self.numbers.rear_principal)
+        own = vergence(self.scale * here.focal_length, distance + front)
+        return own / (1 + rear * own)
+
+    def trace(
+        self, place: tuple[Any, Any], slope: tuple[Any, Any]
+    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+        """Follow a ray from a place on the MLA to the scene, as `MainLens.trace` tells."""
+        point, direction, is_open, _ = self._follow(place, slope)
+        x, y, z = (self.scale * value for value in point)
+        L, M, N = direction
+        return (x, y, self.front + z), (L / N, M / N), is_open
+
+    def beside(
+        self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], change: tuple[Any, Any]
+    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any]]:
+        """Return where a ray goes that leaves the MLA from the same place by slopes a little different.
+
+        By paraxial optics: between the principal planes it keeps its height. Ray differentials need no more.
+
+        Parameters
+        ----------
+        point, slope : tuple of array
+            The ray as `trace` returns it.
+        change : (array, array)
+            By how much the slopes differ on the MLA.
+        """
+        moved, turned = [], []
+        for x, t, d in zip(point[:2], slope, change, strict=True):
+            height = self.mla_distance * d
+            turn = d - height / self.focal_length
+            moved.append(x + height + point[2] * turn)
+            turned.append(t + turn)
+        return (moved[0], moved[1], point[2]), (turned[0], turned[1])
+
+    def chief_slope(self, height: Any) -> Any:
+        """Return the slope on the MLA of the ray from heights on its y axis through the middle of the stop.
+
+        Parameters
+        ----------
+        height : float64 array
+            Heights in millimetres.
+        """
+        lens = self._backwards[: len(self._backwards) - self.prescription.stop]
+
+        def at_stop(slope: Any) -> Any:
+            N = 1 / np.sqrt(1 + slope * slope)
+            start = (0.0 * height, height / self.scale, -self.back_distance / self.scale)
+            return sequential.follow(lens, start, (0.0 * slope, slope * N, N))[0][1]
+
+        height = np.asarray(height, np.float64)
+        slope = -height / self.pupil_distance
+        other = slope + 1e-3 * self.pupil_radius / self.pupil_distance
+        for _ in range(_SECANTS):
+            low, high = at_stop(slope), at_stop(other)
+            step = np.where(high == low, 0.0, low * (other - slope) / np.where(high == low, 1.0, high - low))
+            slope, other = slope - step, slope
+        return slope
+
+    def _follow(self, place: tuple[Any, Any], slope: tuple[Any, Any]) -> Any:
+        """Return what `sequential.follow` does for rays from the MLA, in lengths of the prescription."""
+        tx, ty = slope
+        N = _rsqrt(1 + tx * tx + ty * ty)
+        x, y = (m / self.scale for m in place)
+        return sequential.follow(self._backwards, (x, y, -self.back_distance / self.scale), (tx * N, ty * N, N))
+
+    @property
+    def _light(self) -> float:
+        return self.prescription.wavelength if self.wavelength is None else self.wavelength
+
+    @functools.cached_property
+    def _backwards(self) -> list[sequential.Element]:
+        return sequential.elements(self.prescription, self._light, stop_radius=self.stop_radius, backwards=True)
+
+    @functools.cached_property
+    def forwards(self) -> list[sequential.Element]:
+        """The surfaces in the order of the scene's light, stopped down, before the scaling."""
+        return sequential.elements(self.prescription, self._light, stop_radius=self.stop_radius)
+
+    def through(
+        self, point: tuple[Any, Any, Any], slope: tuple[Any, Any]
+    ) -> tuple[tuple[Any, Any], tuple[Any, Any], Any, Any]:
+        """Follow a ray from a scene point, which may lie anywhere along it, to the MLA.
+
+        Parameters
+        ----------
+        point : (array, array, array)
+            Point in the camera frame.
+        slope : (array, array)
+            Its slopes dx/dz and dy/dz.
+
+        Returns
+        -------
+        place : (array, array)
+            Where it meets the MLA.
+        slope : (array, array)
+            Its slopes there.
+        open : array
+            Whether the lens lets it through.
+        path : array
+            Index times length from the point to the MLA, in millimetres.
+        """
+        (x, y, z), (tx, ty) = (tuple(value / self.scale for value in point), slope)
+        N = _rsqrt(1 + tx * tx + ty * ty)
+        # Along the light z falls; the lens counts the other way.
+        start = (x, y, self.numbers.front_principal - z)
+        (x, y, z), (L, M, N), is_open, path = sequential.follow(self.forwards, start, (-tx * N, -ty * N, N))
+        left = (self.back_distance / self.scale - z) / N
+        place = (self.scale * (x + left * L), self.scale * (y + left * M))
+        return place, (-L / N, -M / N), is_open, self.scale * (path + left)
+
+
+def _rsqrt(value: Any) -> Any:
+    if dr.is_array_v(value):
+        return dr.rsqrt(value)
+    return 1 / math.sqrt(value) if isinstance(value, float) else 1 / np.sqrt(value)

@@ -1,0 +1,224 @@
+"""Rays through one surface after the other, and the paths along them.
+
+All functions take floats, NumPy arrays or Dr.Jit arrays, whose gradients the results carry. Lengths are those of the
+prescription; a caller that scales a lens scales what goes in and what comes out.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from ..prescription import Prescription
+
+NEWTON_STEPS = 5
+"""By which a ray's meeting with an asphere is found from that with its conic."""
+
+_LEAST = 1e-12
+"""What square roots are taken of, at least, so that rays that miss have numbers and gradients."""
+
+
+@dataclass(frozen=True)
+class Element:
+    """A surface as light meets it that goes towards rising z.
+
+    Parameters
+    ----------
+    gap : float
+        Distance along the axis from the surface before, or from where rays start.
+    curvature : float
+        Positive where the centre lies at higher z.
+    conic : float
+        Conic constant.
+    asphere : tuple of float
+        Coefficients of the fourth, sixth, ... power of the distance from the axis.
+    semi_aperture : float or Dr.Jit array
+        Distance from the axis up to which light passes.
+    before, after : float
+        Indices on both sides.
+    """
+
+    gap: Any
+    curvature: float
+    conic: float
+    asphere: tuple[float, ...]
+    semi_aperture: Any
+    before: float
+    after: float
+
+
+def elements(
+    prescription: Prescription, wavelength: float, *, stop_radius: Any = None, backwards: bool = False
+) -> list[Element]:
+    """Return a lens's surfaces in the order of its light, the gap before the first being 0.
+
+    Parameters
+    ----------
+    prescription : Prescription
+        The lens.
+    wavelength : float
+        Wavelength in nanometres.
+    stop_radius : float or Dr.Jit array, optional
+        Radius of the stop. Default: fully open.
+    backwards : bool
+        Whether light goes from the array to the scene.
+    """
+    surfaces, index = prescription.surfaces, [1.0, *prescription.indices(wavelength)]
+    made = []
+    for number, surface in enumerate(surfaces):
+        stopped = number == prescription.stop and stop_radius is not None
+        made.append(
+            (
+                surfaces[number - 1].thickness if number else 0.0,
+                surfaces[number].thickness if number < len(surfaces) - 1 else 0.0,
+                surface,
+                stop_radius if stopped else surface.semi_aperture,
+                index[number],
+                index[number + 1],
+            )
+        )
+    if not backwards:
+        return [Element(gap, s.curvature, s.conic, s.asphere, a, n, m) for gap, _, s, a, n, m in made]
+    return [
+        Element(gap, -s.curvature, s.conic, tuple(-c for c in s.asphere), a, m, n) for _, gap, s, a, n, m in made[::-1]
+    ]
+
+
+def widened(surface: Element, factor: float) -> Element:
+    """Return a surface that lets light pass farther out.
+
+    Parameters
+    ----------
+    surface : Element
+        The surface.
+    factor : float
+        By how much its semi-aperture grows.
+    """
+    return dataclasses.replace(surface, semi_aperture=factor * surface.semi_aperture)
+
+
+def follow(
+    lens: Sequence[Element],
+    point: tuple[Any, Any, Any],
+    direction: tuple[Any, Any, Any],
+    squares: list[Any] | None = None,
+) -> tuple[tuple[Any, Any, Any], tuple[Any, Any, Any], Any, Any]:
+    r"""Follow rays through a lens.
+
+    A ray meets a conic at the parameter :math:`s = C / (B + \sqrt{B^2 - A C})` behind the plane of its vertex, with
+    :math:`A = c (1 + k N^2)`, :math:`B = N - c (x L + y M)`, :math:`C = c (x^2 + y^2)` (Welford, "Aberrations of
+    Optical Systems", section 4.3, with a conic constant); an asphere by Newton's steps from there. It is refracted by
+    :math:`\mathbf{d}' = \eta \mathbf{d} + (\cos\theta' - \eta \cos\theta) \mathbf{n}` with :math:`\eta = n / n'`
+    (Snell's law as a vector; same, section 4.4).
+
+    Parameters
+    ----------
+    lens : sequence of Element
+        The surfaces; that of the array's side first if light goes backwards.
+    point : (array, array, array)
+        Where rays are; z is counted from the first surface's vertex, its `gap` less.
+    direction : (array, array, array)
+        Their direction cosines, the third positive.
+    squares : list, optional
+        Takes, for each surface, the squares of the distances from the axis at which rays meet it.
+
+    Returns
+    -------
+    point : (array, array, array)
+        Where they leave the last surface; z is counted from its vertex.
+    direction : (array, array, array)
+        Their direction cosines behind it.
+    open : array
+        Whether all surfaces let them through.
+    path : array
+        Index times length along them, from where they were to where they leave the last surface.
+    """
+    (x, y, z), (L, M, N) = point, direction
+    is_open: Any = True
+    path: Any = 0.0
+    for surface in lens:
+        c = surface.curvature
+        s = (surface.gap - z) / N
+        x, y = x + s * L, y + s * M
+        if c or surface.asphere:
+            A, B, C = c * (1 + surface.conic * N * N), N - c * (x * L + y * M), c * (x * x + y * y)
+            root = B * B - A * C
+            is_open = is_open & (root > 0)
+            t = C / (B + _sqrt(root))
+            if surface.asphere:
+                t = _meet(surface, (x, y), (L, M, N), t)
+            x, y, z = x + t * L, y + t * M, t * N
+            s = s + t
+        else:
+            z = 0.0
+        path = path + surface.before * s
+        square = x * x + y * y
+        if squares is not None:
+            squares.append(square)
+        is_open = is_open & (square <= surface.semi_aperture * surface.semi_aperture)
+        if surface.before != surface.after:
+            slope = _slope(surface, square)
+            scale = 1 / _sqrt(1 + slope * slope * square)
+            nx, ny, nz = -slope * x * scale, -slope * y * scale, scale
+            eta = surface.before / surface.after
+            cosine = L * nx + M * ny + N * nz
+            root = 1 - eta * eta * (1 - cosine * cosine)
+            is_open = is_open & (root > 0)
+            turn = _sqrt(root) - eta * cosine
+            L, M, N = eta * L + turn * nx, eta * M + turn * ny, eta * N + turn * nz
+    return (x, y, z), (L, M, N), is_open, path
+
+
+def _slope(surface: Element, square: Any) -> Any:
+    """Return the derivative of a surface's height by the distance from the axis, over that distance."""
+    c = surface.curvature
+    slope = c / _sqrt(1 - (1 + surface.conic) * c * c * square) if c else 0.0 * square
+    power = square
+    for order, coefficient in enumerate(surface.asphere, start=2):
+        slope = slope + 2 * order * coefficient * power
+        power = power * square
+    return slope
+
+
+def height(surface: Element, square: Any) -> Any:
+    """Return a surface's height over the plane of its vertex.
+
+    Parameters
+    ----------
+    surface : Element
+        The surface.
+    square : array
+        Square of the distance from the axis.
+    """
+    c = surface.curvature
+    height = c * square / (1 + _sqrt(1 - (1 + surface.conic) * c * c * square))
+    power = square * square
+    for coefficient in surface.asphere:
+        height = height + coefficient * power
+        power = power * square
+    return height
+
+
+def _meet(surface: Element, place: tuple[Any, Any], direction: tuple[Any, Any, Any], t: Any) -> Any:
+    """Return where along a ray from the vertex's plane it meets an asphere."""
+    (x, y), (L, M, N) = place, direction
+    for _ in range(NEWTON_STEPS):
+        X, Y = x + t * L, y + t * M
+        square = X * X + Y * Y
+        rise = _slope(surface, square) * (X * L + Y * M)
+        t = t - (t * N - height(surface, square)) / (N - rise)
+    return t
+
+
+def _sqrt(value: Any) -> Any:
+    """Square root, of what is below zero that of nearly nothing."""
+    if dr.is_array_v(value):
+        return dr.sqrt(dr.maximum(value, _LEAST))
+    # NumPy's scalars would turn Dr.Jit arrays that they meet into NumPy's, without gradients.
+    return math.sqrt(max(value, _LEAST)) if isinstance(value, float) else np.sqrt(np.maximum(value, _LEAST))

@@ -1,0 +1,11 @@
+"""Prescriptions of real main lenses: surfaces and glasses, their paraxial numbers, and the lenses that are bundled.
+
+A `Prescription` is plain data. `LensSystem`, in `mitsuba_plenoptic.optics.lens_system`, follows rays through it.
+"""
+
+from .bundled import BUNDLED, bundled_prescription
+from .data import Prescription, Surface
+from .glass import Glass
+from .paraxial import Paraxial, paraxial
+
+__all__ = ["BUNDLED", "Glass", "Paraxial", "Prescription", "Surface", "bundled_prescription", "paraxial"]

@@ -1,0 +1,197 @@
+"""The surfaces of a lens, from the scene's side to the array's, as plain data with checks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from ..bounds import LONGEST, SHORTEST, require_wavelength
+from ..errors import InputError, require_number, shown
+from .glass import LINE_D, Glass
+
+MOST_SURFACES = 100
+MOST_COEFFICIENTS = 8
+
+_NAMES = {"radius", "thickness", "glass", "semi_aperture", "conic", "asphere", "stop"}
+
+
+@dataclass(frozen=True)
+class Surface:
+    r"""A surface of a lens, of the height :math:`c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2}) + \sum a_i r^{2 i}`.
+
+    Parameters
+    ----------
+    radius : float
+        Radius of curvature :math:`1/c` in millimetres, positive where the centre is on the array's side; infinite for
+        a plane.
+    thickness : float
+        Distance along the axis to the next surface in millimetres; 0 for the last.
+    glass : Glass or None
+        What follows up to the next surface; None for air.
+    semi_aperture : float
+        Distance from the axis up to which light passes, in millimetres.
+    conic : float
+        Conic constant k.
+    asphere : tuple of float
+        Coefficients of the fourth, sixth, ... power of r.
+    """
+
+    radius: float
+    thickness: float
+    glass: Glass | None
+    semi_aperture: float
+    conic: float = 0.0
+    asphere: tuple[float, ...] = ()
+
+    @property
+    def curvature(self) -> float:
+        """Reciprocal of the radius."""
+        return 1 / self.radius
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return what `from_plain` takes; what is left out has its default."""
+        plain: dict[str, Any] = {} if math.isinf(self.radius) else {"radius": self.radius}
+        if self.thickness:
+            plain["thickness"] = self.thickness
+        if self.glass is not None:
+            plain["glass"] = self.glass.to_plain()
+        plain["semi_aperture"] = self.semi_aperture
+        if self.conic:
+            plain["conic"] = self.conic
+        if self.asphere:
+            plain["asphere"] = list(self.asphere)
+        return plain
+
+    @classmethod
+    def from_plain(cls, value: Any, where: str) -> Surface:
+        """Take a surface from plain data.
+
+        Parameters
+        ----------
+        value : dict
+            Any of ``radius`` (a plane without it), ``thickness``, ``glass``, ``conic``, ``asphere``, ``stop``, and
+            ``semi_aperture``.
+        where : str
+            What messages call it.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, a value out of range, or the surface ends within its semi-aperture.
+        """
+        if not isinstance(value, dict):
+            raise InputError(f"{where} = {shown(value)}: it must be numbers by name, such as radius")
+        for name in sorted(set(map(str, value)) - _NAMES):
+            raise InputError(f"{where}: {name}: it is not one of {', '.join(sorted(_NAMES))}")
+        if "semi_aperture" not in value:
+            raise InputError(f"{where}: semi_aperture: it is missing; it tells up to where light passes")
+        radius = require_number(f"{where}: radius", value.get("radius", math.inf), finite=False)
+        if abs(radius) < SHORTEST:
+            raise InputError(f"{where}: radius = {radius:g}: it must not be 0; a plane has no radius")
+        asphere = value.get("asphere", ())
+        if not isinstance(asphere, (list, tuple)) or len(asphere) > MOST_COEFFICIENTS:
+            raise InputError(f"{where}: asphere = {shown(asphere)}: it must be at most {MOST_COEFFICIENTS} numbers")
+        made = cls(
+            radius=radius,
+            thickness=require_number(f"{where}: thickness", value.get("thickness", 0.0), minimum=0, maximum=LONGEST),
+            glass=None if value.get("glass") is None else Glass.from_plain(value["glass"], f"{where}: glass"),
+            semi_aperture=require_number(
+                f"{where}: semi_aperture", value["semi_aperture"], minimum=SHORTEST, maximum=LONGEST
+            ),
+            conic=require_number(f"{where}: conic", value.get("conic", 0.0), minimum=-LONGEST, maximum=LONGEST),
+            asphere=tuple(require_number(f"{where}: asphere", entry) for entry in asphere),
+        )
+        if (1 + made.conic) * (made.semi_aperture * made.curvature) ** 2 >= 1:
+            raise InputError(
+                f"{where}: semi_aperture = {made.semi_aperture:g}: the surface of radius {made.radius:g} ends before "
+                "that"
+            )
+        return made
+
+
+@dataclass(frozen=True)
+class Prescription:
+    """A lens as its designer writes it down. Lengths are millimetres.
+
+    Parameters
+    ----------
+    surfaces : tuple of Surface
+        From the scene's side to the array's; there is air before the first and behind the last.
+    stop : int
+        Index of the surface that is the aperture stop; it opens to its semi-aperture at most.
+    name : str
+        Name of the lens.
+    source : str
+        Where it is published.
+    wavelength : float
+        Wavelength in nanometres at which rays are followed and focal length and pupils are told; the line d by default.
+    """
+
+    surfaces: tuple[Surface, ...]
+    stop: int
+    name: str = ""
+    source: str = ""
+    wavelength: float = LINE_D
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return what `from_plain` takes: numbers, strings, lists and dictionaries."""
+        surfaces = [surface.to_plain() for surface in self.surfaces]
+        surfaces[self.stop]["stop"] = True
+        facts = {name: text for name in ("name", "source") if (text := getattr(self, name))}
+        return {**facts, "wavelength": self.wavelength, "surfaces": surfaces}
+
+    @classmethod
+    def from_plain(cls, value: Any) -> Prescription:
+        """Take a prescription from plain data, for example from a file.
+
+        Parameters
+        ----------
+        value : dict
+            ``surfaces``, a list of what `Surface.from_plain` takes, one of them with ``stop: true``; and any of
+            ``name``, ``source``, ``wavelength``.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown or missing, a value is out of range, not just one surface is the stop, glass follows
+            the last surface, or an index of a glass at the wavelength is none.
+        """
+        known = {"surfaces", "name", "source", "wavelength"}
+        if not isinstance(value, dict) or not set(map(str, value)) <= known or "surfaces" not in value:
+            raise InputError(
+                f"main_lens = {shown(value)}: it must have surfaces, and may have name, source, wavelength"
+            )
+        listed = value["surfaces"]
+        if not isinstance(listed, (list, tuple)) or not 1 <= len(listed) <= MOST_SURFACES:
+            raise InputError(f"main_lens: surfaces = {shown(listed)}: it must be a list of 1 to {MOST_SURFACES}")
+        surfaces = tuple(
+            Surface.from_plain(surface, f"main_lens: surface {number}")
+            for number, surface in enumerate(listed, start=1)
+        )
+        stops = []
+        for number, surface in enumerate(listed):
+            flag = surface.get("stop", False)
+            if not isinstance(flag, bool):
+                raise InputError(f"main_lens: surface {number + 1}: stop = {shown(flag)}: it must be true or false")
+            stops += [number] if flag else []
+        if len(stops) != 1:
+            raise InputError(f"main_lens: {len(stops)} surfaces have stop: true: it must be just one of them")
+        if surfaces[-1].glass is not None:
+            raise InputError(f"main_lens: surface {len(surfaces)}: glass: air must follow the last surface")
+        texts = {name: value.get(name, "") for name in ("name", "source")}
+        for name, text in texts.items():
+            if not isinstance(text, str):
+                raise InputError(f"main_lens: {name} = {shown(text)}: it must be text")
+        made = cls(
+            surfaces,
+            stops[0],
+            **texts,
+            wavelength=require_wavelength(value.get("wavelength", LINE_D), "main_lens: wavelength"),
+        )
+        made.indices(made.wavelength)
+        return made
+
+    def indices(self, wavelength: float) -> list[float]:
+        """Return the index behind each surface at a wavelength in nanometres, that of air being 1."""
+        return [1.0 if surface.glass is None else surface.glass.at(wavelength) for surface in self.surfaces]

@@ -1,0 +1,217 @@
+"""Refractive indices of glasses, by the formulas of their makers' catalogues, by two numbers, or by a table."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..bounds import require_wavelength
+from ..errors import InputError, require_number, shown
+
+LINE_D, LINE_F, LINE_C = 587.5618, 486.1327, 656.2725
+"""Wavelengths in nanometres at which catalogues give index and Abbe number: helium d, hydrogen F and C."""
+
+_COUNTS = {"index": 1, "abbe": 2, "sellmeier": 6, "schott": 6, "table": None}
+
+_LOWEST, _HIGHEST = 1.0, 5.0
+
+_CATALOGUE = np.arange(380.0, 1001.0, 10.0)
+"""Wavelengths at which a glass of a catalogue is tabulated."""
+
+
+@dataclass(frozen=True)
+class Glass:
+    r"""A glass between two surfaces.
+
+    Parameters
+    ----------
+    form : {"index", "abbe", "sellmeier", "schott", "table"}
+        What the numbers are. ``index``: one index for all wavelengths. ``abbe``: :math:`n_d` and
+        :math:`V_d = (n_d - 1) / (n_F - n_C)`, with :math:`n = A + B / \lambda^2` between. ``sellmeier``: B1, B2, B3,
+        C1, C2, C3 of :math:`n^2 = 1 + \sum B_i \lambda^2 / (\lambda^2 - C_i)`, :math:`\lambda` in micrometres, as in
+        today's catalogues. ``schott``: a0 to a5 of :math:`n^2 = a_0 + a_1 \lambda^2 + a_2 \lambda^{-2} + a_3
+        \lambda^{-4} + a_4 \lambda^{-6} + a_5 \lambda^{-8}`, as in older ones. ``table``: pairs of wavelength in
+        nanometres and index, between which :math:`n(1 / \lambda^2)` is a cubic spline.
+    numbers : tuple of float
+        The numbers; a table's wavelengths and indices in turn.
+    name : str
+        Name in a catalogue, for the reader.
+
+    Raises
+    ------
+    InputError
+        If there are not as many numbers as the form needs, or an index would not be from 1 to 5.
+    """
+
+    form: str
+    numbers: tuple[float, ...]
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        count = _COUNTS[self.form]
+        if count is not None and len(self.numbers) != count:
+            raise InputError(f"glass: {self.form} = {shown(self.numbers)}: it must be {count} numbers")
+        if self.form == "table":
+            wavelengths = self.numbers[::2]
+            if len(self.numbers) % 2 or len(wavelengths) < 2 or np.any(np.diff(wavelengths) <= 0):
+                raise InputError(
+                    f"glass: table = {shown(self.numbers)}: it must be two or more pairs of wavelength and index, by "
+                    "rising wavelength"
+                )
+        if self.form == "abbe" and self.numbers[1] <= 0:
+            raise InputError(f"glass: abbe = {self.numbers[1]:g}: it must be greater than 0")
+
+    def at(self, wavelength: float) -> float:
+        """Return the index at a wavelength.
+
+        Parameters
+        ----------
+        wavelength : float
+            Wavelength in nanometres.
+
+        Raises
+        ------
+        InputError
+            If the formula gives no index from 1 to 5 there, or the table does not reach so far.
+        """
+        index = self._at(require_wavelength(wavelength))
+        if not _LOWEST <= index <= _HIGHEST:
+            raise InputError(
+                f"glass {self.name or self.form}: its index at {wavelength:g} nm is {index:.4g}; it must be from "
+                f"{_LOWEST:g} to {_HIGHEST:g}"
+            )
+        return index
+
+    def _at(self, wavelength: float) -> float:
+        square = (wavelength * 1e-3) ** 2
+        numbers = np.asarray(self.numbers)
+        if self.form == "index":
+            return float(numbers[0])
+        if self.form == "abbe":
+            d, f, c = (1 / line**2 for line in (LINE_D, LINE_F, LINE_C))
+            slope = (numbers[0] - 1) / (numbers[1] * (f - c))
+            return float(numbers[0] + slope * (1 / wavelength**2 - d))
+        if self.form == "table":
+            return self._interpolated(wavelength)
+        if self.form == "sellmeier":
+            below = square - numbers[3:]
+            value = np.nan if np.any(below == 0) else 1 + np.sum(numbers[:3] * square / below)
+        else:
+            value = np.sum(numbers * square ** np.array([0, 1, -1, -2, -3, -4.0]))
+        return float(np.sqrt(value)) if value > 0 else float("nan")
+
+    def _interpolated(self, wavelength: float) -> float:
+        # SciPy takes a while to import, and few glasses are tables.
+        from scipy.interpolate import make_interp_spline
+
+        table = np.reshape(self.numbers, (-1, 2))
+        if not table[0, 0] <= wavelength <= table[-1, 0]:
+            raise InputError(
+                f"glass {self.name or 'table'}: wavelength = {wavelength:g} nm: its table goes from {table[0, 0]:g} to "
+                f"{table[-1, 0]:g} nm"
+            )
+        abscissa, index = 1 / table[::-1, 0] ** 2, table[::-1, 1]
+        return float(make_interp_spline(abscissa, index, k=min(3, len(table) - 1))(1 / wavelength**2))
+
+    def to_plain(self) -> Any:
+        """Return what `from_plain` takes: a number, or a dictionary."""
+        if self.form == "index" and not self.name:
+            return self.numbers[0]
+        named = {"name": self.name} if self.name else {}
+        if self.form == "abbe":
+            return {**named, "index": self.numbers[0], "abbe": self.numbers[1]}
+        if self.form == "table":
+            return {**named, "table": [list(self.numbers[i : i + 2]) for i in range(0, len(self.numbers), 2)]}
+        return {**named, self.form: self.numbers[0] if self.form == "index" else list(self.numbers)}
+
+    @classmethod
+    def from_plain(cls, value: Any, where: str = "glass") -> Glass:
+        """Take a glass from plain data.
+
+        Parameters
+        ----------
+        value : float, str or dict
+            An index; a name in a catalogue, for which the extra ``lenses`` must be installed; or a dictionary with
+            ``index``, with ``index`` and ``abbe``, or with one of ``sellmeier``, ``schott``, ``table``, and ``name``.
+        where : str
+            What messages call it.
+
+        Raises
+        ------
+        InputError
+            If it is none of these, a number is out of range, or no catalogue has the name.
+        """
+        if isinstance(value, str):
+            return catalogue_glass(value, where)
+        if not isinstance(value, dict):
+            return cls("index", (require_number(where, value, minimum=_LOWEST, maximum=_HIGHEST),))
+        name = value.get("name", "")
+        forms = {key: entry for key, entry in value.items() if key != "name"}
+        if not isinstance(name, str) or set(forms) not in (
+            *({form} for form in _COUNTS if form != "abbe"),
+            {"index", "abbe"},
+        ):
+            raise InputError(
+                f"{where} = {shown(value)}: it must have index, index and abbe, sellmeier, schott or table, and may "
+                "have name"
+            )
+        form = "abbe" if "abbe" in forms else next(iter(forms))
+        entries = [forms["index"], forms["abbe"]] if form == "abbe" else forms[form]
+        if form == "index":
+            entries = [entries]
+        if not isinstance(entries, (list, tuple)):
+            raise InputError(f"{where}: {form} = {shown(entries)}: it must be a list of numbers")
+        if form == "table":
+            if not all(isinstance(pair, (list, tuple)) and len(pair) == 2 for pair in entries):
+                raise InputError(f"{where}: table = {shown(entries)}: it must be pairs of wavelength and index")
+            entries = [number for pair in entries for number in pair]
+        return cls(form, tuple(require_number(f"{where}: {form}", entry) for entry in entries), name)
+
+
+def catalogue_glass(name: str, where: str = "glass") -> Glass:
+    """Return a glass by its name in a maker's catalogue, as a table that needs the catalogue no more.
+
+    The catalogues are those of refractiveindex.info that come with Optiland, the extra ``lenses``.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``N-BK7``, or with the maker before a colon, ``schott:F2``.
+    where : str
+        What messages call it.
+
+    Raises
+    ------
+    InputError
+        If Optiland is not installed, or no catalogue has the name.
+    """
+    try:
+        materials = importlib.import_module("optiland.materials")
+    except ImportError:
+        raise InputError(
+            f"{where} = {shown(name)}: glasses by name need Optiland; pip install 'mitsuba-plenoptic[lenses]', or give "
+            "index and abbe"
+        ) from None
+    maker, _, own = name.rpartition(":")
+    try:
+        return tabulated_glass(materials.Material(own, maker or None), name)
+    except Exception:  # whatever Optiland makes of a name that it does not know
+        raise InputError(f"{where} = {shown(name)}: no catalogue has a glass of that name") from None
+
+
+def tabulated_glass(material: Any, name: str) -> Glass:
+    """Return a material of Optiland as a table, from 380 to 1000 nm.
+
+    Parameters
+    ----------
+    material : optiland.materials.BaseMaterial
+        The material.
+    name : str
+        Its name.
+    """
+    indices = [float(np.ravel(material.n(wavelength * 1e-3))[0]) for wavelength in _CATALOGUE]
+    pairs = [number for pair in zip(_CATALOGUE.tolist(), indices, strict=True) for number in pair]
+    return Glass("table", tuple(pairs), name)

@@ -1,0 +1,188 @@
+"""Ray captures through real main lenses: micro-images against traced pupils, files and names, what is refused."""
+
+import json
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import (
+    InputError,
+    PlenopticCamera,
+    decode,
+    load_scene,
+    point_spread_function,
+    read_capture,
+    reconstruct,
+    render_capture,
+    write_capture,
+)
+from mitsuba_plenoptic.optics.lens_system import LensSystem
+from mitsuba_plenoptic.prescription import bundled_prescription
+
+
+@pytest.fixture(autouse=True)
+def variant():
+    mi.set_variant("llvm_ad_mono")
+
+
+WIDE = {
+    "main_lens": "cooke_triplet",
+    "focal_length": 16,
+    "aperture_radius": 1.55,
+    "focus_distance": np.inf,
+    "mla_focal_length": 0.3,
+}
+"""Light falls by a third to the corner, as the beam is cut by the outer surfaces."""
+
+
+def white_scene(camera):
+    return mi.load_dict(
+        {"type": "scene", "camera": camera.to_sensor(), "sky": {"type": "constant"}, "integrator": {"type": "direct"}}
+    )
+
+
+def pupil_of(camera, lens_centre):
+    """Solid slope area in which light reaches a lens's centre, and the middle of these slopes."""
+    lens = LensSystem.of(camera)
+    half = 1.6 * camera.pupil_radius / lens.pupil_distance
+    axis = (np.arange(-400, 400) + 0.5) * (half / 400)
+    tx, ty = (t.ravel() for t in np.meshgrid(axis, axis))
+    tx, ty = tx - lens_centre[0] / lens.pupil_distance, ty - lens_centre[1] / lens.pupil_distance
+    _, _, is_open = lens.trace(tuple(np.full_like(tx, c) for c in lens_centre), (tx, ty))
+    return np.count_nonzero(is_open) * (axis[1] - axis[0]) ** 2, (tx[is_open].mean(), ty[is_open].mean())
+
+
+@pytest.mark.parametrize("lens_index", [(0, 0), (40, 30), (60, -59)], ids=["axis", "field", "corner"])
+def test_a_micro_image_is_the_traced_pupil(lens_index):
+    """Its area to 0.5 %, its middle to 0.1 pixel, with the light that surfaces take away."""
+    camera = PlenopticCamera(**WIDE)
+    centre = tuple((index + 0.5) * camera.mla_pitch for index in lens_index)
+    area, middle = pupil_of(camera, centre)
+    z, pixel = camera.detector_distance, camera.pixel_size
+    place = [(c - z * t) / pixel + 2048 for c, t in zip(centre, middle, strict=True)]
+    half = round(camera.micro_image_pitch / pixel / 2)
+    offset = tuple(round(p) - half for p in place)
+    cropped = camera.replace(crop_offset=offset, crop_size=(2 * half, 2 * half))
+    image = np.array(mi.render(white_scene(cropped), spp=256))[..., 0]
+    assert image.max() == pytest.approx(1, abs=1e-5)
+    # Slope t of a lens lights the detector at c - z t.
+    assert image.sum() * pixel**2 == pytest.approx(area * z**2, rel=5e-3)
+    x = np.arange(2 * half) + 0.5
+    assert image.sum(0) @ x / image.sum() + offset[0] == pytest.approx(place[0], abs=0.1)
+    assert image.sum(1) @ x / image.sum() + offset[1] == pytest.approx(place[1], abs=0.1)
+
+
+def test_the_corner_of_that_camera_is_vignetted():
+    camera = PlenopticCamera(**WIDE)
+    axis, corner = (pupil_of(camera, centre)[0] for centre in ((0.0, 0.0), (4.0, -3.9)))
+    assert corner < 0.85 * axis
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        {},
+        {"mla_lattice": "hexagonal", "mla_rotation": 7.0, "mla_aperture": "circle", "mla_fill": 0.9},
+        {"mla_lattice": "hexagonal", "mla_focal_length": (0.6, 0.55, 0.5), "detector_distance": 0.45},
+        {"mla_tilt": (0.4, -0.2)},
+        {"lens_model": "parabolic"},
+    ],
+    ids=["square", "round", "multi-focus", "tilted", "parabolic"],
+)
+def test_every_array_works_behind_it(numbers):
+    """A white scene reads what the pupil's size says, as behind a thin lens."""
+    given = {"focal_length": 80, "aperture_radius": 5, "resolution": (512, 512), "detector_width": 1.024} | numbers
+    camera = PlenopticCamera(main_lens="double_gauss", **given)
+    scene = white_scene(camera)
+    assert PlenopticCamera.from_sensor(scene.sensors()[0]) == camera
+    mean = np.array(mi.render(scene, spp=64)).mean()
+    ratio = camera.micro_image_diameter / camera.micro_image_pitch
+    cell = camera.lattice.cell_area / camera.mla_pitch**2
+    assert mean == pytest.approx(np.pi / 4 * ratio**2 / cell, rel=0.02)
+
+
+def test_a_picture_in_focus_is_that_of_the_thin_lens():
+    """Letters in focus: each lens's mean is what the thin lens's is, but for pupil and aberrations."""
+    images = []
+    for lens in (None, "double_gauss"):
+        camera = PlenopticCamera(
+            main_lens=lens, focal_length=80, aperture_radius=5, resolution=(512, 512), detector_width=8.192,
+            mla_pitch=0.256, mla_focal_length=2.048,
+        )  # fmt: skip
+        scene = mi.load_dict(
+            {
+                "type": "scene", "camera": camera.to_sensor(), "integrator": {"type": "direct"},
+                "wall": {
+                    "type": "rectangle",
+                    "to_world": mi.ScalarTransform4f().translate([0, 0, 240]).rotate([0, 1, 0], 180).scale(4),
+                    "emitter": {"type": "area", "radiance": {"type": "spectrum", "value": 1.0}},
+                },
+            }
+        )  # fmt: skip
+        image = np.array(mi.render(scene, spp=32))[..., 0]
+        images.append(image.reshape(32, 16, 32, 16).sum((1, 3)) / camera.micro_image_diameter**2)
+    thin, real = images
+    assert np.abs(real - thin).sum() < 0.03 * thin.sum()
+
+
+def test_xml_takes_a_file_a_name_or_text(tmp_path):
+    lens = bundled_prescription("tessar")
+    (tmp_path / "mine.yaml").write_text(json.dumps(lens.to_plain()))
+    for value in ("mine.yaml", "tessar.yaml", "tessar", json.dumps(lens.to_plain()).replace('"', "&quot;")):
+        (tmp_path / "scene.xml").write_text(
+            f'<scene version="3.0.0"><sensor type="plenoptic"><string name="main_lens" value="{value}"/>'
+            '<float name="focus_distance" value="400"/>'
+            '<film type="hdrfilm"><rfilter type="box"/></film></sensor></scene>'
+        )
+        camera = PlenopticCamera.from_sensor(load_scene(str(tmp_path / "scene.xml")).sensors()[0])
+        assert camera.main_lens == lens
+        assert camera.focus_distance == pytest.approx(400)
+
+
+def test_a_bad_file_is_refused_by_name(tmp_path):
+    (tmp_path / "bad.yaml").write_text("surfaces: [{radius: 5, semi_aperture: 9, stop: true}]")
+    with pytest.raises(Exception, match="semi_aperture = 9: the surface of radius 5 ends before that"):
+        mi.load_dict(
+            {
+                "type": "plenoptic",
+                "main_lens": str(tmp_path / "bad.yaml"),
+                "film": {"type": "hdrfilm", "f": {"type": "box"}},
+            }
+        )
+
+
+def test_numbers_change_through_traverse():
+    scene = white_scene(
+        PlenopticCamera(main_lens="double_gauss", focal_length=80, aperture_radius=5, resolution=(256, 256))
+    )
+    parameters = mi.traverse(scene)
+    parameters["camera.aperture_radius"] = mi.Float(2.5)
+    parameters.update()
+    camera = scene.sensors()[0].camera
+    assert camera.aperture_radius == 2.5
+    quarter = np.pi / 4 * (camera.micro_image_diameter / camera.micro_image_pitch) ** 2
+    assert np.array(mi.render(scene, spp=64)).mean() == pytest.approx(quarter, rel=0.03)
+
+
+def test_what_knows_thin_lenses_only_refuses_the_capture(tmp_path):
+    camera = PlenopticCamera(
+        main_lens="singlet", focal_length=80, aperture_radius=5, resolution=(128, 128), detector_width=0.256
+    )
+    capture = render_capture(white_scene(camera), spp=4)
+    write_capture(tmp_path / "raw.exr", capture)
+    assert read_capture(tmp_path / "raw.exr").camera == camera
+    for refused, what in (
+        (lambda: reconstruct(capture, 240), "captures are reconstructed"),
+        (lambda: decode(capture), "white images are computed"),
+        (
+            lambda: point_spread_function(camera, (0, 0, 240), wavelength=633),
+            "waves are followed, but by method full_field,",
+        ),
+        (
+            lambda: render_capture(white_scene(camera), model="wave", wavelength=633),
+            "waves are followed, but by method full_field,",
+        ),
+    ):
+        with pytest.raises(InputError, match=f"main_lens = Plano-convex singlet: {what} for thin main lenses only"):
+            refused()

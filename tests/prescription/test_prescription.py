@@ -1,0 +1,219 @@
+"""Prescriptions: paraxial numbers against closed forms and Optiland's, glasses, files, and what is refused."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic.camera import PlenopticCamera
+from mitsuba_plenoptic.errors import InputError
+from mitsuba_plenoptic.io.lens_file import read_prescription, write_prescription
+from mitsuba_plenoptic.prescription import BUNDLED, Glass, Prescription, bundled_prescription, paraxial
+
+BK7 = {"name": "N-BK7", "sellmeier": [1.03961212, 0.231792344, 1.01046945, 0.00600069867, 0.0200179144, 103.560653]}
+
+
+def singlet(glass=1.5, radii=(50.0, -70.0), thickness=4.0, **changes):
+    first = {"radius": radii[0], "thickness": thickness, "glass": glass, "semi_aperture": 10, "stop": True}
+    return {"surfaces": [first | changes, {"radius": radii[1], "semi_aperture": 10}]}
+
+
+@pytest.mark.parametrize("wavelength", [450.0, 587.5618, 633.0])
+def test_focal_length_of_a_singlet_is_the_lensmakers(wavelength):
+    """The thick lens (Born and Wolf, section 4.4.3), at each wavelength."""
+    lens = Prescription.from_plain(singlet(BK7))
+    n = Glass.from_plain(BK7).at(wavelength)
+    power = (n - 1) * (1 / 50 + 1 / 70 - (n - 1) * 4 / (n * 50 * 70))
+    assert paraxial(lens, wavelength).focal_length == pytest.approx(1 / power, rel=1e-9)
+
+
+def test_chromatic_shift_of_a_thin_singlet_is_f_over_its_abbe_number():
+    lens = Prescription.from_plain(singlet({"index": 1.62, "abbe": 36.4}, thickness=1e-6))
+    blue, middle, red = (paraxial(lens, line).focal_length for line in (486.1327, 587.5618, 656.2725))
+    assert (red - blue) / middle == pytest.approx(1 / 36.4, rel=0.02)
+
+
+# As Optiland 0.6.3 prints them, at 587.6, 550 and 587.5618 nm; the Tessar's inches in millimetres.
+@pytest.mark.parametrize(
+    "name, focal_length, entrance, exit_pupil, ratio",
+    [
+        ("double_gauss", 100.00375, 57.912, 61.487536 - 114.64442, 1.1464013),
+        ("cooke_triplet", 49.999783, 11.512159, 42.20778 - 50.961348, 1.0233729),
+        ("tessar", 101.54355, 16.732392, 3.4025 * 25.4 - 99.487865, 0.98382169),
+    ],
+)
+def test_bundled_lenses_have_the_numbers_that_another_program_prints(name, focal_length, entrance, exit_pupil, ratio):
+    numbers = paraxial(bundled_prescription(name))
+    assert numbers.focal_length == pytest.approx(focal_length, rel=1e-7)
+    assert numbers.entrance_pupil == pytest.approx(entrance, rel=1e-7)
+    assert numbers.exit_pupil == pytest.approx(exit_pupil, abs=2e-5)
+    assert numbers.exit_radius / numbers.entrance_radius == pytest.approx(ratio, rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    "glass, index",
+    [
+        (BK7, 1.5168000),
+        ({"schott": [2.592001, -0.01540969, 0.0102268, 0.001581559, -0.0001877149, 1.012515e-05]}, 1.6204089),
+        ({"index": 1.5168, "abbe": 64.17}, 1.5168),
+        ({"table": [[400, 1.5308], [500, 1.5214], [587.5618, 1.5168], [700, 1.5131]]}, 1.5168),
+        (1.5168, 1.5168),
+    ],
+)
+def test_glasses_have_their_catalogues_indices(glass, index):
+    assert Glass.from_plain(glass).at(587.5618) == pytest.approx(index, abs=1e-7)
+    assert Glass.from_plain(Glass.from_plain(glass).to_plain()) == Glass.from_plain(glass)
+
+
+def test_an_abbe_number_is_that_of_the_lines():
+    glass = Glass.from_plain({"index": 1.62, "abbe": 36.4})
+    assert 0.62 / (glass.at(486.1327) - glass.at(656.2725)) == pytest.approx(36.4, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", BUNDLED)
+def test_bundled_lenses_tell_their_source_and_survive_files(name, tmp_path):
+    lens = bundled_prescription(name)
+    assert lens.source and lens.name
+    write_prescription(tmp_path / "lens.yaml", lens)
+    assert read_prescription(tmp_path / "lens.yaml") == lens
+    assert read_prescription(json.dumps(lens.to_plain())) == lens
+
+
+def test_a_camera_holds_its_lens_in_full():
+    camera = PlenopticCamera(main_lens="double_gauss.yaml", focal_length=80, aperture_radius=5)
+    assert PlenopticCamera.from_json(camera.to_json()) == camera
+    assert PlenopticCamera.from_dict(json.loads(json.dumps(camera.to_dict()))) == camera
+    assert camera.replace(focus_distance=300.0).main_lens == camera.main_lens
+    own = PlenopticCamera(main_lens="double_gauss", focus_distance=1000)
+    assert own.focal_length == pytest.approx(100.00375, rel=1e-7)
+    assert own.f_number == pytest.approx(3, rel=1e-3)
+    assert "main_lens" not in PlenopticCamera().to_dict()
+
+
+def test_pupils_of_a_lens_whose_stop_is_its_first_surface():
+    numbers = paraxial(Prescription.from_plain(singlet()))
+    assert numbers.entrance_pupil == 0 and numbers.entrance_radius == 10
+    # The stop seen through the glass and the second surface: n/x' - n/t = ... by the paraxial formula.
+    power = (1 - 1.5) / -70
+    place = 1 / (power - 1.5 / 4)
+    assert numbers.exit_pupil == pytest.approx(place, rel=1e-12)
+    assert numbers.exit_radius == pytest.approx(10 * abs(place) * 1.5 / 4, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "given, message",
+    [
+        ({}, "main_lens = {}: it must have surfaces, and may have name, source, wavelength"),
+        ({"surfaces": []}, "main_lens: surfaces = []: it must be a list of 1 to 100"),
+        (singlet(radius=0), "main_lens: surface 1: radius = 0: it must not be 0; a plane has no radius"),
+        (singlet(semi_aperture=60), "semi_aperture = 60: the surface of radius 50 ends before that"),
+        (singlet(semi_aperture=-1), "main_lens: surface 1: semi_aperture = -1: it must be at least 1e-09"),
+        (singlet(thickness=-1), "main_lens: surface 1: thickness = -1: it must be at least 0"),
+        (singlet(stop=False), "main_lens: 0 surfaces have stop: true: it must be just one of them"),
+        (singlet(colour=1), "main_lens: surface 1: colour: it is not one of"),
+        (singlet(0.5), "main_lens: surface 1: glass = 0.5: it must be at least 1"),
+        (singlet({"abbe": 50}), "it must have index, index and abbe, sellmeier, schott or table"),
+        (singlet({"sellmeier": [1, 2]}), "glass: sellmeier = (1.0, 2.0): it must be 6 numbers"),
+        (singlet({"table": [[600, 1.5], [700, 1.49]]}), "its table goes from 600 to 700 nm"),
+        (singlet("no such glass"), "main_lens: surface 1: glass = 'no such glass': "),
+        (singlet(radii=(-50.0, 50.0)), "main_lens: its focal length is -"),
+        ("triplet", "there is no such file, and the bundled lenses are cooke_triplet, double_gauss, singlet, tessar"),
+    ],
+)
+def test_bad_prescriptions_are_refused_in_one_line(given, message):
+    with pytest.raises(InputError) as caught:
+        PlenopticCamera(main_lens=given)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "given, message",
+    [
+        ({"aperture_radius": 20}, "aperture_radius = 20: the main_lens opens to 13.3"),
+        ({"mla_distance": 20}, "mla_distance = 20: the array would stand within the main_lens or its exit pupil"),
+        ({"wavefront": (0, 0, 0, 0.1)}, "a main_lens brings its own; leave it out"),
+        ({"distortion": (0.001, 0, 0, 0, 0)}, "a main_lens brings its own; leave it out"),
+    ],
+)
+def test_cameras_that_do_not_suit_their_lens_are_refused(given, message):
+    with pytest.raises(InputError, match=r"^[^\n]*$") as caught:
+        PlenopticCamera(main_lens="double_gauss", focal_length=80, **given)
+    assert message in str(caught.value)
+
+
+def test_blur_and_micro_images_follow_the_exit_pupil():
+    """By similar triangles of the cone from the exit pupil, whose place and size Optiland tells."""
+    camera = PlenopticCamera(main_lens="double_gauss", focal_length=80, aperture_radius=5)
+    scale = 80 / 100.00375
+    assert camera.pupil_distance == pytest.approx(120 + scale * (-38.516202 + 53.156881), abs=1e-4)
+    assert camera.pupil_radius == pytest.approx(5 * 1.1464013, rel=1e-6)
+    image = 1 / (1 / 80 - 1 / 210)
+    gap = abs(120 - image) / (camera.pupil_distance + image - 120)
+    assert camera.blur_diameter(210) == pytest.approx(2 * camera.pupil_radius * gap, rel=1e-12)
+    assert camera.micro_image_diameter == pytest.approx(2 * camera.pupil_radius * 0.512 / camera.pupil_distance)
+    assert math.isfinite(camera.blur_diameter(math.inf))
+
+
+def test_thin_cameras_keep_their_numbers():
+    camera = PlenopticCamera()
+    assert (camera.focal_length, camera.aperture_radius) == (80.0, 5.0)
+    assert (camera.pupil_distance, camera.pupil_radius) == (120.0, 5.0)
+    assert np.isclose(camera.micro_image_pitch, 0.064 * 120.512 / 120)
+
+
+ZEMAX = """VERS 90504
+MODE SEQ
+NAME Double Gauss
+UNIT MM X W X CM MR CPMM
+ENPD 33.33
+FTYP 0 0 1 3 0 0 0
+YFLN 0
+WAVM 1 0.4861 1
+WAVM 2 0.5876 1
+PWAV 2
+SURF 0
+  TYPE STANDARD
+  CURV 0.0
+  DISZ INFINITY
+"""
+
+
+def zemax_text(lens, names):
+    """Write a lens as Zemax does, with the glasses' names."""
+    parts = [ZEMAX]
+    for number, (surface, name) in enumerate(zip(lens.surfaces, names, strict=True), start=1):
+        gap = surface.thickness or 61.487536
+        parts += [f"SURF {number}", "  TYPE STANDARD", f"  CURV {surface.curvature!r} 0 0 0 0", f"  DISZ {gap!r}"]
+        parts += [f"  GLAS {name} 0 0 1.6 50 0 0 0 0 0 0"] if name else []
+        parts += ["  STOP"] if number == lens.stop + 1 else []
+        parts += [f"  DIAM {surface.semi_aperture!r} 1 0 0 1"]
+    return "\n".join([*parts, f"SURF {len(lens.surfaces) + 1}", "  TYPE STANDARD", "  CURV 0.0", "  DISZ 0", ""])
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_a_zemax_file_is_the_bundled_lens(tmp_path, encoding):
+    pytest.importorskip("optiland")
+    lens = bundled_prescription("double_gauss")
+    names = [surface.glass and surface.glass.name for surface in lens.surfaces]
+    (tmp_path / "lens.zmx").write_text(zemax_text(lens, names), encoding=encoding)
+    found = read_prescription(tmp_path / "lens.zmx")
+    assert (found.stop, found.wavelength) == (lens.stop, pytest.approx(lens.wavelength))
+    for mine, theirs in zip(lens.surfaces, found.surfaces, strict=True):
+        assert theirs.semi_aperture == mine.semi_aperture
+        assert (theirs.curvature, theirs.thickness) == pytest.approx((mine.curvature, mine.thickness), abs=1e-11)
+    for wavelength in (486.1, 587.6, 633.0):
+        assert found.indices(wavelength) == pytest.approx(lens.indices(wavelength), abs=1e-7)
+        assert paraxial(found, wavelength).focal_length == pytest.approx(
+            paraxial(lens, wavelength).focal_length, rel=1e-6
+        )
+
+
+def test_a_zemax_file_without_semi_diameters_or_reader_is_refused(tmp_path):
+    lens = bundled_prescription("double_gauss")
+    text = zemax_text(lens, [surface.glass and surface.glass.name for surface in lens.surfaces])
+    (tmp_path / "lens.zmx").write_text("\n".join(line for line in text.splitlines() if "DIAM" not in line))
+    with pytest.raises(
+        InputError, match=r"lens\.zmx: (it is read by Optiland; pip install|surface 1 has no semi-aperture)"
+    ):
+        read_prescription(tmp_path / "lens.zmx")
