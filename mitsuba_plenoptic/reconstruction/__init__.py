@@ -4,9 +4,9 @@ A new method is a new module with a function that `methods.method` registers, im
 """
 
 # in the order in which help and messages name them
-from . import ray, coherent, partial  # noqa: F401, I001
-from .api import FOOTPRINTS, reconstruct
+from . import ray, coherent, partial, deconvolved  # noqa: F401, I001
+from .api import FOOTPRINTS, RESPONSES, reconstruct
 from .methods import METHODS
 from .result import Reconstruction, write_reconstruction
 
-__all__ = ["FOOTPRINTS", "METHODS", "Reconstruction", "reconstruct", "write_reconstruction"]
+__all__ = ["FOOTPRINTS", "METHODS", "RESPONSES", "Reconstruction", "reconstruct", "write_reconstruction"]
