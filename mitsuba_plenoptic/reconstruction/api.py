@@ -197,7 +197,9 @@ def reconstruct(
 
     report(0)
     with guards.watch() as found:
-        task = Task(image, camera, distances, oversample, wavelengths, reference, report, capture.metadata.get("exposure"))
+        task = Task(
+            image, camera, distances, oversample, wavelengths, reference, report, capture.metadata.get("exposure")
+        )
         images = [made if isinstance(made, Found) else Found(made) for made in chosen.refocus(task, **options)]
     options |= {"oversample": oversample} | ({"wavelength": wavelengths} if waves else {})
     options |= {"white": "capture"} if reference is not None else {}

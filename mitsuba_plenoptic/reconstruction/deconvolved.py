@@ -27,9 +27,7 @@ _PLANNING = 0.3
 """Fraction of the progress that counts for the point spreads."""
 
 
-@method(
-    "deconvolved", options=("response", "iterations", "accelerate", "photons", "volume"), waves=True, as_it_is=True
-)
+@method("deconvolved", options=("response", "iterations", "accelerate", "photons", "volume"), waves=True, as_it_is=True)
 def refocus(
     task: Task,
     *,
@@ -98,7 +96,7 @@ def _solve(
         image,
         iterations=iterations or (MOST_ITERATIONS if known else DEFAULT_ITERATIONS),
         accelerate=accelerate,
-        noise_power=noise.power(image) if known and noise else None,
+        misfit=noise.misfit if known and noise else None,
         shift=noise.shift if noise else 0.0,
         progress=lambda done: report(_PLANNING + (1 - _PLANNING) * done),
     )
@@ -113,7 +111,8 @@ def _facts(
     task: Task, distance: float, of_plane: list[tuple[NDArray[np.float32], Solution]], response: str
 ) -> dict[str, Any]:
     """Return what is known of a plane."""
-    limits = [resolution_limit(task.camera, distance, wavelength) for wavelength in task.wavelengths or [None]]
+    wavelengths: Sequence[float | None] = task.wavelengths or [None]
+    limits = [resolution_limit(task.camera, distance, wavelength) for wavelength in wavelengths]
     return {
         "iterations": max(solution.iterations for _, solution in of_plane),
         "residual": max(solution.residual for _, solution in of_plane),
@@ -130,8 +129,8 @@ def _require_light(image: NDArray[np.float32], noise: Noise | None) -> None:
     negative = int(np.count_nonzero(image < 0))
     if negative and noise is None:
         raise InputError(
-            f"capture: {negative} of its pixels are below 0, the least of them {float(image.min()):.3g}: no light makes "
-            "these; photons= or the exposure of the capture tells what noise does"
+            f"capture: {negative} of its pixels are below 0, the least of them {float(image.min()):.3g}: no light "
+            "makes these; photons= or the exposure of the capture tells what noise does"
         )
     if float(image.sum(dtype=np.float64)) <= 0:
         raise InputError("capture: the sum of its pixels is not above 0: there is no light to deconvolve")

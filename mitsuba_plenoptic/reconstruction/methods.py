@@ -97,9 +97,7 @@ class Method:
 METHODS: dict[str, Method] = {}
 
 
-def method(
-    name: str, *, options: tuple[str, ...], waves: bool, as_it_is: bool = False
-) -> Callable[[Refocus], Refocus]:
+def method(name: str, *, options: tuple[str, ...], waves: bool, as_it_is: bool = False) -> Callable[[Refocus], Refocus]:
     """Register a function as a `Method`.
 
     Parameters

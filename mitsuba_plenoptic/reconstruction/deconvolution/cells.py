@@ -1,13 +1,13 @@
 r"""The periodic cells of a camera: which bins of an object plane, and which samples of the detector, repeat together.
 
 Move a bin so that its image on the MLA moves by a lattice vector v: its point spread moves on the detector by
-:math:`v (b + z) / b`, and is the same but for the main lens's aberrations. On `capture.grid.Grid` that is a whole number
-of samples. So the plane of the bins and the grid are cut into *cells*, one for each lens (one for three lenses where
-three types are interleaved), and the response of all bins is known from that of the bins of one cell.
+:math:`v (b + z) / b`, and is the same but for the main lens's aberrations. On `capture.grid.Grid` that is a whole
+number of samples. So the plane of the bins and the grid are cut into *cells*, one for each lens (one for three lenses
+where three types are interleaved), and the response of all bins is known from that of the bins of one cell.
 
-A cell (I, J) stands for the bins around :math:`I v_1 + J v_2` on the MLA, a rectangle as wide as :math:`v_1` and as high
-as :math:`v_2`, and for the samples around the same place times :math:`(b + z) / b`. :math:`v_1` is along x; rows of cells
-may be staggered. All of this is in the frame of the lattice.
+A cell (I, J) stands for the bins around :math:`I v_1 + J v_2` on the MLA, a rectangle as wide as :math:`v_1` and as
+high as :math:`v_2`, and for the samples around the same place times :math:`(b + z) / b`. :math:`v_1` is along x; rows
+of cells may be staggered. All of this is in the frame of the lattice.
 """
 
 from __future__ import annotations
@@ -196,9 +196,7 @@ class Cells:
             result[place] = strip[inside]
         return result
 
-    def _strips(
-        self, box: Box, cells: CellSet
-    ) -> list[tuple[int, int, tuple[slice, slice], tuple[slice, slice]]]:
+    def _strips(self, box: Box, cells: CellSet) -> list[tuple[int, int, tuple[slice, slice], tuple[slice, slice]]]:
         """Return for each row of cells its first one's number, their count, and where its strip and the box meet."""
         width, height = self.size
         strips = []

@@ -1,8 +1,8 @@
 """How the bins of one cell light the samples of the cells around: a few dense blocks of a mostly dark array.
 
-Through one lens a bin lights a spot; the lens beside it has that spot elsewhere. So of all pairs of a cell and a block of
-its samples few hold light, and the others are left out. What they would hold is given to those that stay, all alike, so
-that no power is lost.
+Through one lens a bin lights a spot; the lens beside it has that spot elsewhere. So of all pairs of a cell and a block
+of its samples few hold light, and the others are left out. What they would hold is given to those that stay, all alike,
+so that no power is lost.
 """
 
 from __future__ import annotations

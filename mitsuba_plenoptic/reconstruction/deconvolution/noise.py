@@ -1,4 +1,4 @@
-"""What is known of the noise of a capture: the power of what no reconstruction should explain."""
+"""What is known of the noise of a capture: how much of it no reconstruction should explain."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from ...detector import Detector
 from ...errors import InputError, require_number
+
+_DARKEST = 0.01
+"""Variance, over the mean one, that is added to every pixel's where residuals are weighted."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,24 @@ class Noise:
         """Variance of a dark pixel over the value that counts one electron."""
         return self.dark * self.electrons
 
-    def power(self, image: NDArray[np.float32]) -> float:
-        """Return the sum of all pixels' variances; the noisy values stand for their mean."""
-        return max(0.0, float(image.sum(dtype=np.float64)) / self.electrons) + image.size * self.dark
+    def misfit(self, image: NDArray[np.float32], model: NDArray[np.float32]) -> float:
+        """Return the squared residual over what noise alone would make of it, pixels weighted by their variances.
+
+        Pearson's statistic, of expectation 1; pixels that should be all but dark count less than it would have them,
+        since a single photon of light that the model does not know would outweigh all else.
+
+        Parameters
+        ----------
+        image : float32 array
+            The pixels.
+        model : float32 array
+            What they should be.
+
+        Returns
+        -------
+        float
+        """
+        variance = np.maximum(model, 0) / np.float32(self.electrons) + np.float32(self.dark)
+        weight = 1 / (variance + np.float32(_DARKEST * float(variance.mean()) + 1e-30))
+        residual = float(((image - model) ** 2 * weight).sum(dtype=np.float64))
+        return residual / max(float((variance * weight).sum(dtype=np.float64)), 1e-30)

@@ -123,7 +123,6 @@ class PlaneResponse:
         return result[:-1]
 
 
-
 def _each(
     work: Callable[[Zone, NDArray[np.int32]], Result], zones: list[Zone], sources: list[NDArray[np.int32]]
 ) -> Iterator[Result]:

@@ -6,13 +6,15 @@ r"""Richardson's and Lucy's iteration, plain or accelerated, stopped by the nois
 of Poisson counts. :math:`\beta` is the variance of a dark pixel over the value that counts one electron: with it a
 Poisson law stands for photons and read noise together (Snyder, Hammoud and White 1993, J. Opt. Soc. Am. A 10, 1014).
 
-Accelerated, each step starts from a point extrapolated along the last two (Biggs and Andrews 1997, Appl. Opt. 36, 1766):
+Accelerated, each step starts from a point extrapolated along the last two (Biggs and Andrews 1997, Appl. Opt. 36,
+1766):
 
 .. math:: z_k = x_k + \alpha_k (x_k - x_{k-1}), \qquad
           \alpha_k = \frac{g_{k-1} \cdot g_{k-2}}{g_{k-2} \cdot g_{k-2}}, \qquad g_{k-1} = x_k - z_{k-1}
 
-It ends where the squared residual falls to the power of the noise, the discrepancy principle (Morozov 1966): what is
-left is then as large as noise, and further steps would fit it.
+It ends where the residual, weighted by the variances of the pixels, is as large as noise: the discrepancy principle
+(Morozov 1966; for Poisson counts Bertero et al. 2010, Inverse Problems 26, 105004). Further steps would fit the noise.
+It ends as well where what is above that hardly falls any more, since it is then no light from these bins.
 """
 
 from __future__ import annotations
@@ -28,10 +30,17 @@ Values = list[NDArray[np.float32]]
 """Radiance of the bins of each plane."""
 
 _FLOOR = 1e-4
-"""What is added to every pixel and to its model at least, over the mean of the light: no pixel is divided by nothing."""
+"""What is added to every pixel and its model at least, over the mean of those that are lit, so that none is 0."""
 
 _LEAST_SEEN = 1e-4
 """Light of a bin on the detector, over that of the best one, below which it is taken for dark."""
+
+
+_SPAN, _LEAST_FALL = 5, 0.9
+"""Steps in which what is above the noise must fall below this fraction of itself."""
+
+Misfit = Callable[[NDArray[np.float32], NDArray[np.float32]], float]
+"""From pixels and what they should be to the squared residual over that of noise alone."""
 
 
 class Linear(Protocol):
@@ -75,11 +84,11 @@ def richardson_lucy(
     *,
     iterations: int,
     accelerate: bool = True,
-    noise_power: float | None = None,
+    misfit: Misfit | None = None,
     shift: float = 0.0,
     progress: Callable[[float], None] | None = None,
 ) -> Solution:
-    """Find the radiance of bins that explains an image.
+    r"""Find the radiance of bins that explains an image.
 
     Parameters
     ----------
@@ -91,10 +100,10 @@ def richardson_lucy(
         Steps at most.
     accelerate : bool
         Whether steps start from extrapolated points.
-    noise_power : float, optional
-        Sum of the variances of all pixels, at which the squared residual ends the iteration.
+    misfit : callable, optional
+        Tells the squared residual over that of noise alone, which ends the iteration at 1.
     shift : float
-        The number :math:`\\beta`.
+        The number :math:`\beta`.
     progress : callable, optional
         Called with the fraction of the steps that is done.
 
@@ -108,18 +117,21 @@ def richardson_lucy(
     given = np.maximum(image + np.float32(shift), 0)
     light = response.adjoint(np.ones_like(image))
     best = max(float(part.max()) for part in light)
-    seen = [np.maximum(part, 0) / np.float32(best) for part in light]
+    seen: Values = [np.asarray(np.maximum(part, 0) / best, np.float32) for part in light]
     weight = [np.where(part > _LEAST_SEEN, 1 / np.maximum(part * best, 1e-30), 0).astype(np.float32) for part in seen]
-    level = total / sum(float((part * (gain > 0)).sum(dtype=np.float64)) for part, gain in zip(light, weight, strict=True))
+    level = total / sum(
+        float((part * (gain > 0)).sum(dtype=np.float64)) for part, gain in zip(light, weight, strict=True)
+    )
     start = [np.where(gain > 0, np.float32(level), np.float32(0)) for gain in weight]
     last, found, steps = start, start, _Extrapolation() if accelerate else None
     scale = float(np.linalg.norm(image))
-    done, residual, stopped = 0, np.inf, False
+    done, misfits = 0, [np.inf]
     while True:
         point = found if steps is None else steps.start(found, last)
         model = response.forward(point)
-        residual = float(np.linalg.norm(image - model))
-        stopped = noise_power is not None and residual**2 <= noise_power
+        if misfit is not None:
+            misfits.append(misfit(image, model))
+        stopped = _explained(misfits)
         if stopped or done == iterations:
             break
         ratio = given / (np.maximum(model, 0) + np.float32(shift))
@@ -131,7 +143,13 @@ def richardson_lucy(
         done += 1
         if progress:
             progress(done / iterations)
-    return Solution(point, seen, done, residual / scale, stopped)
+    return Solution(point, seen, done, float(np.linalg.norm(image - model)) / scale, stopped)
+
+
+def _explained(misfits: list[float]) -> bool:
+    """Whether what is left is noise, or will not become less."""
+    above = [value - 1 for value in misfits[-1 - _SPAN :]]
+    return above[-1] <= 0 or (len(above) > _SPAN and above[-1] > _LEAST_FALL * above[0])
 
 
 class _Extrapolation:

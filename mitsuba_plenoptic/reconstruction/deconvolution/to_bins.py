@@ -37,7 +37,8 @@ def to_bins(
     """
     pitch = camera.mla_pitch / oversample
     x, y = ((np.arange(count * oversample) - (count * oversample - 1) / 2) * pitch for count in camera.bin_count)
-    u, v = turn(*np.broadcast_arrays(x, y[:, None]), -camera.mla_rotation)
+    x, y = np.broadcast_arrays(x, y[:, None])
+    u, v = turn(x, y, -camera.mla_rotation)
     across, down = cells.bins
     width, height = cells.bin_sizes
     padded = np.append(values.ravel(), np.float32(0))

@@ -13,6 +13,7 @@ from ...capture.accuracy import band_for
 from ...capture.grid import Grid, place
 from ...capture.patch_batches import Fields, Scatter
 from ...capture.tile import Copies
+from ...design import resolution_limit
 from ...optics.main_lens import main_lens
 from .cells import Cells
 
@@ -21,8 +22,11 @@ _ACCURACY = 0.01
 
 _MANY = 2**20
 
-_RADIATORS = 8
-"""Radiators along a lens, at least, whose mean stands for the light of its bins."""
+_RADIATORS, _MOST_RADIATORS = 8, 32
+"""Radiators along a lens, at least and at most, whose mean stands for the light of its bins."""
+
+_RADIATORS_PER_LINE = 4
+"""The same along a period of the finest lines that the plane's light tells apart."""
 
 _INFINITY = 1e6
 """Focal lengths at which light counts as collimated."""
@@ -30,7 +34,7 @@ _INFINITY = 1e6
 
 def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: float) -> Grid:
     """Lay the grid that holds the light of planes at some distances."""
-    points = np.array([[0.0, 0.0, _finite(camera, distance)] for distance in distances])
+    points = np.array([[0.0, 0.0, finite_distance(camera, distance)] for distance in distances])
     return Grid.of(camera, wavelength, band_for(_ACCURACY, _MANY), points)
 
 
@@ -52,8 +56,8 @@ def wave_batches(cells: Cells, distance: float, cell: NDArray[np.int64]) -> list
         Sums over samples of the grid, as intensity per square millimetre of a bin of radiance 1.
     """
     grid = cells.grid
-    depth = _finite(cells.camera, distance)
-    places = cells.bin_places(cell, max(1, math.ceil(_RADIATORS / cells.oversample)))
+    depth = finite_distance(cells.camera, distance)
+    places = cells.bin_places(cell, math.ceil(_radiators(cells, distance) / cells.oversample))
     image = places * (-depth / cells.camera.mla_distance)
     weight = bin_weight(cells) / places.shape[1]
     batches = []
@@ -64,11 +68,21 @@ def wave_batches(cells: Cells, distance: float, cell: NDArray[np.int64]) -> list
         copy = Copies(np.zeros((1, 2), np.int64), np.full((1, 1), weight, np.float32))
         batches.append(
             [
-                Scatter(Fields(grid, placement.take(some), positions[some], None), np.ones(len(some)), [copy] * len(some))
+                Scatter(
+                    Fields(grid, placement.take(some), positions[some], None), np.ones(len(some)), [copy] * len(some)
+                )
                 for some in groups
             ]
         )
     return batches
+
+
+def _radiators(cells: Cells, distance: float) -> int:
+    """Return how many radiators along a lens stand for its bins."""
+    camera = cells.camera
+    limit = resolution_limit(camera, distance, cells.grid.wavelength)
+    lines = 0.0 if limit.in_focus else limit.frequency / (2 * limit.lenses)  # along a lens
+    return max(_RADIATORS, min(_MOST_RADIATORS, math.ceil(_RADIATORS_PER_LINE * lines)))
 
 
 def bin_weight(cells: Cells) -> float:
@@ -83,5 +97,6 @@ def bin_weight(cells: Cells) -> float:
     return float(area * pupil * z**2 / (b**2 * camera.lattice.lens_area * camera.pixel_size**2))
 
 
-def _finite(camera: PlenopticCamera, distance: float) -> float:
+def finite_distance(camera: PlenopticCamera, distance: float) -> float:
+    """Return a distance; infinity is so far that light is collimated."""
     return min(distance, _INFINITY * camera.focal_length)
