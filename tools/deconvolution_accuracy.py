@@ -51,6 +51,15 @@ COLUMNS = {
 }
 
 
+WRONG = {
+    "response": "{response}",
+    "contrast": "{contrast:.2f}",
+    "error": "{error:.2f}",
+    "left of the capture": "{residual:.2%}",
+    "brightest bin": "{most:.2f}",
+}
+
+
 class Waves:
     """Sinusoids of one frequency in a plane: along x and turned by 30 degrees, each in two phases."""
 
@@ -139,6 +148,36 @@ def plane(
     return rows
 
 
+def wrong(camera: PlenopticCamera, d: float, allowed: float, iterations: int) -> list[accuracy.Row]:
+    """Deconvolve one capture by responses of a wavelength, or a distance, that is 1 % off."""
+    distance = camera.focus_distance + d
+    limit = resolution_limit(camera, distance, WAVELENGTH).frequency
+    oversample = math.ceil(3 * limit * camera.bin_size(distance))
+    waves = Waves(JUDGED * limit)
+    image = np.ascontiguousarray(capture(camera, distance, [waves], allowed)[..., 0])
+    rows = []
+    for name, wavelength, place in (
+        ("as it is", WAVELENGTH, distance),
+        ("wavelength 1 % longer", 1.01 * WAVELENGTH, distance),
+        ("distance from focus 1 % longer", WAVELENGTH, distance + 0.01 * d),
+        ("distance 1 % longer", WAVELENGTH, 1.01 * distance),
+    ):
+        response = Response(camera, [place], wavelength=wavelength, oversample=oversample)
+        found = richardson_lucy(response, image, iterations=iterations)
+        made = to_bins(found.values[0], response.cells, response.planes[0].lit, camera, oversample)
+        seen, error = contrast(made, camera, distance, waves, 0)
+        row = {
+            "response": name,
+            "contrast": seen,
+            "error": error,
+            "residual": found.residual,
+            "most": float(made.max()),
+        }
+        rows.append(row)
+        print(accuracy.markdown(WRONG, rows[-1:]).splitlines()[-1], flush=True)
+    return rows
+
+
 def main() -> int:
     """Measure the planes, and judge them at 80 % of their limits."""
     parser = accuracy.options("deconvolution_accuracy", __doc__)
@@ -149,7 +188,7 @@ def main() -> int:
     parser.add_argument("--relative", type=float, nargs="*", help="frequencies over the limit")
     parser.add_argument("--lenses", type=int, help="lenses across the detector; default 24")
     parser.add_argument("--accuracy", type=float, help="of the captures; default 0")
-    parser.add_argument("--iterations", type=int, default=25, help="steps without noise")
+    parser.add_argument("--iterations", type=int, default=60, help="steps without noise")
     given = accuracy.start(parser)
     lenses = given.lenses or (12 if given.quick else 24)
     planes = given.planes or ((13.0, -30.0) if given.quick else PLANES)
@@ -158,7 +197,9 @@ def main() -> int:
     camera = PlenopticCamera(detector_width=0.064 * lenses, resolution=(32 * lenses, 32 * lenses))
     rows = [row for d in planes for row in plane(camera, d, relative, allowed, given.iterations)]
     judged = [row for row in rows if row["relative"] == JUDGED]
-    accuracy.finish(given, rows, accuracy.markdown(COLUMNS, rows))
+    off = wrong(camera, planes[0], allowed, given.iterations)
+    results = {"planes": rows, "wrong responses": off}
+    accuracy.finish(given, results, accuracy.markdown(COLUMNS, rows), accuracy.markdown(WRONG, off))
     return int(any(row["clean"] < LEAST or row["noisy"] < LEAST_NOISY for row in judged))
 
 

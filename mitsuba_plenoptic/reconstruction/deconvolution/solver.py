@@ -36,7 +36,7 @@ _LEAST_SEEN = 1e-4
 """Light of a bin on the detector, over that of the best one, below which it is taken for dark."""
 
 
-_SPAN, _LEAST_FALL = 5, 0.9
+_SPAN, _LEAST_FALL = 10, 0.95
 """Steps in which what is above the noise must fall below this fraction of itself."""
 
 Misfit = Callable[[NDArray[np.float32], NDArray[np.float32]], float]
