@@ -144,7 +144,7 @@ def reconstruct(
             relay=relay,
             oversample=oversample,
             white=reference,
-            response=response or recorded.model,
+            response=response,
             iterations=iterations,
             accelerate=accelerate,
             photons=photons,

@@ -40,7 +40,7 @@ def reconstruct(
     relay: bool = ...,
     oversample: int = ...,
     white: Capture | np.ndarray | None = ...,
-    response: str = ...,
+    response: str | None = ...,
     iterations: int | None = ...,
     accelerate: bool = ...,
     photons: float | None = ...,
@@ -60,7 +60,7 @@ def reconstruct(
     relay: bool = ...,
     oversample: int = ...,
     white: Capture | np.ndarray | None = ...,
-    response: str = ...,
+    response: str | None = ...,
     iterations: int | None = ...,
     accelerate: bool = ...,
     photons: float | None = ...,
@@ -80,7 +80,7 @@ def reconstruct(
     relay: bool = True,
     oversample: int = 1,
     white: Capture | np.ndarray | None = None,
-    response: str = "wave",
+    response: str | None = None,
     iterations: int | None = None,
     accelerate: bool = True,
     photons: float | None = None,
@@ -125,8 +125,9 @@ def reconstruct(
         is refocused in the same way, and images are divided by it. Default: what the camera would record by rays; a
         capture by waves, whose micro-images lose light at their edges, then reads less (0.85 for the paper's camera).
         ``deconvolved`` takes none.
-    response : {"wave", "ray"}
-        For ``deconvolved``: how light goes through the camera; as the capture was made.
+    response : {"wave", "ray"}, optional
+        For ``deconvolved``: how light goes through the camera. Default: as the capture was made; by waves where a
+        `wavelength` is given.
     iterations : int, optional
         For ``deconvolved``: steps. Default: until what is left of the capture is as large as its noise, 100 at most,
         where that is known from `photons` or from what `expose` has kept with the capture; else 30.
@@ -170,7 +171,7 @@ def reconstruct(
         "footprint": footprint,
         "interleave": _interleave(interleave, camera),
         "relay": bool(relay),
-        "response": require_choice("response", response, RESPONSES),
+        "response": _response(response, capture, wavelength),
         "iterations": None if iterations is None else require_count("iterations", iterations),
         "accelerate": bool(accelerate),
         "photons": None if photons is None else require_number("photons", photons, positive=True),
@@ -260,6 +261,12 @@ def _interleave(interleave: Any, camera: PlenopticCamera) -> int | str:
             f"interleave = {shown(interleave)}: it must be 'auto' or a whole number from 1 to {lenses}, "
             "the lenses along an axis"
         ) from None
+
+
+def _response(response: Any, capture: Capture, wavelength: Any) -> str:
+    if response is None:
+        return capture.model if wavelength is None else "wave"
+    return require_choice("response", response, RESPONSES)
 
 
 def _distances(distance: Any, camera: PlenopticCamera) -> list[float]:
