@@ -29,7 +29,7 @@ COLUMNS = {
     "PSNR (dB)": "{psnr:.2f}",
     "edge, 10 to 90 % (bins)": "{edge:.2f}",
     "steps": "{iterations}",
-    "left of the capture": "{residual:.2%}",
+    "left of the capture": "{residual}",
     "s": "{seconds:.0f}",
 }
 
@@ -104,7 +104,7 @@ def main() -> int:
                     "psnr": psnr(made.image[part], reference[part]),
                     "edge": edge_width(made.image[part], reference[part]),
                     "iterations": made.facts.get("iterations", "-"),
-                    "residual": made.facts.get("residual", float("nan")),
+                    "residual": f"{made.facts['residual']:.0%}" if made.facts else "-",
                     "seconds": time.time() - start,
                 }
             )
