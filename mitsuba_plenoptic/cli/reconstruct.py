@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -38,7 +38,7 @@ def reconstruct(
         typer.Option(
             metavar="|".join(reconstruction.METHODS),
             help="How light is followed back: by rays, as one coherent wave, or as one wave for each interleaved "
-            "subset of lenses.",
+            "subset of lenses; or deconvolved, by what this camera makes of each bin's light.",
         ),
     ] = "ray",
     footprint: Annotated[
@@ -75,6 +75,32 @@ def reconstruct(
             help="A capture or picture of a white scene by the same camera; the result is divided by it.",
         ),
     ] = None,
+    response: Annotated[
+        str | None,
+        typer.Option(
+            metavar="|".join(reconstruction.RESPONSES),
+            show_default="as the capture was made",
+            help="For deconvolved: how light goes through the camera.",
+        ),
+    ] = None,
+    iterations: Annotated[
+        int | None,
+        number("For deconvolved: steps.", "until only noise is left, where a capture tells its exposure; else 30"),
+    ] = None,
+    accelerate: Annotated[
+        bool,
+        typer.Option(
+            "--accelerate/--no-accelerate", help="For deconvolved: whether each step starts from an extrapolated point."
+        ),
+    ] = True,
+    photons: Annotated[
+        float | None,
+        number("For deconvolved: photons that a pixel of value 1 has counted.", "what 'expose' has kept"),
+    ] = None,
+    volume: Annotated[
+        bool,
+        typer.Option("--volume", help="For deconvolved: all distances together explain the capture, not each alone."),
+    ] = False,
     exposure: Exposure = None,
     percentile: Percentile = None,
     variant: Variant = None,
@@ -97,6 +123,8 @@ def reconstruct(
 
       mitsuba-plenoptic reconstruct raw.exr -o far.png --distance inf --white white.exr
 
+      mitsuba-plenoptic reconstruct raw.exr -o fine.exr --method deconvolved --oversample 4 --distance 280
+
       mitsuba-plenoptic reconstruct raw.tiff -o out.png --distance 600 --camera camera.json --linear
     """
     paths = reconstruction_paths(output, distance)
@@ -116,13 +144,30 @@ def reconstruct(
             relay=relay,
             oversample=oversample,
             white=reference,
+            response=response,
+            iterations=iterations,
+            accelerate=accelerate,
+            photons=photons,
+            volume=volume,
             progress=progress,
         )
     write_reconstructions(paths, results, recorded.metadata, brightness)
     for path, result in zip(paths, results, strict=True):
         rows, columns = result.image.shape[:2]
         where = "rad at infinity" if math.isinf(result.distance) else f"mm at {result.distance:g} mm"
-        typer.echo(f"{path}: {columns} x {rows} bins of {result.bin_size:.4g} {where}")
+        typer.echo(f"{path}: {columns} x {rows} bins of {result.bin_size:.4g} {where}{_told(result.facts)}")
+
+
+def _told(facts: dict[str, Any]) -> str:
+    """Say what a deconvolution tells of itself."""
+    if not facts:
+        return ""
+    ended = "stopped by the noise" if facts["stopped_by_noise"] else "as many as were to be made"
+    near = "; in focus, where finer bins tell little more" if facts["in_focus"] else ""
+    return (
+        f"; {facts['iterations']} iterations, {ended}, {facts['residual']:.2%} of the capture left; resolution limit "
+        f"{facts['resolution_limit']:.3g} line pairs/mm{near}"
+    )
 
 
 def _recorded(path: Path, camera: PlenopticCamera | None, linear: bool) -> Capture:

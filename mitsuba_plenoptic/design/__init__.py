@@ -1,11 +1,13 @@
 """What follows from a camera's numbers: functions of a `PlenopticCamera`, in closed form and by rays.
 
 `focus` tells what the microlenses are focused on, and how sharply the camera sees at which distance; `micro_images`
-tells how large the micro-images are, by rays and with diffraction, and which lenses light a pixel.
+tells how large the micro-images are, by rays and with diffraction, and which lenses light a pixel; `deconvolution`
+tells how finely a plane can be resolved by inverting the camera's response.
 
 A wavelength is in nanometres; where it may be left out, diffraction then is, too.
 """
 
+from .deconvolution import ResolutionLimit, resolution_limit
 from .focus import (
     EffectiveResolution,
     best_distances,
@@ -39,6 +41,7 @@ from .warnings import design_warnings
 
 __all__ = [
     "EffectiveResolution",
+    "ResolutionLimit",
     "best_distances",
     "crosstalk_lenses",
     "crosstalk_neighbours",
@@ -60,6 +63,7 @@ __all__ = [
     "mla_object_distances",
     "pixel_footprint",
     "refocus_range",
+    "resolution_limit",
     "spot_radius",
     "suitable_oversample",
     "virtual_depth",

@@ -4,10 +4,18 @@ A new method is a new module with a function that `methods.method` registers, im
 """
 
 # in the order in which help and messages name them
-from . import ray, coherent, partial  # noqa: F401, I001
-from .api import FOOTPRINTS, reconstruct
+from . import ray, coherent, partial, deconvolved  # noqa: F401, I001
+from .api import FOOTPRINTS, RESPONSES, reconstruct
 from .differentiable import RayRefocus
 from .methods import METHODS
 from .result import Reconstruction, write_reconstruction
 
-__all__ = ["FOOTPRINTS", "METHODS", "RayRefocus", "Reconstruction", "reconstruct", "write_reconstruction"]
+__all__ = [
+    "FOOTPRINTS",
+    "METHODS",
+    "RESPONSES",
+    "RayRefocus",
+    "Reconstruction",
+    "reconstruct",
+    "write_reconstruction",
+]

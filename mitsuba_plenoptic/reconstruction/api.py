@@ -10,7 +10,7 @@ import numpy as np
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_count, require_number, shown
+from ..errors import InputError, require_choice, require_count, require_number, shown
 from ..io.captures import Capture, as_array, require_pixels
 from ..optics import guards
 from ..optics.main_lens import require_ideal
@@ -18,10 +18,11 @@ from ..optics.phase import in_millimetres
 from ..runtime.backend import one_at_a_time
 from ..runtime.limits import largest_fitting, require_memory
 from ..thin_lens import image_distance
-from .methods import METHODS, Task
+from .methods import METHODS, Found, Task
 from .result import Reconstruction
 
 FOOTPRINTS = ("lens", "point")
+RESPONSES = ("wave", "ray")
 
 _PROGRESS_STEPS = 100
 
@@ -39,6 +40,11 @@ def reconstruct(
     relay: bool = ...,
     oversample: int = ...,
     white: Capture | np.ndarray | None = ...,
+    response: str | None = ...,
+    iterations: int | None = ...,
+    accelerate: bool = ...,
+    photons: float | None = ...,
+    volume: bool = ...,
     progress: Callable[[int, int], None] | None = ...,
 ) -> Reconstruction: ...
 @overload
@@ -54,6 +60,11 @@ def reconstruct(
     relay: bool = ...,
     oversample: int = ...,
     white: Capture | np.ndarray | None = ...,
+    response: str | None = ...,
+    iterations: int | None = ...,
+    accelerate: bool = ...,
+    photons: float | None = ...,
+    volume: bool = ...,
     progress: Callable[[int, int], None] | None = ...,
 ) -> list[Reconstruction]: ...
 @one_at_a_time
@@ -69,6 +80,11 @@ def reconstruct(
     relay: bool = True,
     oversample: int = 1,
     white: Capture | np.ndarray | None = None,
+    response: str | None = None,
+    iterations: int | None = None,
+    accelerate: bool = True,
+    photons: float | None = None,
+    volume: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Reconstruction | list[Reconstruction]:
     """Refocus a capture to one or several object distances.
@@ -83,10 +99,11 @@ def reconstruct(
     distance : float or sequence of floats
         Object distances in scene units, beyond the focal length; may be infinite, where bins are directions. Several
         share the way up to the main lens.
-    method : {"ray", "coherent", "partial"}
+    method : {"ray", "coherent", "partial", "deconvolved"}
         How light is followed back: by one ray a pixel; as one coherent wave, whose amplitude is the square root of
         the capture; or as one such wave for each interleaved subset of lenses, whose intensities are added. Waves
-        pass the camera's lenses as thin parabolic phase elements.
+        pass the camera's lenses as thin parabolic phase elements. Or not followed back, but found: the plane, or the
+        planes, whose capture by this camera is the one recorded.
     camera : PlenopticCamera, optional
         The camera of a plain array, or another one than the capture's.
     wavelength : float or three floats, optional
@@ -107,6 +124,20 @@ def reconstruct(
         What the same camera recorded of a scene of uniform radiance 1, in one channel or as many as the capture has. It
         is refocused in the same way, and images are divided by it. Default: what the camera would record by rays; a
         capture by waves, whose micro-images lose light at their edges, then reads less (0.85 for the paper's camera).
+        ``deconvolved`` takes none.
+    response : {"wave", "ray"}, optional
+        For ``deconvolved``: how light goes through the camera. Default: as the capture was made; by waves where a
+        `wavelength` is given.
+    iterations : int, optional
+        For ``deconvolved``: steps. Default: until what is left of the capture is as large as its noise, 100 at most,
+        where that is known from `photons` or from what `expose` has kept with the capture; else 30.
+    accelerate : bool
+        For ``deconvolved``: whether steps start from points extrapolated along the last ones, which makes one step do
+        the work of several.
+    photons : float, optional
+        For ``deconvolved``: photons that a pixel of value 1 has counted, if nothing else makes it noisy.
+    volume : bool
+        For ``deconvolved``: whether all distances together explain the capture, instead of each alone.
     progress : callable, optional
         Called with the steps done and their number.
 
@@ -137,19 +168,30 @@ def reconstruct(
     chosen = METHODS[method]
     if footprint not in FOOTPRINTS:
         raise InputError(f"footprint = {shown(footprint)}: it must be one of {', '.join(FOOTPRINTS)}")
-    given = {"footprint": footprint, "interleave": _interleave(interleave, camera), "relay": bool(relay)}
+    given = {
+        "footprint": footprint,
+        "interleave": _interleave(interleave, camera),
+        "relay": bool(relay),
+        "response": _response(response, capture, wavelength),
+        "iterations": None if iterations is None else require_count("iterations", iterations),
+        "accelerate": bool(accelerate),
+        "photons": None if photons is None else require_number("photons", photons, positive=True),
+        "volume": bool(volume),
+    }
     options: dict[str, Any] = {name: given[name] for name in chosen.options}
     oversample = require_count("oversample", oversample)
     distances = _distances(distance, camera)
     image = capture.image if capture.image.ndim == 3 else capture.image[..., None]
+    waves = chosen.waves and options.get("response") != "ray"
     if chosen.waves:
         require_ideal(camera)
         camera.require_resolved()
+    if chosen.waves and not chosen.as_it_is:
         # Images are formed by the lens as it should be.
         camera = camera.replace(wavefront=())
     reference = None if white is None else _white(white, image)
     _require_memory(camera, distances, oversample, image.shape)
-    wavelengths = _wavelengths(capture, wavelength, image.shape[2], camera) if chosen.waves else []
+    wavelengths = _wavelengths(capture, wavelength, image.shape[2], camera) if waves else []
 
     def report(done: float) -> None:
         if progress:
@@ -157,18 +199,22 @@ def reconstruct(
 
     report(0)
     with guards.watch() as found:
-        images = chosen.refocus(Task(image, camera, distances, oversample, wavelengths, reference, report), **options)
-    options |= {"oversample": oversample} | ({"wavelength": wavelengths} if chosen.waves else {})
+        task = Task(
+            image, camera, distances, oversample, wavelengths, reference, report, capture.metadata.get("exposure")
+        )
+        images = [made if isinstance(made, Found) else Found(made) for made in chosen.refocus(task, **options)]
+    options |= {"oversample": oversample} | ({"wavelength": wavelengths} if waves else {})
     options |= {"white": "capture"} if reference is not None else {}
     results = [
         Reconstruction(
-            image=made.reshape(*made.shape[:2], *capture.image.shape[2:]),
+            image=made.image.reshape(*made.image.shape[:2], *capture.image.shape[2:]),
             distance=value,
             bin_size=_bin_size(camera, value) / oversample,
             method=method,
             camera=camera,
             options=options,
             guards=found,
+            facts=made.facts,
         )
         for value, made in zip(distances, images, strict=True)
     ]
@@ -216,6 +262,12 @@ def _interleave(interleave: Any, camera: PlenopticCamera) -> int | str:
             f"interleave = {shown(interleave)}: it must be 'auto' or a whole number from 1 to {lenses}, "
             "the lenses along an axis"
         ) from None
+
+
+def _response(response: Any, capture: Capture, wavelength: Any) -> str:
+    if response is None:
+        return capture.model if wavelength is None else "wave"
+    return require_choice("response", response, RESPONSES)
 
 
 def _distances(distance: Any, camera: PlenopticCamera) -> list[float]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +34,8 @@ class Task:
         What the same camera recorded of a scene of uniform radiance 1.
     progress : callable
         Called with the fraction of the work that is done.
+    exposure : dict, optional
+        What `expose` has kept with the capture.
     """
 
     image: np.ndarray
@@ -42,9 +45,26 @@ class Task:
     wavelengths: Sequence[float]
     white: np.ndarray | None
     progress: Progress
+    exposure: dict[str, Any] | None = None
 
 
-Refocus = Callable[..., list[np.ndarray]]
+@dataclass(frozen=True, eq=False)
+class Found:
+    """An image, and what its method has to tell of it.
+
+    Attributes
+    ----------
+    image : (rows, columns, channels) float32 array
+        Radiance; NaN where no light can come from.
+    facts : dict
+        Plain numbers and strings by name.
+    """
+
+    image: np.ndarray
+    facts: dict[str, Any] = field(default_factory=dict)
+
+
+Refocus = Callable[..., Sequence[np.ndarray | Found]]
 """From a `Task`, and the method's options by name, to an image (rows, columns, channels) for every distance."""
 
 
@@ -62,18 +82,22 @@ class Method:
         The options of `reconstruct` that it takes.
     waves : bool
         Whether it needs wavelengths.
+    as_it_is : bool
+        Whether it needs the camera with the aberrations of its main lens; others form images by the lens as it
+        should be.
     """
 
     name: str
     refocus: Refocus
     options: tuple[str, ...]
     waves: bool
+    as_it_is: bool = False
 
 
 METHODS: dict[str, Method] = {}
 
 
-def method(name: str, *, options: tuple[str, ...], waves: bool) -> Callable[[Refocus], Refocus]:
+def method(name: str, *, options: tuple[str, ...], waves: bool, as_it_is: bool = False) -> Callable[[Refocus], Refocus]:
     """Register a function as a `Method`.
 
     Parameters
@@ -84,10 +108,12 @@ def method(name: str, *, options: tuple[str, ...], waves: bool) -> Callable[[Ref
         The options of `reconstruct` that it takes.
     waves : bool
         Whether it needs wavelengths.
+    as_it_is : bool
+        Whether it needs the camera with its aberrations.
     """
 
     def register(refocus: Refocus) -> Refocus:
-        METHODS[name] = Method(name, refocus, options, waves)
+        METHODS[name] = Method(name, refocus, options, waves, as_it_is)
         return refocus
 
     return register

@@ -33,6 +33,11 @@ class Reconstruction:
         The camera of the capture.
     guards : dict
         Fractions of the light that the guards of the physics found lost, by their names.
+    facts : dict
+        What the method tells of the image. ``deconvolved``: the ``iterations`` made, the ``residual`` (root mean square
+        of what is left of the capture, over that of the capture), whether it was ``stopped_by_noise``, the
+        ``resolution_limit`` in line pairs per scene unit (at infinity per unit of slope), and whether the plane is
+        ``in_focus``, where finer bins tell little more (see `design.resolution_limit`).
     """
 
     image: np.ndarray
@@ -42,6 +47,7 @@ class Reconstruction:
     camera: PlenopticCamera
     options: dict[str, Any] = field(default_factory=dict)
     guards: dict[str, float] = field(default_factory=dict)
+    facts: dict[str, Any] = field(default_factory=dict)
 
 
 def write_reconstruction(path: str | Path, result: Reconstruction, source: dict[str, Any] | None = None) -> None:
@@ -69,6 +75,7 @@ def write_reconstruction(path: str | Path, result: Reconstruction, source: dict[
         "method": result.method,
         "options": result.options,
         "guards": result.guards,
+        "facts": result.facts,
         "source": source or {},
     }
     write_exr(path, result.image, attributes)

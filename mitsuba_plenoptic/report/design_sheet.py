@@ -236,12 +236,27 @@ def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> list[_Line
 def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[_Line]:
     spot = design.spot_radius(camera, wavelength)
     pixels = f"{four_digits(spot / camera.pixel_size)} pixels, centre to first zero"
-    return [
+    rows = [
         ("spot of a microlens", four_digits(1e3 * spot), "um", pixels),
         ("directions by the spot", four_digits(camera.micro_image_diameter / spot), "", "across a micro-image"),
         ("Fresnel number, microlens", f"{design.mla_fresnel_number(camera, wavelength):.3g}", "", "from the detector"),
         ("Fresnel number, main lens", f"{design.main_fresnel_number(camera, wavelength):.3g}", "", "from the MLA"),
     ]
+    near, far = design.refocus_range(camera, wavelength)
+    for distance in dict.fromkeys((near, *design.best_distances(camera), far)):
+        if camera.focal_length < distance < math.inf:
+            rows.append(_deconvolved(camera, distance, wavelength))
+    return rows
+
+
+def _deconvolved(camera: PlenopticCamera, distance: float, wavelength: float) -> _Line:
+    """Say what deconvolution can resolve at a distance."""
+    limit = design.resolution_limit(camera, distance, wavelength)
+    if limit.in_focus:
+        told = "in focus: the lens pitch decides, deconvolution does not help"
+    else:
+        told = f"{limit.frequency / limit.lenses:.2g} times one sample a lens"
+    return "resolution, deconvolved", four_digits(limit.frequency), "lp/mm", f"at {four_digits(distance)} mm; {told}"
 
 
 def _distance(value: float) -> tuple[str, str]:

@@ -1,0 +1,100 @@
+r"""How finely a capture can be resolved by inverting the camera's response, away from focus.
+
+A point out of focus lights many lenses, each of which sees it from elsewhere at another phase of the pixels. At the
+defocus s (see `PlenopticCamera.defocus`) two things end what they tell together: the diffraction of a microlens of the
+width w, and a pixel of the width p, both seen in the object plane at g,
+
+.. math:: \nu_w = \frac{w}{0.94 \, \lambda \, |s| g}, \qquad \nu_p = \frac{z}{2 \, b p \, |s|} \frac{b}{g}
+
+With the distance d from the plane in focus at :math:`g_0` and :math:`M = b / g_0`, :math:`|s| g = M d`: the first is
+:math:`w / 0.94 \lambda M d` of Broxton et al. (2013, "Wave optics theory and 3-D deconvolution for the light field
+microscope", Optics Express 21, 25418, equation 17), the second :math:`1 / (2 (b p / z) d / g_0)`.
+
+Near focus all lenses see the same, and the lens pitch decides; Broxton's formula holds from
+:math:`d = w^2 / 2 M^2 \lambda` on.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ..bounds import require_wavelength
+from ..camera import PlenopticCamera
+from ..errors import require_number
+from ..optics.phase import in_millimetres
+from ..thin_lens import image_distance
+from .focus import pixel_footprint
+
+_SPARROW = 0.94
+"""Distance of two points that are just told apart (Sparrow), over wavelength and aperture."""
+
+
+@dataclass(frozen=True)
+class ResolutionLimit:
+    """The finest lines, in line pairs per scene unit, that deconvolution tells apart in a plane.
+
+    Attributes
+    ----------
+    waves : float
+        By the diffraction of a microlens; infinite in focus, and where there is no wavelength.
+    pixels : float
+        By the pixels; infinite in focus.
+    lenses : float
+        By one sample a lens, which is what reconstructions without deconvolution give.
+    in_focus : bool
+        Whether the plane is so near focus that lenses see the same: the pitch of the lenses decides.
+    frequency : float
+        The limit: the lowest of `waves` and `pixels`; in focus, `lenses`.
+    """
+
+    waves: float
+    pixels: float
+    lenses: float
+    in_focus: bool
+
+    @property
+    def frequency(self) -> float:
+        """The limit."""
+        return self.lenses if self.in_focus else min(self.waves, self.pixels)
+
+
+def resolution_limit(camera: PlenopticCamera, distance: float, wavelength: float | None = None) -> ResolutionLimit:
+    """Return the resolution that deconvolution can reach in a plane.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    distance : float
+        Object distance from the main lens in millimetres; at infinity line pairs count per unit of slope.
+    wavelength : float, optional
+        Wavelength in nanometres. Default: by rays, where a plane is in focus whose blur is below one lens.
+
+    Returns
+    -------
+    ResolutionLimit
+
+    Raises
+    ------
+    InputError
+        If the distance is not beyond the focal length, or the wavelength is out of range.
+    """
+    image_distance(camera.focal_length, require_number("distance", distance, finite=False))
+    b, defocus = camera.mla_distance, abs(camera.defocus(distance))
+    # From the MLA, seen from the main lens's centre, to the object plane.
+    scale = 1.0 if math.isinf(distance) else distance
+    width = camera.lattice.aperture_width
+    pixel = pixel_footprint(camera, distance) * scale / b
+    pixels = 1 / (2 * pixel) if pixel > 0 else math.inf
+    waves, shallow = math.inf, max(camera.mla_pitches)
+    in_focus = camera.blur_diameter(distance) < shallow
+    if wavelength is not None:
+        lam = in_millimetres(require_wavelength(wavelength))
+        waves = width / (_SPARROW * lam * defocus * scale) if defocus > 0 else math.inf
+        focus = camera.focus_distance
+        # Where no plane is in focus at a finite distance, from the image: its distance from the MLA is M^2 d.
+        image = image_distance(camera.focal_length, distance)
+        depth = abs(scale - focus) * (b / focus) ** 2 if 0 < focus < math.inf > distance else defocus * image
+        in_focus = depth < width**2 / (2 * lam)
+    return ResolutionLimit(waves, pixels, b / (2 * max(camera.mla_pitches) * scale), in_focus)

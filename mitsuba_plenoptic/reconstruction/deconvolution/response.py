@@ -1,0 +1,175 @@
+"""The response of a camera to the bins of object planes: from radiance to the capture, and the adjoint."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...capture.recorder import Recorder
+from ...runtime.jobs import Job
+from ...runtime.limits import largest_fitting, require_memory
+from .cells import Cells
+from .kernels import Kernel, make_kernel
+from .plane import PlaneResponse, Zone, zones
+from .ray_spreads import ray_batches, ray_grid
+from .wave_spreads import wave_batches, wave_grid
+
+Batches = Callable[[Cells, float, NDArray[np.int64]], Sequence[Sequence[Any]]]
+"""From the cells, a distance and a cell to the batches of each of its bins."""
+
+_ZONE = 16
+"""Lenses along an axis for which one kernel serves, where there is memory for as many as that makes."""
+
+_MEMORY = 2 * 2**30
+"""Bytes of kernels beyond which zones grow."""
+
+_LIT = 0.6
+"""Fraction of a kernel's blocks that hold light, at most."""
+
+_EVERYWHERE = 2**40
+
+
+class Response:
+    r"""The capture of object planes made of bins of even radiance: :math:`I = \sum_k A_k x_k`.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera; its recorded window may be a crop.
+    distances : sequence of float
+        Of the planes.
+    wavelength : float, optional
+        Wavelength in nanometres; None: light goes by rays.
+    oversample : int
+        Bins along a lens pitch.
+    job : Job, optional
+        Who computes the point spreads, and who is told of the progress.
+
+    Attributes
+    ----------
+    planes : list of PlaneResponse
+        One for each distance.
+    cells : Cells
+        How bins and samples are gathered.
+
+    Raises
+    ------
+    InputError
+        If it would need too much memory.
+    """
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        distances: Sequence[float],
+        *,
+        wavelength: float | None,
+        oversample: int,
+        job: Job | None = None,
+    ) -> None:
+        job = job or Job()
+        grid = ray_grid(camera) if wavelength is None else wave_grid(camera, distances, wavelength)
+        self._batches: Batches = ray_batches if wavelength is None else wave_batches
+        self.cells = Cells(grid, oversample)
+        all_pixels = np.full((1, 2), -_EVERYWHERE), np.full((1, 2), _EVERYWHERE)
+        self._recorder = Recorder(camera, grid, *all_pixels)
+        self._sampled = self.cells.holding(self._recorder.box)
+        each = [self._kernel_memory(distance, oversample) for distance in distances]
+        # By rays, without aberrations, all lenses are alike.
+        alike = wavelength is None and camera.lens_model == "ideal" and not any(camera.wavefront)
+        groups = self._zones(sum(each), alike)
+        self._require_memory(distances, len(groups), oversample)
+        bins, total = self.cells.bins[0] * self.cells.bins[1], len(distances) * len(groups)
+        self.planes: list[PlaneResponse] = []
+        for distance in distances:
+            found: list[Zone] = []
+            for members in groups:
+                done = (len(self.planes) * len(groups) + len(found)) * bins
+                found.append(Zone(members, self._kernel(distance, members, job, done, total * bins)))
+            self.planes.append(PlaneResponse(self.cells, self._sampled, found))
+
+    def _kernel(self, distance: float, members: NDArray[np.int64], job: Job, done: int, total: int) -> Kernel:
+        """Compute the kernel of a zone from the spreads of the cell in its middle."""
+        cell = self._sampled.index[members[len(members) // 2]]
+        batches = self._batches(self.cells, distance, cell)
+        flat = [batch for some in batches for batch in some]
+        share = [0] * (len(flat) - 1) + [len(batches)]
+        parts = job.each(flat, share, done, total)
+        return make_kernel(self.cells, cell, ([next(parts) for _ in some] for some in batches))
+
+    def _zones(self, kernels: float, alike: bool) -> list[NDArray[np.int64]]:
+        """Cut the cells into zones, so few that their kernels fit."""
+        width, rows = _ZONE, len(self._sampled.count)
+        widest = max(rows, int(self._sampled.count.max()))
+        while True:
+            groups = zones(self._sampled, widest if alike else width)
+            if alike or width >= widest or len(groups) * kernels <= _MEMORY:
+                return groups
+            width *= 2
+
+    def _kernel_memory(self, distance: float, oversample: int) -> float:
+        """Estimate the bytes of one kernel of a plane, with all of its blocks."""
+        camera, grid = self.cells.camera, self.cells.grid
+        samples = 1.1 * camera.blur_diameter(distance) / grid.pitch.min() + 8 / grid.pitch.min() * camera.pixel_size
+        across, down = (samples / size + 2 for size in self.cells.size)
+        return float(4 * across * down * oversample**2 * np.prod(grid.lens_samples.diagonal()) * _period(camera))
+
+    def _require_memory(self, distances: Sequence[float], groups: int, oversample: int) -> None:
+        """Refuse what does not fit, before anything is allocated."""
+
+        def memory(oversample: int) -> float:
+            each = [self._kernel_memory(distance, oversample) for distance in distances]
+            bins = 4.0 * len(self._sampled) * _period(self.cells.camera) * oversample**2 * len(distances)
+            samples = 4.0 * self._recorder.box.rows * self._recorder.box.columns
+            return _LIT * groups * sum(each) + 2 * max(each) + 12 * bins + 4 * samples + self._recorder.memory
+
+        def fitting(limit: float) -> str | None:
+            largest = largest_fitting(memory, limit, oversample)
+            return f"oversample = {largest}" if largest else None
+
+        planes = f"{len(distances)} planes" if len(distances) > 1 else f"the plane at {distances[0]:g}"
+        require_memory(memory(oversample), f"oversample = {oversample}: deconvolution of {planes}", fitting)
+
+    def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """Record planes.
+
+        Parameters
+        ----------
+        values : sequence of float32 arrays (cells, bins)
+            Radiance, for each plane.
+
+        Returns
+        -------
+        float32 array (rows, columns)
+        """
+        width, height = self.cells.size
+        samples = np.zeros((len(self._sampled), height, width), np.float32)
+        for plane, radiance in zip(self.planes, values, strict=True):
+            plane.add_forward(radiance, samples)
+        sums = self.cells.join(samples, self._sampled, self._recorder.box)
+        return self._recorder.record(sums[None])[..., 0]
+
+    def adjoint(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+        """Apply the transpose of `forward`.
+
+        Parameters
+        ----------
+        image : float32 array (rows, columns)
+            Of the recorded pixels.
+
+        Returns
+        -------
+        list of float32 arrays (cells, bins)
+        """
+        sums = self._recorder.spread(image[..., None])[0]
+        samples = self.cells.split(sums, self._recorder.box, self._sampled)
+        return [plane.adjoint(samples) for plane in self.planes]
+
+
+def _period(camera: PlenopticCamera) -> int:
+    """Return how many lenses a cell stands for."""
+    return len(camera.mla_focal_lengths)

@@ -1,0 +1,102 @@
+"""The response of bins by waves: means of exact point spreads."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...capture.accuracy import band_for
+from ...capture.grid import Grid, place
+from ...capture.patch_batches import Fields, Scatter
+from ...capture.tile import Copies
+from ...design import resolution_limit
+from ...optics.main_lens import main_lens
+from .cells import Cells
+
+_ACCURACY = 0.01
+"""Relative error for which the grid, and what is kept of the diffracted light, are chosen."""
+
+_MANY = 2**20
+
+_RADIATORS, _MOST_RADIATORS = 8, 32
+"""Radiators along a lens, at least and at most, whose mean stands for the light of its bins."""
+
+_RADIATORS_PER_LINE = 4
+"""The same along a period of the finest lines that the plane's light tells apart."""
+
+_INFINITY = 1e6
+"""Focal lengths at which light counts as collimated."""
+
+
+def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: float) -> Grid:
+    """Lay the grid that holds the light of planes at some distances."""
+    points = np.array([[0.0, 0.0, finite_distance(camera, distance)] for distance in distances])
+    return Grid.of(camera, wavelength, band_for(_ACCURACY, _MANY), points)
+
+
+def wave_batches(cells: Cells, distance: float, cell: NDArray[np.int64]) -> list[list[Scatter]]:
+    """Return for each bin of a cell the batches whose sums, added, are its response.
+
+    Parameters
+    ----------
+    cells : Cells
+        The cells.
+    distance : float
+        Of the object plane.
+    cell : int64 array (2,)
+        The cell.
+
+    Returns
+    -------
+    list of lists of Scatter
+        Sums over samples of the grid, as intensity per square millimetre of a bin of radiance 1.
+    """
+    grid = cells.grid
+    depth = finite_distance(cells.camera, distance)
+    places = cells.bin_places(cell, math.ceil(_radiators(cells, distance) / cells.oversample))
+    image = places * (-depth / cells.camera.mla_distance)
+    weight = bin_weight(cells) / places.shape[1]
+    batches = []
+    for points in image:
+        positions = np.column_stack([points, np.full(len(points), depth)])
+        placement = place(grid, positions)
+        groups = [np.flatnonzero(placement.samples == size) for size in np.unique(placement.samples)]
+        copy = Copies(np.zeros((1, 2), np.int64), np.full((1, 1), weight, np.float32))
+        batches.append(
+            [
+                Scatter(
+                    Fields(grid, placement.take(some), positions[some], None), np.ones(len(some)), [copy] * len(some)
+                )
+                for some in groups
+            ]
+        )
+    return batches
+
+
+def _radiators(cells: Cells, distance: float) -> int:
+    """Return how many radiators along a lens stand for its bins."""
+    camera = cells.camera
+    limit = resolution_limit(camera, distance, cells.grid.wavelength)
+    lines = 0.0 if limit.in_focus else limit.frequency / (2 * limit.lenses)  # along a lens
+    return max(_RADIATORS, min(_MOST_RADIATORS, math.ceil(_RADIATORS_PER_LINE * lines)))
+
+
+def bin_weight(cells: Cells) -> float:
+    r"""Return what all pixels together record of a bin of radiance 1, where no light is lost.
+
+    :math:`A_{bin} A_{pupil} z^2 / (b^2 A_{lens} A_{pixel})`, by which the wave capture weighs its radiators.
+    """
+    camera = cells.camera
+    b, z = camera.mla_distance, camera.detector_distance
+    pupil = math.pi * main_lens(camera).pupil_radius ** 2
+    area = cells.bin_sizes[0] * cells.bin_sizes[1]
+    return float(area * pupil * z**2 / (b**2 * camera.lattice.lens_area * camera.pixel_size**2))
+
+
+def finite_distance(camera: PlenopticCamera, distance: float) -> float:
+    """Return a distance; infinity is so far that light is collimated."""
+    return min(distance, _INFINITY * camera.focal_length)
