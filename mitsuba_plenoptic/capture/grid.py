@@ -47,7 +47,7 @@ class Band:
     orders : float
         The same, in orders of the diffraction by a microlens's aperture (see `optics.microlenses.diffraction`).
     beyond : float
-        Directions that are kept beyond the geometric cone in the same orders, at most.
+        Directions that are kept beyond the geometric cone, in the same orders, at most where lenses leave no gaps.
     edge : float
         Samples over which the edges of the pupil, and of what hides parts of it, are softened.
 
@@ -120,7 +120,8 @@ class Grid:
         bent = scattering(camera)
         beside = max(band.bends * bent, diffraction(camera, wavelength, band.orders))
         half_band = max(band.cone * (cosine + bent), cosine + beside)
-        half_band = min(half_band, cosine + bent + diffraction(camera, wavelength, band.beyond))
+        if camera.lattice.fills:
+            half_band = min(half_band, cosine + bent + diffraction(camera, wavelength, band.beyond))
         largest = in_millimetres(wavelength) / (2 * half_band)
         largest = min(largest, max(_PITCH_PER_PIXEL * camera.pixel_size, largest / _FINER))
         steps = np.array(camera.lattice.grid_step) * (camera.micro_image_pitch / camera.mla_pitch)
