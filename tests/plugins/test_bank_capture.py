@@ -56,7 +56,7 @@ def test_coarse_pixels_are_cut_into_bins_that_hold_the_spots_of_lenses(pixels):
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=[pytest.mark.slow] * (name in ("focused", "three focal lengths"))) for name in SOME],
+    [pytest.param(name, marks=[pytest.mark.slow] * (name != "square")) for name in SOME],
 )
 def test_a_wall_is_that_of_exact_spreads(name):
     camera = small_camera(14, **SOME[name])
@@ -88,6 +88,7 @@ def test_a_scene_in_focus_needs_no_bank():
     np.testing.assert_array_equal(by_bank(scene, spp=2, accuracy=0.01).image, exact)
 
 
+@pytest.mark.slow
 def test_the_noise_is_that_of_seeds():
     """A textured light is noise by the place of each ray alone."""
     scene = scene_of(small_camera(4), distance=300.0, texture=board(100))

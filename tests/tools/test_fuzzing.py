@@ -83,10 +83,12 @@ def report(tmp_path_factory):
     return json.loads((folder / "report.json").read_text()), (folder / "report.md").read_text()
 
 
+@pytest.mark.slow
 def test_what_is_whole_is_fine(report):
     assert {case: report[0]["counts"][case] for case in WHOLE} == {case: {"fine": 1} for case in WHOLE}
 
 
+@pytest.mark.slow
 def test_what_is_planted_is_found_and_shrunk(report):
     content, text = report
     found = {finding["kind"]: finding for finding in content["findings"]}
