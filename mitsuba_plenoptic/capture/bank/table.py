@@ -3,8 +3,8 @@ r"""What the pattern of a lens depends on, as coordinates of a table.
 Light of a point with the defocus m, blurred over :math:`N = D_1 |m| / D_2` lenses, has at a lens the curvature of its
 wavefront, which goes with 1 / N, and the diffraction of the pupil's rim. Its ripples are those of a knife edge in the
 coordinate :math:`w = e \sqrt{2 F / N}` (Goodman, "Introduction to Fourier Optics", section 4.5), e the distance from
-the rim in pitches and :math:`F = D_1 D_2 / \lambda b`; in its shadow what
-counts is e itself, how much of the lens it reaches.
+the rim in pitches and :math:`F = D_1 D_2 / \lambda b`; in its shadow
+what counts is e itself.
 """
 
 from __future__ import annotations
