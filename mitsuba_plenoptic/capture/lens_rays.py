@@ -37,8 +37,8 @@ from .sight import Sight
 _BAND_BYTES = 2**29
 """Memory of the images of one band of detector rows."""
 
-_LANES, _BINS = 2**21, 2**18
-"""Rays that are traced at once, and bins of a strip, about."""
+_LANES = 2**21
+"""Rays that are traced at once, about."""
 
 _RIM = 1.1
 """Distance from the axis in the pupil, in its radii, beyond which fewer rays are traced."""
@@ -93,30 +93,33 @@ class LensRaySum:
         self.channels = len(banks)
         rows, columns = camera.shape
         self.box = Box(0, 0, columns, rows)
-        ranks = sum(bank.rank for of_channel in banks for bank in of_channel)
-        band = max(1, _BAND_BYTES // (4 * ranks * columns * self._parts**2))
-        self._tops = list(range(0, rows, math.ceil(rows / math.ceil(rows / band))))
-        self.items = np.diff([*self._tops, rows]) * columns
         # The aberrations of the parabolic phase that waves pass displace the spots.
         self._lens = ThinLens(camera.focal_length, camera.aperture_radius, camera.mla_distance, "parabolic")
+        reach = max(len(bank.kernels[0]) for of_channel in banks for bank in of_channel) // 2
+        left, top = (offset * self._parts - reach for offset in camera.crop_offset)
+        self._bins = Box(left, top, columns * self._parts + 2 * reach, rows * self._parts + 2 * reach)
+        ranks = [sum(bank.rank for bank in of_channel) for of_channel in banks]
+        most = max(1, _BAND_BYTES // (4 * sum(ranks) * self._bins.columns))
+        self._height = math.ceil(self._bins.rows / math.ceil(self._bins.rows / most))
+        tops = np.append(np.arange(0, self._bins.rows, self._height), self._bins.rows)
+        self.items = np.diff(tops) * self._bins.columns
 
     def batches(self, first: int) -> Iterator[Band]:
         """Trace the rays of the bands from one on, and yield what is left to do."""
-        strips: dict[int, list[NDArray[np.float32]]] = {}
-        for band in range(first, len(self._tops)):
-            camera = self._band(band)
-            box = Box(0, self._tops[band], self.box.columns, camera.shape[0])
-            convolutions = [Convolution(camera, banks, order=1) for banks in self._banks]
+        for number in range(first, len(self.items)):
+            top = number * self._height
+            rows = min(self._height, self._bins.rows - top)
+            bins = Box(self._bins.left, self._bins.top + top, self._bins.columns, rows)
+            seeds = np.random.SeedSequence([self._seed, number])
             # The threads that compute the batches have put Dr.Jit's own to rest.
             with busy_drjit():
-                images = self._images([convolution.box for convolution in convolutions], box, strips)
-            yield Band(box, images, convolutions)
+                sums = self._trace_bins(bins, dr.arange(mi.UInt32, rows * bins.columns), self._candidates, seeds)
+            images = [part.numpy().reshape(-1, rows, bins.columns) for part in sums]
+            yield Band(bins, images, self._convolutions)
 
-    def _band(self, band: int) -> PlenopticCamera:
-        """Return the camera cropped to a band."""
-        (left, top), columns = self._camera.crop_offset, self.box.columns
-        rows = int(self.items[band]) // columns
-        return self._camera.replace(crop_offset=(left, top + self._tops[band]), crop_size=(columns, rows))
+    @cached_property
+    def _convolutions(self) -> list[Convolution]:
+        return [Convolution(self._camera, banks, order=1, rows=self._height) for banks in self._banks]
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
         """Return the sum of all bands."""
@@ -130,33 +133,25 @@ class LensRaySum:
         return camera.lattice.neighbours(self._widest * scale)
 
     def cost(self) -> tuple[float, float]:
-        """Estimate the time, in seconds, from some of the rays and squares, and tell the bytes that it takes."""
-        bands = [self._band(band) for band in range(len(self._tops))]
-        # A part of the middle band whose convolution is a few squares.
-        rows, columns = (min(size, _TRIAL) for size in bands[len(bands) // 2].shape)
-        trial = bands[len(bands) // 2].replace(crop_size=(columns, rows))
+        """Estimate the time, in seconds, from some of the rays and tiles, and tell the bytes that it takes."""
         start = time.perf_counter()
-        convolutions = [Convolution(trial, banks, order=1) for banks in self._banks]
+        convolutions = self._convolutions
         made = time.perf_counter() - start
+        # A part of a band whose convolution is a few tiles.
+        trial = Box(self._bins.left, self._bins.top, min(_TRIAL, self._bins.columns), int(min(self._height, _TRIAL)))
         start = time.perf_counter()
         for convolution in convolutions:
-            blank = np.zeros((convolution.box.rows, convolution.box.columns), np.float32)
-            convolution.forward(itertools.repeat(blank, convolution.ranks))
-        convolved = (time.perf_counter() - start) * math.prod(self._camera.shape) / (rows * columns)
-
-        margin = max(convolution.box.rows for convolution in convolutions) - rows * self._parts
-        sizes = [math.prod(size * self._parts + margin for size in band.shape) for band in bands]
-        images = 4.0 * sum(convolution.ranks for convolution in convolutions) * max(sizes)
-        # Bands share the bins of their margins.
-        bins = math.prod(size * self._parts + margin for size in self._camera.shape)
-        memory = 2 * images + sum(convolution.memory for convolution in convolutions) + _RAY_BYTES * _LANES
-        return made * len(bands) + convolved + bins * self._seconds_per_bin(), memory
+            blank = np.zeros((trial.rows, trial.columns), np.float32)
+            convolution.forward(itertools.repeat(blank, convolution.ranks), trial, convolution.reached(trial))
+        convolved = (time.perf_counter() - start) * self._bins.rows * self._bins.columns / (trial.rows * trial.columns)
+        images = 4.0 * sum(convolution.ranks for convolution in convolutions) * self._height * self._bins.columns
+        # Two bands are convolved, one waits and one is traced.
+        memory = 4 * images + sum(convolution.memory for convolution in convolutions) + _RAY_BYTES * _LANES
+        return made + convolved + self._bins.rows * self._bins.columns * self._seconds_per_bin(), memory
 
     def _seconds_per_bin(self) -> float:
         """Time the rays of some rows of bins, evenly over the detector."""
-        left, top = (offset * self._parts for offset in self._camera.crop_offset)
-        rows, columns = (size * self._parts for size in self._camera.shape)
-        box = Box(left, top, columns, rows)
+        rows, columns = self._bins.rows, self._bins.columns
         lines = min(rows, max(1, _TRIAL_BINS // columns))
         index = dr.arange(mi.UInt32, lines * columns)
         bins = index + index // columns * ((rows // lines - 1) * columns)
@@ -166,12 +161,11 @@ class LensRaySum:
             # The first compile the kernels, of which light paths of other lengths need others.
             for seed in range(_TRIALS):
                 start = time.perf_counter()
-                sums = self._trace_bins(box, bins, self._candidates, np.random.SeedSequence(seed))
-                # What strips and bands are gathered in
-                [np.stack([part.numpy() for part in parts]).copy() for parts in sums]
+                sums = self._trace_bins(self._bins, bins, self._candidates, np.random.SeedSequence(seed))
+                dr.eval(sums)
+                dr.sync_thread()
                 times.append(time.perf_counter() - start)
-        seconds = min(times)
-        return seconds / (lines * columns)
+        return min(times) / (lines * columns)
 
     @property
     def _parts(self) -> int:
@@ -193,46 +187,15 @@ class LensRaySum:
         """Distance from the axis in the pupil beyond which no ray counts."""
         return max(bank.widest for of_channel in self._banks for bank in of_channel)
 
-    def _images(
-        self, boxes: list[Box], band: Box, strips: dict[int, list[NDArray[np.float32]]]
-    ) -> list[NDArray[np.float32]]:
-        """Trace the rays of a band; return for each channel the images (ranks, rows, columns) of its box.
-
-        Strips of bins that the next band needs, too, are kept, and those that the last one left are taken.
-        """
-        widest = max(boxes, key=lambda box: box.columns)
-        # The strips are those of all bands together, so that they are the same wherever a sum goes on.
-        top = widest.top - band.top * self._parts
-        bottom = top + widest.rows + (self.box.rows - band.rows) * self._parts
-        height = -(-_BINS // widest.columns)
-        after = widest.top + band.rows * self._parts
-        ranks = [sum(bank.rank for bank in banks) for banks in self._banks]
-        images = [np.empty((rank, widest.rows, widest.columns), np.float32) for rank in ranks]
-        for number in range((widest.top - top) // height, -(-(widest.top + widest.rows - top) // height)):
-            low, high = top + number * height, min(top + (number + 1) * height, bottom)
-            strip = strips.pop(number, None) or self._strip(Box(widest.left, low, widest.columns, high - low), number)
-            first, last = max(low, widest.top), min(high, widest.top + widest.rows)
-            for image, part in zip(images, strip, strict=True):
-                image[:, first - widest.top : last - widest.top] = part[:, first - low : last - low]
-            if high > after:
-                strips[number] = strip
-        return [
-            image[:, box.top - widest.top :, box.left - widest.left :][:, : box.rows, : box.columns]
-            for image, box in zip(images, boxes, strict=True)
-        ]
-
-    def _strip(self, box: Box, number: int) -> list[NDArray[np.float32]]:
-        """Trace the rays of a strip; return for each channel (ranks, rows, columns)."""
-        seeds = np.random.SeedSequence([self._seed, number])
-        sums = self._trace_bins(box, dr.arange(mi.UInt32, box.rows * box.columns), self._candidates, seeds)
-        return [np.stack([part.numpy().reshape(box.rows, box.columns) for part in parts]) for parts in sums]
-
     def _trace_bins(
         self, box: Box, bins: Any, candidates: NDArray[np.int64], seeds: np.random.SeedSequence
-    ) -> list[list[Any]]:
-        """Trace the rays of some bins through lenses near them; return what they bring of each kernel."""
+    ) -> list[Any]:
+        """Trace the rays of some bins of a box through lenses near them.
+
+        Return for each channel what they bring of each kernel, (ranks, bins) flat.
+        """
         count = dr.width(bins)
-        sums = [[dr.zeros(mi.Float, count) for bank in banks for _ in range(bank.rank)] for banks in self._banks]
+        sums = [dr.zeros(mi.Float, count * sum(bank.rank for bank in banks)) for banks in self._banks]
         dr.eval(bins, sums)
         for steps in candidates:
             (Px, Py), _, _ = self._pupil_points(box, bins, steps)
@@ -249,12 +212,8 @@ class LensRaySum:
                         lit,
                         dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, min(step, dr.width(lit) - start)),
                     )
-                    brought = self._trace_lit(box, dr.gather(mi.UInt32, bins, some), steps, spp, seed)
-                    for targets, parts in zip(sums, brought, strict=True):
-                        for target, part in zip(targets, parts, strict=True):
-                            # Every bin is in it once.
-                            dr.scatter_reduce(dr.ReduceOp.Add, target, part, some, mode=dr.ReduceMode.NoConflicts)
-                    dr.eval(sums)
+                    traced = self._trace_lit(box, dr.gather(mi.UInt32, bins, some), steps, spp, seed)
+                    self._collect(sums, traced, some, spp)
         return sums
 
     def _pupil_points(
@@ -286,8 +245,8 @@ class LensRaySum:
             dr.hypot(*pupil) < self._camera.aperture_radius + self._banks[0][0].reach(vergence)
         )
 
-    def _trace_lit(self, box: Box, bins: Any, steps: NDArray[np.int64], spp: int, seed: int) -> list[list[Any]]:
-        """Trace the rays of some bins through one of the lenses near them; return what they bring of each kernel."""
+    def _trace_lit(self, box: Box, bins: Any, steps: NDArray[np.int64], spp: int, seed: int) -> _Traced:
+        """Trace the rays of some bins through one of the lenses near them; those of a bin follow each other."""
         lane = dr.arange(mi.UInt32, dr.width(bins) * spp)
         own, sample = dr.gather(mi.UInt32, bins, lane // spp), mi.Float(lane % spp)
         shift = dr.opaque(mi.UInt32, seed)
@@ -299,38 +258,89 @@ class LensRaySum:
         radiance, distance = self._sight.look(pupil, slope, seed, partial(self._counts, pupil))
         vergence = self._lens.vergence(distance)
         finite = dr.all([dr.isfinite(light) for light in radiance], axis=0)
-        dr.eval(radiance, vergence, pupil, finite)
-        if not dr.all(finite):
-            raise InputError("scene: the radiance of some rays is NaN or infinite: all must be finite")
         # A pixel is the mean of its bins, of which the convolution takes the sum.
         part = (self._pitch / self._camera.pixel_size) ** 2 / spp
         weight = (1 - near_weight(self._camera, vergence, self._accuracy)) * part
-        sums = []
-        for light, banks in zip(radiance, self._banks, strict=True):
-            brought: list[Any] = []
-            for number, bank in enumerate(banks):
-                kept = weight * light if lens_type is None else dr.select(lens_type == number, weight * light, 0)
-                brought += [coefficient * kept for coefficient in bank.coefficients(*pupil, vergence)]
-            sums.append([dr.block_sum(samples, spp) for samples in brought])
+        traced = _Traced(*pupil, vergence, [weight * light for light in radiance], lens_type)
+        dr.eval(finite, traced)
+        if not dr.all(finite):
+            raise InputError("scene: the radiance of some rays is NaN or infinite: all must be finite")
+        return traced
+
+    def _collect(self, sums: list[Any], traced: _Traced, targets: Any, spp: int) -> None:
+        """Add what rays bring of each kernel to the sums of their bins."""
+        first = dr.arange(mi.UInt32, dr.width(targets)) * dr.opaque(mi.UInt32, spp)
+        end = first + dr.opaque(mi.UInt32, spp)
+
+        def bring(ray: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
+            pupil = dr.gather(mi.Float, traced.Px, ray), dr.gather(mi.Float, traced.Py, ray)
+            vergence = dr.gather(mi.Float, traced.vergence, ray)
+            lens_type = None if traced.lens_type is None else dr.gather(type(traced.lens_type), traced.lens_type, ray)
+            total = []
+            for light, banks, before in zip(traced.light, self._banks, brought, strict=True):
+                power = dr.gather(mi.Float, light, ray)
+                of_type = [
+                    power if lens_type is None else dr.select(lens_type == n, power, 0) for n in range(len(banks))
+                ]
+                parts = [
+                    coefficient * own
+                    for bank, own in zip(banks, of_type, strict=True)
+                    for coefficient in bank.coefficients(*pupil, vergence, own != 0)
+                ]
+                total.append([old + part for old, part in zip(before, parts, strict=True)])
+            return ray + 1, total
+
+        # A loop keeps the sums in registers: the coefficients of all rays would be more than memory passes quickly.
+        nothing = [[mi.Float(0) for bank in banks for _ in range(bank.rank)] for banks in self._banks]
+        _, brought = dr.while_loop((first, nothing), lambda ray, _: ray < end, bring, label="what rays bring")
+        for channel, parts in enumerate(brought):
+            count = dr.opaque(mi.UInt32, dr.width(sums[channel]) // len(parts))
+            for rank, part in enumerate(parts):
+                # Every bin is in it once.
+                dr.scatter_reduce(
+                    dr.ReduceOp.Add, sums[channel], part, targets + count * rank, mode=dr.ReduceMode.NoConflicts
+                )
         dr.eval(sums)
-        return sums
+
+
+@dataclass(frozen=True)
+class _Traced:
+    """Rays from the detector: where they pass the pupil, and what they find in the scene.
+
+    Attributes
+    ----------
+    Px, Py : Float
+        Where they pass the pupil, in the camera's frame.
+    vergence : Float
+        Of the image of what they meet, in 1/mm.
+    light : list of Float
+        For each channel, what they bring to a pixel.
+    lens_type : Float, optional
+        Of the lenses that they pass.
+    """
+
+    Px: Any
+    Py: Any
+    vergence: Any
+    light: list[Any]
+    lens_type: Any
 
 
 @dataclass(frozen=True)
 class Band:
-    """The images of a band of pixels, to be convolved with the kernels.
+    """The images of a band of bins, to be convolved with the kernels.
 
     Attributes
     ----------
-    box : Box
-        The pixels.
+    bins : Box
+        The bins.
     images : list of float32 arrays (ranks, rows, columns)
         For each channel.
     convolutions : list of Convolution
         For each channel.
     """
 
-    box: Box
+    bins: Box
     images: list[NDArray[np.float32]]
     convolutions: list[Convolution]
 
@@ -345,5 +355,7 @@ class Band:
 
 
 def _convolve(band: Band) -> Part:
+    # Kernels of longer waves reach farther.
+    pixels = max((each.reached(band.bins) for each in band.convolutions), key=lambda box: box.rows)
     pairs = zip(band.convolutions, band.images, strict=True)
-    return Part(band.box, np.stack([convolution.forward(images) for convolution, images in pairs]))
+    return Part(pixels, np.stack([each.forward(images, band.bins, pixels) for each, images in pairs]))

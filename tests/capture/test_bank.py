@@ -13,7 +13,7 @@ from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.capture.point_spread import point_fields
 from mitsuba_plenoptic.optics.main_lens import main_lens
 from mitsuba_plenoptic.runtime.backend import array_module
-from mitsuba_plenoptic.runtime.batches import Threads
+from mitsuba_plenoptic.runtime.batches import Box, Part, Threads, add
 from mitsuba_plenoptic.runtime.jobs import Job
 
 CAMERAS = {
@@ -82,14 +82,13 @@ def test_light_of_a_point_adds_up_to_one(distance):
     assert not power[np.hypot(x, y) > radius + bank.reach(vergence)].any()
 
 
-def test_some_ranks_are_those_of_all():
+def test_coefficients_that_are_not_wanted_are_zero():
     camera = small_camera()
     bank, types = bank_of(camera, FAR), array_module()
-    place = types.Float(1.0), types.Float(2.0), types.Float(main_lens(camera).vergence(FAR))
-    assert bank.rank > 4
-    assert [part[0] for part in bank.coefficients(*place, slice(1, 3))] == [
-        part[0] for part in bank.coefficients(*place)[1:3]
-    ]
+    place = types.Float(1.0, 1.0), types.Float(2.0, 2.0), types.Float(main_lens(camera).vergence(FAR))
+    some, every = bank.coefficients(*place, types.Bool(True, False)), bank.coefficients(*place)
+    assert bank.rank > 4 and all(part[0] != 0 for part in every)
+    assert [list(part) for part in some] == [[part[0], 0] for part in every]
 
 
 def test_bank_is_made_once_whatever_the_window():
@@ -98,7 +97,7 @@ def test_bank_is_made_once_whatever_the_window():
     assert pickle.loads(pickle.dumps(bank_of(camera, FAR))) is bank_of(camera, FAR)
 
 
-def test_convolution_in_squares_and_its_adjoint():
+def test_convolution_in_tiles_its_bands_and_its_adjoint():
     camera = small_camera(crop_offset=(2, 3), crop_size=(200, 61)).replace(resolution=(512, 512))
     generator = np.random.default_rng(0)
     kernels = generator.random((2, 9, 9), dtype=np.float32)
@@ -111,6 +110,15 @@ def test_convolution_in_squares_and_its_adjoint():
     expected = fine.reshape(61, 2, 200, 2).sum((1, 3))
     assert plain.forward(images).shape == (61, 200)
     np.testing.assert_allclose(plain.forward(images), expected, rtol=1e-5)
+    bands, box = Convolution(camera, [bank], 0, rows=25), plain.box
+    total = np.zeros((1, 61, 200), np.float32)
+    for top in range(0, box.rows, 25):
+        rows = Box(box.left, box.top + top, box.columns, min(25, box.rows - top))
+        reached = bands.reached(rows)
+        part = bands.forward(images[:, top : top + rows.rows], rows, reached)
+        assert part.shape == (reached.rows, 200) and reached.rows < 40
+        add(Part(reached, part[None]), Box(0, 0, 200, 61), total)
+    np.testing.assert_allclose(total[0], expected, rtol=1e-5)
     pixels = generator.random((61, 200), dtype=np.float32)
     back = sum(np.vdot(image.astype(float), part) for image, part in zip(images, shared.adjoint(pixels), strict=True))
     assert np.vdot(shared.forward(images).astype(float), pixels) == pytest.approx(back, rel=1e-5)

@@ -1,7 +1,8 @@
 r"""From the images of what rays bring to the detector's pixels, and back: convolutions with the kernels of banks.
 
 The images have samples beyond the recorded pixels on every side, from which light still arrives. They are cut into
-overlapping squares (overlap-save), so that only one image and the spectra of squares are held.
+tiles whose convolutions are added where they overlap (overlap-add: Oppenheim and Schafer, "Discrete-Time Signal
+Processing", section 8.7), so that only some of an image and the spectra of its tiles are held.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...optics.sampling import fast_length
-from ...runtime.batches import Box
+from ...runtime.batches import Box, Part, add
 from ...runtime.fft import resting_drjit, worker_count
 from .lens_bank import LensBank
 
@@ -23,7 +24,7 @@ _TAIL = 8
 """Samples by which kernels grow when what collecting the rays has smoothed is sharpened again."""
 
 _SQUARE = 768
-"""Samples across a square, about."""
+"""Samples across the convolution of a tile, about."""
 
 
 class Convolution:
@@ -38,91 +39,110 @@ class Convolution:
     order : int
         How rays were collected in the images: 1 in the sample in which they arrive, 4 shared by the nearest four
         along each axis, by a cubic B-spline. This smooths by :math:`\mathrm{sinc}^{order}` along each axis.
+    rows : int, optional
+        Rows of samples that are convolved together; those of `box` by default.
 
     Attributes
     ----------
     box : Box
-        The samples of the images, counted from the full detector's corner.
+        All samples that pixels feel, counted from the full detector's corner.
     pitch : float
         Their distance in millimetres.
     ranks : int
         Images in all.
     """
 
-    def __init__(self, camera: PlenopticCamera, banks: Sequence[LensBank], order: int) -> None:
+    def __init__(self, camera: PlenopticCamera, banks: Sequence[LensBank], order: int, rows: int | None = None) -> None:
         self.pitch = banks[0].pitch
         self._parts = round(camera.pixel_size / self.pitch)
-        self._shape = camera.shape[0] * self._parts, camera.shape[1] * self._parts
+        left, top = (offset * self._parts for offset in camera.crop_offset)
+        self._window = Box(left, top, camera.shape[1] * self._parts, camera.shape[0] * self._parts)
         kernels = [kernel for bank in banks for kernel in bank.kernels]
-        # banks of different types of lenses have kernels of different widths
+        # Banks of different types of lenses have kernels of different widths.
         self._margin = max(kernel.shape[0] for kernel in kernels) // 2 + _TAIL
-        self.ranks, m = len(kernels), self._margin
-        left, top = (offset * self._parts - m for offset in camera.crop_offset)
-        self.box = Box(left, top, self._shape[1] + 2 * m, self._shape[0] + 2 * m)
-        support = 2 * m + 1
-        self._valid = [min(max(_SQUARE - support, support), size) for size in self._shape]
-        self._size = tuple(fast_length(valid + support - 1) for valid in self._valid)
+        self.ranks, self.box = len(kernels), _grown(self._window, self._margin)
+        support = 2 * self._margin + 1
+        most = max(_SQUARE - support, support)
+        self._tile = [_even(size, most) for size in (rows or self.box.rows, self.box.columns)]
+        self._size = tuple(fast_length(tile + support - 1) for tile in self._tile)
         self._spectra = np.empty((self.ranks, self._size[0], self._size[1] // 2 + 1), np.complex64)
         sharp = [np.sinc(frequency(support)) ** -order for frequency in (scipy.fft.fftfreq, scipy.fft.rfftfreq)]
         for spectrum, kernel in zip(self._spectra, kernels, strict=True):
-            wide = scipy.fft.rfft2(np.pad(kernel, m - kernel.shape[0] // 2)) * (sharp[0][:, None] * sharp[1])
+            wide = scipy.fft.rfft2(np.pad(kernel, self._margin - kernel.shape[0] // 2)) * (sharp[0][:, None] * sharp[1])
             spectrum[...] = scipy.fft.rfft2(scipy.fft.irfft2(wide, (support, support)), self._size)
 
     @property
     def memory(self) -> float:
         """Bytes that a convolution takes, beside the images."""
-        squares = math.prod(math.ceil(size / valid) for size, valid in zip(self._shape, self._valid, strict=True))
-        return float((squares + self.ranks) * self._spectra[0].nbytes + 8 * math.prod(self._shape))
+        tiles = sum(1 for _ in self._tiles(self.box))
+        return float((tiles + self.ranks) * self._spectra[0].nbytes + 8 * self.box.rows * self.box.columns)
 
-    def forward(self, images: Iterable[NDArray[np.float32]]) -> NDArray[np.float32]:
+    def reached(self, box: Box) -> Box:
+        """Return the recorded pixels, counted from the first, that some samples may reach."""
+        grown, window, p = _grown(box, self._margin), self._window, self._parts
+        low = np.maximum((grown.left - window.left, grown.top - window.top), 0) // p
+        high = (grown.left + grown.columns - window.left, grown.top + grown.rows - window.top)
+        return Box.between(low, -(-np.minimum(high, (window.columns, window.rows)) // p))
+
+    def forward(
+        self, images: Iterable[NDArray[np.float32]], box: Box | None = None, pixels: Box | None = None
+    ) -> NDArray[np.float32]:
         """Convolve each image with its kernel, and add.
 
         Parameters
         ----------
         images : iterable of float32 arrays
-            One for each kernel, of the samples of `box`: what rays bring of it.
+            One for each kernel, of the samples of a box: what rays bring of it.
+        box : Box, optional
+            Those samples: `box` by default. Beyond them the images are zero.
+        pixels : Box, optional
+            The wanted pixels, counted from the first recorded one; all by default.
 
         Returns
         -------
         float32 array (rows, columns)
-            Integrals over the recorded pixels.
+            Integrals over these pixels.
         """
-        squares = list(self._squares())
-        sums = np.zeros((len(squares), *self._spectra.shape[1:]), np.complex64)
-        result = np.empty(self._shape, np.float32)
+        box, p, m = box or self.box, self._parts, self._margin
+        pixels = pixels or self.reached(self.box)
+        tiles = list(self._tiles(box))
+        sums = np.zeros((len(tiles), *self._spectra.shape[1:]), np.complex64)
+        wanted = Box(
+            self._window.left + pixels.left * p, self._window.top + pixels.top * p, pixels.columns * p, pixels.rows * p
+        )
+        result = np.zeros((1, wanted.rows, wanted.columns), np.float32)
         with resting_drjit():
             for image, spectrum in zip(images, self._spectra, strict=True):
-                for total, (rows, columns) in zip(sums, squares, strict=True):
-                    part = self._transform(image[_wider(rows, self._margin), _wider(columns, self._margin)])
+                for total, (rows, columns) in zip(sums, tiles, strict=True):
+                    part = self._transform(image[rows, columns])
                     part *= spectrum
                     total += part
-            for total, (rows, columns) in zip(sums, squares, strict=True):
-                # the first samples are those that wrap
-                square = self._back(total)[2 * self._margin :, 2 * self._margin :]
-                result[rows, columns] = square[: rows.stop - rows.start, : columns.stop - columns.start]
-        p = self._parts
-        return result.reshape(self._shape[0] // p, p, self._shape[1] // p, p).sum((1, 3)) if p > 1 else result
+            for total, (rows, columns) in zip(sums, tiles, strict=True):
+                size = rows.stop - rows.start, columns.stop - columns.start
+                square = self._back(total)[: size[0] + 2 * m, : size[1] + 2 * m]
+                reached = _grown(Box(box.left + columns.start, box.top + rows.start, size[1], size[0]), m)
+                add(Part(reached, square[None]), wanted, result)
+        return result[0].reshape(pixels.rows, p, pixels.columns, p).sum((1, 3)) if p > 1 else result[0]
 
     def adjoint(self, pixels: NDArray[np.float32]) -> Iterator[NDArray[np.float32]]:
         """Yield for each kernel the image whose product with any image is that of the pixels with its `forward`."""
-        samples = pixels.repeat(self._parts, 0).repeat(self._parts, 1)
+        samples = np.pad(pixels.repeat(self._parts, 0).repeat(self._parts, 1), 2 * self._margin)
         for spectrum in self._spectra:
-            image = np.zeros((self.box.rows, self.box.columns), np.float32)
+            image = np.empty((self.box.rows, self.box.columns), np.float32)
             with resting_drjit():
-                for rows, columns in self._squares():
-                    part = self._transform(samples[rows, columns])
+                for rows, columns in self._tiles(self.box):
+                    part = self._transform(samples[_wider(rows, self._margin), _wider(columns, self._margin)])
                     part *= spectrum.conj()
-                    square = np.roll(self._back(part), (2 * self._margin,) * 2, (0, 1))
-                    target = image[_wider(rows, self._margin), _wider(columns, self._margin)]
-                    target += square[: target.shape[0], : target.shape[1]]
+                    # What comes later wraps.
+                    image[rows, columns] = self._back(part)[: rows.stop - rows.start, : columns.stop - columns.start]
             yield image
 
-    def _squares(self) -> Iterator[tuple[slice, slice]]:
-        """Yield which pixels each square is for."""
-        (height, width), (rows, columns) = self._shape, self._valid
-        for top in range(0, height, rows):
-            for left in range(0, width, columns):
-                yield slice(top, min(top + rows, height)), slice(left, min(left + columns, width))
+    def _tiles(self, box: Box) -> Iterator[tuple[slice, slice]]:
+        """Yield the rows and columns of each tile of a box."""
+        rows, columns = self._tile
+        for top in range(0, box.rows, rows):
+            for left in range(0, box.columns, columns):
+                yield slice(top, min(top + rows, box.rows)), slice(left, min(left + columns, box.columns))
 
     def _transform(self, samples: NDArray[np.float32]) -> NDArray[np.complex64]:
         return scipy.fft.rfft2(samples, self._size, workers=worker_count())
@@ -131,6 +151,16 @@ class Convolution:
         return scipy.fft.irfft2(spectrum, self._size, overwrite_x=True, workers=worker_count())
 
 
-def _wider(pixels: slice, margin: int) -> slice:
-    """Return which samples of the images, margins included, some pixels feel."""
-    return slice(pixels.start, pixels.stop + 2 * margin)
+def _grown(box: Box, margin: int) -> Box:
+    """Return a box with a margin all around."""
+    return Box(box.left - margin, box.top - margin, box.columns + 2 * margin, box.rows + 2 * margin)
+
+
+def _wider(samples: slice, margin: int) -> slice:
+    """Return which samples of the padded pixels some samples reach."""
+    return slice(samples.start, samples.stop + 2 * margin)
+
+
+def _even(size: int, most: int) -> int:
+    """Return the length of as few equal parts of a size as are no longer than so many."""
+    return math.ceil(size / math.ceil(size / most))

@@ -113,7 +113,7 @@ class LensBank:
         pitch = pitch or finest_pitch(camera, (wavelength,))
         return _learn(optics, wavelength, accuracy, vergences, lens_type, pitch, blank)
 
-    def coefficients(self, Px: Any, Py: Any, vergence: Any, ranks: slice = slice(None)) -> list[Any]:
+    def coefficients(self, Px: Any, Py: Any, vergence: Any, active: Any = True) -> list[Any]:
         """Return how much of each kernel a point's light brings through a lens.
 
         Parameters
@@ -123,15 +123,15 @@ class LensBank:
             too.
         vergence : Float array of Dr.Jit
             Vergence of the point's image, in 1/mm.
-        ranks : slice
-            Which of the kernels.
+        active : bool or Bool array of Dr.Jit
+            Whether they are wanted; where not, they are zero.
 
         Returns
         -------
         list of Float arrays
             Of a full lens's power as rays bring it; zero where the rim is too far.
         """
-        return self.table.at(Px, Py, vergence, ranks)
+        return self.table.at(Px, Py, vergence, active)
 
     def reach(self, vergence: Any) -> Any:
         """Return how far beyond the pupil's rim, in millimetres, pupil points still have light."""

@@ -218,13 +218,14 @@ class Table:
     def _flat(self) -> dict[Any, Any]:
         return {}
 
-    def at(self, Px: Any, Py: Any, vergence: Any, ranks: slice) -> list[Any]:
+    def at(self, Px: Any, Py: Any, vergence: Any, active: Any) -> list[Any]:
         """Return coefficients; see `LensBank.coefficients`."""
         types = array_module()
         if types not in self._flat:
             self._flat[types] = types.Float(self.values.reshape(-1))
         _, angles, edges, rank = self.values.shape
         depth, edge, angle, lit = self.coordinates.places(Px, Py, vergence)
+        lit &= active
         turn = types.UInt32(angle + 0.5)
         line = types.UInt32(depth + 0.5) * angles + dr.select(turn >= angles, 0, turn)
         below = types.UInt32(dr.minimum(edge, edges - 2))
@@ -232,5 +233,5 @@ class Table:
         place = (line * edges + below) * rank
         return [
             dr.lerp(*(dr.gather(types.Float, self._flat[types], place + (r + step), lit) for step in (0, rank)), part)
-            for r in range(rank)[ranks]
+            for r in range(rank)
         ]
