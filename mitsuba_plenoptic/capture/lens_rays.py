@@ -46,7 +46,7 @@ _RIM = 1.1
 _FEWER = 16
 """By how much fewer."""
 
-_TRIAL, _TRIAL_BINS, _TRIALS = 512, 2**17, 3
+_TRIAL, _TRIAL_BINS, _TRIALS = 512, 2**16, 3
 """Pixels across whose convolution, and bins whose rays are timed for an estimate; how often those are."""
 
 _RAY_BYTES = 200

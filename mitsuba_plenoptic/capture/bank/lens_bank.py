@@ -100,7 +100,7 @@ class LensBank:
             Distance of the kernels' samples, a whole part of a pixel; banks that are used together must share it.
             Default: `finest_pitch` at this wavelength.
         blank : bool
-            Whether to leave all coefficients zero, which takes half the time: enough to tell what a capture takes.
+            Whether to leave kernels and coefficients zero, which is quicker: enough to tell what a capture takes.
         """
         optics = camera.replace(
             detector_width=camera.pixel_size,
@@ -151,16 +151,21 @@ def _learn(
     origin = camera, wavelength, accuracy, vergences, lens_type, pitch, blank
     diffraction, defocused = _spot(camera, wavelength, lens_type)
     coordinates = Coordinates.between(camera, wavelength, vergences, blur_limits(accuracy)[0])
-    core, wide = (
-        LensPatterns(camera, wavelength, spots * diffraction + 2 * defocused, lens_type) for spots in (_CORE, _SPOTS)
-    )
+    core = LensPatterns(camera, wavelength, _CORE * diffraction + 2 * defocused, lens_type)
+    width = _SPOTS * diffraction + 2 * defocused
     fields, distance = coordinates.fields()
-    learner = Learner(core, wide, fields, coordinates.nodes(distance), coordinates.shape)
+    learner = Learner(core, fields, coordinates.nodes(distance), coordinates.shape)
     with resting_drjit():
-        cores, kernels = learner.kernels(_LEFT * accuracy)
-        table = Table.blank(coordinates, len(cores)) if blank else Table.finer(coordinates, learner.coefficients(cores))
-    upright = _on_grid(kernels, wide.pitch, pitch, camera.mla_rotation)
-    return LensBank(upright, pitch, core.arrival, table, origin)
+        cores, mixing = learner.kernels(_LEFT * accuracy)
+        if blank:
+            across = 2 * _half(width, pitch) + 1
+            kernels = np.zeros((len(cores), across, across), np.float32)
+            table = Table.blank(coordinates, len(cores))
+        else:
+            wide = LensPatterns(camera, wavelength, width, lens_type)
+            kernels = _on_grid(learner.wider(mixing, wide), wide.pitch, pitch, camera.mla_rotation)
+            table = Table.finer(coordinates, learner.coefficients(cores))
+    return LensBank(kernels, pitch, core.arrival, table, origin)
 
 
 def finest_pitch(camera: PlenopticCamera, wavelengths: tuple[float, ...]) -> float:
@@ -182,7 +187,7 @@ def _on_grid(kernels: NDArray[np.float32], fine: float, pitch: float, rotation: 
     n = kernels.shape[-1]
     origin = -(n // 2) * fine
     turned = TurnedSamples((n, n), (fine, fine), (origin, origin), rotation, fine, (origin, origin), (n, n))
-    half = math.floor(n * fine / (2 * pitch) - 0.5)
+    half = _half(n * fine, pitch)
     edge = -(half + 0.5) * pitch
     integrals = PixelIntegrals((n, n), (fine, fine), (origin, origin), pitch, (edge, edge), (2 * half + 1,) * 2)
     result = np.empty((len(kernels), 2 * half + 1, 2 * half + 1), np.float32)
@@ -190,3 +195,8 @@ def _on_grid(kernels: NDArray[np.float32], fine: float, pitch: float, rotation: 
         upright = turned.forward(kernel) if rotation else kernel
         target[...] = integrals.forward(upright / np.float32(fine**2))
     return result
+
+
+def _half(width: float, pitch: float) -> int:
+    """Return the samples on either side of the middle one that lie within a width."""
+    return math.floor(width / (2 * pitch) - 0.5)
