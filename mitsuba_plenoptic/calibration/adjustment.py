@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..errors import InputError
+from ..runtime.blas import single_threaded_blas
 from .model import NAMES, Observations, predict, predict_centres
 
 _MOST_STEPS = 200
@@ -122,6 +123,7 @@ class Solution:
     steps: int
 
 
+@single_threaded_blas()
 def adjust(
     problem: Problem,
     numbers: np.ndarray,
