@@ -5,13 +5,14 @@
 
 ``focal_length``: from random starts the microlens focal length is sought by which points between 220 and 260 mm are
 refocused with most contrast; each end must lie within 0.5 % of the best of a scan. ``wavefront``: aberrations of the
-main lens, tilt and defocus left out, are sought by which captures tell most of the depth of such points. The design must
-beat the camera that it starts from by its own figure; with full fields, another count of photons and other points; and
-in the spread of depths estimated from full fields with Poisson's noise, where both must keep to their bounds.
+main lens, tilt and defocus left out, are sought by which captures tell most of the depth of such points. The design
+must beat the camera that it starts from by its own figure; with full fields, another count of photons and other
+points; and in the spread of depths estimated from full fields with Poisson's noise, where both must keep to their
+bounds.
 
 ``--half`` takes the main lens at half its size and distances, which costs a fourth. Writes ``design_accuracy_*.md``,
-``.json`` and pictures of the spreads before (above) and after (below) to the folder that ``--output`` names; exits with 1
-where a line is not kept.
+``.json`` and pictures of the spreads before (above) and after (below) to the folder that ``--output`` names; exits
+with 1 where a line is not kept.
 """
 
 from __future__ import annotations
