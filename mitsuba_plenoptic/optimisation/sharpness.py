@@ -77,6 +77,13 @@ class RefocusedContrast:
     def gradient(self, camera: PlenopticCamera, names: Iterable[str]) -> tuple[float, Gradient]:
         """Return the mean contrast, and its derivatives by numbers of the camera, by name.
 
+        Parameters
+        ----------
+        camera : PlenopticCamera
+            The camera.
+        names : iterable of str
+            The numbers.
+
         Raises
         ------
         InputError
