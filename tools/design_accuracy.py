@@ -1,7 +1,7 @@
 """Design cameras by their own figures, and judge the designs by what the search did not see.
 
     python tools/design_accuracy.py focal_length [--starts 10]
-    python tools/design_accuracy.py wavefront
+    python tools/design_accuracy.py wavefront [--starts 3]
 
 ``focal_length``: from random starts the microlens focal length is sought by which points between 220 and 260 mm are
 refocused with most contrast; each end must lie within 0.5 % of the best of a scan. ``wavefront``: aberrations of the
@@ -42,6 +42,9 @@ OTHER_PHOTONS, OTHER_BACKGROUND = 4000.0, 4.0
 DRAWS = 300
 TERMS = range(5, 12)
 """Aberrations that vary, by Noll's numbers: astigmatism to spherical."""
+
+STEPS = 12
+"""Of each search of a wavefront."""
 
 LARGEST = 1.0
 """Waves of each, at most."""
@@ -98,19 +101,20 @@ def focal_length(case: Case, starts: int, output: Path) -> tuple[dict, bool]:
     return {"scan": scanned, "best": found, "searches": rows}, verdict.kept
 
 
-def wavefront(case: Case, output: Path) -> tuple[dict, bool]:
+def wavefront(case: Case, starts: int, output: Path) -> tuple[dict, bool]:
     """Seek aberrations by which depth is told best, and judge them otherwise."""
     plain = case.camera.replace(wavefront=(0.0,) * max(TERMS))
-    distances = (220.0, 230.0, 240.0, 250.0, 260.0)
-    figure = _figure(case, case.points(distances, 3), PHOTONS, BACKGROUND, "patch")
+    figure = _figure(case, case.points((220.0, 240.0, 260.0), 3), PHOTONS, BACKGROUND, "patch")
     rng, bounds = np.random.default_rng(4), {f"wavefront.{term}": (-LARGEST, LARGEST) for term in TERMS}
     designs: list[Design] = []
     # No aberration at all is where the slopes vanish by symmetry: starts lie beside it.
-    for number in range(3):
+    for number in range(starts):
         coefficients = np.zeros(max(TERMS))
         coefficients[TERMS[0] - 1 :] = rng.uniform(-0.3, 0.3, len(TERMS))
         start = plain.replace(wavefront=tuple(coefficients.tolist()))
-        designs.append(maximise(figure, start, bounds, progress=lambda n, f, k=number: print(k, n, f, flush=True)))
+        designs.append(
+            maximise(figure, start, bounds, steps=STEPS, progress=lambda n, f, k=number: print(k, n, f, flush=True))
+        )
     design = max(designs, key=lambda design: design.figure)
     verdict, results = Verdict(), {"values": design.values, "figures": [one.figure for one in designs]}
     before = figure.value(plain)
@@ -164,7 +168,7 @@ def main() -> None:
     """Do what is asked."""
     parser = accuracy.options("design_accuracy", __doc__)
     parser.add_argument("what", choices=("focal_length", "wavefront"))
-    parser.add_argument("--starts", type=int, default=10, help="random starts of the focal length")
+    parser.add_argument("--starts", type=int, default=10, help="random starts")
     parser.add_argument("--half", action="store_true", help="half the main lens at half the distances")
     arguments = accuracy.start(parser)
     arguments.tool += f"_{arguments.what}"
@@ -172,7 +176,7 @@ def main() -> None:
     if arguments.what == "focal_length":
         results, kept = focal_length(case, arguments.starts, arguments.output)
     else:
-        results, kept = wavefront(case, arguments.output)
+        results, kept = wavefront(case, arguments.starts, arguments.output)
     accuracy.finish(arguments, results, f"# Design: {arguments.what}\n", f"```\n{json.dumps(results, indent=1)}\n```\n")
     sys.exit(0 if kept else 1)
 

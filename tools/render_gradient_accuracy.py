@@ -1,9 +1,9 @@
 """Measure derivatives of wave captures through `mi.render`, both ways, against differences with radiators held.
 
-    python tools/render_gradient_accuracy.py [--lenses 8] [--radiators-per-lens 1]
+    python tools/render_gradient_accuracy.py [--lenses 8] [--radiators-per-lens 3]
 
-The scene is that of the letters, made small before 64 lenses of the paper's camera at half its aperture, with a card of
-four by four texels beside them that a lamp lights. The light changes through a texture and through radiance, whose
+The scene is that of the letters, made small before 64 lenses of the paper's camera at half its aperture, with a card
+beside them that shines by four by four texels. The light changes through a texture and through radiance, whose
 differences are those of captures that are rendered anew: nothing but the light changes between them. The camera's
 numbers change all at once, against central differences of the full field of every radiator, on grids that are held.
 Reverse is compared with forward. Writes ``render_gradient_accuracy.md`` and ``.json`` to the folder that ``--output``
@@ -32,7 +32,7 @@ MESHES = Path(__file__).resolve().parents[1] / "scenes" / "meshes"
 LETTERS = {"eight": (2.8, 210.0), "f": (0.0, 240.0), "hash": (-2.8 * 280 / 210, 280.0)}
 """Places of the letters at full size, across and along."""
 
-TEXTURE, RADIANCE = "card.bsdf.reflectance.data", "f.emitter.radiance.value"
+TEXTURE, RADIANCE = "card.emitter.radiance.data", "f.emitter.radiance.value"
 STEPS = {
     "focal_length": 4e-3,
     "mla_distance": 6e-3,
@@ -64,13 +64,13 @@ def scene_of(lenses: int, radiators: int) -> Any:
             },
             "sampler": {"type": "independent", "sample_count": 1},
         },
-        "lamp": {"type": "point", "position": [0.0, 300.0, 0.0], "intensity": 6e5},
         "card": {
             "type": "rectangle",
-            "to_world": transform.translate([0.1, -0.2, 250.0]).rotate([0, 1, 0], 180).scale(0.06),
-            "bsdf": {
-                "type": "diffuse",
-                "reflectance": {
+            "to_world": transform.translate([0.1, -0.2, 250.0]).rotate([0, 1, 0], 180).scale(0.1),
+            "bsdf": {"type": "diffuse", "reflectance": 0.0},
+            "emitter": {
+                "type": "area",
+                "radiance": {
                     "type": "bitmap", "raw": True,
                     "bitmap": mi.Bitmap(np.random.default_rng(1).uniform(0.2, 1, (4, 4, 1)).astype(np.float32)),
                 },
@@ -152,7 +152,7 @@ def main() -> None:
     """Measure, and write the table."""
     parser = accuracy.options("render_gradient_accuracy", __doc__)
     parser.add_argument("--lenses", type=int, default=8, help="lenses across the detector")
-    parser.add_argument("--radiators-per-lens", type=int, default=1, help="radiators per lens along each axis")
+    parser.add_argument("--radiators-per-lens", type=int, default=3, help="radiators per lens along each axis")
     arguments = accuracy.start(parser)
     rng, size = np.random.default_rng(2), (arguments.lenses, arguments.radiators_per_lens)
     texels = mi.TensorXf(rng.uniform(-0.2, 0.2, (4, 4, 1)).astype(np.float32))
