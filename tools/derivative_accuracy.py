@@ -4,8 +4,12 @@ Writes ``derivative_accuracy.md`` and ``.json`` to the folder that ``--output`` 
 one is beyond, the exit status is 1. ``--cost`` measures instead what derivatives take, relative to `forward`.
 
 The camera is the paper's main lens at half its size before four lenses. Radiators are held. The step of a difference is
-such that the image changes by 1 % of its norm, and the grids of the full field are those of the middle; where the
-detector's width changes they grow with it, and where wavelength or pitch do, the count of microlens orders is held.
+such that the image changes by 1 % of its norm, and the grids of the full field are those of the middle, in windows 1.4
+times as wide as for images: what wraps round a window changes fastest with the numbers. Where the detector's width
+changes the grids grow with it, and where wavelength or pitch do, the count of microlens orders is held.
+
+A wall of points is differentiated, too, as a capture in its own unit at accuracy 0.02, where the changes of single
+spreads nearly cancel; its differences are by full fields of all points.
 """
 
 from __future__ import annotations
@@ -20,6 +24,7 @@ import accuracy
 import numpy as np
 
 from mitsuba_plenoptic.camera import PlenopticCamera
+from mitsuba_plenoptic.capture.derivatives import brightness_slopes
 from mitsuba_plenoptic.capture.full_field import full_field
 from mitsuba_plenoptic.capture.full_field_grids import FieldGrids, field_grids
 from mitsuba_plenoptic.capture.operator import CaptureOperator
@@ -29,6 +34,14 @@ from mitsuba_plenoptic.runtime.jobs import Job
 
 WAVELENGTH = 633.0
 STEP = 0.01
+WINDOW = 1.4
+"""Width of the full field's windows over that for images."""
+
+WALL = {"mla_distance": 0.03, "mla_pitch": 0.08, "detector_distance": 0.08}
+"""Limits for a wall, whose derivatives are small differences of large ones."""
+
+WALL_ACCURACY, WALL_STEP = 0.02, 0.004
+
 HALF = PlenopticCamera(
     focal_length=40, aperture_radius=2.5, mla_distance=60, detector_width=0.128, resolution=(64, 64)
 )  # fmt: skip
@@ -63,7 +76,7 @@ ABERRATIONS = 36
 
 def _difference(camera: PlenopticCamera, point: np.ndarray, name: str, change: Any, step: float) -> np.ndarray:
     """Central difference of the full field."""
-    base = field_grids(camera, point, WAVELENGTH, 1.0, 1.0)
+    base = field_grids(camera, point, WAVELENGTH, 1.0, WINDOW)
     sides = []
     for amount in (step, -step):
         changed, wavelength = camera, WAVELENGTH
@@ -112,6 +125,25 @@ def against_full_field() -> list[accuracy.Row]:
             error = _error(found, _difference(camera, point, name, change, step))
             rows.append({"case": case, "number": label, "step": step, "error": error, "limit": limit})
             print(f"{case}, {label}: {error:.3%}", flush=True)
+    return rows
+
+
+def walls() -> list[accuracy.Row]:
+    """Measure a wall, by the numbers by which its captures must stay white."""
+    place = (np.arange(12) + 0.5) / 2 - 3
+    x, y = (index.ravel() * HALF.mla_pitch for index in np.meshgrid(place, place))
+    points = np.column_stack([-x * 116 / HALF.mla_distance, -y * 116 / HALF.mla_distance, np.full(x.size, 116.0)])
+    operator = CaptureOperator(HALF, points, wavelength=WAVELENGTH, accuracy=WALL_ACCURACY)
+    weights, rows = np.ones(len(points)), []
+    image = operator.forward(weights).astype(np.float64)
+    for name, limit in WALL.items():
+        unit = float(brightness_slopes(HALF, [name])[name].sum()) * image
+        found = operator.derivative(weights, {name: 1.0}).astype(np.float64)
+        step = WALL_STEP * float(np.linalg.norm(image) / np.linalg.norm(found))
+        expected = sum(_difference(HALF, point, name, 1.0, step).astype(np.float64) for point in points)
+        error = _error(found + unit, expected + unit)
+        rows.append({"case": f"wall of {len(points)} points", "number": name, "error": error, "limit": limit})
+        print(f"wall, {name}: {error:.3%}", flush=True)
     return rows
 
 
@@ -171,6 +203,7 @@ def main() -> None:
     """Measure all cases and write the tables."""
     parser = accuracy.options("derivative_accuracy", __doc__)
     parser.add_argument("--cost", action="store_true", help="what derivatives take, instead of how true they are")
+    parser.add_argument("--only", choices=("adjoint", "full_field", "wall"), help="one of the tables")
     arguments = accuracy.start(parser)
     if arguments.cost:
         arguments.tool += "_cost"
@@ -185,19 +218,18 @@ def main() -> None:
             accuracy.markdown(columns, rows),
         )
         return
-    results = {"adjoint": adjoints(), "full_field": against_full_field()}
+    tables = {"adjoint": adjoints, "full_field": against_full_field, "wall": walls}
+    results = {name: table() for name, table in tables.items() if arguments.only in (None, name)}
     for row in (row for rows in results.values() for row in rows):
         row["verdict"] = "kept" if row["error"] <= row["limit"] else "beyond"
     columns = {"case": "{case}", "number": "{number}", "error": "{error:.2e}", "limit": "{limit:g}", "": "{verdict}"}
-    accuracy.finish(
-        arguments,
-        results,
-        "# Accuracy of derivatives\n",
-        "## Reverse against forward, over the product of the norms\n",
-        accuracy.markdown(columns, results["adjoint"]),
-        "## Against central differences of the full field, relative L2\n",
-        accuracy.markdown(columns, results["full_field"]),
-    )
+    titles = {
+        "adjoint": "## Reverse against forward, over the product of the norms\n",
+        "full_field": "## Against central differences of the full field, relative L2\n",
+        "wall": "## Of a wall, against central differences of the full fields, relative L2\n",
+    }
+    texts = [text for name, rows in results.items() for text in (titles[name], accuracy.markdown(columns, rows))]
+    accuracy.finish(arguments, results, "# Accuracy of derivatives\n", *texts)
     if any(row["verdict"] == "beyond" for rows in results.values() for row in rows):
         sys.exit(1)
 

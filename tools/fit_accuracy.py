@@ -5,24 +5,27 @@
 
 Points at several distances, of which the brightest pixel gets so many photons, are recorded by a small camera at the
 given accuracy. Each fit starts off by the given part of the lengths. Printed and written, for each number: the mean of
-the squared errors over their stated variances (1 if right), and the stated deviation over the Cramer-Rao bound of the
-true camera (1 if right).
+the squared errors over their stated variances (1 if right, within 0.25), and the stated deviation over the Cramer-Rao
+bound of the true camera (1 if right, within 0.2). Exits with 1 where a figure is beyond its limit.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import sys
 import time
 from pathlib import Path
 
 import numpy as np
+from verdict import Verdict
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, fit
 from mitsuba_plenoptic.capture.units import brightness_of
 from mitsuba_plenoptic.fitting import View
 
 WAVELENGTH = 633.0
+SPREAD, BOUND = 0.25, 0.2
 
 
 def main() -> None:
@@ -81,6 +84,13 @@ def main() -> None:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
+    verdict = Verdict()
+    for row in rows:
+        off = abs(float(row["mean square over variance"]) - 1)
+        verdict.judge(f"{row['number']}: mean square over variance, off 1", off, SPREAD)
+        off = max(abs(float(row[key]) - 1) for key in ("least", "most"))
+        verdict.judge(f"{row['number']}: deviation over bound, off 1", off, BOUND)
+    sys.exit(0 if verdict.kept else 1)
 
 
 _COLUMNS = "mean square over variance", "mean error over deviation", "deviation over bound", "least", "most"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol, cast
 
@@ -231,10 +231,39 @@ class CaptureOperator:
             If an input has a wrong shape or value, the method has no derivatives, or the work would need too much
             memory.
         """
-        factors, checked = self._check(weights), check_changes(self.camera, changes)
+        return np.asarray(self.jacobian(weights, [changes], job=job)[0])
+
+    @one_at_a_time
+    def jacobian(
+        self, weights: Any, directions: Sequence[dict[str, Any]], *, job: Job | None = None
+    ) -> NDArray[np.float32]:
+        """Differentiate `forward` in several directions at once, for which the fields are computed once.
+
+        Parameters
+        ----------
+        weights, job
+            As of `derivative`.
+        directions : sequence of dict
+            Each the changes of the camera's numbers, as of `derivative`.
+
+        Returns
+        -------
+        float32 array (directions, ...)
+            The derivatives, each of the shape of the image.
+
+        Raises
+        ------
+        InputError
+            As of `derivative`, or if there is no direction.
+        """
+        factors, checked = self._check(weights), [check_changes(self.camera, changes) for changes in directions]
+        if not checked:
+            raise InputError("directions: give at least one")
         wavelengths, matrix = self._mixing(factors.shape[1])
         image = self._for_derivatives().push(factors, checked, wavelengths, matrix, job or Job())
-        return image[..., 0] if np.ndim(weights) == 1 and len(matrix) == 1 else image
+        made = np.moveaxis(image.reshape(*self.camera.shape, len(checked), len(matrix)), 2, 0)
+        flat = np.ndim(weights) == 1 and len(matrix) == 1
+        return np.ascontiguousarray(made[..., 0] if flat else made)
 
     @one_at_a_time
     def gradient(

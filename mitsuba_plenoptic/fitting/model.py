@@ -123,12 +123,13 @@ class Model:
 
     def derivatives(self, numbers: list[Number], images: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the derivatives of `images` by numbers, (numbers, views, rows, columns)."""
-        result = np.empty((len(numbers), *images.shape))
         slopes = brightness_slopes(self._camera, {number.name for number in numbers})
-        for row, number in zip(result, numbers, strict=True):
+        directions, growth = [], []
+        for number in numbers:
             change = np.zeros(len(values_of(self._camera, 1.0, number.name)))
             change[list(number.parts)] = 1
-            row[:] = float(slopes[number.name] @ change) * images
-            for view, operator, weights in zip(row, self._operators, self._weights, strict=True):
-                view += operator.derivative(weights, {number.name: change})
-        return result
+            directions.append({number.name: change})
+            growth.append(float(slopes[number.name] @ change))
+        pairs = zip(self._operators, self._weights, strict=True)
+        rows = np.stack([operator.jacobian(weights, directions) for operator, weights in pairs], 1)
+        return np.asarray(rows + np.array(growth)[:, None, None, None] * images)

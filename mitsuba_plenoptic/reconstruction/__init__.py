@@ -7,6 +7,7 @@ A new method is a new module with a function that `methods.method` registers, im
 from . import ray, coherent, partial, deconvolved  # noqa: F401, I001
 from .api import FOOTPRINTS, RESPONSES, reconstruct
 from .differentiable import RayRefocus
+from .differentiable_waves import CoherentRefocus
 from .methods import METHODS
 from .result import Reconstruction, write_reconstruction
 
@@ -14,6 +15,7 @@ __all__ = [
     "FOOTPRINTS",
     "METHODS",
     "RESPONSES",
+    "CoherentRefocus",
     "RayRefocus",
     "Reconstruction",
     "reconstruct",

@@ -69,7 +69,7 @@ class RayRefocus:
         float32 array (rows, columns) or (rows, columns, channels)
             Radiance of the bins, as by `reconstruct`, but 0 where that has NaN.
         """
-        pixels = _three(as_array("capture", capture), self._camera.shape, "capture")
+        pixels = as_channels(as_array("capture", capture), self._camera.shape, "capture")
         sums = ray_sums(np.ascontiguousarray(pixels, np.float32), self._camera, *self._numbers)
         made = (sums * self._factor[..., None]).astype(np.float32)
         return made[..., 0] if np.ndim(capture) == 2 else made
@@ -87,7 +87,7 @@ class RayRefocus:
         float32 array (rows, columns) or (rows, columns, channels)
             One value for each pixel.
         """
-        given = _three(as_array("bins", bins), self._factor.shape, "bins") * self._factor[..., None]
+        given = as_channels(as_array("bins", bins), self._factor.shape, "bins") * self._factor[..., None]
         pixels = ray_sums_back(given, self._camera, *self._numbers).astype(np.float32)
         return pixels[..., 0] if np.ndim(bins) == 2 else pixels
 
@@ -117,7 +117,7 @@ class _RayOp(dr.CustomOp):
         return "refocusing by rays"
 
 
-def _three(values: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
+def as_channels(values: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
     """Return (rows, columns, channels), or refuse another shape."""
     if values.ndim not in (2, 3) or values.shape[:2] != shape:
         raise InputError(f"{name} of shape {values.shape}: it must have {shape[0]} rows and {shape[1]} columns")

@@ -67,20 +67,20 @@ def power_in_bins(
             return value.real * value.real + value.imag * value.imag
 
         def edge(slope: Any, cosine: Any = cosine) -> Any:
-            return slope * dr.sqrt((1 - cosine * cosine) / (1 + slope * slope))
+            return slope * dr.sqrt(along_y_of(slope, cosine))
 
         number = index - line * dr.opaque(types.UInt32, rows)
         along_y[mine] = _integrals(types, number, rows, width, edge, power, step.y).reshape(len(part), rows)
     words = types.Float(along_y.reshape(-1))
     index = dr.arange(types.UInt32, rows * columns)
     row = quotient(types, index, columns)
-    middle = (types.Float(row) + dr.opaque(types.Float, 0.5 - rows / 2)) * dr.opaque(types.Float, -width)
+    middle = slope_of(types.Float(row) + 0.5, dr.opaque(types.Float, rows), dr.opaque(types.Float, width))
 
     def sums(sample: Any, active: Any) -> Any:
         return dr.gather(types.Float, words, sample * dr.opaque(types.UInt32, rows) + row, active)
 
     def edge_at(slope: Any) -> Any:
-        return slope / dr.sqrt(1 + slope * slope + middle * middle)
+        return slope / dr.sqrt(along_x_of(slope, middle))
 
     number = index - row * dr.opaque(types.UInt32, columns)
     total = _integrals(types, number, columns, width, edge_at, sums, step.x) * np.float32(scale)
@@ -89,9 +89,8 @@ def power_in_bins(
 
 def _integrals(types: Any, number: Any, bins: int, width: float, edge: Any, sample: Any, axis: AxisDirections) -> Any:
     """Integrate samples over bins, in samples: over those with these numbers, between their edges as cosines."""
-    # The object is upside down in camera coordinates: bins grow with -X.
     low, high = (
-        edge((types.Float(number) + dr.opaque(types.Float, side - bins / 2)) * dr.opaque(types.Float, -width))
+        edge(slope_of(types.Float(number) + side, dr.opaque(types.Float, bins), dr.opaque(types.Float, width)))
         * dr.opaque(types.Float, 1 / axis.step)
         for side in (1, 0)
     )
@@ -105,16 +104,46 @@ def _integrals(types: Any, number: Any, bins: int, width: float, edge: Any, samp
         return place + 1, total + at(place)
 
     _, total = dr.while_loop((first + 1, types.Float(0)), lambda place, total: place <= last, body)
-    total += _beyond(types, last, high, at) - _beyond(types, first, low, at)
+    for sign, before, end in ((1, last, high), (-1, first, low)):
+        near = (at(before + offset) for offset in NEAR)
+        total += sign * beyond(end - types.Float(before), *near)
     # A cubic may go below zero beside a dark sample.
     total = dr.maximum(total, 0)
     dr.eval(total)
     return backend().from_drjit(total)
 
 
-def _beyond(types: Any, before: Any, end: Any, at: Any) -> Any:
-    """Return by how much the integral up to an edge exceeds the sum of the samples up to the one before it."""
-    f = end - types.Float(before)
-    a, b, c, d = (at(before + step) for step in (-1, 0, 1, 2))
+NEAR = (-1, 0, 1, 2)
+"""Samples beside the one before an edge that the integral up to the edge depends on, apart from the sum before it."""
+
+
+def beyond(f: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
+    """Return by how much the integral up to an edge exceeds the sum of the samples up to the one before it.
+
+    Parameters
+    ----------
+    f : array or Dr.Jit array
+        Distance of the edge from the sample before it, in samples.
+    a, b, c, d : float or array
+        The samples at `NEAR`.
+    """
     inside = f * (b + f * ((c - a) / 4 + f * ((a - 2.5 * b + 2 * c - d / 2) / 3 + f * (3 * (b - c) + d - a) / 8)))
     return inside + (a - c) / 24 - b / 2
+
+
+def slope_of(edge: Any, bins: Any, width: Any) -> Any:
+    """Return the slope at an edge, counted in bins of some width from the first edge.
+
+    The object is upside down in camera coordinates: bins grow with -X.
+    """
+    return (edge - bins / 2) * -width
+
+
+def along_y_of(slope: Any, cosine: Any) -> Any:
+    """Return the square of the cosine along y over its slope, where the cosine along x is given."""
+    return (1 - cosine * cosine) / (1 + slope * slope)
+
+
+def along_x_of(slope: Any, other: Any) -> Any:
+    """Return the square of the slope along x over its cosine, where the slope along y is given."""
+    return 1 + slope * slope + other * other

@@ -60,18 +60,45 @@ def to_radiance(
         whites = sums(task.white, lambda done: task.progress((1 + done) / 2))
     images = []
     for distance, total, white, rays in zip(task.distances, light, whites, reach, strict=True):
-        white = np.atleast_3d(white)
-        reached = is_reached(rays)[..., None] & (white > 0)
-        if not reached.any():
-            raise InputError(f"distance = {distance:g}: no light comes from any of the {rays.size} bins there")
-        if task.white is None:
-            # Both sums are of all bins, since light that misses one of them is in another.
-            usual = white.sum() / (float(rays.sum()) * white.shape[2])
-            white = np.maximum(white, _LEAST_WHITE * usual * rays[..., None])
+        white, reached = divisors(white, rays, distance, computed=task.white is None)
         image = np.full(total.shape, np.nan, np.float32)
         np.divide(total, white, out=image, where=np.broadcast_to(reached, total.shape), casting="same_kind")
         images.append(image)
     return images
+
+
+def divisors(white: np.ndarray, rays: np.ndarray, distance: float, *, computed: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return by what the sums over bins of a plane are divided, and which bins are.
+
+    Parameters
+    ----------
+    white : (rows, columns) or (rows, columns, channels) array
+        What the bins get of white.
+    rays : (rows, columns) array
+        Pixels of white whose rays reach them.
+    distance : float
+        Of the plane.
+    computed : bool
+        Whether the white is computed, and not recorded.
+
+    Returns
+    -------
+    divisors, reached : (rows, columns, channels) arrays
+
+    Raises
+    ------
+    InputError
+        If light comes from none of the bins.
+    """
+    white = np.atleast_3d(white)
+    reached = is_reached(rays)[..., None] & (white > 0)
+    if not reached.any():
+        raise InputError(f"distance = {distance:g}: no light comes from any of the {rays.size} bins there")
+    if computed:
+        # Both sums are of all bins, since light that misses one of them is in another.
+        usual = white.sum() / (float(rays.sum()) * white.shape[2])
+        white = np.maximum(white, _LEAST_WHITE * usual * rays[..., None])
+    return white, reached
 
 
 def is_reached(rays: np.ndarray) -> np.ndarray:

@@ -143,7 +143,7 @@ def _to_columns(source: Rows, element: Element, step: Step | Directions, columns
     """Transform rows and keep the lowest frequencies, turned into columns."""
     x = step.x
     block = workspace.array("rows", (workspace.block, x.padded))
-    low, high = _lowest(x.padded, x.kept)
+    low, high = lowest(x.padded, x.kept)
     end = 0
     for rows, samples in source:
         for lit in element.lit(rows):
@@ -166,7 +166,7 @@ def _spectra(
     arrays = workspace.libraries.arrays
     block = workspace.array("rows", (together, y.padded))
     spectrum = workspace.array("spectrum", (together, y.kept))
-    low, high = _lowest(y.padded, y.kept)
+    low, high = lowest(y.padded, y.kept)
     for place in range(0, x.kept, together):
         mine = slice(place, min(place + together, x.kept))
         size = mine.stop - place
@@ -214,7 +214,7 @@ def _to_rows(columns: Field, step: Step, workspace: Workspace) -> Rows:
         yield rows, _fft(part, inverse=True)[:, : x.wanted]
 
 
-def _lowest(size: int, kept: int) -> tuple[slice, slice]:
+def lowest(size: int, kept: int) -> tuple[slice, slice]:
     """Where the lowest frequencies are in a spectrum with zero frequency first: from zero on, and below zero."""
     positive = (kept + 1) // 2
     return slice(0, positive), slice(size - (kept - positive), size)

@@ -90,7 +90,7 @@ def refocus_by_waves(task: Task, power: Power, *, relay: bool) -> list[np.ndarra
         return [
             np.stack(
                 [
-                    white_light(camera, w, g, task.oversample, fine=_fine(camera, w, task.oversample), relay=relay)
+                    white_light(camera, w, g, task.oversample, fine=fine_bins(camera, w, task.oversample), relay=relay)
                     for w in task.wavelengths
                 ],
                 axis=-1,
@@ -127,7 +127,7 @@ def _of_amplitudes(
 ) -> list[np.ndarray]:
     """Return the power in bins of pixels that are not negative."""
     camera, oversample = task.camera, task.oversample
-    fine = _fine(camera, wavelength, oversample)
+    fine = fine_bins(camera, wavelength, oversample)
     totals = power(
         image,
         camera,
@@ -146,6 +146,6 @@ def _of_amplitudes(
     ]
 
 
-def _fine(camera: PlenopticCamera, wavelength: float, oversample: int) -> int:
+def fine_bins(camera: PlenopticCamera, wavelength: float, oversample: int) -> int:
     """Return how many fine bins across a bin power is summed in, before it is spread over lenses."""
     return 1 if camera.lenses_are_bins else Tile(camera, wavelength, 1, oversample).samples // oversample

@@ -17,7 +17,7 @@ from ...runtime.fft import Field, as_field, as_words, pack, unpack
 from ..patch import PatchBatch
 from ..patch_batches import Fields
 from ..patch_factors import PatchFactors
-from .chain import Factors, Way
+from .chain import Changes, Factors, Way
 from .numbers import VaryingNumbers
 
 
@@ -51,24 +51,22 @@ class _Drawn:
 
     @property
     def parts(self) -> list[Any]:
-        """Those that there are."""
-        given = (self.pupil, self.along_x, self.along_y, self.lenses, self.transfer)
-        return [part for part in given if part is not None]
+        """All of them, as `Factors` has them."""
+        return [self.pupil, self.along_x, self.along_y, self.lenses, self.transfer]
 
 
 def _shapes(fields: Fields, made: PatchFactors) -> list[tuple[int, ...]]:
     """Return the shapes of `_Drawn.parts`."""
     n, d, m = len(fields.positions), made.directions, made.mla_samples
-    return [(n, d, d), (n, m), (n, m), *([] if made.separable else [(n, m, m)]), made.transfer_shape]
+    return [(n, d, d), (n, m), (n, m), (n, m, m), made.transfer_shape]
 
 
-def _of_radiator(parts: list[Field], made: Any, radiator: int) -> Factors:
+def _of_radiator(parts: list[Field | None], made: Any, radiator: int) -> list[Any]:
     """Take one radiator's factors from those of a batch."""
     *own, transfer = parts
-    own = [part[radiator] for part in own]
     rows, columns = _directions(made, radiator)
-    pupil, along_x, along_y, *lenses = own
-    return Factors(pupil, along_x, along_y, lenses[0] if lenses else None, transfer[rows, columns])
+    mine = [None if part is None else part[radiator] for part in own]
+    return [*mine, None if transfer is None else transfer[rows, columns]]
 
 
 def _directions(made: Any, radiator: int) -> tuple[slice, slice]:
@@ -77,10 +75,21 @@ def _directions(made: Any, radiator: int) -> tuple[slice, slice]:
     return slice(y, y + made.samples), slice(x, x + made.samples)
 
 
-def _plain(batch: PatchBatch) -> list[Field]:
+def _plain(batch: PatchBatch) -> list[Field | None]:
     """Return the factors of a batch as `_of_radiator` takes them."""
-    lenses = [] if batch.lenses is None else [batch.lenses]
-    return [batch.pupil, batch.along_x, batch.along_y, *lenses, batch.transfer.T]
+    return [batch.pupil, batch.along_x, batch.along_y, batch.lenses, batch.transfer.T]
+
+
+def _changed(fields: Fields, numbers: VaryingNumbers) -> list[Field | None]:
+    """Return the changes of the factors of a batch with the tangents of the numbers."""
+    drawn, made = _Drawn.of(fields, numbers)
+    varying = [part for part in drawn.parts if part is not None and dr.grad_enabled(part)]
+    if varying:
+        dr.forward_to(*varying)
+    return [
+        as_field(pack(dr.grad(part)), shape) if part is not None and dr.grad_enabled(part) else None
+        for part, shape in zip(drawn.parts, _shapes(fields, made), strict=True)
+    ]
 
 
 def _extent(batch: Any) -> Box:
@@ -104,13 +113,13 @@ class Push:
         What they are made of.
     weights : float32 array (n, channels)
         Of the radiators.
-    numbers : VaryingNumbers
-        Of the camera, with the tangents set.
+    directions : tuple of VaryingNumbers
+        Of the camera, with the tangents set, for each change.
     """
 
     fields: Fields
     weights: NDArray[np.float32]
-    numbers: VaryingNumbers
+    directions: tuple[VaryingNumbers, ...]
 
     @property
     def samples(self) -> int:
@@ -119,30 +128,28 @@ class Push:
 
     def prepare(self) -> Callable[[], Part]:
         """Make the fields and the changes of their factors, and return the function that adds what they give."""
-        drawn, made = _Drawn.of(self.fields, self.numbers)
-        varying = [part for part in drawn.parts if dr.grad_enabled(part)]
-        if varying:
-            dr.forward_to(*varying)
-        changes = [
-            as_field(pack(dr.grad(part)), shape)
-            for part, shape in zip(drawn.parts, _shapes(self.fields, made), strict=True)
-        ]
+        changes = [_changed(self.fields, numbers) for numbers in self.directions]
         return partial(_push, self.fields.make(np.ones(len(self.weights))), changes, self.weights)
 
 
-def _push(batch: PatchBatch, changes: list[Field], weights: NDArray[np.float32]) -> Part:
+def _push(batch: PatchBatch, changes: list[list[Field | None]], weights: NDArray[np.float32]) -> Part:
+    """Add the changes, direction by direction, and the point spreads last."""
     arrays, box, channels = batch.libraries.arrays, _extent(batch), weights.shape[1]
-    sums = arrays.zeros((2 * channels, box.rows, box.columns), np.float32)
+    sums = arrays.zeros(((len(changes) + 1) * channels, box.rows, box.columns), np.float32)
     plain = _plain(batch)
     for radiator, given in enumerate(weights):
-        way = Way(_of_radiator(plain, batch, radiator), arrays)
-        change = way.tangent(_of_radiator(changes, batch, radiator))
+        way = Way(Factors(*_of_radiator(plain, batch, radiator)), arrays)
+        window, lit = _window(batch, box, radiator), np.flatnonzero(given).tolist()
+        for first, direction in enumerate(changes):
+            change = way.tangent(Changes(*_of_radiator(direction, batch, radiator)))
+            if change is None:
+                continue
+            moved = 2 * (way.field.real * change.real + way.field.imag * change.imag)
+            for channel in lit:
+                sums[(first * channels + channel, *window)] += given[channel] * moved
         spread = arrays.abs(way.field) ** 2
-        moved = 2 * (way.field.real * change.real + way.field.imag * change.imag)
-        window = _window(batch, box, radiator)
-        for channel in np.flatnonzero(given).tolist():
-            sums[(channel, *window)] += given[channel] * moved
-            sums[(channels + channel, *window)] += given[channel] * spread
+        for channel in lit:
+            sums[(len(changes) * channels + channel, *window)] += given[channel] * spread
     return Part(box, sums)
 
 
@@ -152,13 +159,13 @@ class Pulled:
 
     Attributes
     ----------
-    factors : list of complex64 arrays
+    factors : list of complex64 arrays, or None
         Cotangents of its factors.
     moves : float64 array (moves,)
         Products of the point spreads, with their weights, and the further samples.
     """
 
-    factors: list[Field]
+    factors: list[Field | None]
     moves: NDArray[np.float64]
 
 
@@ -194,7 +201,7 @@ class Pull:
         drawn, _ = _Drawn.of(self.fields, numbers)
         total, words = 0, array_module().ad.UInt64
         for part, cotangent in zip(drawn.parts, pulled.factors, strict=True):
-            if dr.grad_enabled(part):
+            if part is not None and cotangent is not None and dr.grad_enabled(part):
                 given = unpack(words(as_words(np.ascontiguousarray(cotangent))))
                 products = part.real * given.real + part.imag * given.imag
                 total = total + dr.sum(numbers.types.Float64(products))
@@ -205,17 +212,19 @@ class Pull:
 def _pull(batch: PatchBatch, weights: NDArray[np.float32], tile: NDArray[np.float32]) -> Pulled:
     arrays, box = batch.libraries.arrays, _extent(batch)
     plain = _plain(batch)
-    result = [arrays.zeros(part.shape, np.complex64) for part in plain]
+    result = [None if part is None else arrays.zeros(part.shape, np.complex64) for part in plain]
     moves = np.zeros(len(tile) - 1)
     for radiator, given in enumerate(weights):
-        way = Way(_of_radiator(plain, batch, radiator), arrays)
+        way = Way(Factors(*_of_radiator(plain, batch, radiator)), arrays)
         gradient, *others = arrays.einsum("kcij,c->kij", tile[(..., *_window(batch, box, radiator))], given)
         if others:
             spread = arrays.abs(way.field) ** 2
             moves += [float((other * spread).sum(dtype=np.float64)) for other in others]
-        back = way.back(2 * gradient * way.field)
-        own = [back.pupil, back.along_x, back.along_y, *([] if back.lenses is None else [back.lenses])]
-        for target, part in zip(result, own, strict=False):
-            target[radiator] = part
-        result[-1][_directions(batch, radiator)] += back.transfer
+        *own, transfer = way.back(2 * gradient * way.field).parts
+        *targets, total = result
+        for target, part in zip(targets, own, strict=True):
+            if target is not None:
+                target[radiator] = part
+        if total is not None:
+            total[_directions(batch, radiator)] += transfer
     return Pulled(result, moves)

@@ -19,7 +19,7 @@ from ...runtime.fft import Field, fft
 
 @dataclass(frozen=True)
 class Factors:
-    """What a field is multiplied by, or changes of it.
+    """What a field is multiplied by.
 
     Attributes
     ----------
@@ -40,10 +40,26 @@ class Factors:
     transfer: Field
 
     @property
+    def parts(self) -> list[Field | None]:
+        """All of them."""
+        return [self.pupil, self.along_x, self.along_y, self.lenses, self.transfer]
+
+    @property
     def on_mla(self) -> Field:
         """The factor on the MLA, (m, m)."""
         product = self.along_y[:, None] * self.along_x
         return product if self.lenses is None else product * self.lenses
+
+
+@dataclass(frozen=True)
+class Changes:
+    """Changes of the factors; attributes as of `Factors`, None for what does not change."""
+
+    pupil: Field | None
+    along_x: Field | None
+    along_y: Field | None
+    lenses: Field | None
+    transfer: Field | None
 
 
 class Way:
@@ -71,14 +87,28 @@ class Way:
         self._spectrum = self._to_spectrum(self._before * self._on_mla)
         self.field = self._to_detector(self._spectrum * factors.transfer)
 
-    def tangent(self, change: Factors) -> Field:
-        """Return the change of the field with changes of the factors."""
+    def tangent(self, change: Changes) -> Field | None:
+        """Return the change of the field with changes of the factors, None where it does not change."""
+        behind = _total(
+            None if change.pupil is None else self._to_mla(change.pupil) * self._on_mla,
+            _product(self._before, self._change_on_mla(change)),
+        )
+        spectrum = _total(
+            None if behind is None else self._to_spectrum(behind) * self._factors.transfer,
+            _product(self._spectrum, change.transfer),
+        )
+        return None if spectrum is None else self._to_detector(spectrum)
+
+    def _change_on_mla(self, change: Changes) -> Field | None:
+        """Return the change of the factor on the MLA."""
         f = self._factors
-        on_mla = f.along_y[:, None] * change.along_x + change.along_y[:, None] * f.along_x
-        if f.lenses is not None and change.lenses is not None:
-            on_mla = on_mla * f.lenses + f.along_y[:, None] * f.along_x * change.lenses
-        behind = self._to_mla(change.pupil) * self._on_mla + self._before * on_mla
-        return self._to_detector(self._to_spectrum(behind) * f.transfer + self._spectrum * change.transfer)
+        axes = _total(
+            None if change.along_x is None else f.along_y[:, None] * change.along_x,
+            None if change.along_y is None else change.along_y[:, None] * f.along_x,
+        )
+        if f.lenses is None:
+            return axes
+        return _total(_product(f.lenses, axes), _product(f.along_y[:, None] * f.along_x, change.lenses))
 
     def back(self, field: Field) -> Factors:
         """Return the cotangents of the factors from that of the field, whose memory is used."""
@@ -121,6 +151,16 @@ class Way:
         field = self._arrays.zeros((2 * n, 2 * n), np.complex64)
         field[:, :n] = _inverse(columns, 0)
         return _inverse(field, 1)
+
+
+def _total(one: Field | None, other: Field | None) -> Field | None:
+    """Add two changes, of which each may be none."""
+    return other if one is None else one if other is None else one + other
+
+
+def _product(field: Field, change: Field | None) -> Field | None:
+    """Multiply a field by a change, which may be none."""
+    return None if change is None else field * change
 
 
 def _forward(field: Field, axis: int) -> Field:

@@ -15,7 +15,7 @@ from ...runtime.batches import Threads
 from ...runtime.jobs import Job, Task
 from ..mixing import groups, mix
 from ..pupil_weights import PupilWeights
-from .plan import DerivativePlan
+from .plan import DerivativePlan, Direction
 
 
 class Differentials:
@@ -40,19 +40,19 @@ class Differentials:
     def push(
         self,
         weights: NDArray[np.float64],
-        changes: dict[str, NDArray[np.float64]],
+        directions: list[Direction],
         wavelengths: tuple[float, ...],
         matrix: NDArray[np.float32],
         job: Job,
     ) -> NDArray[np.float32]:
-        """Return the change of the image, (rows, columns, channels).
+        """Return the changes of the image in some directions, (rows, columns, directions times channels).
 
         Parameters
         ----------
         weights : float64 array (n, columns)
             Of the points.
-        changes : dict
-            As from `check_changes`.
+        directions : list of dict
+            Each as from `check_changes`.
         wavelengths : tuple of float
             Of each column, in nanometres.
         matrix : float32 array (channels, columns)
@@ -64,12 +64,14 @@ class Differentials:
 
         def tasks() -> Iterator[Task]:
             for wavelength, some in groups(wavelengths):
-                plan = self._plan(wavelength, job, len(some))
-                push = partial(plan.push, weights[:, some], changes)
-                yield Task(len(self._points), push, partial(mix, matrix=matrix[:, some]))
+                plan = self._plan(wavelength, job, len(directions) * len(some))
+                push = partial(plan.push, weights[:, some], directions)
+                own = np.kron(np.eye(len(directions), dtype=np.float32), matrix[:, some])
+                yield Task(len(self._points), push, partial(mix, matrix=own))
 
         with guards.watch():
-            return job.run(tasks(), (*self._camera.shape, len(matrix)), self._items(wavelengths))
+            shape = (*self._camera.shape, len(directions) * len(matrix))
+            return job.run(tasks(), shape, self._items(wavelengths))
 
     def pull(
         self,

@@ -19,6 +19,9 @@ from ..recorder import Recorder
 from .batches import Pull, Push
 from .numbers import MOVES, VaryingNumbers
 
+Direction = dict[str, NDArray[np.float64]]
+"""Changes of numbers, by name."""
+
 
 class DerivativePlan(PatchPlan):
     """Point spreads of which each radiator has its own: those of neighbouring lenses do not change alike.
@@ -43,9 +46,9 @@ class DerivativePlan(PatchPlan):
         low, size = 2 * self._placement.corner, 2 * self._placement.samples[:, None]
         self._recorder = Recorder(camera, replace(self._grid, pitch=self._grid.pitch / 2), low, low + size)
 
-    def push(self, weights: NDArray[np.float64], changes: dict[str, NDArray[np.float64]]) -> PushSum:
-        """Return the change of the sum with these weights, (n, channels), yet to be computed."""
-        return PushSum(self, weights, changes)
+    def push(self, weights: NDArray[np.float64], directions: list[Direction]) -> PushSum:
+        """Return the changes of the sum with these weights, (n, channels), in some directions, yet to be computed."""
+        return PushSum(self, weights, directions)
 
     def pull(
         self,
@@ -103,37 +106,37 @@ class DerivativePlan(PatchPlan):
         return Pull(fields, given, self._tile(samples, 2 * corner.min(0), 2 * (corner.max(0) + size)))
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
-        """Return the bytes that a derivative takes, or refuse them."""
+        """Return the bytes that derivatives take, of all channels in all directions, or refuse them."""
         return super().check_memory(batch_map, 4 * channels)
 
 
 class PushSum:
-    """A change of a sum, batch by batch; what it must offer is said in `runtime.jobs.LongSum`."""
+    """Changes of a sum in several directions, batch by batch; what it must offer is said in `runtime.jobs.LongSum`."""
 
-    def __init__(
-        self, plan: DerivativePlan, weights: NDArray[np.float64], changes: dict[str, NDArray[np.float64]]
-    ) -> None:
-        self._plan, self._weights, self._changes = plan, weights, changes
+    def __init__(self, plan: DerivativePlan, weights: NDArray[np.float64], directions: list[Direction]) -> None:
+        self._plan, self._weights, self._directions = plan, weights, directions
         self._chunks, self.items = plan.lit_chunks(weights)
         self.arrays: Any = backend().arrays
-        self.box, self.channels = plan._recorder.box, 2 * weights.shape[1]
+        self.box, self.channels = plan._recorder.box, (len(directions) + 1) * weights.shape[1]
 
     def batches(self, first: int) -> Iterator[Push]:
         """Yield the batches from one on, in their order."""
         plan = self._plan
         for chunk in self._chunks[first:]:
-            numbers = VaryingNumbers(plan._camera, plan._wavelength, self._changes)
-            numbers.set_tangents(self._changes)
+            numbers = tuple(VaryingNumbers(plan._camera, plan._wavelength, changes) for changes in self._directions)
+            for varying, changes in zip(numbers, self._directions, strict=True):
+                varying.set_tangents(changes)
             lit, given = plan._pull(chunk, self._weights)
             yield Push(plan._fields(lit), given, numbers)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
         """Integrate over the recorded pixels, and add what their own moves change."""
-        recorder = self._plan._recorder
-        channels = self.channels // 2
-        image = recorder.record(total.sums[:channels])
-        for name in MOVES:
-            change = self._changes.get(name, np.zeros(1))
-            if change.any():
-                image += float(change[0]) * recorder.record(total.sums[channels:], name)
+        recorder, channels = self._plan._recorder, self._weights.shape[1]
+        image = recorder.record(total.sums[:-channels])
+        for first, changes in enumerate(self._directions):
+            for name in MOVES:
+                change = changes.get(name, np.zeros(1))
+                if change.any():
+                    moved = recorder.record(total.sums[-channels:], name)
+                    image[..., first * channels : (first + 1) * channels] += float(change[0]) * moved
         return image

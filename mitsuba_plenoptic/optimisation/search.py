@@ -1,0 +1,148 @@
+"""The search for the numbers of a camera by which a figure is best."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import InputError, require_count, shown
+from ..fitting.model import Number, changed, numbers_of, values
+from .spreads import Gradient
+
+_TOLERANCE = 1e-6
+"""Relative change of the figure that ends a search."""
+
+
+class Figure(Protocol):
+    """What is to be as large as possible."""
+
+    def value(self, camera: PlenopticCamera) -> float:
+        """Return it for a camera."""
+
+    def gradient(self, camera: PlenopticCamera, names: Iterable[str]) -> tuple[float, Gradient]:
+        """Return it, and its derivatives by numbers of the camera, as `CaptureOperator.gradient` has them."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """What a search found.
+
+    Attributes
+    ----------
+    camera : PlenopticCamera
+        The best of all cameras that were tried.
+    figure : float
+        Its figure.
+    values : dict
+        By name the numbers that varied.
+    tried : int
+        Cameras that were tried.
+    reason : str
+        Why the search ended, in SciPy's words.
+    """
+
+    camera: PlenopticCamera
+    figure: float
+    values: dict[str, float]
+    tried: int
+    reason: str
+
+
+def maximise(
+    figure: Figure,
+    camera: PlenopticCamera,
+    bounds: Mapping[str, tuple[float, float]],
+    *,
+    steps: int = 30,
+    progress: Callable[[int, float], None] | None = None,
+) -> Design:
+    """Find numbers of a camera by which a figure is best, near where they start.
+
+    By SciPy's L-BFGS-B with the figure's own gradient: a local search, of which several starts tell whether there are
+    other optima.
+
+    Parameters
+    ----------
+    figure : Figure
+        What is maximised, such as `RefocusedContrast` or `DepthInformation`.
+    camera : PlenopticCamera
+        Where to start; the numbers that are not named are held.
+    bounds : mapping
+        By name the lowest and the highest value of what varies: names of `CaptureOperator.derivative`, with what place
+        a number has where there are several, from 1, as ``wavefront.11``; the name alone means all of them, of a
+        wavefront all but the piston.
+    steps : int
+        Steps of the search at most; each takes one or two gradients.
+    progress : callable, optional
+        Called with the cameras that have been tried and the last one's figure.
+
+    Raises
+    ------
+    InputError
+        If a name or a bound is wrong, the camera lies outside them, or the figure is not finite at some camera.
+    """
+    from scipy.optimize import minimize
+
+    numbers, low, high = _numbers(camera, bounds)
+    start, names = values(camera, numbers), tuple(dict.fromkeys(number.name for number in numbers))
+    for number, value, least, most in zip(numbers, start, low, high, strict=True):
+        if not least <= value <= most:
+            raise InputError(f"bounds: {number.label} starts at {value:g}: it must lie from {least:g} to {most:g}")
+    best: list[Any] = [-np.inf, camera]
+    tried = 0
+
+    def cost(place: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        nonlocal tried
+        one = changed(camera, numbers, low + place * (high - low))
+        value, slopes = figure.gradient(one, names)
+        tried += 1
+        if not np.isfinite(value):
+            raise InputError(f"figure: it is {value} for {one.to_json()}")
+        if value > best[0]:
+            best[:] = value, one
+        if progress:
+            progress(tried, value)
+        slope = np.array([slopes[number.name][list(number.parts)].sum() for number in numbers])
+        return -value, -slope * (high - low)
+
+    options = {"maxiter": require_count("steps", steps), "ftol": _TOLERANCE}
+    found = minimize(
+        cost,
+        (start - low) / (high - low),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(0.0, 1.0)] * len(numbers),
+        options=options,
+    )
+    value, one = best
+    labels = [number.label for number in numbers]
+    chosen = dict(zip(labels, values(one, numbers).tolist(), strict=True))
+    return Design(one, float(value), chosen, tried, str(found.message))
+
+
+def _numbers(
+    camera: PlenopticCamera, bounds: Mapping[str, tuple[float, float]]
+) -> tuple[list[Number], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the numbers that vary, and their bounds."""
+    numbers, limits = [], []
+    for name, pair in bounds.items():
+        if np.shape(pair) != (2,) or not pair[0] < pair[1]:
+            raise InputError(f"bounds: {shown(name)} = {shown(pair)}: it must be the lowest and the highest value")
+        found = numbers_of(camera, str(name).split(".", 1)[0])
+        chosen = [number for number in found if name in (number.name, number.label)]
+        if not chosen:
+            labels = ", ".join(number.label for number in found)
+            raise InputError(f"bounds: {shown(name)}: the camera has {labels}")
+        numbers += chosen
+        limits += [pair] * len(chosen)
+    if not numbers:
+        raise InputError("bounds: name at least one number that varies")
+    if len({number.label for number in numbers}) < len(numbers):
+        raise InputError("bounds: a number has two of them")
+    low, high = np.array(limits, np.float64).T
+    return numbers, low, high

@@ -1,0 +1,79 @@
+"""Point spreads of single points, and gradients of what is made of them by the camera's numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bounds import require_wavelength
+from ..camera import PlenopticCamera
+from ..capture.accuracy import check_accuracy
+from ..capture.operator import CaptureOperator
+from ..errors import InputError
+from ..optics.sampling import check_positions
+
+DESIGN_ACCURACY = 0.02
+"""Allowed error of the point spreads unless told: designs differ by more."""
+
+Gradient = dict[str, NDArray[np.float64]]
+
+
+class Spreads:
+    """The point spreads of points that a figure looks at, each by itself.
+
+    Parameters
+    ----------
+    points : array (n, 3)
+        Scene points (X, Y, g) in the camera frame, in millimetres.
+    wavelength : float
+        In nanometres.
+    accuracy : float
+        As of `CaptureOperator`.
+    method : str
+        As of `CaptureOperator`; gradients by "patch" only.
+    """
+
+    def __init__(self, points: Any, wavelength: float, accuracy: float, method: str) -> None:
+        self.points, self._wavelength = check_positions(points), require_wavelength(wavelength)
+        self._accuracy, self._method = check_accuracy(accuracy), method
+
+    def images(self, camera: PlenopticCamera, moved: tuple[float, float, float] = (0, 0, 0)) -> NDArray[np.float64]:
+        """Return the spreads (n, rows, columns) of the points, moved by so much."""
+        # One by one: points so near each other must not share a spread.
+        return np.stack([operator.forward([1.0]) for operator in self._operators(camera, moved)]).astype(np.float64)
+
+    def gradient(
+        self,
+        camera: PlenopticCamera,
+        images: NDArray[np.float64],
+        names: Iterable[str],
+        moved: tuple[float, float, float] = (0, 0, 0),
+    ) -> Gradient:
+        """Take the gradient by the spreads (n, rows, columns) back to numbers of the camera."""
+        total: Gradient = {}
+        for operator, image in zip(self._operators(camera, moved), images, strict=True):
+            found = operator.gradient([1.0], image.astype(np.float32), tuple(names))
+            total = {name: part + total.get(name, 0.0) for name, part in found.items()}
+        return total
+
+    def _operators(self, camera: PlenopticCamera, moved: tuple[float, float, float]) -> Iterable[CaptureOperator]:
+        options: dict[str, Any] = {"accuracy": self._accuracy, "method": self._method}
+        for point in self.points:
+            yield CaptureOperator(camera, [point + moved], wavelength=self._wavelength, **options)
+
+
+def require_held(camera: PlenopticCamera, other: PlenopticCamera, held: Iterable[str]) -> None:
+    """Refuse a camera of which numbers differ that a figure holds.
+
+    Raises
+    ------
+    InputError
+        If they do.
+    """
+    mine, its = camera.to_dict(), other.to_dict()
+    for name in held:
+        if mine[name] != its[name]:
+            raise InputError(f"{name} = {its[name]}: this figure is of cameras with {mine[name]}")

@@ -1,0 +1,124 @@
+"""Figures of designs against independent estimates, their gradients against differences, and the search."""
+
+import numpy as np
+import pytest
+from wave_cases import HALF, WAVELENGTH, small_camera
+
+from mitsuba_plenoptic import CaptureOperator, InputError
+from mitsuba_plenoptic.optimisation import DepthInformation, RefocusedContrast, maximise
+from mitsuba_plenoptic.reconstruction import reconstruct
+
+CAMERA = small_camera(4, **HALF, detector_distance=0.512, wavefront=(0.0,) * 11)
+POINT = [(0.03, 0.01, 116.0)]
+
+
+def difference(figure, **change):
+    """Return the central difference of a figure along changes of numbers."""
+    sides = []
+    for side in (1, -1):
+        moved = {name: np.add(getattr(CAMERA, name), np.multiply(side, step)) for name, step in change.items()}
+        sides.append(figure.value(CAMERA.replace(**{name: value.tolist() for name, value in moved.items()})))
+    return (sides[0] - sides[1]) / 2
+
+
+def spherical(amount):
+    """Return a wavefront of the eleventh term."""
+    return [0.0] * 10 + [amount]
+
+
+def test_contrast_is_that_of_the_refocused_image():
+    figure = RefocusedContrast(CAMERA, POINT, (0.5,), oversample=2)
+    capture = CaptureOperator(CAMERA, POINT, wavelength=WAVELENGTH, accuracy=0.02).forward([1.0])
+    bins = np.nan_to_num(reconstruct(capture, 116.0, camera=CAMERA, oversample=2).image)
+    quarter = np.exp(-1j * np.pi / 2 * np.arange(8))  # half a period a bin of one lens, of which there are two
+    expected = (abs((bins.sum(0) * quarter).sum()) + abs((bins.sum(1) * quarter).sum())) / 2 / bins.sum()
+    assert figure.value(CAMERA) == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["mla_focal_length", "wavefront"])
+def test_gradient_of_contrast_against_differences(name):
+    figure = RefocusedContrast(CAMERA, POINT, (0.5, 0.8))
+    step = 2e-3 if name == "mla_focal_length" else spherical(0.02)
+    value, gradient = figure.gradient(CAMERA, [name])
+    assert value == pytest.approx(figure.value(CAMERA), rel=1e-6)
+    found = np.vdot(gradient[name][: np.size(step)], step)
+    # At this accuracy derivatives keep another part of the diffracted light than spreads.
+    assert found == pytest.approx(difference(figure, **{name: step}), rel=0.06)
+
+
+@pytest.mark.parametrize("name", ["focal_length", "wavefront"])
+def test_gradient_of_depth_against_differences(name):
+    figure = DepthInformation(POINT, 3000.0)
+    step = 4e-3 if name == "focal_length" else spherical(0.02)
+    value, gradient = figure.gradient(CAMERA, [name])
+    assert value == pytest.approx(figure.value(CAMERA), rel=1e-6)
+    found = np.vdot(gradient[name][: np.size(step)], step)
+    assert found == pytest.approx(difference(figure, **{name: step}), rel=0.05)
+
+
+def test_deviation_is_that_of_estimates_from_noise():
+    """Least squares with all unknowns, of counts with Poisson's noise, spreads as is stated."""
+    background = 2.0
+    figure = DepthInformation(POINT, 3000.0, background=background)
+    image, *slopes = (part[0] for part in figure.expected(CAMERA))
+    noise = image.clip(0) + background
+    rows = np.stack([*slopes, image]).reshape(4, -1).T / np.sqrt(noise.ravel())[:, None]
+    rng, found = np.random.default_rng(0), []
+    for _ in range(400):
+        counts = rng.poisson(noise) - noise
+        found.append(np.linalg.lstsq(rows, (counts / np.sqrt(noise)).ravel(), rcond=None)[0][2])
+    # A standard deviation of 400 numbers is known to 3.5 %.
+    assert np.std(found) == pytest.approx(figure.deviations(CAMERA)[0], rel=0.12)
+
+
+class Hill:
+    """A figure whose best is known."""
+
+    def value(self, camera):
+        return self.gradient(camera, [])[0]
+
+    def gradient(self, camera, names):
+        f, c = camera.mla_focal_length - 0.47, np.array(camera.wavefront) - spherical(0.25)
+        slopes = {"mla_focal_length": np.array([-2e2 * f]), "wavefront": np.pad(-2 * c, (0, 25))}
+        return -1e2 * f**2 - float(c @ c), {name: slopes[name] for name in names}
+
+
+def test_search_finds_the_top_of_a_hill_and_keeps_to_bounds():
+    seen = []
+    bounds = {"mla_focal_length": (0.4, 0.6), "wavefront.11": (-1.0, 0.1)}
+    design = maximise(Hill(), CAMERA, bounds, progress=lambda tried, value: seen.append(value))
+    assert design.values["mla_focal_length"] == pytest.approx(0.47, abs=1e-4)
+    assert design.values["wavefront.11"] == pytest.approx(0.1)
+    assert design.camera.wavefront[:10] == (0.0,) * 10
+    assert design.tried == len(seen) and design.figure == max(seen)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "message"),
+    [
+        ({}, "bounds: name at least one"),
+        ({"f_number": (1, 2)}, "f_number"),
+        ({"mla_focal_length": (0.6, 0.7)}, "bounds: mla_focal_length starts at 0.512"),
+        ({"mla_focal_length": (0.6, 0.5)}, "bounds: .*mla_focal_length.* the lowest and the highest"),
+        ({"wavefront.12": (-1, 1)}, "bounds: .*wavefront.12.*: the camera has wavefront.2, .*wavefront.11"),
+        ({"wavefront": (-1, 1), "wavefront.5": (-1, 1)}, "bounds: a number has two"),
+    ],
+)
+def test_mistakes_in_bounds(bounds, message):
+    with pytest.raises(InputError, match=message):
+        maximise(Hill(), CAMERA, bounds)
+
+
+def test_mistakes_in_figures():
+    with pytest.raises(InputError, match=r"frequencies = .*at most 2"):
+        RefocusedContrast(CAMERA, POINT, (2.5,))
+    with pytest.raises(InputError, match="background"):
+        DepthInformation(POINT, 3000.0, background=0.0)
+    figure = RefocusedContrast(CAMERA, POINT, (0.5,))
+    with pytest.raises(InputError, match="mla_pitch: refocusing is held"):
+        figure.gradient(CAMERA, ["mla_pitch"])
+    with pytest.raises(InputError, match=r"focal_length = 41\.0: this figure is of cameras with 40\.0"):
+        figure.value(CAMERA.replace(focal_length=41.0))
+    far = RefocusedContrast(CAMERA, [(90.0, 0.0, 116.0)], (0.5,))
+    with pytest.raises(InputError, match="points: one of them sends no light"):
+        far.value(CAMERA)

@@ -1,0 +1,184 @@
+"""Measure derivatives of wave captures through `mi.render`, both ways, against differences with radiators held.
+
+    python tools/render_gradient_accuracy.py [--lenses 8] [--radiators-per-lens 3]
+
+The scene is that of the letters, made small before 64 lenses of the paper's camera at half its aperture, with a card
+beside them that shines by four by four texels. The light changes through a texture and through radiance, whose
+differences are those of captures that are rendered anew: nothing but the light changes between them. The camera's
+numbers change all at once, against central differences of the full field of every radiator, on grids that are held.
+Reverse is compared with forward. Writes ``render_gradient_accuracy.md`` and ``.json`` to the folder that ``--output``
+names; exits with 1 where an error is beyond its limit.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import accuracy
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mitsuba_plenoptic.camera import PlenopticCamera
+from mitsuba_plenoptic.capture.full_field import full_field
+from mitsuba_plenoptic.capture.full_field_grids import field_grids
+from mitsuba_plenoptic.capture.units import brightness_of
+
+WAVELENGTH = 633.0
+LIMIT, TRANSPOSE = 0.01, 1e-4
+MESHES = Path(__file__).resolve().parents[1] / "scenes" / "meshes"
+LETTERS = {"eight": (2.8, 210.0), "f": (0.0, 240.0), "hash": (-2.8 * 280 / 210, 280.0)}
+"""Places of the letters at full size, across and along."""
+
+TEXTURE, RADIANCE = "card.emitter.radiance.data", "f.emitter.radiance.value"
+STEPS = {
+    "focal_length": 4e-3,
+    "mla_distance": 6e-3,
+    "mla_focal_length": 4e-4,
+    "mla_pitch": 3e-5,
+    "mla_rotation": 0.02,
+    "mla_offset": [6e-5, -4e-5],
+    "detector_distance": 4e-4,
+}
+"""By how much the camera's numbers change."""
+
+
+def scene_of(lenses: int, radiators: int) -> Any:
+    """Return the scene before so many lenses across."""
+    transform, scale = mi.ScalarTransform4f(), lenses / 128
+    scene: dict[str, Any] = {
+        "type": "scene",
+        "integrator": {
+            "type": "plenoptic_wave", "radiators_per_lens": radiators, "accuracy": 0.0, "method": "patch",
+            "child": {"type": "path", "max_depth": 2},
+        },
+        "camera": {
+            "type": "plenoptic",
+            "aperture_radius": 2.5,
+            "detector_width": 0.064 * lenses,
+            "film": {
+                "type": "hdrfilm", "width": 32 * lenses, "height": 32 * lenses, "pixel_format": "luminance",
+                "component_format": "float32", "filter": {"type": "box"},
+            },
+            "sampler": {"type": "independent", "sample_count": 1},
+        },
+        "card": {
+            "type": "rectangle",
+            "to_world": transform.translate([0.1, -0.2, 250.0]).rotate([0, 1, 0], 180).scale(0.1),
+            "bsdf": {"type": "diffuse", "reflectance": 0.0},
+            "emitter": {
+                "type": "area",
+                "radiance": {
+                    "type": "bitmap", "raw": True,
+                    "bitmap": mi.Bitmap(np.random.default_rng(1).uniform(0.2, 1, (4, 4, 1)).astype(np.float32)),
+                },
+            },
+        },
+    }  # fmt: skip
+    for name, (x, g) in LETTERS.items():
+        scene[name] = {
+            "type": "ply",
+            "filename": str(MESHES / f"{name}.ply"),
+            "face_normals": True,
+            "to_world": transform.translate([0, 0, g]).scale([scale, scale, 1]).translate([x, 0, 0]),
+            "bsdf": {"type": "diffuse", "reflectance": 0.0},
+            "emitter": {"type": "area", "radiance": 1.0},
+        }
+    return mi.load_dict(scene)
+
+
+def forward(scene: Any, directions: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the image and its derivative along changes of parameters."""
+    params, amount = mi.traverse(scene), mi.Float(0)
+    dr.enable_grad(amount)
+    for key, direction in directions.items():
+        kind = type(params[key])
+        params[key] = kind(params[key]) + amount * kind(direction)
+    params.update()
+    dr.forward(amount, dr.ADFlag.ClearEdges)
+    image = mi.render(scene, params)
+    return np.array(dr.detach(image), np.float64), np.array(dr.forward_to(image), np.float64)
+
+
+def backward(scene: Any, keys: list[str], gradient: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the gradients of parameters from that of the image."""
+    params = mi.traverse(scene)
+    for key in keys:
+        dr.enable_grad(params[key])
+    params.update()
+    dr.backward(dr.sum(mi.render(scene, params) * mi.TensorXf(gradient.astype(np.float32)), axis=None))
+    return {key: np.array(dr.grad(params[key]), np.float64) for key in keys}
+
+
+def light_difference(scene: Any, key: str, direction: Any, step: float) -> np.ndarray:
+    """Return the difference of captures whose light differs."""
+    params, sides = mi.traverse(scene), []
+    start = type(params[key])(params[key])
+    for side in (step, -step):
+        params[key] = start + side * type(start)(direction)
+        params.update()
+        sides.append(np.array(mi.render(scene), np.float64))
+    params[key] = start
+    params.update()
+    return (sides[0] - sides[1]) / (2 * step)
+
+
+def camera_difference(scene: Any) -> np.ndarray:
+    """Return the difference of full fields of all radiators, with all numbers of the camera changed at once."""
+    capture = scene.integrator()._capture(scene, scene.sensors()[0])
+    camera: PlenopticCamera = capture.camera
+    (radiators,) = capture.radiators("patch", 0, 1)
+    weights = (capture.scale(radiators) * radiators.radiance)[:, 0]
+    total = 0.0
+    for number, (weight, place) in enumerate(zip(weights, radiators.positions, strict=True)):
+        grids = field_grids(camera, place, WAVELENGTH, 1.0, 1.0)
+        for side in (1, -1):
+            changes = {name: np.add(getattr(camera, name), np.multiply(side, step)) for name, step in STEPS.items()}
+            moved = camera.replace(**{name: value.tolist() for name, value in changes.items()})
+            growth = side / 2 * weight * brightness_of(moved) / brightness_of(camera)
+            total += growth * full_field(moved, place, WAVELENGTH, grids=grids).astype(np.float64)
+        print(f"{number + 1} of {len(weights)} radiators", flush=True)
+    return np.asarray(total)
+
+
+def error(found: np.ndarray, expected: np.ndarray) -> float:
+    """Return the relative L2 difference."""
+    return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+
+
+def main() -> None:
+    """Measure, and write the table."""
+    parser = accuracy.options("render_gradient_accuracy", __doc__)
+    parser.add_argument("--lenses", type=int, default=8, help="lenses across the detector")
+    parser.add_argument("--radiators-per-lens", type=int, default=3, help="radiators per lens along each axis")
+    arguments = accuracy.start(parser)
+    rng, size = np.random.default_rng(2), (arguments.lenses, arguments.radiators_per_lens)
+    texels = mi.TensorXf(rng.uniform(-0.2, 0.2, (4, 4, 1)).astype(np.float32))
+    camera = {f"camera.{name}": step for name, step in STEPS.items()}
+    cases: dict[str, dict[str, Any]] = {"texture": {TEXTURE: texels}, "radiance": {RADIANCE: 1.0}, "camera": camera}
+    rows = []
+    for case, directions in cases.items():
+        image, change = forward(scene_of(*size), directions)
+        if case == "camera":
+            expected = camera_difference(scene_of(*size))[..., None]
+        else:
+            ((key, direction),) = directions.items()
+            expected = light_difference(scene_of(*size), key, direction, 0.1)
+        rows.append({"case": f"{case}, forward", "error": error(change, expected), "limit": LIMIT})
+        gradient = rng.normal(size=image.shape)
+        found = backward(scene_of(*size), list(directions), gradient)
+        back = sum(np.vdot(np.ravel(found[key]), np.ravel(np.array(step))) for key, step in directions.items())
+        off = abs(np.vdot(change, gradient) - back) / (np.linalg.norm(change) * np.linalg.norm(gradient))
+        rows.append({"case": f"{case}, reverse against forward", "error": float(off), "limit": TRANSPOSE})
+        print(rows[-2:], flush=True)
+    for row in rows:
+        row["verdict"] = "kept" if row["error"] <= row["limit"] else "beyond"
+    columns = {"case": "{case}", "error": "{error:.2e}", "limit": "{limit:g}", "": "{verdict}"}
+    accuracy.finish(arguments, rows, "# Derivatives through mi.render\n", accuracy.markdown(columns, rows))
+    sys.exit(any(row["verdict"] == "beyond" for row in rows))
+
+
+if __name__ == "__main__":
+    main()
