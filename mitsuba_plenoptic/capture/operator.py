@@ -119,7 +119,7 @@ class CaptureOperator:
             raise InputError(f"mla_tilt = {camera.mla_tilt}: waves need 0; work by rays, or set it to 0")
         elif pupil_weights is not None:
             raise InputError("pupil_weights: behind a main_lens the pupil is another for each point; leave them out")
-        self.camera, self.points = camera, check_positions(points)
+        self.camera, self.points = camera, check_positions(points, camera)
         self._wavelength = None if wavelength is None else require_wavelength(wavelength)
         self._spectrum = spectrum
         if not isinstance(method, str) or method not in PLANS:

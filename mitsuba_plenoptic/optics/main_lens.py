@@ -23,6 +23,7 @@ from ..thin_lens import vergence
 from . import rays
 from .distortion import undistort
 from .phase import in_millimetres, parabola
+from .telecentric import TelecentricLens
 from .wavefront import Wavefront
 
 
@@ -285,7 +286,8 @@ def require_ideal(camera: PlenopticCamera) -> None:
     InputError
         Naming the parameter.
     """
-    camera.require_thin("waves are followed, but by method full_field,")
+    if camera.objective is None:
+        camera.require_thin("waves are followed, but by method full_field,")
     for name in ("mla_tilt", "distortion"):
         if any(getattr(camera, name)):
             raise InputError(f"{name} = {getattr(camera, name)}: waves need 0; work by rays, or set it to 0")
@@ -322,5 +324,7 @@ def main_lens(camera: PlenopticCamera) -> MainLens:
         If the camera has a tilted array or its main lens distorts or is not thin, which waves do not know.
     """
     require_ideal(camera)
+    if camera.objective is not None:
+        return TelecentricLens(camera.objective)
     numbers = camera.focal_length, camera.aperture_radius, camera.mla_distance
     return ThinLens(*numbers, camera.lens_model, camera.wavefront)
