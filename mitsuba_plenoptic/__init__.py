@@ -40,6 +40,7 @@ from .io.captures import Capture, read_capture, write_capture
 from .io.checkpoints import Checkpoint
 from .io.ground_truth import GroundTruth, read_ground_truth, write_ground_truth
 from .io.lens_file import read_prescription
+from .objective import Objective
 from .optics.guards import PhysicsError, PhysicsWarning
 from .optics.lens_system import LensSystem
 from .optics.spectrum import Spectrum
@@ -78,6 +79,7 @@ __all__ = [
     "InputError",
     "Job",
     "LensSystem",
+    "Objective",
     "PhysicsError",
     "PhysicsWarning",
     "PlenopticCamera",

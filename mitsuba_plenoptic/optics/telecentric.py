@@ -11,7 +11,7 @@ longer by
 without :math:`n d`, which is the same for all P. A source that radiates evenly in all directions sends the power
 :math:`d\Omega = d^2P / (f^2 n^2 \cos\theta)` through the stop, hence the amplitude :math:`\cos^{-1/2}\theta` there;
 over angles, whose measure is :math:`\sin\theta \cos\theta d\theta`, this is the apodisation :math:`\cos^{1/2}\theta` of
-an aplanatic lens (Gu, "Advanced Optical Imaging Theory", sections 6.1 to 6.3; Broxton et al. 2013, "Wave optics theory and
+an aplanatic lens (Gu, "Advanced Optical Imaging Theory", section 6.1; Broxton et al. 2013, "Wave optics theory and
 3-D deconvolution for the light field microscope", equation 2).
 
 Behind the tube lens light from P comes to the native image plane in the direction with the cosines
@@ -27,6 +27,7 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from ..objective import Objective
 from .phase import in_millimetres
@@ -71,6 +72,32 @@ class TelecentricLens:
         square = 1 - (x * x + y * y) * (1 / self.objective.immersion**2)
         return dr.sqrt(dr.maximum(square, 1e-6)) if dr.is_array_v(square) else np.sqrt(np.maximum(square, 1e-6))
 
+    def vergence(self, distance: Any) -> Any:
+        r"""Return the reciprocal of the distance behind the tube lens at which light of this depth converges.
+
+        Of a parabolic wave that differs from the one in focus as much at the edge of the stop.
+
+        Parameters
+        ----------
+        distance : array
+            Depth d beyond the native object plane.
+        """
+        lens = self.objective
+        drop = 2 * math.sin(lens.half_angle / 2) ** 2
+        return 1 / self.pupil_distance + 2 * lens.immersion * drop * distance / self.pupil_radius**2
+
+    def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
+        """Return 0: wavefronts of all points of a plane differ by their tilts alone.
+
+        Parameters
+        ----------
+        radius, step : array
+            Distance of the images from the axis, and from each other.
+        wavelength : float
+            Wavelength in nanometres.
+        """
+        return 0 * radius
+
     def path(self, pupil: _Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
         """Return the path from a scene point to a point of the stop, less that to its centre, in waves.
 
@@ -103,6 +130,27 @@ class TelecentricLens:
         """Return how far within the edge of the stop a point lies."""
         square = pupil[0] * pupil[0] + pupil[1] * pupil[1]
         return self.pupil_radius - (dr.sqrt(square) if dr.is_array_v(square) else np.sqrt(square))
+
+    def cone(self, distances: Any) -> float:
+        """Return NA / M, whatever the depth."""
+        return self.objective.image_aperture
+
+    def from_array(self, cosine: _Pair, image: _Pair) -> tuple[_Pair, Any, Any]:
+        """Return the same points of the stop for all places, the tube lens's focal length, and the waves' tilt."""
+        (sx, sy), (x, y), f = cosine, image, self.pupil_distance
+        return (-f * sx, -f * sy), f + 0 * sx, sx * x + sy * y
+
+    def to_array(self, pupil: NDArray[np.float64], image: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the direction cosines in the native image plane, the same at all places."""
+        return np.asarray(-pupil / self.pupil_distance + 0 * image)
+
+    def chief_slope(self, image: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return 0: chief rays are parallel to the axis."""
+        return np.zeros_like(image)
+
+    def curvature(self, square: Any) -> Any:
+        """Return 0: light of one point of the stop is a plane wave at the array."""
+        return 0 * square
 
     def cosines(self, pupil: _Pair, point: tuple[Any, Any, Any]) -> _Pair:
         """Return the direction cosines at the array of light that has passed a point of the stop."""
