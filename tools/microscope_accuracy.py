@@ -14,6 +14,7 @@ are compared as fractions of what is on the detector.
 
 from __future__ import annotations
 
+import itertools
 import sys
 from typing import Any
 
@@ -159,7 +160,7 @@ def beside_peer(samples: list[int]) -> list[Row]:
                 {
                     "depth": depth,
                     "place": place,
-                    "moves": [difference(a, b) for a, b in zip(spreads, spreads[1:], strict=False)],
+                    "moves": [difference(a, b) for a, b in itertools.pairwise(spreads)],
                     "ours": difference(ours(depth, place, True), finest),
                     "plain": difference(ours(depth, place, False), finest),
                     "each": [difference(spread, ours(depth, place, True)) for spread in spreads],

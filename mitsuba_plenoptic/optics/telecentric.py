@@ -121,6 +121,27 @@ class TelecentricLens:
         return dr.rsqrt(cosine) if dr.is_array_v(cosine) else 1 / np.sqrt(cosine)
 
     @property
+    def front(self) -> float:
+        """Place z in the camera frame of the plane where rays start: the objective's front principal plane."""
+        return -self.objective.immersion * self.objective.focal_length
+
+    def trace(self, place: _Pair, slope: _Pair) -> tuple[tuple[Any, Any, Any], _Pair, Any]:
+        """Follow a ray from a place on the array to the scene; the image side is paraxial."""
+        if self.objective.is_fourier:
+            f = self.objective.last_focal_length
+            place, slope = (f * slope[0], f * slope[1]), (-place[0] / f, -place[1] / f)
+        pupil = slope[0] * self.pupil_distance, slope[1] * self.pupil_distance
+        behind = self.aim(pupil, place)
+        x, y = (t * self.front - m / self.objective.magnification for m, t in zip(place, behind, strict=True))
+        return (x, y, self.front), behind, self.inside(pupil) >= 0
+
+    def aim(self, pupil: _Pair, place: _Pair) -> _Pair:
+        """Return the slopes in the scene of the ray through a point of the stop, the same from all places."""
+        x, y = self._sines(pupil)
+        scale = -1 / (self.objective.immersion * self._cosine(pupil))
+        return x * scale, y * scale
+
+    @property
     def passed_power(self) -> float:
         r"""Integral of the squared amplitude over the stop: :math:`2 \pi f^2 n^2 (1 - \cos\alpha)`."""
         lens = self.objective
