@@ -283,7 +283,7 @@ class PlenopticCamera:
 
         Parameters
         ----------
-        name : {"paper", "lytro", "raytrix"}
+        name : {"paper", "lytro", "raytrix", "lfm", "lfm_water"}
             The camera.
 
         Raises

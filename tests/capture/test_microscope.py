@@ -7,7 +7,14 @@ import pytest
 from numpy.polynomial.legendre import leggauss
 from scipy.special import j0
 
-from mitsuba_plenoptic import CaptureOperator, InputError, Objective, PlenopticCamera, point_spread_function
+from mitsuba_plenoptic import (
+    CaptureOperator,
+    InputError,
+    Objective,
+    PlenopticCamera,
+    point_spread_function,
+    render_capture,
+)
 from mitsuba_plenoptic.capture.point_spread import point_fields
 from mitsuba_plenoptic.optics.telecentric import TelecentricLens
 
@@ -115,13 +122,12 @@ def test_patches_agree_with_full_fields(point):
 def test_every_image_moves_alike():
     """Points a lens apart share a pattern, without error: the wavefront of a plane's points is one."""
     camera = camera_with(AIR)
-    points = np.array(
-        [[-0.001, -0.002, 0.012], [-0.001 - 0.15 / 20, -0.002, 0.012], [-0.001, -0.002 - 0.3 / 20, 0.012]]
-    )
+    points = np.array([[-0.007, -0.006, 0.012]] * 3) - np.array([[0, 0, 0], [0.15, 0, 0], [0, 0.3, 0]]) / 20
     shared = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0.02)
     assert shared.estimate().patterns == 1
-    alone = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0)
-    assert difference(shared.forward([1, 2, 3]), alone.forward([1, 2, 3])) < 5e-3
+    alone = [CaptureOperator(camera, points[[n]], wavelength=WAVELENGTH, accuracy=0.02) for n in range(3)]
+    apart = sum(operator.forward([weight]) for weight, operator in enumerate(alone, start=1))
+    assert difference(shared.forward([1, 2, 3]), apart) < 1e-4
     image = np.random.default_rng(0).random(camera.shape)
     weights = np.array([1.0, 2.0, 3.0])
     assert np.sum(shared.forward(weights) * image) == pytest.approx(shared.adjoint(image) @ weights, rel=1e-5)
@@ -165,11 +171,11 @@ def test_each_lens_of_a_fourier_microscope_has_its_part_of_the_stop():
 
 def test_each_lens_of_a_fourier_microscope_forms_an_airy_pattern():
     """Its width at half of the peak is 1.029 wavelengths times its f-number."""
-    camera = fourier_camera(mla_aperture="circle", detector_width=0.5, resolution=(400, 400))
+    camera = fourier_camera(mla_aperture="circle", detector_width=0.5, resolution=(300, 300))
     spread = point_spread_function(camera, (0.0, 0.0, 0.0), wavelength=WAVELENGTH, method="full_field")
-    row = spread[199:201].mean(0)
+    row = spread[149:151].mean(0)
     x = camera.pixel_coordinates(0)
-    edge = np.interp(-row.max() / 2, -row[200:], x[200:])
+    edge = np.interp(-row.max() / 2, -row[150:], x[150:])
     assert 2 * edge == pytest.approx(1.029 * WAVELENGTH * 1e-6 * 20 / 0.5, rel=0.01)
 
 
@@ -183,11 +189,9 @@ def test_what_does_not_know_objectives_says_so():
         CaptureOperator(camera_with(AIR), points, wavelength=WAVELENGTH).gradient([1.0], np.ones((135, 135)))
     with pytest.raises(InputError, match=r"position = \(0, 0, -10\): .* g more than -10: before the objective"):
         CaptureOperator(camera_with(AIR), [(0.0, 0.0, -10.0)], wavelength=WAVELENGTH)
-    with pytest.raises(Exception, match="scenes are captured by rays alone behind an objective"):
-        scene = mi.load_dict(
-            {"type": "scene", "integrator": {"type": "plenoptic_wave"}, "sensor": camera_with(AIR).to_sensor()}
-        )
-        mi.render(scene)
+    scene = mi.load_dict({"type": "scene", "sensor": camera_with(AIR).to_sensor(), "integrator": {"type": "path"}})
+    with pytest.raises(InputError, match="scenes are captured by rays alone behind an objective"):
+        render_capture(scene, model="wave", wavelength=WAVELENGTH)
     with pytest.raises(Exception, match="arrangement = fourier: no stop bounds its micro-images"):
         mi.load_dict(fourier_camera().to_sensor())
 
@@ -204,20 +208,24 @@ def test_rays_of_white_fill_the_micro_images():
 
 @pytest.mark.parametrize("depth", [0.0, 0.02])
 def test_rays_see_a_small_light_where_waves_do(depth):
-    camera, X, Y = camera_with(AIR), 0.006, -0.004
+    camera, X, Y = camera_with(AIR), 0.0078, -0.0072
     light = {
         "type": "disk",
         "to_world": mi.ScalarTransform4f().translate([X, Y, depth]).rotate([0, 1, 0], 180).scale(4e-4),
         "emitter": {"type": "area", "radiance": 1.0},
     }
     scene = mi.load_dict({"type": "scene", "sensor": camera.to_sensor(), "light": light})
-    by_rays = mi.render(scene, integrator=mi.load_dict({"type": "direct"}), spp=4096).numpy()[..., 0]
-    by_waves = point_spread_function(camera, (X, Y, depth), wavelength=WAVELENGTH)
+    by_rays = mi.render(scene, integrator=mi.load_dict({"type": "direct"}), spp=2048).numpy()[..., 0]
+    # A surface shines with the cosine, which a point does not.
+    cells = (np.arange(64) + 0.5) / 32 - 1
+    cosine = np.sqrt(1 - 0.25 * np.minimum(cells**2 + cells[:, None] ** 2, 1))
+    operator = CaptureOperator(camera, [(X, Y, depth)], wavelength=WAVELENGTH, pupil_weights=cosine[None])
+    by_waves = operator.forward([1.0])
     x = camera.pixel_coordinates(0)
     for image in (by_rays, by_waves):
         image /= image.sum()
     centre = [(by_waves @ x).sum(), (by_waves.T @ x).sum()]
-    assert np.allclose([(by_rays @ x).sum(), (by_rays.T @ x).sum()], centre, atol=0.004)
+    assert np.allclose([(by_rays @ x).sum(), (by_rays.T @ x).sum()], centre, atol=0.006)
     width = [np.sqrt((image @ (x - centre[0]) ** 2).sum()) for image in (by_rays, by_waves)]
     assert width[0] == pytest.approx(width[1], rel=0.1) if depth else width[0] < 0.06
 
