@@ -29,8 +29,8 @@
 
 ``lfm_water``
     The same array and detector behind a 20x/0.5 objective that dips into water, of the index 1.33, as Broxton et al.
-    2013, "Wave optics theory and 3-D deconvolution for the light field microscope", have one; theirs is an f/20 array of
-    a pitch of 125 um.
+    2013, "Wave optics theory and 3-D deconvolution for the light field microscope", have one; theirs is an f/20
+    array of a pitch of 125 um.
 """
 
 from __future__ import annotations
