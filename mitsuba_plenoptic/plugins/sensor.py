@@ -135,6 +135,8 @@ def make_class() -> type:
            - |string|
            - Surfaces and glasses of a real main lens: a YAML or JSON file, beside the scene or anywhere, the name of
              a bundled lens (``cooke_triplet``, ``double_gauss``, ``singlet``, ``tessar``), or the text of a JSON file.
+             Or a microscope's objective as such a file or text, an object with ``magnification`` and
+             ``numerical_aperture``: see `mitsuba_plenoptic.Objective`.
              (Default: a thin lens)
          * - to_world
            - |transform|

@@ -98,7 +98,7 @@ def reconstruct(
         What the detector recorded. A plain array needs `camera`.
     distance : float or sequence of floats
         Object distances in scene units, beyond the focal length; may be infinite, where bins are directions. Several
-        share the way up to the main lens.
+        share the way up to the main lens. Behind an objective: depths beyond its native object plane.
     method : {"ray", "coherent", "partial", "deconvolved"}
         How light is followed back: by one ray a pixel; as one coherent wave, whose amplitude is the square root of
         the capture; or as one such wave for each interleaved subset of lenses, whose intensities are added. Waves

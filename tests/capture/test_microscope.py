@@ -8,11 +8,13 @@ from numpy.polynomial.legendre import leggauss
 from scipy.special import j0
 
 from mitsuba_plenoptic import (
+    Capture,
     CaptureOperator,
     InputError,
     Objective,
     PlenopticCamera,
     point_spread_function,
+    reconstruct,
     render_capture,
 )
 from mitsuba_plenoptic.capture.point_spread import point_fields
@@ -238,3 +240,16 @@ def test_rays_carry_their_gradients():
     dr.forward(x)
     assert dr.grad(point[0])[0] == pytest.approx(-1 / 20)
     assert dr.grad(slope[0])[0] == 0
+
+
+def test_a_bead_comes_back_to_its_place():
+    """From other light than the response's: an exact spread of one point between bins."""
+    camera = camera_with(AIR, detector_width=1.05, resolution=(105, 105))
+    place, depth = (0.0041, -0.0023), 0.02
+    spread = point_spread_function(camera, (*place, depth), wavelength=WAVELENGTH)
+    capture = Capture(spread, camera, WAVELENGTH, "wave", {})
+    found = reconstruct(capture, depth, method="deconvolved", oversample=3, iterations=15)
+    image = np.nan_to_num(found.image)
+    rows, columns = ((np.arange(size) + 0.5 - size / 2) * found.bin_size for size in image.shape)
+    bright = np.where(image > 0.02 * image.max(), image, 0) / image[image > 0.02 * image.max()].sum()
+    assert np.allclose([bright.sum(0) @ columns, bright.sum(1) @ rows], place, atol=0.1 * found.bin_size)
