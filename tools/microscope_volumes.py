@@ -1,11 +1,11 @@
 """Measure volumes deconvolved behind an objective: widths of beads over depth, and the time of a step beside pyolaf's.
 
 Beads, points between bins, lie one in each plane, and the volume of all planes is deconvolved from one capture of exact
-point spreads. Their widths at half of the peak stand beside Broxton's limit, the distance of two points just told apart.
+point spreads. Their widths at half of the peak stand beside Broxton's limit, the distance of points just told apart.
 
 A step of Richardson and Lucy is a projection forward and one back. pyolaf, the extra `peers`, does both with as many
-samples: bins and pixels a lens, lenses, planes. Its patterns are given their sizes and any values, on which its time does
-not depend: it convolves by Fourier transforms whatever they are.
+samples: bins and pixels a lens, lenses, planes. Its patterns are given their sizes and any values, on which its time
+does not depend: it convolves by Fourier transforms whatever they are.
 
     python tools/microscope_volumes.py
     python tools/microscope_volumes.py --planes 32      as many planes as pyolaf's examples have
@@ -76,7 +76,8 @@ def deconvolved_beads(camera: PlenopticCamera, depths: np.ndarray, iterations: i
     rows = []
     for plane, (X, Y, depth) in zip(found, points, strict=True):
         values = np.nan_to_num(plane.image)
-        y, x = ((np.arange(size) + 0.5 - size / 2) * plane.bin_size for size in values.shape)
+        # Pictures have +x to the left and +y up.
+        y, x = ((size / 2 - np.arange(size) - 0.5) * plane.bin_size for size in values.shape)
         row, column = np.unravel_index(values.argmax(), values.shape)
         around = np.s_[max(0, row - 3) : row + 4, max(0, column - 3) : column + 4]
         light = values[around] / values[around].sum()

@@ -250,6 +250,7 @@ def test_a_bead_comes_back_to_its_place():
     capture = Capture(spread, camera, WAVELENGTH, "wave", {})
     found = reconstruct(capture, depth, method="deconvolved", oversample=3, iterations=15)
     image = np.nan_to_num(found.image)
-    rows, columns = ((np.arange(size) + 0.5 - size / 2) * found.bin_size for size in image.shape)
+    # Pictures have +x to the left and +y up.
+    rows, columns = ((size / 2 - np.arange(size) - 0.5) * found.bin_size for size in image.shape)
     bright = np.where(image > 0.02 * image.max(), image, 0) / image[image > 0.02 * image.max()].sum()
     assert np.allclose([bright.sum(0) @ columns, bright.sum(1) @ rows], place, atol=0.1 * found.bin_size)
