@@ -34,6 +34,7 @@ from .capture.operator import CaptureOperator
 from .capture.point_spread import point_spread_function
 from .capture.render import render_capture
 from .capture.scene import load_scene, scene_path
+from .capture.volumes import volume_points
 from .detector import Detector, expose
 from .errors import InputError
 from .io.captures import Capture, read_capture, write_capture
@@ -101,6 +102,7 @@ __all__ = [
     "reconstruct",
     "render_capture",
     "scene_path",
+    "volume_points",
     "with_camera",
     "write_capture",
     "write_ground_truth",
