@@ -34,12 +34,14 @@ from .capture.operator import CaptureOperator
 from .capture.point_spread import point_spread_function
 from .capture.render import render_capture
 from .capture.scene import load_scene, scene_path
+from .capture.volumes import volume_points
 from .detector import Detector, expose
 from .errors import InputError
 from .io.captures import Capture, read_capture, write_capture
 from .io.checkpoints import Checkpoint
 from .io.ground_truth import GroundTruth, read_ground_truth, write_ground_truth
 from .io.lens_file import read_prescription
+from .objective import Objective
 from .optics.guards import PhysicsError, PhysicsWarning
 from .optics.lens_system import LensSystem
 from .optics.spectrum import Spectrum
@@ -78,6 +80,7 @@ __all__ = [
     "InputError",
     "Job",
     "LensSystem",
+    "Objective",
     "PhysicsError",
     "PhysicsWarning",
     "PlenopticCamera",
@@ -99,6 +102,7 @@ __all__ = [
     "reconstruct",
     "render_capture",
     "scene_path",
+    "volume_points",
     "with_camera",
     "write_capture",
     "write_ground_truth",

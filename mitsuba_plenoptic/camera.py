@@ -28,6 +28,7 @@ from .bounds import (
 )
 from .errors import InputError, require_choice, require_number, shown
 from .lattice import APERTURES, LATTICES, Lattice, make_lattice
+from .objective import Objective
 from .prescription import Prescription, bundled_prescription, paraxial
 from .presets import PRESETS
 from .thin_lens import conjugate_distance, defocus_factor, image_distance, vergence
@@ -103,9 +104,11 @@ class PlenopticCamera:
         Aberrations of the main lens: coefficients of Zernike polynomials over its pupil in Noll's order, beginning with
         piston, each in waves of 633 nm root mean square; up to 66, those left out are 0. Other wavelengths see the same
         path.
-    main_lens : Prescription, str or dict, optional
+    main_lens : Prescription, Objective, str or dict, optional
         Surfaces and glasses of a real main lens: a prescription, the name of a bundled one, or what
-        `Prescription.from_plain` takes. Default: a thin lens.
+        `Prescription.from_plain` takes. Or a microscope's objective, as such or as what `Objective.from_plain` takes:
+        the origin of the camera frame is then its native object plane, `focal_length` and `aperture_radius` are its
+        own, and `mla_distance` is the focal length of the lens before the array. Default: a thin lens.
 
     Raises
     ------
@@ -113,7 +116,8 @@ class PlenopticCamera:
         If a length is not a number from 1e-9 to 1e9 (`focus_distance` may be infinite), a side of the detector is not
         from 1 to 1048576 pixels, one pitch is more than ten times the other, the crop window leaves the detector, a
         tilted array touches detector or main lens, the distortion folds the image, or a `main_lens` is not one, cannot
-        open so far, is given with aberrations or distortion, or reaches to the array.
+        open so far, is given with aberrations or distortion, or reaches to the array, or an objective has another
+        focal length, aperture or distance to the array.
     """
 
     focal_length: float
@@ -135,7 +139,7 @@ class PlenopticCamera:
     lens_model: str
     distortion: tuple[float, float, float, float, float]
     wavefront: tuple[float, ...]
-    main_lens: Prescription | None
+    main_lens: Prescription | Objective | None
 
     def __init__(
         self,
@@ -160,12 +164,12 @@ class PlenopticCamera:
         lens_model: str = "ideal",
         distortion: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
         wavefront: Sequence[float] = (),
-        main_lens: Prescription | str | dict[str, Any] | None = None,
+        main_lens: Prescription | Objective | str | dict[str, Any] | None = None,
     ) -> None:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        put("main_lens", _prescription(main_lens))
+        put("main_lens", _known_lens(main_lens))
         own = (80.0, 5.0) if self.main_lens is None else _own_numbers(self.main_lens, focal_length)
         put("focal_length", require_length("focal_length", own[0] if focal_length is None else focal_length))
         put(
@@ -177,10 +181,16 @@ class PlenopticCamera:
                 "give one of the two"
             )
         if focus_distance is not None:
+            if self.objective is not None:
+                raise InputError(
+                    f"focus_distance = {shown(focus_distance)}: an objective is focused on its native object plane; "
+                    "leave it out"
+                )
             mla_distance = image_distance(
                 self.focal_length, require_length("focus_distance", focus_distance, finite=False), name="focus_distance"
             )
-        put("mla_distance", require_length("mla_distance", 120.0 if mla_distance is None else mla_distance))
+        usual = 120.0 if self.objective is None else self.objective.last_focal_length
+        put("mla_distance", require_length("mla_distance", usual if mla_distance is None else mla_distance))
         put("mla_lattice", require_choice("mla_lattice", mla_lattice, LATTICES))
         types = LATTICES[self.mla_lattice].lens_types
         several = ", ".join(name for name, each in LATTICES.items() if each.lens_types > 1)
@@ -233,6 +243,9 @@ class PlenopticCamera:
         for name in ("distortion", "wavefront"):
             if any(getattr(self, name)):
                 raise InputError(f"{name} = {getattr(self, name)}: a main_lens brings its own; leave it out")
+        if isinstance(self.main_lens, Objective):
+            self._require_objective(self.main_lens)
+            return
         # What rounding to single precision adds is no wider stop.
         if self.aperture_radius > widest * (1 + 1e-6):
             raise InputError(f"aperture_radius = {self.aperture_radius:g}: the main_lens opens to {widest:.6g} at most")
@@ -245,6 +258,23 @@ class PlenopticCamera:
                 f"it must be more than {nearest:.4g}"
             )
 
+    def _require_objective(self, objective: Objective) -> None:
+        """Refuse numbers that are not those of the objective, and what a telecentric microscope cannot have."""
+        own = {
+            "focal_length": objective.focal_length,
+            "aperture_radius": objective.stop_radius,
+            "mla_distance": objective.last_focal_length,
+        }
+        for name, number in own.items():
+            # Files and scenes may hold them in single precision.
+            if not math.isclose(getattr(self, name), number, rel_tol=1e-6):
+                raise InputError(
+                    f"{name} = {getattr(self, name):g}: with this main_lens it is {number:.6g}; leave it out"
+                )
+            object.__setattr__(self, name, number)
+        if any(self.mla_tilt):
+            raise InputError(f"mla_tilt = {self.mla_tilt}: behind an objective it must be 0")
+
     # -- to and from other forms ---------------------------------------------------------------------
 
     @classmethod
@@ -253,7 +283,7 @@ class PlenopticCamera:
 
         Parameters
         ----------
-        name : {"paper", "lytro", "raytrix"}
+        name : {"paper", "lytro", "raytrix", "lfm", "lfm_water"}
             The camera.
 
         Raises
@@ -437,9 +467,23 @@ class PlenopticCamera:
     # -- main lens -----------------------------------------------------------------------------------
 
     @property
+    def objective(self) -> Objective | None:
+        """The main lens if it is a microscope's objective."""
+        return self.main_lens if isinstance(self.main_lens, Objective) else None
+
+    @property
+    def prescription(self) -> Prescription | None:
+        """The main lens if it has surfaces."""
+        return self.main_lens if isinstance(self.main_lens, Prescription) else None
+
+    @property
     def pupil_distance(self) -> float:
-        """Distance from the exit pupil to the MLA: :math:`b` for a thin lens, which is its own pupil."""
-        if self.main_lens is None:
+        """Distance from the exit pupil to the MLA: :math:`b` for a thin lens, which is its own pupil.
+
+        That of the stop seen through the lens before the array is infinite behind an objective; this is then the focal
+        length of that lens, by which places on the stop are divided to have directions at the array.
+        """
+        if self.main_lens is None or isinstance(self.main_lens, Objective):
             return self.mla_distance
         numbers = paraxial(self.main_lens)
         scale = self.focal_length / numbers.focal_length
@@ -448,7 +492,7 @@ class PlenopticCamera:
     @property
     def pupil_radius(self) -> float:
         """Radius of the exit pupil near the axis: :math:`D_1/2` for a thin lens."""
-        if self.main_lens is None:
+        if self.main_lens is None or isinstance(self.main_lens, Objective):
             return self.aperture_radius
         numbers = paraxial(self.main_lens)
         return self.aperture_radius * (numbers.exit_radius / numbers.entrance_radius)
@@ -467,8 +511,11 @@ class PlenopticCamera:
     def focus_distance(self) -> float:
         """Distance of the object plane that is in focus on the MLA.
 
-        Infinite if the MLA stands in the focal plane, negative (no real plane) if it stands before that.
+        Infinite if the MLA stands in the focal plane, negative (no real plane) if it stands before that. An
+        objective's is its native object plane, at 0.
         """
+        if isinstance(self.main_lens, Objective):
+            return 0.0
         return conjugate_distance(self.focal_length, self.mla_distance)
 
     def defocus(self, distance: float) -> float:
@@ -480,11 +527,20 @@ class PlenopticCamera:
         ----------
         distance : float
             Object distance from the main lens in millimetres.
+
+        Raises
+        ------
+        InputError
+            If the main lens is an objective: its image is no such cone.
         """
+        if self.objective is not None:
+            raise InputError(f"main_lens = {self.objective.name}: defocus as of a thin lens is not defined for it")
         return defocus_factor(distance, self.mla_distance, self.focal_length)
 
     def blur_diameter(self, distance: float) -> float:
         """Diameter on the MLA of the image of a point at `distance`, by rays: :math:`D_1 |s|`."""
+        if isinstance(self.main_lens, Objective):
+            return self.main_lens.blur_diameter(distance)
         if self.main_lens is not None:
             # The cone from the exit pupil to the image, which lies this far before the MLA.
             power = vergence(self.focal_length, distance)
@@ -545,9 +601,14 @@ class PlenopticCamera:
     def pupil_shift(self, mla_focal_length: float) -> float:
         r"""How fast the place on the pupil, seen by a point of the detector, moves with that on the lens.
 
-        :math:`\kappa = 1 + b/z - b/f_2`, which is 1 for :math:`z = f_2`.
+        :math:`\kappa = 1 + b/z - b/f_2`, which is 1 for :math:`z = f_2`; one less behind an objective, whose stop all
+        lenses see in the same directions.
         """
-        return 1 + self.pupil_distance / self.detector_distance - self.pupil_distance / mla_focal_length
+        return (
+            (self.objective is None)
+            + self.pupil_distance / self.detector_distance
+            - self.pupil_distance / mla_focal_length
+        )
 
     @property
     def detector_height(self) -> float:
@@ -637,25 +698,33 @@ class PlenopticCamera:
 
     @property
     def micro_image_pitch(self) -> float:
-        """Distance of neighbouring micro-images of a row, :math:`D_2 (b + z) / b`."""
+        """Distance of neighbouring micro-images of a row, :math:`D_2 (b + z) / b`; the pitch behind an objective."""
+        if self.objective is not None:
+            return self.mla_pitch
         return self.mla_pitch * (self.pupil_distance + self.detector_distance) / self.pupil_distance
 
     # -- object side ---------------------------------------------------------------------------------
 
     def bin_size(self, distance: float) -> float:
-        """Width in the object plane of one bin of a reconstruction, :math:`D_2 g / b`."""
+        """Width in the object plane of one bin of a reconstruction, :math:`D_2 g / b`; at any :math:`D_2 / M`."""
+        if self.objective is not None:
+            return self.mla_pitch / self.objective.magnification
         return self.mla_pitch * distance / self.mla_distance
 
 
-def _prescription(value: Prescription | str | dict[str, Any] | None) -> Prescription | None:
+def _known_lens(value: Prescription | Objective | str | dict[str, Any] | None) -> Prescription | Objective | None:
     """Return the main lens that is given in any of its forms."""
-    if value is None or isinstance(value, Prescription):
+    if value is None or isinstance(value, (Prescription, Objective)):
         return value
+    if isinstance(value, dict) and "magnification" in value:
+        return Objective.from_plain(value)
     return bundled_prescription(value) if isinstance(value, str) else Prescription.from_plain(value)
 
 
-def _own_numbers(lens: Prescription, focal_length: float | None) -> tuple[float, float]:
+def _own_numbers(lens: Prescription | Objective, focal_length: float | None) -> tuple[float, float]:
     """Return a lens's focal length and the radius of its open entrance pupil, scaled to what focal length is given."""
+    if isinstance(lens, Objective):
+        return lens.focal_length, lens.stop_radius
     numbers = paraxial(lens)
     given = numbers.focal_length if focal_length is None else require_length("focal_length", focal_length)
     return given, numbers.entrance_radius * given / numbers.focal_length

@@ -19,11 +19,31 @@
     program compote: 4080 x 3068 pixels of 5.5 um; hexagonal lenses 127.44 um apart with focal lengths of 0.583, 0.524
     and 0.561 mm; 0.3371 mm from lenses to pixels; main lens of 49.885 mm at f/4, 56.86 mm from the MLA. Ours: one lens
     on the axis, no turn (theirs is 0.002 degrees) and no distortion; thin lenses; no filter mosaic.
+
+``lfm``
+    A light-field microscope, a dry 20x/0.5 objective before square lenses of f/20, which is M / 2 NA, so that
+    micro-images touch: the rule of Levoy, Ng, Adams, Footer and Horowitz 2006, "Light field microscopy". Lenses 150 um
+    apart with a focal length of 3 mm are a common array (Prevedel et al. 2014, "Simultaneous whole-animal 3D imaging of
+    neuronal activity using light-field microscopy"). Ours: a tube lens of 200 mm, one microlens on the axis, and 2048 x
+    2048 pixels of 6.5 um, those of a common scientific camera.
+
+``lfm_water``
+    The same array and detector behind a 20x/0.5 objective that dips into water, of the index 1.33, as Broxton et al.
+    2013, "Wave optics theory and 3-D deconvolution for the light field microscope", have one; theirs is an f/20
+    array of a pitch of 125 um.
 """
 
 from __future__ import annotations
 
 from typing import Any
+
+_LFM: dict[str, Any] = {
+    "mla_focal_length": 3.0,
+    "mla_pitch": 0.15,
+    "mla_offset": (0.075, 0.075),
+    "detector_width": 13.312,
+    "resolution": (2048, 2048),
+}
 
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {},
@@ -50,4 +70,6 @@ PRESETS: dict[str, dict[str, Any]] = {
         "detector_width": 22.44,
         "resolution": (4080, 3068),
     },
+    "lfm": {"main_lens": {"magnification": 20.0, "numerical_aperture": 0.5}, **_LFM},
+    "lfm_water": {"main_lens": {"magnification": 20.0, "numerical_aperture": 0.5, "immersion": 1.33}, **_LFM},
 }

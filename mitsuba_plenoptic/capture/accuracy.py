@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_number
-from ..optics.rays import conjugate_coordinate
+from ..optics.conjugates import images
 from .grid import Band
 
 DEFAULT_ACCURACY = 0.01
@@ -108,7 +108,7 @@ def wavefront_step(accuracy: float, camera: PlenopticCamera, positions: NDArray[
     """
     if not len(positions):
         return 0.0
-    image = conjugate_coordinate(positions[:, :2], positions[:, 2:], camera.mla_distance)
+    image = images(camera, positions)
     lenses = np.unique(np.floor(image / camera.mla_pitch), axis=0)
     overlap = min(len(positions), _NEIGHBOURHOOD * len(positions) / len(lenses))
     return accuracy * WAVES_PER_ERROR * min(1.0, (overlap / _MANY) ** 0.5)

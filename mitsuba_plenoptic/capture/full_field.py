@@ -16,7 +16,6 @@ pixel's integral is the intensity's spectrum times the sinc of the pixel.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -26,43 +25,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
 from ..optics import guards
 from ..optics.free_space import advance
 from ..optics.microlens_orders import axis_transmission, open_fraction, plane_transmission
 from ..optics.microlenses import is_separable
-from ..optics.phase import in_millimetres, phasor, soft_edge
-from ..optics.power import band_edge_fraction, fraction, power, rim
+from ..optics.phase import in_millimetres
+from ..optics.power import power
+from ..optics.telecentric import TelecentricLens
 from ..runtime.backend import backend
-from ..runtime.fft import Field, as_field, fft, fft2, irfft, pack, resting_drjit, rfft
+from ..runtime.fft import Field, as_field, fft2, irfft, pack, resting_drjit, rfft
 from ..runtime.indexing import quotient
-from .full_field_grids import BLOCK, FieldGrids, field_grids, lens_of_point
+from .arrival import SampledField, at_mla, blocks, interpolate, pupil_field
+from .full_field_grids import FieldGrids, field_grids
 from .pupil_weights import PupilWeights
-
-
-@dataclass(frozen=True)
-class SampledField:
-    r"""A complex field on a square grid in a plane of the camera.
-
-    Attributes
-    ----------
-    samples : complex64 array (rows, columns)
-        Scaled so that the sum of squared moduli times the squared pitch is the fraction of the power through
-        the pupil. Without the carrier :math:`\exp(i k d)` of the path from the main lens.
-    origin : (float, float)
-        Camera-frame x and y of the first sample, in millimetres.
-    pitch : float
-        Distance between samples in millimetres.
-    """
-
-    samples: Field
-    origin: tuple[float, float]
-    pitch: float
-
-    @property
-    def power(self) -> float:
-        """Fraction of the power through the pupil that is on the grid."""
-        return float(np.sum(np.abs(self.samples) ** 2, dtype=np.float64)) * self.pitch**2
+from .telecentric_arrival import telecentric_arrival
 
 
 @dataclass(frozen=True)
@@ -115,9 +91,7 @@ def full_field(
         If the grids would need too much memory.
     """
     grids = grids or field_grids(camera, position, wavelength, refinement, growth)
-    pupil = _pupil_field(camera, position, wavelength, grids, pupil_weights)
-    mla = _at_mla(camera, wavelength, grids, pupil)
-    del pupil
+    _, mla = _arrival(camera, position, wavelength, grids, pupil_weights)
     spectrum = _detector_spectrum(camera, wavelength, grids, mla.samples, microlenses)
     del mla
     dr.flush_malloc_cache()
@@ -135,8 +109,7 @@ def point_fields(
         If the grids would need too much memory.
     """
     grids = field_grids(camera, position, wavelength, 1.0, 1.0)
-    pupil = _pupil_field(camera, position, wavelength, grids)
-    mla = _at_mla(camera, wavelength, grids, pupil)
+    pupil, mla = _arrival(camera, position, wavelength, grids)
     spectrum = _detector_spectrum(camera, wavelength, grids, mla.samples.copy(), microlenses)
     with resting_drjit():
         detector = fft2(spectrum, inverse=True)
@@ -144,64 +117,18 @@ def point_fields(
     return PointFields(*(SampledField(backend().to_host(p.samples), p.origin, p.pitch) for p in planes))
 
 
-def _pupil_field(
+def _arrival(
     camera: PlenopticCamera,
     position: NDArray[np.float64],
     wavelength: float,
     grids: FieldGrids,
     weights: PupilWeights | None = None,
-) -> SampledField:
-    types = backend().types
-    count = grids.wide_pupil
-    pitch = grids.pitch * grids.wide_mla / count
-    index = dr.arange(types.UInt32, count * count)
-    row = quotient(types, index, count)
-    column = index - row * dr.opaque(types.UInt32, count)
-    step = dr.opaque(types.Float64, pitch)
-    Px = types.Float64(column) * step + dr.opaque(types.Float64, grids.wide_origin[0])
-    Py = types.Float64(row) * step + dr.opaque(types.Float64, grids.wide_origin[1])
-    X, Y, g = (dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
-    lens, pupil, point = lens_of_point(camera, position, wavelength), (Px, Py), (X, Y, g)
-    # The edge is softened over one sample, so that it is round; the power is that of the hard edge.
-    cover = types.Float(soft_edge(lens.inside(pupil) / step))
-    bright = types.Float(lens.amplitude(pupil, point))
-    density = types.Float64(bright * bright * cover)
-    if weights is not None:
-        passed, amplitude = weights.at(dr.zeros(types.UInt32, count * count), Px, Py, lens.pupil_radius, step)
-        density *= types.Float64(passed)
-        cover *= amplitude
-    power = dr.sum(density)[0] * pitch**2
-    if not 0 < power < math.inf:
-        raise InputError(
-            f"aperture_radius = {camera.aperture_radius:g}: no light passes it on a grid of samples {pitch:g} apart"
-        )
-    field = phasor(lens.path(pupil, point, wavelength)) * (bright * cover / math.sqrt(power))
-    return SampledField(as_field(pack(field), (count, count)), grids.wide_origin, pitch)
-
-
-def _at_mla(camera: PlenopticCamera, wavelength: float, grids: FieldGrids, pupil: SampledField) -> SampledField:
-    """Propagate to the MLA, onto the finer grid there, and keep the detector's window."""
-    with resting_drjit():
-        spectrum = fft2(pupil.samples.copy())
-    guards.judge(guards.UNDERSAMPLED, band_edge_fraction(spectrum))
-    spectrum = advance(spectrum, pupil.pitch, camera.pupil_distance, wavelength)
-    (left, top), (columns, rows) = grids.offset, grids.count
-    arrays = backend().arrays
-    samples = arrays.empty((rows, columns), np.complex64)
-    with resting_drjit():
-        # axis by axis, so that rows and columns outside the spectrum and the window are never transformed
-        partial = arrays.empty((rows, spectrum.shape[1]), np.complex64)
-        width, in_rim = rim(grids.wide_mla), 0.0
-        for block in _blocks(spectrum.shape[1]):
-            tall = _interpolate(spectrum[:, block], grids.wide_mla, axis=0)
-            partial[:, block] = tall[top : top + rows]
-            in_rim += power(tall[:width]) + power(tall[-width:])
-        for block in _blocks(rows):
-            wide = _interpolate(partial[block], grids.wide_mla, axis=1)
-            samples[block] = wide[:, left : left + columns]
-    guards.judge_window(fraction(in_rim, power(spectrum) * grids.wide_mla / spectrum.shape[0] ** 2))
-    origin = (grids.wide_origin[0] + left * grids.pitch, grids.wide_origin[1] + top * grids.pitch)
-    return SampledField(samples, origin, grids.pitch)
+) -> tuple[SampledField, SampledField]:
+    """Return the field behind the pupil, and that before the MLA."""
+    if camera.objective is not None:
+        return telecentric_arrival(TelecentricLens(camera.objective), position, wavelength, grids, weights)
+    pupil = pupil_field(camera, position, wavelength, grids, weights)
+    return pupil, at_mla(camera, wavelength, grids, pupil)
 
 
 def _detector_spectrum(
@@ -221,27 +148,6 @@ def _detector_spectrum(
     with resting_drjit():
         spectrum = fft2(samples)
     return advance(spectrum, grids.pitch, camera.detector_distance, wavelength)
-
-
-def _blocks(count: int) -> Iterator[slice]:
-    """Cut a range into slices, so that what is made of each stays small."""
-    for start in range(0, count, BLOCK):
-        yield slice(start, min(count, start + BLOCK))
-
-
-def _interpolate(spectrum: Field, count: int, axis: int) -> Field:
-    """Transform a spectrum back along one axis onto `count` samples of the same window: zero-padded."""
-    size = spectrum.shape[axis]
-    shape = list(spectrum.shape)
-    shape[axis] = count
-    arrays = backend().arrays
-    padded = arrays.zeros(shape, np.complex64)
-    source, target = arrays.moveaxis(spectrum, axis, 0), arrays.moveaxis(padded, axis, 0)
-    positive = (size + 1) // 2
-    target[:positive] = source[:positive]
-    target[count - (size - positive) :] = source[positive:]
-    padded *= np.float32(count / size)
-    return fft(padded, axis=axis, inverse=True)
 
 
 def _microlens_factors(camera: PlenopticCamera, wavelength: float, grids: FieldGrids) -> list[Field]:
@@ -278,7 +184,7 @@ def _places(grids: FieldGrids) -> Iterator[tuple[slice, Any, Any]]:
     types = backend().types
     left, top = (start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
     columns = grids.count[0]
-    for block in _blocks(grids.count[1]):
+    for block in blocks(grids.count[1]):
         index = dr.arange(types.UInt32, (block.stop - block.start) * columns)
         row = quotient(types, index, columns)
         x = types.Float64(index - row * columns) * grids.pitch + dr.opaque(types.Float64, left)
@@ -291,15 +197,15 @@ def _pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: FieldGrids
     arrays = backend().arrays
     height, width = camera.shape
     with resting_drjit():
-        partial = _interpolate(spectrum, 2 * spectrum.shape[0], axis=0)
+        partial = interpolate(spectrum, 2 * spectrum.shape[0], axis=0)
         rows = arrays.empty((partial.shape[0], width), np.float32)
-        for block in _blocks(partial.shape[0]):
-            parts = _interpolate(partial[block], 2 * partial.shape[1], axis=1).view(np.float32)
+        for block in blocks(partial.shape[0]):
+            parts = interpolate(partial[block], 2 * partial.shape[1], axis=1).view(np.float32)
             arrays.multiply(parts, parts, out=parts)
             rows[block] = _along_pixels(parts[:, 0::2] + parts[:, 1::2], grids, width)
         del partial
         psf = arrays.empty((height, width), np.float32)
-        for block in _blocks(width):
+        for block in blocks(width):
             psf[:, block] = _along_pixels(arrays.ascontiguousarray(rows[:, block].T), grids, height).T
     return psf
 

@@ -23,6 +23,9 @@ _WINDOW_MARGIN = 1.2
 _AIRY_WIDTHS = 110
 r"""Least width of that window in units of :math:`\lambda b / D_1`: it must hold what the pupil's edge diffracts."""
 
+_WINDOW_PER_BLUR = 20
+"""Least width of the window behind an objective, over the radius of the image of a point out of focus."""
+
 _PUPIL_BAND = 1.5
 """Sampled directions on the way to the MLA over the steepest ray: the pupil's edge diffracts beyond that."""
 
@@ -66,7 +69,7 @@ def lens_of_point(camera: PlenopticCamera, position: NDArray[np.float64], wavele
     wavelength : float
         Wavelength in nanometres.
     """
-    if camera.main_lens is None:
+    if camera.prescription is None:
         return main_lens(camera)
     X, Y, g = position.tolist()
     return _exit_pupil(camera, (X, Y, g), wavelength)
@@ -110,9 +113,17 @@ def field_grids(
     pixels = [fast_length(size + 2 * margin) for size in camera.crop_size]
     start = -width / 2 + (np.array(camera.crop_offset) - margin) * p
     # The window of the way to the MLA, square and on the same grid of pixels.
-    low = np.minimum(-radius, np.minimum(place - half_width, start))
-    high = np.maximum(radius, np.maximum(place + half_width, start + np.array(pixels) * p))
-    held = max(_WINDOW_MARGIN * float((high - low).max()), _AIRY_WIDTHS * lam * lens.pupil_distance / (2 * radius))
+    low = np.minimum(place - half_width, start)
+    high = np.maximum(place + half_width, start + np.array(pixels) * p)
+    if camera.objective is None:
+        low, high = np.minimum(-radius, low), np.maximum(radius, high)
+        diffracted = _AIRY_WIDTHS * lam * lens.pupil_distance / (2 * radius)
+    else:
+        # The samples of the stop are as many as the window holds waves of the steepest direction; softening its edge
+        # over one of them darkens what the edge diffracts far from the image of the point.
+        blur = _WINDOW_PER_BLUR * float(half_width.max()) * (not camera.objective.is_fourier)
+        diffracted = max(_PUPIL_SAMPLES * lam / camera.objective.image_aperture, blur)
+    held = max(_WINDOW_MARGIN * float((high - low).max()), diffracted)
     wide = fast_length(growth * held / pitch + per_pixel, per_pixel)
     before = np.floor((start - (low + high - wide * pitch) / 2) / p).astype(int)
     finest = max(2 * _PUPIL_BAND * steepest / lam, _PUPIL_SAMPLES / radius)

@@ -114,9 +114,7 @@ class Grid:
         micro-images.
         """
         rotation, camera = camera.mla_rotation, upright(camera)
-        lens = main_lens(camera)
-        powers = np.abs(lens.vergence(positions[:, 2]))
-        cosine = lens.pupil_radius * float(powers.max(initial=1 / lens.pupil_distance))
+        cosine = main_lens(camera).cone(positions[:, 2])
         bent = scattering(camera)
         beside = max(band.bends * bent, diffraction(camera, wavelength, band.orders))
         half_band = max(band.cone * (cosine + bent), cosine + beside)
@@ -178,7 +176,7 @@ def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
     image = footprint(camera, positions)
     a, b = lens.pupil_radius, lens.pupil_distance
     # Between MLA and detector the light moves sideways: the patch lies half-way.
-    aside = camera.detector_distance * image.centre / b
+    aside = camera.detector_distance * lens.chief_slope(image.centre)
     airy = lam * b / (2 * a)
     blur = 2 * image.half_width.max(1)
     spread = grid.band.margin * airy
@@ -194,8 +192,7 @@ def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
     step = lam / (samples[:, None] * grid.pitch)
     angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
     rim = a * np.stack([np.cos(angle), np.sin(angle)], -1)
-    towards = image.centre[:, None] - rim
-    cosine = towards / np.sqrt((towards**2).sum(-1) + b * b)[..., None]
+    cosine = lens.to_array(rim, image.centre[:, None])
     return Placement(
         samples=samples,
         corner=corner - samples[:, None] // 2,

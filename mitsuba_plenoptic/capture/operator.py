@@ -14,6 +14,7 @@ from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..errors import InputError, shown
 from ..io.checkpoints import digest
+from ..objective import Objective
 from ..optics import guards
 from ..optics.main_lens import main_lens, require_ideal, require_round
 from ..optics.sampling import check_positions
@@ -113,17 +114,19 @@ class CaptureOperator:
     ) -> None:
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
-        if camera.main_lens is None or method != "full_field":
+        if camera.prescription is None or method != "full_field":
             require_ideal(camera)
         elif any(camera.mla_tilt):
             raise InputError(f"mla_tilt = {camera.mla_tilt}: waves need 0; work by rays, or set it to 0")
         elif pupil_weights is not None:
             raise InputError("pupil_weights: behind a main_lens the pupil is another for each point; leave them out")
-        self.camera, self.points = camera, check_positions(points)
+        self.camera, self.points = camera, check_positions(points, camera)
         self._wavelength = None if wavelength is None else require_wavelength(wavelength)
         self._spectrum = spectrum
         if not isinstance(method, str) or method not in PLANS:
             raise InputError(f"method = {shown(method)}: it must be one of {', '.join(METHODS)}")
+        if camera.objective is not None:
+            _require_followed(camera.objective, method)
         if method == "bank":
             require_round(camera)
         self._method, self._accuracy = method, check_accuracy(accuracy)
@@ -306,6 +309,8 @@ class CaptureOperator:
         """Return the derivatives of the sums, or refuse methods that have none."""
         if self._method != "patch":
             raise InputError(f"method = {self._method}: it has no derivatives; use patch")
+        if self.camera.objective is not None:
+            raise InputError(f"main_lens = {self.camera.objective.name}: there are no derivatives behind an objective")
         if self._differentials is None:
             self._differentials = Differentials(self.camera, self.points, self._pupil_weights, self._accuracy)
         return self._differentials
@@ -454,6 +459,14 @@ class CaptureOperator:
         if self._spectrum is not None and factors.shape[1] != wavelengths:
             raise InputError(f"weights of shape {factors.shape}: the spectrum has {wavelengths} wavelengths")
         return factors
+
+
+def _require_followed(objective: Objective, method: str) -> None:
+    """Refuse methods that do not know a microscope's objective, or where the array stands behind it."""
+    if method == "bank":
+        raise InputError(f"method = bank: it does not know main_lens = {objective.name}; use patch or full_field")
+    if method == "patch" and objective.is_fourier:
+        raise InputError("method = patch: arrangement = fourier lights all of the stop's image; use full_field")
 
 
 def _portions(camera: PlenopticCamera, points: NDArray[np.float64], method: str, accuracy: float) -> Iterator[Portion]:

@@ -160,14 +160,12 @@ class PatchFactors:
         ny = types.Float64(row) + value(placement.first[:, 1])
         sx, sy = nx * self._constant(steps[0]), ny * self._constant(steps[1])
         b = self._constant(lens.pupil_distance)
-        R = b / dr.sqrt(1 - sx * sx - sy * sy)
-        pupil = value(placement.image[:, 0]) * growth - R * sx, value(placement.image[:, 1]) * growth - R * sy
+        image = value(placement.image[:, 0]) * growth, value(placement.image[:, 1]) * growth
+        pupil, R, length = lens.from_array((sx, sy), image)
         X, Y = turn(value(self._positions[:, 0]), value(self._positions[:, 1]), -elements.turned)
         point = X, Y, value(self._positions[:, 2])
         waves = self._path(elements, pupil, point)
-        # The path to the middle of the patch is the same for all directions of a radiator.
-        chief_path = np.sqrt((placement.image**2).sum(1) + grid.camera.mla_distance**2)
-        waves += (R - value(chief_path)) / self._constant(in_millimetres(elements.wavelength))
+        waves += length / self._constant(in_millimetres(elements.wavelength))
         start[:, 1] *= grid.pitch[0] / grid.pitch[1]
         waves += (nx * value(start[:, 0]) + ny * value(start[:, 1])) / self._constant(self.samples * grid.pitch[0])
         # The power is that of the hard edge; the width of the soft one is a matter of the grid.
@@ -220,7 +218,8 @@ class PatchFactors:
         growth = elements.growth
         square = types.Float64((placement.image**2).sum(1)) * growth * growth + b * b
         own = types.Float64(np.ascontiguousarray(placement.image[:, axis]) ** 2) * growth * growth
-        curvature = (1 - own / square) / (2 * self._constant(in_millimetres(elements.wavelength)) * dr.sqrt(square))
+        spread = (1 - own / square) / (2 * self._constant(in_millimetres(elements.wavelength)))
+        curvature = spread * elements.lens.curvature(square)
         shift = ((placement.first - self.chief)[:, axis] + self.samples // 2) / self.mla_samples
         waves = mu * mu * self._each(curvature, radiator) + types.Float64(sample) * self._each(shift, radiator)
         factor = phasor(waves)

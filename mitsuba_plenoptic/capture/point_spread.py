@@ -50,7 +50,7 @@ def point_spread_function(
     PhysicsError
         If too much of the light is lost.
     """
-    operator = CaptureOperator(camera, _check(position)[None], wavelength=wavelength, method=method, accuracy=0)
+    operator = CaptureOperator(camera, _check(camera, position)[None], wavelength=wavelength, method=method, accuracy=0)
     # What interpolation leaves below zero between the samples is not light.
     return np.maximum(operator.forward([1.0], job=Job(batch_map=Threads(1))), 0)
 
@@ -75,11 +75,11 @@ def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -
         If an argument is out of range or the work would need too much memory.
     """
     with guards.watch():
-        return full_field.point_fields(camera, _check(position), require_wavelength(wavelength))
+        return full_field.point_fields(camera, _check(camera, position), require_wavelength(wavelength))
 
 
-def _check(position: Any) -> NDArray[np.float64]:
+def _check(camera: PlenopticCamera, position: Any) -> NDArray[np.float64]:
     point = np.asarray(position, object)
     if point.shape != (3,):
         raise InputError(f"position = {position!r}: it must be three numbers (X, Y, g)")
-    return check_positions(point[None])[0]
+    return check_positions(point[None], camera)[0]

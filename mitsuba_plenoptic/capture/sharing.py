@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..optics.conjugates import images, mean_distances, objects
 from ..optics.main_lens import main_lens
 from ..optics.phase import in_millimetres
-from ..optics.rays import conjugate_coordinate
 from .pupil_weights import PupilWeights
 
 LARGEST_ZONE = 16
@@ -36,9 +36,6 @@ _ZONE_PER_WAVE = 0.6
 
 _SLANT_PER_WAVE = 1.5
 """Range of slants of which the mean is taken, over the allowed step of the wavefront in waves."""
-
-_FARTHEST = 1e12
-"""Distance, in millimetres, from which on light counts as collimated."""
 
 _OFF_LATTICE = 0.38196601
 """Fraction of a step by which the bounds between steps are moved off the places that regular samples take."""
@@ -96,8 +93,7 @@ def find_patterns(
     Patterns
     """
     g = positions[:, 2]
-    place = conjugate_coordinate(positions[:, :2], positions[:, 2:], camera.mla_distance)
-    image = _lattice_steps(camera, place)
+    image = _lattice_steps(camera, images(camera, positions))
     if step == 0:
         alone = np.zeros((len(positions), 2), np.int64)
         slant = None if pupil_weights is None else pupil_weights.slant
@@ -128,15 +124,12 @@ def find_patterns(
         middle[:, 0] += (off + 1) % types - 1
     count = np.bincount(pattern)
     place = np.column_stack([np.bincount(pattern, part) for part in (image - lens).T]) / count[:, None] + middle
-    mean = np.bincount(pattern, 1 / g) / count
     slant = None
     if pupil_weights is not None:
         slant = np.column_stack([np.bincount(pattern, part) for part in pupil_weights.slant.T]) / count[:, None]
-    # Light that diverges and light that converges may share a pattern, and their mean be collimated.
-    distance = 1 / np.where(np.abs(mean) > 1 / _FARTHEST, mean, 1 / _FARTHEST)
-    scale = -camera.mla_pitch * distance / camera.mla_distance
-    position = _in_pitches(camera, place) * scale[:, None]
-    return Patterns(np.column_stack([position, distance]), zone[first], slant, pattern, lens - middle[pattern])
+    centres = _in_pitches(camera, place) * camera.mla_pitch
+    points = objects(camera, centres, mean_distances(camera, g, pattern))
+    return Patterns(points, zone[first], slant, pattern, lens - middle[pattern])
 
 
 def patterns_at(

@@ -2,7 +2,7 @@
 
 `focus` tells what the microlenses are focused on, and how sharply the camera sees at which distance; `micro_images`
 tells how large the micro-images are, by rays and with diffraction, and which lenses light a pixel; `deconvolution`
-tells how finely a plane can be resolved by inverting the camera's response.
+tells how finely a plane can be resolved by inverting the camera's response; `microscope` is for objectives.
 
 A wavelength is in nanometres; where it may be left out, diffraction then is, too.
 """
@@ -37,6 +37,7 @@ from .micro_images import (
     spot_radius,
     white_mean,
 )
+from .microscope import lens_aperture, lenses_across_stop, native_field, objective_limit, parallax
 from .warnings import design_warnings
 
 __all__ = [
@@ -54,13 +55,18 @@ __all__ = [
     "focus_type",
     "focus_types",
     "image_f_number",
+    "lens_aperture",
     "lens_footprint",
     "lenses_across",
+    "lenses_across_stop",
     "main_fresnel_number",
     "micro_image_distance",
     "mla_f_number",
     "mla_fresnel_number",
     "mla_object_distances",
+    "native_field",
+    "objective_limit",
+    "parallax",
     "pixel_footprint",
     "refocus_range",
     "resolution_limit",

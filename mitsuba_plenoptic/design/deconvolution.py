@@ -21,7 +21,8 @@ from dataclasses import dataclass
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import require_number
+from ..errors import InputError, require_number
+from ..objective import Objective
 from ..optics.phase import in_millimetres
 from ..thin_lens import image_distance
 from .focus import pixel_footprint
@@ -67,7 +68,8 @@ def resolution_limit(camera: PlenopticCamera, distance: float, wavelength: float
     camera : PlenopticCamera
         The camera.
     distance : float
-        Object distance from the main lens in millimetres; at infinity line pairs count per unit of slope.
+        Object distance from the main lens in millimetres, or depth beyond an objective's native object plane; at
+        infinity line pairs count per unit of slope.
     wavelength : float, optional
         Wavelength in nanometres. Default: by rays, where a plane is in focus whose blur is below one lens.
 
@@ -78,8 +80,11 @@ def resolution_limit(camera: PlenopticCamera, distance: float, wavelength: float
     Raises
     ------
     InputError
-        If the distance is not beyond the focal length, or the wavelength is out of range.
+        If the distance is not beyond the focal length, the wavelength is out of range, or an array stands in the image
+        of an objective's stop.
     """
+    if camera.objective is not None:
+        return _behind_objective(camera, camera.objective, require_number("distance", distance), wavelength)
     image_distance(camera.focal_length, require_number("distance", distance, finite=False))
     b, defocus = camera.mla_distance, abs(camera.defocus(distance))
     # From the MLA, seen from the main lens's centre, to the object plane.
@@ -98,3 +103,20 @@ def resolution_limit(camera: PlenopticCamera, distance: float, wavelength: float
         depth = abs(scale - focus) * (b / focus) ** 2 if 0 < focus < math.inf > distance else defocus * image
         in_focus = depth < width**2 / (2 * lam)
     return ResolutionLimit(waves, pixels, b / (2 * max(camera.mla_pitches) * scale), in_focus)
+
+
+def _behind_objective(
+    camera: PlenopticCamera, lens: Objective, depth: float, wavelength: float | None
+) -> ResolutionLimit:
+    r"""Return the same for a microscope: :math:`n w / 0.94 \lambda M d` and :math:`n z / 2 M p d`; 2 NA bounds them."""
+    if lens.is_fourier:
+        raise InputError("main_lens: arrangement = fourier: the limit is that of the lenses; see design.lens_aperture")
+    M, n, d = lens.magnification, lens.immersion, abs(depth)
+    width = camera.lattice.aperture_width
+    pixels = n * camera.detector_distance / (2 * M * camera.pixel_size * d) if d > 0 else math.inf
+    waves, in_focus = math.inf, camera.blur_diameter(depth) < max(camera.mla_pitches)
+    if wavelength is not None:
+        lam = in_millimetres(require_wavelength(wavelength))
+        waves = min(n * width / (_SPARROW * lam * M * d) if d > 0 else math.inf, 2 * lens.numerical_aperture / lam)
+        in_focus = d < n * width**2 / (2 * M * M * lam)
+    return ResolutionLimit(waves, pixels, M / (2 * max(camera.mla_pitches)), in_focus)

@@ -128,8 +128,10 @@ def crosstalk_lenses(camera: PlenopticCamera) -> int:
 def _crosstalk(camera: PlenopticCamera) -> tuple[float, float, float]:
     """About how many lenses light a pixel, within which distance, and the part of their apertures that adds."""
     b, z, lattice = camera.pupil_distance, camera.detector_distance, camera.lattice
-    reach = _pupil_reach(camera) / (1 + b / z)
-    smear = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths) / (1 + b / z)
+    # Behind an objective all lenses see the stop in the same directions.
+    growth = (camera.objective is None) + b / z
+    reach = _pupil_reach(camera) / growth
+    smear = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths) / growth
     covered = math.pi * (reach + smear * lattice.aperture_reach + max(camera.mla_pitches)) ** 2
     return covered / lattice.cell_area, reach, smear
 
@@ -137,6 +139,6 @@ def _crosstalk(camera: PlenopticCamera) -> tuple[float, float, float]:
 @functools.lru_cache(maxsize=64)
 def _pupil_reach(camera: PlenopticCamera) -> float:
     """Distance from the axis up to which light passes the exit pupil's plane."""
-    if camera.main_lens is None:
+    if camera.prescription is None:
         return camera.aperture_radius
     return LensSystem.of(camera).pupil_reach(math.hypot(camera.detector_width, camera.detector_height) / 2)

@@ -7,6 +7,7 @@ import math
 from ..camera import PlenopticCamera
 from .focus import best_distances, best_images, focus_type, lenses_across
 from .micro_images import crosstalk_lenses, direction_count, micro_image_distance, mla_fresnel_number, spot_radius
+from .microscope import microscope_warnings
 
 _SMALLEST_PIXEL = 2e-4
 """Of detectors, in millimetres."""
@@ -14,6 +15,8 @@ _SMALLEST_PIXEL = 2e-4
 
 def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
     """Say in one sentence each what is poor about a design."""
+    if camera.objective is not None:
+        return microscope_warnings(camera, wavelength)
     found = []
     diameter, pitch = camera.micro_image_diameter, micro_image_distance(camera)
     # The stop for which the micro-images just touch.

@@ -5,18 +5,47 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import yaml
 
 from ..errors import InputError
+from ..objective import Objective
 from ..prescription import Prescription, bundled_prescription
 from .files import require_file
 from .lens_designs import SUFFIXES, read_design
 from .yaml_file import read_yaml
 
 
+def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> Prescription | Objective:
+    """Read a main lens: what `read_prescription` reads, or an objective as a file or as the text of a JSON file.
+
+    Parameters
+    ----------
+    source : str or Path
+        The file, name or text.
+    resolve : callable, optional
+        Finds a file by its name, for example beside a scene.
+
+    Raises
+    ------
+    InputError
+        If there is no such file or lens, or it is neither.
+    """
+    text = str(source)
+    if text.lstrip().startswith("{"):
+        return _from_plain(_parsed(text))
+    path = Path(resolve(text))
+    if path.exists() and path.suffix.lower() not in SUFFIXES:
+        try:
+            return _from_plain(read_yaml(require_file(path)))
+        except InputError as error:
+            raise InputError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from None
+    return read_prescription(source, resolve)
+
+
 def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -> Prescription:
-    """Read a main lens.
+    """Read a main lens of surfaces.
 
     Parameters
     ----------
@@ -33,12 +62,7 @@ def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -
     """
     text = str(source)
     if text.lstrip().startswith("{"):
-        try:
-            return Prescription.from_plain(json.loads(text))
-        except (ValueError, RecursionError) as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(f"main_lens: it must be a JSON object: {error}") from None
+        return Prescription.from_plain(_parsed(text))
     path = Path(resolve(text))
     if not path.exists():
         return bundled_prescription(text)
@@ -48,6 +72,19 @@ def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -
         return Prescription.from_plain(read_yaml(require_file(path)))
     except InputError as error:
         raise InputError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from None
+
+
+def _parsed(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"main_lens: it must be a JSON object: {error}") from None
+
+
+def _from_plain(value: Any) -> Prescription | Objective:
+    if isinstance(value, dict) and "magnification" in value:
+        return Objective.from_plain(value)
+    return Prescription.from_plain(value)
 
 
 def write_prescription(path: str | Path, lens: Prescription) -> None:

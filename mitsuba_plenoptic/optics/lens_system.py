@@ -67,8 +67,8 @@ class LensSystem:
         wavelength : float, optional
             Wavelength in nanometres. Default: the prescription's own.
         """
-        assert camera.main_lens is not None
-        return cls(camera.main_lens, camera.focal_length, camera.aperture_radius, camera.mla_distance, wavelength)
+        assert camera.prescription is not None
+        return cls(camera.prescription, camera.focal_length, camera.aperture_radius, camera.mla_distance, wavelength)
 
     @functools.cached_property
     def numbers(self) -> Paraxial:

@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
@@ -23,6 +24,7 @@ from ..thin_lens import vergence
 from . import rays
 from .distortion import undistort
 from .phase import in_millimetres, parabola
+from .telecentric import TelecentricLens
 from .wavefront import Wavefront
 
 
@@ -93,6 +95,38 @@ class MainLens(Protocol):
 
     def cosines(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
         """Return the direction cosines in which a scene point's light leaves the exit pupil, the gradient of `path`."""
+
+    def cone(self, distances: Any) -> float:
+        """Return half the range of direction cosines of one point's light at the MLA, the widest of some distances."""
+
+    def from_array(self, cosine: tuple[Any, Any], image: tuple[Any, Any]) -> tuple[tuple[Any, Any], Any, Any]:
+        """Go back along plane waves at a place on the MLA, as the Debye integral does.
+
+        Parameters
+        ----------
+        cosine : (array, array)
+            Direction cosines of the waves.
+        image : (array, array)
+            The place.
+
+        Returns
+        -------
+        pupil : (array, array)
+            Points of the exit pupil from which they come.
+        length : array
+            By how much a small range of direction cosines is spread there: :math:`dP = R ds` near the axis.
+        path : array
+            From there to the place, less that from the pupil's centre, in millimetres.
+        """
+
+    def to_array(self, pupil: NDArray[np.float64], image: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the direction cosines, (..., 2), from points of the exit pupil to places on the MLA."""
+
+    def chief_slope(self, image: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the slopes of the chief rays at places on the MLA."""
+
+    def curvature(self, square: Any) -> Any:
+        """Return the curvature of waves at the MLA from the pupil, at a squared distance from its centre."""
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
         """Return by how many waves, at the pupil's edge, wavefronts differ whose images lie a small step apart.
@@ -221,6 +255,30 @@ class ThinLens:
             sx, sy = sx + x, sy + y
         return sx, sy
 
+    def cone(self, distances: Any) -> float:
+        """Return the cosine to the rim of the pupil: of light that is collimated, or meets at MLA or image."""
+        powers = np.abs(self.vergence(distances))
+        return float(self.pupil_radius) * float(powers.max(initial=1 / self.pupil_distance))
+
+    def from_array(self, cosine: tuple[Any, Any], image: tuple[Any, Any]) -> tuple[tuple[Any, Any], Any, Any]:
+        r"""Return :math:`M - R s`, :math:`R = b / \sqrt{1 - s^2}`, and R without that of the chief ray."""
+        (sx, sy), (x, y), b = cosine, image, self.pupil_distance
+        R = b / _sqrt(1 - sx * sx - sy * sy)
+        return (x - R * sx, y - R * sy), R, R - _sqrt(x * x + y * y + b * b)
+
+    def to_array(self, pupil: NDArray[np.float64], image: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the direction cosines from points of the pupil to places on the MLA."""
+        towards = image - pupil
+        return np.asarray(towards / np.sqrt((towards**2).sum(-1) + self.pupil_distance**2)[..., None])
+
+    def chief_slope(self, image: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the slopes of the chief rays at places on the MLA."""
+        return np.asarray(image / self.pupil_distance)
+
+    def curvature(self, square: Any) -> Any:
+        """Return the reciprocal of the distance."""
+        return 1 / _sqrt(square)
+
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
         r"""Return :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda`, of the third order (a: pupil's radius, d: step).
 
@@ -285,7 +343,8 @@ def require_ideal(camera: PlenopticCamera) -> None:
     InputError
         Naming the parameter.
     """
-    camera.require_thin("waves are followed, but by method full_field,")
+    if camera.objective is None:
+        camera.require_thin("waves are followed, but by method full_field,")
     for name in ("mla_tilt", "distortion"):
         if any(getattr(camera, name)):
             raise InputError(f"{name} = {getattr(camera, name)}: waves need 0; work by rays, or set it to 0")
@@ -322,5 +381,7 @@ def main_lens(camera: PlenopticCamera) -> MainLens:
         If the camera has a tilted array or its main lens distorts or is not thin, which waves do not know.
     """
     require_ideal(camera)
+    if camera.objective is not None:
+        return TelecentricLens(camera.objective)
     numbers = camera.focal_length, camera.aperture_radius, camera.mla_distance
     return ThinLens(*numbers, camera.lens_model, camera.wavefront)

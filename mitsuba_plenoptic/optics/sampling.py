@@ -19,6 +19,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..runtime.limits import memory_limit, require_memory
 from .main_lens import main_lens
+from .telecentric import TelecentricLens
 
 MEMORY_LIMIT = 4 * 2**30
 """Bytes that one propagation may take."""
@@ -76,6 +77,11 @@ def footprint(camera: PlenopticCamera, positions: NDArray[np.float64]) -> Footpr
     if np.any(square >= 1):
         worst = positions[np.argmax(square.max(1))]
         raise InputError(f"position = {tuple(worst.tolist())}: its light leaves the main lens too steeply")
+    if isinstance(lens, TelecentricLens):
+        # It has no pupil at a finite distance from which to go on.
+        return _bounds(
+            np.stack(lens.land((P[:, 0], P[:, 1]), point), -1), np.broadcast_to(cosine, (len(positions), *P.shape))
+        )
     return bundle_footprint(np.broadcast_to(P, cosine.shape), cosine, lens.pupil_distance)
 
 
@@ -90,6 +96,11 @@ def bundle_footprint(pupil: NDArray[np.float64], cosine: NDArray[np.float64], di
         Distance from the pupil to the MLA.
     """
     place = pupil + distance * cosine / np.sqrt(1 - (cosine**2).sum(-1))[..., None]
+    return _bounds(place, cosine)
+
+
+def _bounds(place: NDArray[np.float64], cosine: NDArray[np.float64]) -> Footprint:
+    """Return the boxes around places and direction cosines, (n, rays, 2)."""
     low, high = place.min(1), place.max(1)
     first, last = cosine.min(1), cosine.max(1)
     return Footprint((low + high) / 2, (high - low) / 2, (first + last) / 2, (last - first) / 2)
@@ -120,13 +131,21 @@ def check_samples(count: float, where: str) -> None:
         raise InputError(f"a field of {count:.3g} samples {where}: at most {_LONGEST} can be computed")
 
 
-def check_positions(positions: Any) -> NDArray[np.float64]:
+def check_positions(positions: Any, camera: PlenopticCamera | None = None) -> NDArray[np.float64]:
     """Return scene points as a float64 array (n, 3).
+
+    Parameters
+    ----------
+    positions : array (n, 3)
+        Scene points.
+    camera : PlenopticCamera, optional
+        The camera; default: one with a main lens in the plane g = 0, in which no point may lie.
 
     Raises
     ------
     InputError
-        If the shape is another, a coordinate is not finite or too large, or a point lies in the main lens.
+        If the shape is another, a coordinate is not finite or too large, or a point lies in the main lens, or not
+        before the objective.
     """
     try:
         points = np.asarray(positions, np.float64)
@@ -137,6 +156,16 @@ def check_positions(positions: Any) -> NDArray[np.float64]:
     for bad, rule in ((~np.isfinite(points).all(1), "its coordinates must be finite"),):
         if bad.any():
             raise InputError(f"position = {_format(points[bad][0])}: {rule}")
+    objective = None if camera is None else camera.objective
+    if objective is not None:
+        front = objective.immersion * objective.focal_length
+        behind = (np.abs(points) > _FARTHEST).any(1) | (points[:, 2] <= -front)
+        if behind.any():
+            raise InputError(
+                f"position = {_format(points[behind][0])}: its coordinates must be {_FARTHEST:g} at most, and g more "
+                f"than {-front:.6g}: before the objective"
+            )
+        return points
     beyond = (np.abs(points) > _FARTHEST).any(1) | (np.abs(points[:, 2]) < SHORTEST)
     if beyond.any():
         raise InputError(

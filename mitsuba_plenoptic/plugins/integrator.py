@@ -234,6 +234,11 @@ def make_class() -> type:
         def _capture(self, scene: Any, sensor: Any) -> WaveCapture:
             camera = PlenopticCamera.from_sensor(sensor)
             require_ideal(camera)
+            if camera.objective is not None:
+                raise InputError(
+                    f"main_lens = {camera.objective.name}: scenes are captured by rays alone behind an objective; use "
+                    "a CaptureOperator for points by waves"
+                )
             if self.method == "bank":
                 require_round(camera)
             return WaveCapture(

@@ -13,11 +13,13 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..design import crosstalk_neighbours
 from ..errors import InputError
-from ..io.lens_file import read_prescription
+from ..io.lens_file import read_lens
 from ..lattice import make_lattice
+from ..objective import Objective
 from ..optics import rays
 from ..optics.lens_system import LensSystem
 from ..optics.main_lens import DistortedLens, ThinLens
+from ..optics.telecentric import TelecentricLens
 from ..prescription import Prescription
 from .properties import read_number, read_numbers, read_plain
 
@@ -133,6 +135,8 @@ def make_class() -> type:
            - |string|
            - Surfaces and glasses of a real main lens: a YAML or JSON file, beside the scene or anywhere, the name of
              a bundled lens (``cooke_triplet``, ``double_gauss``, ``singlet``, ``tessar``), or the text of a JSON file.
+             Or a microscope's objective as such a file or text, an object with ``magnification`` and
+             ``numerical_aperture``: see `mitsuba_plenoptic.Objective`.
              (Default: a thin lens)
          * - to_world
            - |transform|
@@ -228,6 +232,11 @@ def make_class() -> type:
                 )
             except InputError as error:
                 raise InputError(f"{NAME}: {error}") from None
+            if camera.objective is not None and camera.objective.is_fourier:
+                raise InputError(
+                    f"{NAME}: main_lens: arrangement = fourier: no stop bounds its micro-images for rays; use "
+                    "CaptureOperator with method full_field"
+                )
             self._given = camera
             for name in (*WORDS, *FIXED):
                 setattr(self, name, getattr(camera, name))
@@ -277,8 +286,10 @@ def make_class() -> type:
             )
             aberrations = tuple(dr.gather(mi.Float, self.wavefront, i) for i in range(dr.width(self.wavefront)))
             lens = self.focal_length, self.aperture_radius, self.mla_distance
-            if camera.main_lens is not None:
-                self._main_lens: Any = LensSystem(camera.main_lens, *lens)
+            if camera.objective is not None:
+                self._main_lens: Any = TelecentricLens(camera.objective)
+            elif camera.prescription is not None:
+                self._main_lens = LensSystem(camera.prescription, *lens)
             elif any(self.distortion):
                 self._main_lens = DistortedLens(*lens, self.lens_model, aberrations, self.distortion)
             else:
@@ -339,7 +350,8 @@ def make_class() -> type:
                 * pixel
                 for axis in (0, 1)
             )
-            x, y = rays.chief_point(px, b, z), rays.chief_point(py, b, z)
+            # Behind an objective all chief rays are parallel to the axis.
+            x, y = (px, py) if self._given.objective else (rays.chief_point(p, b, z) for p in (px, py))
             if any(self.mla_tilt):
                 nearer = 1 - self._height(x, y) / b
                 x, y = x * nearer, y * nearer
@@ -448,8 +460,13 @@ def make_class() -> type:
             camera = self.camera
             radius: float = camera.aperture_radius
             depths: tuple[float, ...] = (0.0,)
-            if camera.main_lens is not None:
+            if camera.prescription is not None:
                 radius, depths = LensSystem.of(camera).front_bounds
+            elif camera.objective is not None:
+                lens = TelecentricLens(camera.objective)
+                steepest = math.tan(camera.objective.half_angle)
+                field = math.hypot(camera.detector_width, camera.detector_height) / 2 + max(camera.mla_pitches)
+                radius, depths = field / camera.objective.magnification - lens.front * steepest, (lens.front,)
             box = mi.ScalarBoundingBox3f()
             for x, y, z in itertools.product((-radius, radius), (-radius, radius), depths):
                 corner = to_world @ mi.Point3f(x, y, z)
@@ -464,14 +481,14 @@ def make_class() -> type:
     return PlenopticSensor
 
 
-def _read_main_lens(props: Any, name: str) -> Prescription | None:
+def _read_main_lens(props: Any, name: str) -> Prescription | Objective | None:
     """Take a main lens from a plugin's properties: a file, a bundled lens or the text of a JSON file."""
     source = read_plain(props, name, None)
     if source is None:
         return None
     if not isinstance(source, str):
         raise InputError(f"{name} = {source!r}: it must be text: a file or a bundled lens")
-    return read_prescription(source, lambda path: str(mi.file_resolver().resolve(path)))
+    return read_lens(source, lambda path: str(mi.file_resolver().resolve(path)))
 
 
 def _flags(name: str) -> Any:

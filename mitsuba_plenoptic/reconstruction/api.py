@@ -98,7 +98,7 @@ def reconstruct(
         What the detector recorded. A plain array needs `camera`.
     distance : float or sequence of floats
         Object distances in scene units, beyond the focal length; may be infinite, where bins are directions. Several
-        share the way up to the main lens.
+        share the way up to the main lens. Behind an objective: depths beyond its native object plane.
     method : {"ray", "coherent", "partial", "deconvolved"}
         How light is followed back: by one ray a pixel; as one coherent wave, whose amplitude is the square root of
         the capture; or as one such wave for each interleaved subset of lenses, whose intensities are added. Waves
@@ -164,7 +164,13 @@ def reconstruct(
     camera = capture.camera
     if not isinstance(method, str) or method not in METHODS:
         raise InputError(f"method = {shown(method)}: it must be one of {', '.join(METHODS)}")
-    camera.require_thin("captures are reconstructed")
+    if camera.objective is None:
+        camera.require_thin("captures are reconstructed")
+    elif method != "deconvolved" or camera.objective.is_fourier:
+        raise InputError(
+            f"method = {method}: behind main_lens = {camera.objective.name} captures are deconvolved alone, those with "
+            "the array in the native image plane; CaptureOperator and its adjoint serve others"
+        )
     chosen = METHODS[method]
     if footprint not in FOOTPRINTS:
         raise InputError(f"footprint = {shown(footprint)}: it must be one of {', '.join(FOOTPRINTS)}")
@@ -178,6 +184,8 @@ def reconstruct(
         "photons": None if photons is None else require_number("photons", photons, positive=True),
         "volume": bool(volume),
     }
+    if camera.objective is not None and given["response"] == "ray":
+        raise InputError(f"response = ray: behind main_lens = {camera.objective.name} it must be wave")
     options: dict[str, Any] = {name: given[name] for name in chosen.options}
     oversample = require_count("oversample", oversample)
     distances = _distances(distance, camera)
@@ -276,7 +284,13 @@ def _distances(distance: Any, camera: PlenopticCamera) -> list[float]:
     given = [distance] if np.ndim(distance) == 0 else distance
     distances = [require_number("distance", value, finite=False) for value in given]
     for value in distances:
-        image_distance(camera.focal_length, value)
+        if camera.objective is None:
+            image_distance(camera.focal_length, value)
+        elif not -camera.objective.focal_length < value < math.inf:
+            raise InputError(
+                f"distance = {value:g}: it must be a finite depth beyond the native object plane, more than "
+                f"{-camera.objective.focal_length:g}"
+            )
     if not distances:
         raise InputError("distance = []: give at least one")
     return distances

@@ -11,6 +11,7 @@ from ..errors import InputError
 from ..optics.lens_figures import field_figures
 from ..prescription import Prescription, paraxial
 from ..thin_lens import image_distance
+from .microscope_sheet import microscope_groups
 
 
 class Row(NamedTuple):
@@ -32,9 +33,15 @@ _Line = tuple[str, str, str, str]
 
 def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> list[Row]:
     """List a camera's parameters and derived quantities; without a wavelength not those of diffraction."""
+    if camera.objective is not None:
+        seen = microscope_groups(camera, camera.objective, wavelength)
+        told = {"Microlenses": _lattice(camera), "Detector": _detector(camera)}
+        return [Row(group, *line) for group, lines in (seen | told).items() for line in lines]
     groups = {
         "Main lens": _main_lens(camera),
-        **({} if camera.main_lens is None else {"Surfaces of the main lens": _surfaces(camera, camera.main_lens)}),
+        **(
+            {} if camera.prescription is None else {"Surfaces of the main lens": _surfaces(camera, camera.prescription)}
+        ),
         "Microlenses": _microlenses(camera),
         "Detector": _detector(camera),
         "Micro-images": _micro_images(camera),
@@ -105,10 +112,18 @@ def _microlenses(camera: PlenopticCamera) -> list[_Line]:
         match = "matches: micro-images touch"
     else:
         match = "faster than a microlens: overlap" if main < micro else "slower than a microlens: gaps"
-    columns, rows = camera.lens_count
     bins = "also the bins of a reconstruction"
     if camera.lens_count != camera.bin_count:
         bins = f"in rows; a reconstruction has {camera.bin_count[0]} x {camera.bin_count[1]} bins"
+    return [
+        *_lattice(camera, bins),
+        ("f-number z/width", f"{micro:.3g}", "", ""),
+        ("main lens's b/D1", f"{main:.3g}", "", match),
+    ]
+
+
+def _lattice(camera: PlenopticCamera, bins: str = "") -> list[_Line]:
+    columns, rows = camera.lens_count
     lattice = [f"{camera.mla_lattice} lattice"]
     if camera.mla_rotation:
         lattice.append(f"turned by {four_digits(camera.mla_rotation)} deg")
@@ -124,8 +139,6 @@ def _microlenses(camera: PlenopticCamera) -> list[_Line]:
         ("lens width", four_digits(camera.lattice.aperture_width), "mm", f"{shape}, {area:.0%} of the area"),
         ("lenses", f"{columns} x {rows}", "", bins),
         ("distance to detector", four_digits(camera.detector_distance), "mm", ""),
-        ("f-number z/width", f"{micro:.3g}", "", ""),
-        ("main lens's b/D1", f"{main:.3g}", "", match),
     ]
 
 

@@ -14,6 +14,7 @@ from ...capture.grid import Grid, place
 from ...capture.patch_batches import Fields, Scatter
 from ...capture.tile import Copies
 from ...design import resolution_limit
+from ...optics.conjugates import objects
 from ...optics.main_lens import main_lens
 from .cells import Cells
 
@@ -58,11 +59,10 @@ def wave_batches(cells: Cells, distance: float, cell: NDArray[np.int64]) -> list
     grid = cells.grid
     depth = finite_distance(cells.camera, distance)
     places = cells.bin_places(cell, math.ceil(_radiators(cells, distance) / cells.oversample))
-    image = places * (-depth / cells.camera.mla_distance)
     weight = bin_weight(cells) / places.shape[1]
     batches = []
-    for points in image:
-        positions = np.column_stack([points, np.full(len(points), depth)])
+    for points in places:
+        positions = objects(cells.camera, points, np.full(len(points), depth))
         placement = place(grid, positions)
         groups = [np.flatnonzero(placement.samples == size) for size in np.unique(placement.samples)]
         copy = Copies(np.zeros((1, 2), np.int64), np.full((1, 1), weight, np.float32))

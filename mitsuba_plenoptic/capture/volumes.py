@@ -1,0 +1,60 @@
+"""Volumes of emitters as points, for a `CaptureOperator`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError, shown
+
+
+def volume_points(values: Any, lower: Any, upper: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the voxels of a volume of emitters as points and their weights.
+
+    Parameters
+    ----------
+    values : array (planes, rows, columns) or mitsuba.VolumeGrid
+        Emission in each voxel, along z, y and x of the camera frame. Of a grid, as Mitsuba's ``gridvolume`` reads it
+        from a file, the one channel.
+    lower, upper : (float, float, float)
+        Opposite corners of the volume in the camera frame: x, y and z (for a microscope the depth).
+
+    Returns
+    -------
+    points : float64 array (n, 3)
+        Centres of the voxels that are not 0.
+    weights : float64 array (n,)
+        Emission times the volume of a voxel.
+
+    Raises
+    ------
+    InputError
+        If the values are not finite or have another shape, or the corners are none.
+    """
+    try:
+        grid = np.array(values, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"values = {shown(values)}: they must be numbers, (planes, rows, columns)") from None
+    if isinstance(values, mi.VolumeGrid) and grid.ndim == 4 and grid.shape[3] == 1:
+        grid = grid[..., 0]
+    if grid.ndim != 3 or grid.size == 0 or not np.isfinite(grid).all():
+        raise InputError(f"values of shape {grid.shape}: it must be finite and (planes, rows, columns), of one channel")
+    (low, high) = (_corner(name, corner) for name, corner in (("lower", lower), ("upper", upper)))
+    if not (low < high).all():
+        raise InputError(f"upper = {shown(upper)}: it must be greater than lower = {shown(lower)} along each axis")
+    size = (high - low) / np.array(grid.shape[::-1])
+    lit = np.argwhere(grid != 0)
+    return low + (lit[:, ::-1] + 0.5) * size, grid[tuple(lit.T)] * size.prod()
+
+
+def _corner(name: str, value: Any) -> NDArray[np.float64]:
+    try:
+        corner = np.array(value, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        corner = np.empty(0)
+    if corner.shape != (3,) or not np.isfinite(corner).all():
+        raise InputError(f"{name} = {shown(value)}: it must be three numbers (x, y, z)")
+    return corner

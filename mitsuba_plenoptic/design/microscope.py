@@ -1,0 +1,156 @@
+r"""What follows from the numbers of a light-field microscope, a camera whose main lens is an `Objective`.
+
+Lengths in the object are those in the native image plane over the magnification M. In the Fourier arrangement each lens
+of the width w sees the object through its part of the stop, :math:`NA_l = M w / 2 f_F`, from a direction of its own
+(Guo, Liu, Li and Jia 2019, "Fourier light-field microscopy", Optics Express 27, 25573).
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..bounds import require_wavelength
+from ..camera import PlenopticCamera
+from ..errors import InputError
+from ..objective import Objective
+from ..optics.phase import in_millimetres
+
+
+def objective_of(camera: PlenopticCamera) -> Objective:
+    """Return the objective of a microscope.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+
+    Raises
+    ------
+    InputError
+        If its main lens is none.
+    """
+    if camera.objective is None:
+        raise InputError("main_lens: it must be an Objective; this camera is no microscope")
+    return camera.objective
+
+
+def native_field(camera: PlenopticCamera) -> float:
+    r"""Return the width of the object that is seen, in millimetres.
+
+    That of the detector, :math:`W / M`; in the Fourier arrangement that of the picture which one lens has room for,
+    :math:`D_2 f_F / z M`.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A microscope.
+    """
+    lens = objective_of(camera)
+    if lens.is_fourier:
+        return camera.mla_pitch * lens.last_focal_length / (camera.detector_distance * lens.magnification)
+    return camera.detector_width / lens.magnification
+
+
+def objective_limit(camera: PlenopticCamera, wavelength: float) -> float:
+    r"""Return the finest lines that the objective lets through, :math:`2 NA / \lambda`, in line pairs per millimetre.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A microscope.
+    wavelength : float
+        Wavelength in nanometres.
+    """
+    return 2 * objective_of(camera).numerical_aperture / in_millimetres(require_wavelength(wavelength))
+
+
+def lens_aperture(camera: PlenopticCamera) -> float:
+    r"""Return the numerical aperture with which one lens of the Fourier arrangement sees the object.
+
+    :math:`M w / 2 f_F`, w being its width.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A microscope in the Fourier arrangement.
+    """
+    lens = _fourier(camera)
+    return lens.magnification * camera.lattice.aperture_width / (2 * lens.last_focal_length)
+
+
+def lenses_across_stop(camera: PlenopticCamera) -> float:
+    r"""Return how many lenses of the Fourier arrangement lie across the image of the stop, :math:`2 f_F NA / M D_2`.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A microscope in the Fourier arrangement.
+    """
+    return _fourier(camera).blur_diameter(0) / camera.mla_pitch
+
+
+def parallax(camera: PlenopticCamera, place: float) -> float:
+    r"""Return how far a lens's picture of a point moves on the detector for each millimetre of depth.
+
+    :math:`-(z M / f_F) \tan\theta` along the line to the lens, with :math:`n \sin\theta = M c / f_F` for the lens whose
+    centre is the distance c from the axis.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A microscope in the Fourier arrangement.
+    place : float
+        Distance c in millimetres.
+
+    Raises
+    ------
+    InputError
+        If the lens stands beyond the image of the stop.
+    """
+    lens = _fourier(camera)
+    growth = lens.magnification / lens.last_focal_length
+    sine = growth * place / lens.immersion
+    if abs(sine) > math.sin(lens.half_angle):
+        raise InputError(
+            f"place = {place:g}: it must lie in the image of the stop, within {lens.blur_diameter(0) / 2:g}"
+        )
+    return -camera.detector_distance * growth * math.tan(math.asin(sine))
+
+
+def microscope_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
+    """Say in one sentence each what is poor about a microscope.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A microscope.
+    wavelength : float, optional
+        Wavelength in nanometres. Default: nothing is said of diffraction.
+    """
+    lens, found = objective_of(camera), []
+    if lens.is_fourier:
+        across = lenses_across_stop(camera)
+        if across < 2:
+            found.append(f"no parallax: only {across:.2g} lenses lie across the image of the stop")
+    else:
+        part = camera.micro_image_diameter / camera.mla_pitch
+        matching = f"a microlens of {lens.magnification / (2 * lens.numerical_aperture):.3g} times its pitch suits"
+        if part > 1.05:
+            found.append(f"micro-images overlap: their diameter is {part:.3g} of their pitch; {matching}")
+        elif part < 0.5:
+            found.append(f"pixels are wasted: micro-images fill {part:.0%} of their pitch; {matching}")
+    if wavelength is not None:
+        spot = in_millimetres(wavelength) * camera.detector_distance / camera.lattice.aperture_width
+        if camera.pixel_size > spot / 2:
+            found.append(
+                f"the detector undersamples the diffraction spot: a pixel of {1e3 * camera.pixel_size:.4g} um exceeds "
+                f"half the spot's radius of {1e3 * spot:.4g} um"
+            )
+    return found
+
+
+def _fourier(camera: PlenopticCamera) -> Objective:
+    lens = objective_of(camera)
+    if not lens.is_fourier:
+        raise InputError("main_lens: arrangement = image: this is a number of the Fourier arrangement")
+    return lens
