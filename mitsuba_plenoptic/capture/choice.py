@@ -111,7 +111,7 @@ def bank_is_better(
     blurred = np.maximum(1, np.abs(blur_of(camera, probes.vergence)) / _BLUR) ** 2
     found = count * float(lit.mean())
     distances = distance_of(lens, probes.vergence[lit].astype(np.float64))
-    patterns = min(found, patterns_at(camera, distances, window, wavelength, accuracy * WAVES_PER_ERROR))
+    patterns = min(found, patterns_at(camera, lens, distances, window, wavelength, accuracy * WAVES_PER_ERROR))
     return patterns * float((far * blurred)[lit].mean()) > worth
 
 

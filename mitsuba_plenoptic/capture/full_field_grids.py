@@ -97,7 +97,7 @@ def field_grids(
         places, cosines = lens.bundle
         image = bundle_footprint(places[None], cosines[None], lens.pupil_distance)
     else:
-        image = footprint(camera, position[None])
+        image = footprint(lens, position[None])
     place, half_width = image.centre[0], image.half_width[0]
     steepest = float((np.abs(image.cosine[0]) + image.half_cosine[0]).max())
     bent = steepest + max(_KEPT_BENDS * scattering(camera), diffraction(camera, wavelength, _KEPT_ORDERS))

@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
@@ -66,11 +67,55 @@ class MainLens(Protocol):
             Whether the lens lets it through.
         """
 
-    def aim(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[Any, Any]:
-        """Return the slopes, towards the scene, of the ray that comes from a place on the MLA through a pupil point."""
+    def convergence(self, distance: Any) -> Any:
+        """Return the reciprocal of the distance from the exit pupil to an object plane's image."""
 
-    def land(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
-        """Return the place on the MLA of the ray from a scene point through a pupil point; `aim` leads back."""
+    def ray(
+        self, pupil: tuple[Any, Any], place: tuple[Any, Any]
+    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+        """Return the ray that comes from a place on the MLA through a pupil point, as `trace` does."""
+
+    def bind(self, points: NDArray[np.float64], which: Any = None) -> Light:
+        """Return the light of some scene points.
+
+        Parameters
+        ----------
+        points : float64 array (n, 3)
+            The points in the camera frame, or in one that is turned about the axis if the lens is round.
+        which : UInt32 array of Dr.Jit, optional
+            The point of each lane. Default: NumPy's arrays (n, m) are asked for, of which each row is a point's.
+        """
+
+    def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where on the MLA the rays from scene points (n, 3) through the pupil's middle come; (n, 2)."""
+
+    def nearness(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the reciprocals of the distances of scene points (n, 3) from the lens's entrance pupil; (n,)."""
+
+    def points(self, images: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the scene points (n, 3) that have these `images` and this `nearness`."""
+
+    def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
+        """Return by how many waves, at the pupil's edge, wavefronts differ whose images lie a small step apart.
+
+        Beyond the tilt that goes with the step. `radius` is the distance of the images from the axis.
+
+        Parameters
+        ----------
+        radius : array
+            Distance of the images from the axis in millimetres.
+        step : array
+            Distance between the images in millimetres.
+        wavelength : float
+            Wavelength in nanometres.
+        """
+
+
+class Light(Protocol):
+    """Scene points' light on the exit pupil. Lengths are millimetres, wavelengths nanometres.
+
+    Points that it is asked for must be those that it is bound to.
+    """
 
     def path(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any], wavelength: float) -> Any:
         """Return the path from a scene point to an exit pupil point, less that to the pupil's centre, in waves.
@@ -94,20 +139,8 @@ class MainLens(Protocol):
     def cosines(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
         """Return the direction cosines in which a scene point's light leaves the exit pupil, the gradient of `path`."""
 
-    def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
-        """Return by how many waves, at the pupil's edge, wavefronts differ whose images lie a small step apart.
-
-        Beyond the tilt that goes with the step. `radius` is the distance of the images from the axis.
-
-        Parameters
-        ----------
-        radius : array
-            Distance of the images from the axis in millimetres.
-        step : array
-            Distance between the images in millimetres.
-        wavelength : float
-            Wavelength in nanometres.
-        """
+    def land(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+        """Return the place on the MLA of the ray from a scene point through a pupil point; `MainLens.ray` leads back."""
 
 
 @dataclass(frozen=True)
@@ -167,10 +200,33 @@ class ThinLens:
             tx, ty = tx + sx, ty + sy
         return tx, ty
 
-    def aim(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[Any, Any]:
-        """Return the slopes of the ray to the conjugate of a place on the MLA; the aberrations are not followed."""
+    def convergence(self, distance: Any) -> Any:
+        """Return `vergence`: the lens is its own pupil."""
+        return self.vergence(distance)
+
+    def ray(
+        self, pupil: tuple[Any, Any], place: tuple[Any, Any]
+    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+        """Return the ray to the conjugate of a place on the MLA; its own aberrations are not followed."""
         tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, place, strict=True))
-        return self._refract((tx, ty), pupil)
+        return (*pupil, 0.0), self._refract((tx, ty), pupil), True
+
+    def bind(self, points: NDArray[np.float64], which: Any = None) -> ThinLens:
+        """Return the lens, which is the same for all points."""
+        return self
+
+    def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where on the MLA the rays from scene points (n, 3) through the pupil's middle come; (n, 2)."""
+        return np.asarray(rays.conjugate_coordinate(points[:, :2], points[:, 2:], self.pupil_distance))
+
+    def nearness(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the reciprocals of the distances of scene points; (n,)."""
+        return np.asarray(1 / points[:, 2])
+
+    def points(self, images: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the scene points (n, 3) that have these `images` and this `nearness`."""
+        distance = 1 / nearness[:, None]
+        return np.hstack([images * (-distance / self.pupil_distance), distance])
 
     def land(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
         """Return the place on the MLA of the ray from a scene point through a pupil point, without aberrations."""
@@ -273,7 +329,7 @@ class DistortedLens(ThinLens):
 
 
 def require_ideal(camera: PlenopticCamera) -> None:
-    """Refuse, for work by waves, a camera with a tilted array or a main lens that distorts or is not thin.
+    """Refuse, for work by waves, a camera with a tilted array or a thin main lens that distorts.
 
     Parameters
     ----------
@@ -285,14 +341,13 @@ def require_ideal(camera: PlenopticCamera) -> None:
     InputError
         Naming the parameter.
     """
-    camera.require_thin("waves are followed, but by method full_field,")
     for name in ("mla_tilt", "distortion"):
         if any(getattr(camera, name)):
             raise InputError(f"{name} = {getattr(camera, name)}: waves need 0; work by rays, or set it to 0")
 
 
 def require_round(camera: PlenopticCamera) -> None:
-    """Refuse, for work by a kernel bank, a camera whose main lens has aberrations.
+    """Refuse, for work by a kernel bank, a camera whose main lens is not thin or has aberrations.
 
     Parameters
     ----------
@@ -304,6 +359,8 @@ def require_round(camera: PlenopticCamera) -> None:
     InputError
         If it has.
     """
+    if camera.main_lens is not None:
+        camera.require_thin("method bank is", "use method patch")
     if any(camera.wavefront):
         raise InputError("wavefront: method bank needs a main lens without aberrations; use patch, or set them to 0")
 
@@ -319,8 +376,9 @@ def main_lens(camera: PlenopticCamera) -> MainLens:
     Raises
     ------
     InputError
-        If the camera has a tilted array or its main lens distorts or is not thin, which waves do not know.
+        If the camera has a tilted array or its main lens distorts, which waves do not know, or is not thin.
     """
     require_ideal(camera)
+    camera.require_thin("this is done")
     numbers = camera.focal_length, camera.aperture_radius, camera.mla_distance
     return ThinLens(*numbers, camera.lens_model, camera.wavefront)

@@ -15,10 +15,9 @@ import scipy
 from numpy.typing import NDArray
 
 from ..bounds import SHORTEST
-from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..runtime.limits import memory_limit, require_memory
-from .main_lens import main_lens
+from .main_lens import Light, MainLens
 
 MEMORY_LIMIT = 4 * 2**30
 """Bytes that one propagation may take."""
@@ -31,6 +30,9 @@ _FARTHEST = 1e16
 
 _RIM_ANGLES = 32
 _RIM_RADII = (0.0, 0.4, 0.7, 1.0)
+
+_BISECTIONS, _ROUNDING = 8, 1e-9
+"""Steps by which edges of beams are found; what counts as on the edge of a round pupil, over its radius."""
 
 
 @dataclass(frozen=True)
@@ -46,15 +48,15 @@ class Footprint:
     half_cosine: NDArray[np.float64]
 
 
-def footprint(camera: PlenopticCamera, positions: NDArray[np.float64]) -> Footprint:
+def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
     """Trace rays from each scene point through the pupil to the MLA.
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
+    lens : MainLens
+        The main lens.
     positions : float64 array (n, 3)
-        Scene points in the camera frame.
+        Scene points in the camera frame, or in one that is turned about the axis if the lens is round.
 
     Returns
     -------
@@ -64,19 +66,39 @@ def footprint(camera: PlenopticCamera, positions: NDArray[np.float64]) -> Footpr
     Raises
     ------
     InputError
-        If a ray leaves the main lens at a right angle or steeper, so that it never reaches the MLA.
+        If a ray leaves the main lens at a right angle or steeper, so that it never reaches the MLA, or no light of a
+        point passes the lens.
     """
     angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
-    lens = main_lens(camera)
     P = lens.pupil_radius * np.concatenate([radius * circle for radius in _RIM_RADII])
-    point = positions[:, None, 0], positions[:, None, 1], positions[:, None, 2]
-    cosine = np.stack(lens.cosines((P[:, 0], P[:, 1]), point), -1)
+    point, light = (positions[:, None, 0], positions[:, None, 1], positions[:, None, 2]), lens.bind(positions)
+    inside = np.broadcast_to(light.inside((P[:, 0], P[:, 1])), (len(positions), len(P)))
+    P = np.broadcast_to(P, (len(positions), *P.shape))
+    if (inside < -_ROUNDING * lens.pupil_radius).any():
+        P = _drawn_in(light, P, inside)
+    cosine = np.stack(light.cosines((P[..., 0], P[..., 1]), point), -1)
     square = (cosine**2).sum(-1)
     if np.any(square >= 1):
         worst = positions[np.argmax(square.max(1))]
         raise InputError(f"position = {tuple(worst.tolist())}: its light leaves the main lens too steeply")
-    return bundle_footprint(np.broadcast_to(P, cosine.shape), cosine, lens.pupil_distance)
+    return bundle_footprint(P, cosine, lens.pupil_distance)
+
+
+def _drawn_in(light: Light, P: NDArray[np.float64], inside: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Move places (n, m, 2) that a lens cuts off inwards to the edge, from the middle of those that it does not."""
+    is_open = inside >= 0
+    if not is_open.any(1).all():
+        # A beam so narrow that no place of these is in it.
+        raise InputError("position: hardly any light of one of the scene points passes the main_lens")
+    middle = (P * is_open[..., None]).sum(1, keepdims=True) / is_open.sum(1)[:, None, None]
+    low, high = np.zeros(inside.shape), np.ones(inside.shape)
+    for _ in range(_BISECTIONS):
+        half = (low + high) / 2
+        x, y = np.moveaxis(middle + half[..., None] * (P - middle), -1, 0)
+        within = light.inside((x, y)) >= 0
+        low, high = np.where(within, half, low), np.where(within, high, half)
+    return np.where(is_open[..., None], P, middle + low[..., None] * (P - middle))
 
 
 def bundle_footprint(pupil: NDArray[np.float64], cosine: NDArray[np.float64], distance: float) -> Footprint:
