@@ -24,7 +24,7 @@ from ..runtime.blas import single_threaded_blas
 from . import guards
 from .lens_light import LensLight
 from .lens_system import LensSystem
-from .main_lens import MainLens, main_lens
+from .main_lens import MainLens, ThinLens, main_lens, require_ideal
 from .phase import in_millimetres
 from .pupil_fit import PupilFit, Pupils, covered, fit_pupil
 from .pupil_polynomials import Place, Polynomial
@@ -229,6 +229,23 @@ def _fitted(camera: PlenopticCamera, wavelength: float, field: float, low: float
     with single_threaded_blas():  # the matrices are narrow, and its threads wait for each other actively
         fitted = fit_pupil(tracer, Pupils.of(system), radius, field, nearness, wavelength)
     return FittedLens(system, pupil_bound(camera), fitted)
+
+
+def lens_of_rays(camera: PlenopticCamera) -> ThinLens | LensSystem:
+    """Return a camera's main lens as rays that look for radiators pass it.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+
+    Raises
+    ------
+    InputError
+        As of `lens_of_waves`.
+    """
+    require_ideal(camera)
+    return main_lens(camera) if camera.main_lens is None else LensSystem.of(camera)
 
 
 @functools.lru_cache(maxsize=16)

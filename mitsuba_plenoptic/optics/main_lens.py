@@ -365,8 +365,8 @@ def require_round(camera: PlenopticCamera) -> None:
         raise InputError("wavefront: method bank needs a main lens without aberrations; use patch, or set them to 0")
 
 
-def main_lens(camera: PlenopticCamera) -> MainLens:
-    """Return a camera's main lens as waves pass it.
+def main_lens(camera: PlenopticCamera) -> ThinLens:
+    """Return a camera's thin main lens as waves pass it.
 
     Parameters
     ----------
