@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..optics.fitted_lens import lens_of_rays, pupil_bound
+from ..optics.fitted_lens import lens_of_rays
 from ..optics.main_lens import main_lens
+from ..optics.open_pupil import pupil_bound
 from .accuracy import WAVES_PER_ERROR
 from .bank import near_weight
 from .bank.blend import blur_of

@@ -19,9 +19,10 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import guards
-from ..optics.fitted_lens import lens_of_rays, lens_of_waves, pupil_bound
+from ..optics.fitted_lens import lens_of_rays, lens_of_waves
 from ..optics.lens_system import LensSystem
 from ..optics.main_lens import ThinLens
+from ..optics.open_pupil import open_fraction, pupil_bound
 from ..runtime.limits import largest_fitting, require_memory
 from .chains import Optics
 from .draws import Found, channels, draw
@@ -278,10 +279,11 @@ def _trace_lenses(
         z = point[2] + dr.zeros(mi.Float, dr.width(radiator))
         return P, mi.Point3f(point[0], point[1], z), mi.Point2f(*slope), is_open
 
-    kept = dr.arange(mi.UInt32, len(lenses) * len(pairs))
+    kept, open_rays = dr.arange(mi.UInt32, len(lenses) * len(pairs)), None
     if camera.main_lens is not None:
         kept = dr.compress(primary(kept)[3])
-        if not dr.width(kept):
+        open_rays = kept.numpy()
+        if not open_rays.size:
             return _nothing(len(channels(dr.zeros(mi.UnpolarizedSpectrum, 1))))
     lane = dr.arange(mi.UInt32, dr.width(kept) * spp)
     P, point, slope, _ = primary(dr.gather(mi.UInt32, kept, lane // spp))
@@ -292,6 +294,9 @@ def _trace_lenses(
         raise InputError(f"scene: the radiance of {bad} radiators is NaN or infinite: all must be finite")
     if not found.lane.size:
         return _nothing(found.radiance.shape[1])
+    if open_rays is not None:
+        factor = _evened(camera, window, open_rays // len(pairs), lenses, len(pairs))
+        found = found.weighted(factor[found.lane // spp])
     depth = _depth(found, cosine, point.z, lens)
     if weight is not None:
         factor = weight(lens.vergence(depth))
@@ -320,6 +325,27 @@ def _trace_lenses(
     seen = positions - np.array([0, 0, front.entrance])
     slant = slants(np.broadcast_to(normals.numpy().T, positions.shape), seen, radius / front.magnification)
     return through, positions, found.radiance, found.variance, curved, astigmatism, slant, bits, shiny, power
+
+
+def _evened(
+    camera: PlenopticCamera, window: LensWindow, lens: np.ndarray, lenses: range, pairs: int
+) -> np.ndarray:
+    """Return factors on the light of rays that get through, by which each lens has that of its open pupil.
+
+    Of few rays to a lens, a fraction gets through that is the open fraction of the pupil to some percent only.
+
+    Parameters
+    ----------
+    lens : int array (n,)
+        Number of each ray's lens within `lenses`.
+    lenses : range
+        Numbers of the lenses in the window.
+    pairs : int
+        Rays of each lens that have been tried.
+    """
+    counts = np.bincount(lens, minlength=len(lenses))
+    x, y = window.place(*(window.index[lenses.start : lenses.stop] + 0.5).T)
+    return (pairs * open_fraction(camera, x, y) / np.maximum(counts, 1))[lens]
 
 
 def _nothing(channels: int) -> tuple[np.ndarray, ...]:

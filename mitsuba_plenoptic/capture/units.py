@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from ..camera import PlenopticCamera
-from ..optics.fitted_lens import pupil_bound
+from ..optics.open_pupil import pupil_bound
 
 
 def brightness(lattice: Any, pupil_radius: Any, detector_distance: Any, pixel_size: Any) -> Any:

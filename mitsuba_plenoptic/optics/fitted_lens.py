@@ -25,6 +25,7 @@ from . import guards
 from .lens_light import LensLight
 from .lens_system import LensSystem
 from .main_lens import MainLens, ThinLens, main_lens, require_ideal
+from .open_pupil import pupil_bound
 from .phase import in_millimetres
 from .pupil_fit import PupilFit, Pupils, covered, fit_pupil
 from .pupil_polynomials import Place, Polynomial
@@ -246,11 +247,3 @@ def lens_of_rays(camera: PlenopticCamera) -> ThinLens | LensSystem:
     """
     require_ideal(camera)
     return main_lens(camera) if camera.main_lens is None else LensSystem.of(camera)
-
-
-@functools.lru_cache(maxsize=16)
-def pupil_bound(camera: PlenopticCamera) -> float:
-    """Return the radius of a circle about the axis that holds the exit pupil's light wherever a detector looks."""
-    if camera.main_lens is None:
-        return camera.aperture_radius
-    return LensSystem.of(camera).pupil_reach(math.hypot(camera.detector_width, camera.detector_height) / 2)
