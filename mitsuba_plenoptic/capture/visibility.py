@@ -25,9 +25,6 @@ LANES = 2**22
 _PLANE_TOLERANCE = 2e-4
 """How far from a place, over the distance, a shadow ray may pass it: the rounding of single precision."""
 
-_ROUNDING = 1e-9
-"""How far outside the pupil, over its radius, a point counts as on its edge."""
-
 _CURVED_TOLERANCE = 0.02
 """The same behind refracting or curved surfaces, whose light does not seem to come from one point."""
 
@@ -140,7 +137,7 @@ def sampled_fraction(
     for some in np.array_split(partial, max(1, partial.size * x.size // 2**24)):
         light, pupil = lens.bind(positions[some]), (x * radius, y * radius)
         landed = window.holds(*light.land(pupil, tuple(positions[some].T[..., None])))
-        seen = np.broadcast_to(light.inside(pupil) >= -_ROUNDING * radius, landed.shape).astype(float)
+        seen = np.broadcast_to(light.is_open(pupil), landed.shape).astype(float)
         if weights is not None:
             seen *= 1 + weights.slant[some] @ np.stack([x, y])
             seen *= weights.table[weights.index[some]].reshape(len(some), PUPIL_CELLS**2)[:, cell] > 0

@@ -72,6 +72,13 @@ class LensLight:
             least = away if least is None else _minimum(least, away)
         return least
 
+    def is_open(self, pupil: Place) -> Any:
+        """Return whether light comes to a place, as `Light.is_open` does."""
+        result: Any = True
+        for stop in self.stops:
+            result = (stop.value(pupil) <= 1) & result
+        return result
+
     def cosines(self, pupil: Place, point: Any) -> Place:
         """Return the direction cosines in which the light leaves the exit pupil, as `Light.cosines` does."""
         secant = self._secant(pupil)

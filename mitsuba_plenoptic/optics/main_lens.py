@@ -27,6 +27,10 @@ from .phase import in_millimetres, parabola
 from .wavefront import Wavefront
 
 
+_ROUNDING = 1e-9
+"""How far outside a round pupil, over its radius, a point counts as on its edge."""
+
+
 class MainLens(Protocol):
     """What the camera asks of its main lens. Lengths are millimetres, wavelengths nanometres."""
 
@@ -135,6 +139,9 @@ class Light(Protocol):
 
     def inside(self, pupil: tuple[Any, Any]) -> Any:
         """Return how far within the edge of the exit pupil a point lies, negative outside."""
+
+    def is_open(self, pupil: tuple[Any, Any]) -> Any:
+        """Return whether a point lies within the edge of the exit pupil, or but for rounding on it."""
 
     def cosines(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
         """Return the direction cosines in which a scene point's light leaves the exit pupil, the gradient of `path`."""
@@ -267,6 +274,10 @@ class ThinLens:
     def inside(self, pupil: tuple[Any, Any]) -> Any:
         """Return how far within the edge of the pupil a point lies."""
         return self.pupil_radius - _sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
+
+    def is_open(self, pupil: tuple[Any, Any]) -> Any:
+        """Return whether a point lies within the edge of the pupil, or but for rounding on it."""
+        return self.inside(pupil) >= -_ROUNDING * self.pupil_radius
 
     def cosines(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
         r"""Return :math:`(P - X) / |P - X| - P / f_1` along x and y, and the slope of the aberrations."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from .lens_system import LensSystem
 
-_HEIGHTS, _ACROSS = 33, 301
+_HEIGHTS, _ACROSS = 17, 151
 """Distances from the axis at which it is found, and rays across the pupil."""
 
 _WIDER = 1.05

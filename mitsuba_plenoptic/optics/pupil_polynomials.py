@@ -174,7 +174,18 @@ class PupilPolynomial:
 
     def value(self, pupil: Place) -> Any:
         """Return its values at places on the pupil, (x, y) in millimetres."""
-        return self._sum(*self._invariants(pupil))[0]
+        s, t = self._invariants(pupil)
+        total: Any = 0.0
+        row: Any = 0.0
+        rows: list[Any] = []
+        for (b, _), term in zip(self.degrees.pairs, self.coefficients, strict=True):
+            row = row * s + term
+            if b == 0:
+                rows.append(row)
+                row = 0.0
+        for row in reversed(rows):
+            total = total * t + row
+        return total
 
     def gradient(self, pupil: Place) -> tuple[Any, Any, Any]:
         """Return its values and its derivatives along x and y."""

@@ -31,8 +31,8 @@ _FARTHEST = 1e16
 _RIM_ANGLES = 32
 _RIM_RADII = (0.0, 0.4, 0.7, 1.0)
 
-_BISECTIONS, _ROUNDING = 8, 1e-9
-"""Steps by which edges of beams are found; what counts as on the edge of a round pupil, over its radius."""
+_BISECTIONS = 6
+"""Steps by which the edges of beams are found."""
 
 
 @dataclass(frozen=True)
@@ -73,10 +73,10 @@ def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
     P = lens.pupil_radius * np.concatenate([radius * circle for radius in _RIM_RADII])
     point, light = (positions[:, None, 0], positions[:, None, 1], positions[:, None, 2]), lens.bind(positions)
-    inside = np.broadcast_to(light.inside((P[:, 0], P[:, 1])), (len(positions), len(P)))
+    is_open = np.broadcast_to(light.is_open((P[:, 0], P[:, 1])), (len(positions), len(P)))
     P = np.broadcast_to(P, (len(positions), *P.shape))
-    if (inside < -_ROUNDING * lens.pupil_radius).any():
-        P = _drawn_in(light, P, inside)
+    if not is_open.all():
+        P = _drawn_in(light, P, is_open)
     cosine = np.stack(light.cosines((P[..., 0], P[..., 1]), point), -1)
     square = (cosine**2).sum(-1)
     if np.any(square >= 1):
@@ -85,20 +85,26 @@ def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
     return bundle_footprint(P, cosine, lens.pupil_distance)
 
 
-def _drawn_in(light: Light, P: NDArray[np.float64], inside: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Move places (n, m, 2) that a lens cuts off inwards to the edge, from the middle of those that it does not."""
-    is_open = inside >= 0
+def _drawn_in(light: Light, P: NDArray[np.float64], is_open: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Move places (n, m, 2) of the rim, the last ones, inwards to the edges of beams, and what else is cut off there.
+
+    Inwards is towards the middle of the places that are open.
+    """
     if not is_open.any(1).all():
         # A beam so narrow that no place of these is in it.
         raise InputError("position: hardly any light of one of the scene points passes the main_lens")
     middle = (P * is_open[..., None]).sum(1, keepdims=True) / is_open.sum(1)[:, None, None]
-    low, high = np.zeros(inside.shape), np.ones(inside.shape)
+    away = P[:, -_RIM_ANGLES:] - middle
+    low, high = np.zeros((2, *away.shape[:2]))
+    high += 1
     for _ in range(_BISECTIONS):
         half = (low + high) / 2
-        x, y = np.moveaxis(middle + half[..., None] * (P - middle), -1, 0)
-        within = light.inside((x, y)) >= 0
+        x, y = np.moveaxis(middle + half[..., None] * away, -1, 0)
+        within = light.is_open((x, y))
         low, high = np.where(within, half, low), np.where(within, high, half)
-    return np.where(is_open[..., None], P, middle + low[..., None] * (P - middle))
+    # From the edge outwards, so that the bounds hold all of the beam.
+    edge = middle + high[..., None] * away
+    return np.concatenate([np.where(is_open[..., None], P, middle)[:, :-_RIM_ANGLES], edge], axis=1)
 
 
 def bundle_footprint(pupil: NDArray[np.float64], cosine: NDArray[np.float64], distance: float) -> Footprint:
