@@ -18,6 +18,7 @@ from ..optics.phase import in_millimetres
 from ..runtime.backend import one_at_a_time
 from ..runtime.limits import largest_fitting, require_memory
 from ..thin_lens import image_distance
+from .real_lens import require_upright
 from .methods import METHODS, Found, Task
 from .result import Reconstruction
 
@@ -164,8 +165,10 @@ def reconstruct(
     camera = capture.camera
     if not isinstance(method, str) or method not in METHODS:
         raise InputError(f"method = {shown(method)}: it must be one of {', '.join(METHODS)}")
-    camera.require_thin("captures are reconstructed")
     chosen = METHODS[method]
+    if method != "ray":
+        camera.require_thin(f"captures are reconstructed by method {method}", "use method ray")
+    require_upright(camera)
     if footprint not in FOOTPRINTS:
         raise InputError(f"footprint = {shown(footprint)}: it must be one of {', '.join(FOOTPRINTS)}")
     given = {
