@@ -85,7 +85,7 @@ class Entrances:
         if front == Front():
             return mi.Point3f(x, y, 0)
         depth = self.line[:, 2] - front.entrance
-        # Where the ray that has found the radiator passes the entrance pupil, and how far the front plane is from there.
+        # Where the ray that has found the radiator passes the entrance pupil; how far from there the front plane is.
         own = self.line[:, :2] - self.slope * depth[:, None] - self.pupil / front.magnification
         part = (front.front - front.entrance) / depth
 

@@ -165,7 +165,9 @@ def find_radiators(
     held = 0
     for start in range(0, len(traced.index), together):
         some = range(start, min(start + together, len(traced.index)))
-        found.append(_trace_lenses(sight, camera, front, traced, pairs, some, spp, seed + start, occlusion, weight, dark))
+        found.append(
+            _trace_lenses(sight, camera, front, traced, pairs, some, spp, seed + start, occlusion, weight, dark)
+        )
         # How many shine is known as they are found; the parts and their concatenation are alive at once.
         held += 2 * sum(array.nbytes for array in found[-1])
         require_memory(held, f"{held // RADIATOR_BYTES} radiators or more in {some.stop} of {len(traced.index)} lenses")
@@ -261,8 +263,8 @@ def _trace_lenses(
     Returns
     -------
     tuple of arrays
-        Where the rays' lines pass the plane z = 0; positions, radiance, its variance; which are curved, and by how much each is
-        astigmatic; slants; the bits of the visible cells; which are glossy, and the power of those over the pupil.
+        Where the rays' lines pass the plane z = 0; positions, radiance, its variance; which are curved, and by how much
+        each is astigmatic; slants; the bits of the visible cells; which are glossy, and the power of those over the pupil.
     """
     lens, radius = lens_of_rays(camera), pupil_bound(camera)
 
@@ -327,9 +329,7 @@ def _trace_lenses(
     return through, positions, found.radiance, found.variance, curved, astigmatism, slant, bits, shiny, power
 
 
-def _evened(
-    camera: PlenopticCamera, window: LensWindow, lens: np.ndarray, lenses: range, pairs: int
-) -> np.ndarray:
+def _evened(camera: PlenopticCamera, window: LensWindow, lens: np.ndarray, lenses: range, pairs: int) -> np.ndarray:
     """Return factors on the light of rays that get through, by which each lens has that of its open pupil.
 
     Of few rays to a lens, a fraction gets through that is the open fraction of the pupil to some percent only.

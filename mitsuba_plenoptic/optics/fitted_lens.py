@@ -202,7 +202,9 @@ def lens_of_waves(camera: PlenopticCamera, points: NDArray[np.float64], waveleng
     front = max(system.front_bounds[1])
     within = (points[:, 2] > 0) & (points[:, 2] <= front)
     if within.any():
-        raise InputError(f"position: g = {points[within][0, 2]:g}: it must lie before the main_lens, beyond {front:.6g}")
+        raise InputError(
+            f"position: g = {points[within][0, 2]:g}: it must lie before the main_lens, beyond {front:.6g}"
+        )
     field, nearness = Pupils.of(system).field(points) if len(points) else (np.zeros((1, 2)), np.zeros(1))
     largest = np.hypot(*field.T)
     least = _NARROWEST * math.hypot(camera.detector_width, camera.detector_height) / (2 * camera.mla_distance)

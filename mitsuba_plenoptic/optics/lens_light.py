@@ -84,8 +84,7 @@ class LensLight:
         secant = self._secant(pupil)
         _, *change = self.aberration.gradient(pupil)
         cx, cy = (
-            (s - P * self.convergence) / secant + more
-            for s, P, more in zip(self.slope, pupil, change, strict=True)
+            (s - P * self.convergence) / secant + more for s, P, more in zip(self.slope, pupil, change, strict=True)
         )
         return cx, cy
 

@@ -26,7 +26,6 @@ from .distortion import undistort
 from .phase import in_millimetres, parabola
 from .wavefront import Wavefront
 
-
 _ROUNDING = 1e-9
 """How far outside a round pupil, over its radius, a point counts as on its edge."""
 
@@ -74,9 +73,7 @@ class MainLens(Protocol):
     def convergence(self, distance: Any) -> Any:
         """Return the reciprocal of the distance from the exit pupil to an object plane's image."""
 
-    def ray(
-        self, pupil: tuple[Any, Any], place: tuple[Any, Any]
-    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+    def ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
         """Return the ray that comes from a place on the MLA through a pupil point, as `trace` does."""
 
     def bind(self, points: NDArray[np.float64], which: Any = None) -> Light:
@@ -147,7 +144,7 @@ class Light(Protocol):
         """Return the direction cosines in which a scene point's light leaves the exit pupil, the gradient of `path`."""
 
     def land(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
-        """Return the place on the MLA of the ray from a scene point through a pupil point; `MainLens.ray` leads back."""
+        """Return the place on the MLA of the ray from a scene point through a pupil point; `ray` leads back."""
 
 
 @dataclass(frozen=True)
@@ -211,9 +208,7 @@ class ThinLens:
         """Return `vergence`: the lens is its own pupil."""
         return self.vergence(distance)
 
-    def ray(
-        self, pupil: tuple[Any, Any], place: tuple[Any, Any]
-    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+    def ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
         """Return the ray to the conjugate of a place on the MLA; its own aberrations are not followed."""
         tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, place, strict=True))
         return (*pupil, 0.0), self._refract((tx, ty), pupil), True

@@ -17,7 +17,7 @@ from .pupil_polynomials import Degrees, Polynomial, Scales, fit
 from .pupil_rays import PupilRays, entrance_place, trace
 
 _DEGREES = (Degrees(6, 4, 4), Degrees(8, 6, 4), Degrees(10, 8, 5))
-_GOOD = 1e-3
+GOOD = 1e-3
 """Degrees that are tried until the path is met to so many waves root mean square."""
 
 _STOPS = Degrees(4, 4, 2)
@@ -141,6 +141,7 @@ def fit_pupil(
     field: float,
     nearness: tuple[float, float],
     wavelength: float,
+    good: float = GOOD,
 ) -> PupilFit:
     """Trace rays and fit polynomials.
 
@@ -158,6 +159,8 @@ def fit_pupil(
         Range of the nearnesses in 1/mm.
     wavelength : float
         Wavelength in nanometres.
+    good : float
+        Waves root mean square to which the path is met, if the highest degrees can.
 
     Raises
     ------
@@ -180,7 +183,7 @@ def fit_pupil(
     for degrees in _DEGREES:
         aberration, brightness = fitted(degrees, path, rays.amplitude)
         error = _error(aberration, judges, left) / in_millimetres(wavelength)
-        if error <= _GOOD:
+        if error <= good:
             break
     # What lets all rays through ends no light.
     stops = fitted(_STOPS, *rays.stops[rays.stops.max(1) > 1])

@@ -96,7 +96,7 @@ class Polynomial:
         f, d = self.scales.of_points((field**2).sum(1), nearness)
         depth, fields, pairs = self.coefficients.shape
         powers = np.vander(d, depth, increasing=True)[:, :, None] * np.vander(f, fields, increasing=True)[:, None]
-        return np.asarray(powers.reshape(len(f), -1) @ self.coefficients.reshape(-1, pairs))
+        return np.asarray(powers.reshape(len(f), depth * fields) @ self.coefficients.reshape(-1, pairs))
 
     def over_pupil(self, coefficients: list[Any], field: Place) -> PupilPolynomial:
         """Return the polynomial over the pupil of points whose coefficients `at` has returned; likewise their fields.

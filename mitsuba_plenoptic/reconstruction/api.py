@@ -18,8 +18,8 @@ from ..optics.phase import in_millimetres
 from ..runtime.backend import one_at_a_time
 from ..runtime.limits import largest_fitting, require_memory
 from ..thin_lens import image_distance
-from .real_lens import require_upright
 from .methods import METHODS, Found, Task
+from .real_lens import require_upright
 from .result import Reconstruction
 
 FOOTPRINTS = ("lens", "point")

@@ -59,7 +59,7 @@ def traced_places(
     x, y : float64 array (pixels,)
         Place in the object plane as :math:`-X b / g`, in millimetres: the real lens's distortion is undone by it.
     lit : bool array (pixels,)
-        Whether the lens lets the ray, or that from one of the pixel's corners, through.
+        Whether the lens lets the ray, or that from the middle of one of the pixel's edges, through.
     """
     types, lens = array_module(), LensSystem.of(camera)
     half, b = camera.pixel_size / 2, camera.mla_distance
@@ -67,8 +67,10 @@ def traced_places(
         cx, cy = camera.lattice.centre(*_cell(camera, px, py))
         lit = types.Bool(False)
         x, y = types.Float64(0), types.Float64(0)
-        for across, down in ((-1, -1), (-1, 1), (1, -1), (1, 1), (0, 0)):
-            point, slope, is_open = _back(camera, lens, (px + across * half, py + down * half), (cx, cy), (cx, cy), None)
+        for across, down in ((-1, 0), (1, 0), (0, -1), (0, 1), (0, 0)):
+            point, slope, is_open = _back(
+                camera, lens, (px + across * half, py + down * half), (cx, cy), (cx, cy), None
+            )
             lit |= is_open
             x, y = (-b * (p / distance + (1 - point[2] / distance) * t) for p, t in zip(point[:2], slope, strict=True))
         dr.eval(x, y, lit)
