@@ -649,13 +649,15 @@ class PlenopticCamera:
                 "micro-image is resolved"
             )
 
-    def require_thin(self, what: str) -> None:
+    def require_thin(self, what: str, instead: str = "capture by rays") -> None:
         """Refuse a camera with a real main lens, for work that knows thin ones only.
 
         Parameters
         ----------
         what : str
             The work, the beginning of a sentence.
+        instead : str
+            What can be done beside leaving the lens out.
 
         Raises
         ------
@@ -665,7 +667,7 @@ class PlenopticCamera:
         if self.main_lens is not None:
             raise InputError(
                 f"main_lens = {self.main_lens.name or 'prescription'}: {what} for thin main lenses only; "
-                "leave main_lens out, or capture by rays"
+                f"leave main_lens out, or {instead}"
             )
 
     @property

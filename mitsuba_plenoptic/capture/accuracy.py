@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_number
-from ..optics.conjugates import images
+from ..optics.main_lens import MainLens
 from .grid import Band
 
 DEFAULT_ACCURACY = 0.01
@@ -87,7 +87,9 @@ def derivative_band_for(accuracy: float, count: int) -> Band:
     return replace(band_for(accuracy, count), edge=2.0, smooth=True, beyond=math.inf)
 
 
-def wavefront_step(accuracy: float, camera: PlenopticCamera, positions: NDArray[np.float64]) -> float:
+def wavefront_step(
+    accuracy: float, camera: PlenopticCamera, lens: MainLens, positions: NDArray[np.float64]
+) -> float:
     """Choose by how much wavefronts that count as one may differ across a microlens, in waves.
 
     The errors of point spreads that overlap average out, so fewer of them must each be truer.
@@ -98,8 +100,10 @@ def wavefront_step(accuracy: float, camera: PlenopticCamera, positions: NDArray[
         Allowed error.
     camera : PlenopticCamera
         The camera.
+    lens : MainLens
+        Its main lens.
     positions : float64 array (n, 3)
-        Scene points in the camera frame.
+        Scene points in the camera frame, or in one that is turned about the axis if the lens is round.
 
     Returns
     -------
@@ -108,7 +112,7 @@ def wavefront_step(accuracy: float, camera: PlenopticCamera, positions: NDArray[
     """
     if not len(positions):
         return 0.0
-    image = images(camera, positions)
+    image = lens.images(positions)
     lenses = np.unique(np.floor(image / camera.mla_pitch), axis=0)
     overlap = min(len(positions), _NEIGHBOURHOOD * len(positions) / len(lenses))
     return accuracy * WAVES_PER_ERROR * min(1.0, (overlap / _MANY) ** 0.5)

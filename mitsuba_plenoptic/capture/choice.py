@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..optics.fitted_lens import lens_of_rays
 from ..optics.main_lens import main_lens
+from ..optics.open_pupil import pupil_bound
 from .accuracy import WAVES_PER_ERROR
 from .bank import near_weight
 from .bank.blend import blur_of
@@ -54,17 +57,18 @@ class Probes:
         # It takes a third of the package's loading time.
         from scipy.stats import qmc
 
-        window, lens = LensWindow.of(camera), main_lens(camera)
+        window, lens = LensWindow.of(camera), lens_of_rays(camera)
         places = qmc.Sobol(4, scramble=True, rng=seed).random(_PROBES).astype(np.float32)
         x, y, s, t = (mi.Float(np.ascontiguousarray(column)) for column in places.T)
         q = [
             mi.Float(low) + part * float(high - low)
             for part, low, high in zip((x, y), window.low, window.high, strict=True)
         ]
-        P = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(s, t)) * lens.pupil_radius
-        radiance, distance = sight.look((P.x, P.y), lens.aim((P.x, P.y), (q[0], q[1])), seed)
-        channels = [np.broadcast_to(channel.numpy(), _PROBES) for channel in radiance]
-        return cls(np.stack(channels), np.broadcast_to(lens.vergence(distance).numpy(), _PROBES))
+        P = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(s, t)) * pupil_bound(camera)
+        point, slope, is_open = lens.ray((P.x, P.y), (q[0], q[1]))
+        radiance, distance = sight.look(point, slope, seed)
+        channels = [np.broadcast_to(dr.select(is_open, channel, 0).numpy(), _PROBES) for channel in radiance]
+        return cls(np.stack(channels), np.broadcast_to(lens.vergence(point[2] + distance).numpy(), _PROBES))
 
 
 def bank_is_better(
@@ -111,7 +115,7 @@ def bank_is_better(
     blurred = np.maximum(1, np.abs(blur_of(camera, probes.vergence)) / _BLUR) ** 2
     found = count * float(lit.mean())
     distances = distance_of(lens, probes.vergence[lit].astype(np.float64))
-    patterns = min(found, patterns_at(camera, distances, window, wavelength, accuracy * WAVES_PER_ERROR))
+    patterns = min(found, patterns_at(camera, lens, distances, window, wavelength, accuracy * WAVES_PER_ERROR))
     return patterns * float((far * blurred)[lit].mean()) > worth
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..optics.conjugates import images
+from ..optics.rays import conjugate_coordinate
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job
@@ -184,7 +184,7 @@ def _blocks(index: NDArray[np.int64], lit: NDArray[np.int64]) -> list[NDArray[np
 
 def _lenses(camera: PlenopticCamera, positions: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return the lenses that points are imaged on."""
-    place = images(camera, positions)
+    place = conjugate_coordinate(positions[:, :2], positions[:, 2:], camera.mla_distance)
     return np.stack(camera.lattice.cell(*place.T), -1).astype(np.int64)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..optics.exit_pupil import ExitPupil
 from ..optics.lens_system import LensSystem
-from ..optics.main_lens import MainLens, main_lens
+from ..optics.main_lens import ThinLens, main_lens
 from ..optics.microlenses import diffraction, scattering
 from ..optics.phase import in_millimetres
 from ..optics.sampling import bundle_footprint, check_memory, fast_length, footprint
@@ -100,7 +100,7 @@ def field_grids(
         places, cosines = lens.bundle
         image = bundle_footprint(places[None], cosines[None], lens.pupil_distance)
     else:
-        image = footprint(camera, position[None])
+        image = footprint(lens, position[None])
     place, half_width = image.centre[0], image.half_width[0]
     steepest = float((np.abs(image.cosine[0]) + image.half_cosine[0]).max())
     bent = steepest + max(_KEPT_BENDS * scattering(camera), diffraction(camera, wavelength, _KEPT_ORDERS))

@@ -10,9 +10,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..optics.main_lens import MainLens
 from .chains import Optics, leads_to
 from .child import channel_mean, random_numbers
+from .entrance import Entrances
 from .places import Vertex
 from .visibility import LANES, PUPIL_CELLS, aimed_at, tolerance
 
@@ -23,7 +23,7 @@ _SAMPLES = 4
 """Light paths of a cell of the pupil."""
 
 
-def glossy(optics: Optics, vertex: Vertex, ray: Any, lens: MainLens) -> NDArray[np.bool_]:
+def glossy(optics: Optics, vertex: Vertex, ray: Any, radius: float) -> NDArray[np.bool_]:
     """Return which places lie on surfaces with narrow lobes, and without null or delta ones.
 
     Parameters
@@ -34,8 +34,8 @@ def glossy(optics: Optics, vertex: Vertex, ray: Any, lens: MainLens) -> NDArray[
         The places.
     ray : Ray3f
         The rays that have found them.
-    lens : MainLens
-        The main lens.
+    radius : float
+        Of the pupil.
     """
     place = vertex.place
     if not optics.gloss:
@@ -49,18 +49,18 @@ def glossy(optics: Optics, vertex: Vertex, ray: Any, lens: MainLens) -> NDArray[
     candidate &= mi.has_flag(bsdf.flags(), mi.BSDFFlags.Glossy)
     context = mi.BSDFContext()
     densest = dr.maximum(*(bsdf.pdf(context, si, wo, candidate) for wo in (mi.reflect(si.wi), -si.wi)))
-    pupil = math.pi * lens.pupil_radius**2 / dr.square(place.distance)
+    pupil = math.pi * radius**2 / dr.square(place.distance)
     return np.asarray((candidate & (densest * pupil > NARROW)).numpy())
 
 
 def pupil_radiance(
-    optics: Optics, to_world: Any, vertex: Vertex, ray: Any, lens: MainLens, seed: int
+    optics: Optics, to_world: Any, vertex: Vertex, ray: Any, entrances: Entrances, radius: float, seed: int
 ) -> NDArray[np.float32]:
     """Return the radiance of places towards the cells of the pupil, (n, PUPIL_CELLS, PUPIL_CELLS).
 
     It is the mean of a few light paths from points of each cell; 0 where the place is hidden.
     """
-    cells, radius = PUPIL_CELLS**2, lens.pupil_radius
+    cells = PUPIL_CELLS**2
     count = dr.width(ray)
     result = np.empty((count, cells), np.float32)
     batch = max(1, LANES // (16 * cells * _SAMPLES))
@@ -76,7 +76,7 @@ def pupil_radiance(
             for index, number in ((cell % PUPIL_CELLS, within.x), (cell // PUPIL_CELLS, within.y))
         )
         found, primary = dr.gather(Vertex, vertex, which), dr.gather(mi.Ray3f, ray, which)
-        shadow = aimed_at(found, primary, to_world @ mi.Point3f(x, y, 0))
+        shadow = aimed_at(found, primary, to_world @ entrances.at(x, y, which))
         arrived, chain, weight = leads_to(optics, shadow, found.key, found.place, tolerance(found.place))
         child = optics.child
         dr.eval(arrived, chain, weight)

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..lattice import turn
-from ..optics.main_lens import main_lens
+from ..optics.fitted_lens import lens_of_waves
+from ..optics.main_lens import MainLens
 from ..optics.microlenses import diffraction, scattering, upright
 from ..optics.phase import in_millimetres
 from ..optics.sampling import check_samples, fast_length, footprint
@@ -75,6 +76,8 @@ class Grid:
     ----------
     camera : PlenopticCamera
         The camera in the frame of its lattice.
+    lens : MainLens
+        Its main lens, as the waves of the points pass it.
     rotation : float
         Degrees by which that frame is turned, counter-clockwise.
     cosine : float
@@ -86,6 +89,7 @@ class Grid:
     """
 
     camera: PlenopticCamera
+    lens: MainLens
     rotation: float
     wavelength: float
     band: Band
@@ -114,7 +118,8 @@ class Grid:
         micro-images.
         """
         rotation, camera = camera.mla_rotation, upright(camera)
-        cosine = main_lens(camera).cone(positions[:, 2])
+        lens = lens_of_waves(camera, positions, wavelength)
+        cosine = lens.cone(positions[:, 2])
         bent = scattering(camera)
         beside = max(band.bends * bent, diffraction(camera, wavelength, band.orders))
         half_band = max(band.cone * (cosine + bent), cosine + beside)
@@ -125,7 +130,7 @@ class Grid:
         steps = np.array(camera.lattice.grid_step) * (camera.micro_image_pitch / camera.mla_pitch)
         check_samples(float((steps / largest).max()), "from lens to lens")
         origin = -np.array([camera.detector_width, camera.detector_height]) / 2
-        return cls(camera, rotation, wavelength, band, cosine, steps / np.ceil(steps / largest), origin)
+        return cls(camera, lens, rotation, wavelength, band, cosine, steps / np.ceil(steps / largest), origin)
 
     def to_frame(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         """Turn scene points of the camera frame, (n, 3), into the frame of the lattice."""
@@ -172,8 +177,8 @@ def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
 
 
 def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
-    camera, lens, lam = grid.camera, main_lens(grid.camera), in_millimetres(grid.wavelength)
-    image = footprint(camera, positions)
+    camera, lens, lam = grid.camera, grid.lens, in_millimetres(grid.wavelength)
+    image = footprint(lens, positions)
     a, b = lens.pupil_radius, lens.pupil_distance
     # Between MLA and detector the light moves sideways: the patch lies half-way.
     aside = camera.detector_distance * lens.chief_slope(image.centre)

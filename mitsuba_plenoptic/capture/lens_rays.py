@@ -255,7 +255,7 @@ class LensRaySum:
             *(sample * step + mi.sample_tea_float32(own, shift ^ axis) for axis, step in enumerate(_JITTER))
         )
         pupil, slope, lens_type = self._pupil_points(box, own, steps, jitter - dr.floor(jitter))
-        radiance, distance = self._sight.look(pupil, slope, seed, partial(self._counts, pupil))
+        radiance, distance = self._sight.look((*pupil, 0.0), slope, seed, partial(self._counts, pupil))
         vergence = self._lens.vergence(distance)
         finite = dr.all([dr.isfinite(light) for light in radiance], axis=0)
         # A pixel is the mean of its bins, of which the convolution takes the sum.

@@ -114,12 +114,9 @@ class CaptureOperator:
     ) -> None:
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
-        if camera.prescription is None or method != "full_field":
-            require_ideal(camera)
-        elif any(camera.mla_tilt):
-            raise InputError(f"mla_tilt = {camera.mla_tilt}: waves need 0; work by rays, or set it to 0")
-        elif pupil_weights is not None:
-            raise InputError("pupil_weights: behind a main_lens the pupil is another for each point; leave them out")
+        require_ideal(camera)
+        if camera.prescription is not None and method == "full_field" and pupil_weights is not None:
+            raise InputError("pupil_weights: method full_field takes none behind a main_lens; use patch")
         self.camera, self.points = camera, check_positions(points, camera)
         self._wavelength = None if wavelength is None else require_wavelength(wavelength)
         self._spectrum = spectrum
@@ -309,8 +306,7 @@ class CaptureOperator:
         """Return the derivatives of the sums, or refuse methods that have none."""
         if self._method != "patch":
             raise InputError(f"method = {self._method}: it has no derivatives; use patch")
-        if self.camera.objective is not None:
-            raise InputError(f"main_lens = {self.camera.objective.name}: there are no derivatives behind an objective")
+        self.camera.require_thin("derivatives by waves are found", "differentiate by rays")
         if self._differentials is None:
             self._differentials = Differentials(self.camera, self.points, self._pupil_weights, self._accuracy)
         return self._differentials

@@ -99,7 +99,7 @@ class PatchBatch:
         self.libraries = backend()
         self.sizes = _CUDA if self.libraries.is_cuda else _PROCESSOR
         made = PatchFactors(grid, placement, positions, amplitudes, weights)
-        elements = Elements.of(grid.camera, grid.wavelength, made.highest)
+        elements = Elements.of(grid, made.highest)
         self.samples, self.mla_samples = made.samples, made.mla_samples
         self.corner, self.chief = placement.corner, made.chief
         count, directions = len(positions), made.directions

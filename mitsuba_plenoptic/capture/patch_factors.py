@@ -15,10 +15,9 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
 from ..lattice import turn
 from ..optics.free_space import transfer
-from ..optics.main_lens import MainLens, main_lens
+from ..optics.main_lens import Light, MainLens
 from ..optics.microlens_orders import axis_transmission, plane_transmission
 from ..optics.microlenses import is_separable
 from ..optics.phase import in_millimetres, phasor, smooth_edge, soft_edge
@@ -68,10 +67,11 @@ class Elements:
     growth: Any = 1.0
 
     @classmethod
-    def of(cls, camera: PlenopticCamera, wavelength: float, cosine: float) -> Elements:
+    def of(cls, grid: Grid, cosine: float) -> Elements:
         """Take those of a camera in the frame of its lattice, with microlenses up to a direction cosine."""
+        camera, wavelength = grid.camera, grid.wavelength
         make = axis_transmission if is_separable(camera) else plane_transmission
-        return cls(main_lens(camera), make(camera, wavelength, cosine), wavelength, camera.detector_distance)
+        return cls(grid.lens, make(camera, wavelength, cosine), wavelength, camera.detector_distance)
 
 
 class PatchFactors:
@@ -163,8 +163,8 @@ class PatchFactors:
         image = value(placement.image[:, 0]) * growth, value(placement.image[:, 1]) * growth
         pupil, R, length = lens.from_array((sx, sy), image)
         X, Y = turn(value(self._positions[:, 0]), value(self._positions[:, 1]), -elements.turned)
-        point = X, Y, value(self._positions[:, 2])
-        waves = self._path(elements, pupil, point)
+        point, light = (X, Y, value(self._positions[:, 2])), lens.bind(self._positions, radiator)
+        waves = self._path(elements, light, pupil, point)
         waves += length / self._constant(in_millimetres(elements.wavelength))
         start[:, 1] *= grid.pitch[0] / grid.pitch[1]
         waves += (nx * value(start[:, 0]) + ny * value(start[:, 1])) / self._constant(self.samples * grid.pitch[0])
@@ -172,8 +172,8 @@ class PatchFactors:
         width = math.sqrt(math.prod(steps)) * grid.band.edge
         sample = dr.detach(R) * self._constant(width)
         soften = smooth_edge if grid.band.smooth else soft_edge
-        cover = soften(types.Float(lens.inside(pupil) / sample))
-        bright = types.Float(lens.amplitude(pupil, point) * R * R / b)
+        cover = soften(types.Float(light.inside(pupil) / sample))
+        bright = types.Float(light.amplitude(pupil, point) * R * R / b)
         power = types.Float64(bright * bright * cover)
         if self._weights is not None:
             place = self._in_camera(elements, *pupil)
@@ -182,12 +182,12 @@ class PatchFactors:
             cover *= types.Float(amplitude)
         return phasor(waves) * (bright * cover), dr.block_sum(power, size * size) * self._constant(math.prod(steps))
 
-    def _path(self, elements: Elements, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
+    def _path(self, elements: Elements, light: Light, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
         """Return the path from points to the pupil in waves; both are given in the frame of the lattice."""
         if not elements.lens.is_round:
             X, Y = self._in_camera(elements, *point[:2])
             pupil, point = self._in_camera(elements, *pupil), (X, Y, point[2])
-        return elements.lens.path(pupil, point, elements.wavelength)
+        return light.path(pupil, point, elements.wavelength)
 
     def _in_camera(self, elements: Elements, x: Any, y: Any) -> tuple[Any, Any]:
         """Turn a vector of the lattice's frame into one of the camera's."""

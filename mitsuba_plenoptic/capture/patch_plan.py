@@ -127,8 +127,9 @@ class PatchPlan:
         self._camera, self._pupil_weights, self._count = camera, pupil_weights, len(points)
         band = (derivative_band_for if exact else band_for)(accuracy, len(points))
         self._grid = Grid.of(camera, wavelength, band, points)
-        step = 0.0 if exact else wavefront_step(accuracy, camera, points)
-        patterns = find_patterns(self._grid.camera, self._grid.to_frame(points), pupil_weights, wavelength, step)
+        upright, lens, turned = self._grid.camera, self._grid.lens, self._grid.to_frame(points)
+        step = 0.0 if exact else wavefront_step(accuracy, upright, lens, turned)
+        patterns = find_patterns(upright, lens, turned, pupil_weights, wavelength, step)
         placement = place(self._grid, patterns.positions)
         shifts = patterns.shift @ self._grid.lens_samples
         low = placement.corner[patterns.pattern] + shifts

@@ -19,10 +19,14 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import guards
-from ..optics.main_lens import MainLens, main_lens
+from ..optics.fitted_lens import lens_of_rays, lens_of_waves
+from ..optics.lens_system import LensSystem
+from ..optics.main_lens import ThinLens
+from ..optics.open_pupil import open_fraction, pupil_bound
 from ..runtime.limits import largest_fitting, require_memory
 from .chains import Optics
-from .draws import Found, draw
+from .draws import Found, channels, draw
+from .entrance import Entrances, Front
 from .gloss import glossy, pupil_radiance
 from .lens_window import LensWindow
 from .places import Vertex
@@ -56,7 +60,7 @@ class Radiators:
     Attributes
     ----------
     pupil : (n, 2) float64 array
-        Where the rays that have found them pass the pupil.
+        Where the rays that have found them, or the lines that these lie on, pass the plane z = 0 of the camera frame.
     positions : (n, 3) float64 array
         Places.
     radiance : (n, channels) float64 array
@@ -151,7 +155,7 @@ def find_radiators(
     dark : bool
         Whether to keep what a ray meets though it does not shine: it could.
     """
-    window, lens = LensWindow.of(camera), main_lens(camera)
+    window, front = LensWindow.of(camera), Front.of(camera)
     camera.require_resolved()
     optics = sight.optics
     traced = window if lenses is None else replace(window, index=window.index[lenses])
@@ -161,24 +165,28 @@ def find_radiators(
     held = 0
     for start in range(0, len(traced.index), together):
         some = range(start, min(start + together, len(traced.index)))
-        found.append(_trace_lenses(sight, lens, traced, pairs, some, spp, seed + start, occlusion, weight, dark))
+        found.append(
+            _trace_lenses(sight, camera, front, traced, pairs, some, spp, seed + start, occlusion, weight, dark)
+        )
         # How many shine is known as they are found; the parts and their concatenation are alive at once.
         held += 2 * sum(array.nbytes for array in found[-1])
         require_memory(held, f"{held // RADIATOR_BYTES} radiators or more in {some.stop} of {len(traced.index)} lenses")
     P, positions, radiance, variance, curved, astigmatism, *over_pupil = (
         np.concatenate(parts) for parts in zip(*found, strict=True)
     )
-    _judge_astigmatism(camera, lens, astigmatism, radiance)
+    _judge_astigmatism(camera, astigmatism, radiance)
     positions = _flatten_caustics(positions, P, radiance.mean(axis=1), curved)
     weights = _pupil_weights(*over_pupil)
-    fraction = sampled_fraction(positions, weights, lens, window)
+    # Which rays land in the window is asked of the light that rays follow.
+    wavelength = 1.0 if camera.prescription is None else camera.prescription.wavelength
+    fraction = sampled_fraction(positions, weights, lens_of_waves(camera, positions, wavelength), window)
     return Radiators(P, positions, radiance, variance, fraction, weights)
 
 
-def _judge_astigmatism(camera: PlenopticCamera, lens: MainLens, astigmatism: np.ndarray, radiance: np.ndarray) -> None:
+def _judge_astigmatism(camera: PlenopticCamera, astigmatism: np.ndarray, radiance: np.ndarray) -> None:
     """Tell of light whose two line images lie so far apart that it is blurred by more than a microlens."""
     power = radiance.mean(axis=1)
-    blur = lens.pupil_radius * lens.pupil_distance * astigmatism
+    blur = camera.pupil_radius * camera.pupil_distance * astigmatism
     if power.sum() > 0:
         guards.judge(guards.ASTIGMATISM, float(power[blur > min(camera.mla_pitches)].sum() / power.sum()))
 
@@ -194,7 +202,7 @@ def _flatten_caustics(positions: np.ndarray, P: np.ndarray, power: np.ndarray, c
     positions : (n, 3) array
         Places.
     P : (n, 2) array
-        Where the rays that have found them have passed the pupil.
+        Where the lines of the rays that have found them pass the plane z = 0.
     power : (n,) array
         Their radiance.
     curved : (n,) bool array
@@ -239,7 +247,8 @@ def _require_memory(window: LensWindow, pairs: int, spp: int, optics: Optics) ->
 
 def _trace_lenses(
     sight: Sight,
-    lens: MainLens,
+    camera: PlenopticCamera,
+    front: Front,
     window: LensWindow,
     pairs: np.ndarray,
     lenses: range,
@@ -254,27 +263,43 @@ def _trace_lenses(
     Returns
     -------
     tuple of arrays
-        Where rays have passed the pupil; positions, radiance, its variance; which are curved, and by how much each is
-        astigmatic; slants; the bits of the visible cells; which are glossy, and the power of those over the pupil.
+        Where the rays' lines pass the plane z = 0; positions, radiance, its variance; which are curved, and by how much
+        each is astigmatic; slants; the bits of the visible cells; which are glossy, and the power of those over the pupil.
     """
-    lane = dr.arange(mi.UInt32, len(lenses) * len(pairs) * spp)
-    radiator = lane // spp
-    # A literal would be compiled anew into the kernels of every batch.
-    cell = radiator // len(pairs) + dr.opaque(mi.UInt32, lenses.start)
-    pair = radiator % len(pairs)
-    place = [dr.gather(mi.Float, mi.Float(pairs[:, i].astype(np.float32)), pair) for i in range(4)]
-    P = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(place[2], place[3])) * lens.pupil_radius
-    i, j = (dr.gather(mi.Float, mi.Float(index.astype(np.float32)), cell) for index in window.index.T)
-    q = mi.Point2f(*window.place(i + place[0], j + place[1]))
-    slope = mi.Point2f(*lens.aim((P.x, P.y), (q.x, q.y)))
-    ray, cosine = sight.ray((P.x, P.y), (slope.x, slope.y))
+    lens, radius = lens_of_rays(camera), pupil_bound(camera)
+
+    def primary(radiator: Any) -> tuple[Any, Any, Any, Any]:
+        # A literal would be compiled anew into the kernels of every batch.
+        cell = radiator // len(pairs) + dr.opaque(mi.UInt32, lenses.start)
+        pair = radiator % len(pairs)
+        place = [dr.gather(mi.Float, mi.Float(pairs[:, i].astype(np.float32)), pair) for i in range(4)]
+        P = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(place[2], place[3])) * radius
+        i, j = (dr.gather(mi.Float, mi.Float(index.astype(np.float32)), cell) for index in window.index.T)
+        q = mi.Point2f(*window.place(i + place[0], j + place[1]))
+        point, slope, is_open = lens.ray((P.x, P.y), (q.x, q.y))
+        # As wide as the others: a thin lens's rays all start from the same plane.
+        z = point[2] + dr.zeros(mi.Float, dr.width(radiator))
+        return P, mi.Point3f(point[0], point[1], z), mi.Point2f(*slope), is_open
+
+    kept, open_rays = dr.arange(mi.UInt32, len(lenses) * len(pairs)), None
+    if camera.prescription is not None:
+        kept = dr.compress(primary(kept)[3])
+        open_rays = kept.numpy()
+        if not open_rays.size:
+            return _nothing(len(channels(dr.zeros(mi.UnpolarizedSpectrum, 1))))
+    lane = dr.arange(mi.UInt32, dr.width(kept) * spp)
+    P, point, slope, _ = primary(dr.gather(mi.UInt32, kept, lane // spp))
+    ray, cosine = sight.ray(tuple(point), (slope.x, slope.y))
     found = draw(sight.optics, seed, ray, spp, dark)
     bad = int(np.count_nonzero(~np.isfinite(found.radiance).all(axis=-1)))
     if bad:
         raise InputError(f"scene: the radiance of {bad} radiators is NaN or infinite: all must be finite")
     if not found.lane.size:
         return _nothing(found.radiance.shape[1])
-    depth = _depth(found, cosine, lens)
+    if open_rays is not None:
+        factor = _evened(camera, window, open_rays // len(pairs), lenses, len(pairs))
+        found = found.weighted(factor[found.lane // spp])
+    depth = _depth(found, cosine, point.z, lens)
     if weight is not None:
         factor = weight(lens.vergence(depth))
         if not factor.any():
@@ -282,22 +307,45 @@ def _trace_lenses(
         found, depth = found.weighted(factor), depth[factor > 0]
     first = mi.UInt32(found.lane)
     P, slope = (dr.gather(mi.Point2f, mi.Point2f(v), first).numpy().astype(np.float64).T for v in (P, slope))
-    positions = np.column_stack([P + slope * depth[:, None], depth])
+    point = dr.gather(mi.Point3f, point, first).numpy().astype(np.float64).T
+    through = point[:, :2] - slope * point[:, 2:]
+    positions = np.column_stack([through + slope * depth[:, None], depth])
     bits, shiny, power = _over_pupil(len(P))
+    entrances = Entrances(front, P, positions, slope)
     to_world = sight.sensor.world_transform()
     if occlusion:
         rays = dr.gather(mi.Ray3f, ray, first)
-        bits = visible_cells(sight.optics, to_world, found.vertex, rays, P, lens)
-        shiny = glossy(sight.optics, found.vertex, rays, lens)
+        bits = visible_cells(sight.optics, to_world, found.vertex, rays, entrances, radius)
+        shiny = glossy(sight.optics, found.vertex, rays, radius)
     if shiny.any():
         some = mi.UInt32(np.flatnonzero(shiny).astype(np.uint32))
         vertex, rays = dr.gather(Vertex, found.vertex, some), dr.gather(mi.Ray3f, rays, some)
-        power = pupil_radiance(sight.optics, to_world, vertex, rays, lens, seed)
+        power = pupil_radiance(sight.optics, to_world, vertex, rays, entrances.take(shiny), radius, seed)
     place = found.vertex.place
     curved, astigmatism = (np.broadcast_to(part.numpy(), len(P)) for part in (place.curved, place.astigmatism))
     normals = to_world.inverse() @ mi.Normal3f(place.apparent)
-    slant = slants(np.broadcast_to(normals.numpy().T, positions.shape), positions, lens.pupil_radius)
-    return P, positions, found.radiance, found.variance, curved, astigmatism, slant, bits, shiny, power
+    seen = positions - np.array([0, 0, front.entrance])
+    slant = slants(np.broadcast_to(normals.numpy().T, positions.shape), seen, radius / front.magnification)
+    return through, positions, found.radiance, found.variance, curved, astigmatism, slant, bits, shiny, power
+
+
+def _evened(camera: PlenopticCamera, window: LensWindow, lens: np.ndarray, lenses: range, pairs: int) -> np.ndarray:
+    """Return factors on the light of rays that get through, by which each lens has that of its open pupil.
+
+    Of few rays to a lens, a fraction gets through that is the open fraction of the pupil to some percent only.
+
+    Parameters
+    ----------
+    lens : int array (n,)
+        Number of each ray's lens within `lenses`.
+    lenses : range
+        Numbers of the lenses in the window.
+    pairs : int
+        Rays of each lens that have been tried.
+    """
+    counts = np.bincount(lens, minlength=len(lenses))
+    x, y = window.place(*(window.index[lenses.start : lenses.stop] + 0.5).T)
+    return (pairs * open_fraction(camera, x, y) / np.maximum(counts, 1))[lens]
 
 
 def _nothing(channels: int) -> tuple[np.ndarray, ...]:
@@ -307,9 +355,10 @@ def _nothing(channels: int) -> tuple[np.ndarray, ...]:
     return *places, *np.empty((2, 0, channels)), nothing > 0, nothing, places[0], *_over_pupil(0)
 
 
-def _depth(found: Found, cosine: Any, lens: MainLens) -> np.ndarray:
+def _depth(found: Found, cosine: Any, start: Any, lens: ThinLens | LensSystem) -> np.ndarray:
     """Return the distances g of places; beyond some all wavefronts are flat."""
-    depth = found.vertex.place.distance * dr.gather(mi.Float, cosine, mi.UInt32(found.lane))
+    first = mi.UInt32(found.lane)
+    depth = found.vertex.place.distance * dr.gather(mi.Float, cosine, first) + dr.gather(mi.Float, start, first)
     farthest = _INFINITY / float(lens.vergence(math.inf))
     numbers = depth.numpy().astype(np.float64)
     return np.where(np.abs(numbers) < farthest, numbers, farthest)

@@ -113,7 +113,7 @@ class Replay:
                 mi.Float(np.repeat(part, self.spp).astype(np.float32)) for part in np.hstack([pupil, slope]).T
             )
             seed = int(np.random.SeedSequence([self.seed, number]).generate_state(1)[0])
-            ray, _ = self.sight.ray((x, y), (u, v))
+            ray, _ = self.sight.ray((x, y, 0.0), (u, v))
             yield some, random_numbers(seed, dr.width(x)), ray
 
     def _replay(self, mode: Any, sampler: Any, ray: Any, cotangent: Any) -> Any:

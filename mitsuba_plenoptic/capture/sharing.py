@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..optics.conjugates import images, mean_distances, objects
-from ..optics.main_lens import main_lens
+from ..optics.main_lens import MainLens
 from ..optics.phase import in_millimetres
 from .pupil_weights import PupilWeights
 
@@ -36,6 +35,9 @@ _ZONE_PER_WAVE = 0.6
 
 _SLANT_PER_WAVE = 1.5
 """Range of slants of which the mean is taken, over the allowed step of the wavefront in waves."""
+
+_FARTHEST = 1e12
+"""Distance, in millimetres, from which on light counts as collimated."""
 
 _OFF_LATTICE = 0.38196601
 """Fraction of a step by which the bounds between steps are moved off the places that regular samples take."""
@@ -68,6 +70,7 @@ class Patterns:
 
 def find_patterns(
     camera: PlenopticCamera,
+    lens: MainLens,
     positions: NDArray[np.float64],
     pupil_weights: PupilWeights | None,
     wavelength: float,
@@ -79,6 +82,8 @@ def find_patterns(
     ----------
     camera : PlenopticCamera
         The camera in the frame of its lattice.
+    lens : MainLens
+        Its main lens.
     positions : float64 array (n, 3)
         Scene points in that frame.
     pupil_weights : PupilWeights, optional
@@ -92,20 +97,19 @@ def find_patterns(
     -------
     Patterns
     """
-    g = positions[:, 2]
-    image = _lattice_steps(camera, images(camera, positions))
+    image = _lattice_steps(camera, lens.images(positions))
     if step == 0:
         alone = np.zeros((len(positions), 2), np.int64)
         slant = None if pupil_weights is None else pupil_weights.slant
         return Patterns(positions, np.floor(image).astype(np.int64), slant, np.arange(len(positions)), alone)
-    depth, parts = _depth_steps(camera, g, wavelength, step)
+    depth, parts = _depth_steps(camera, lens, positions[:, 2], wavelength, step)
     fine = np.floor(image * parts[:, None] + _OFF_LATTICE).astype(np.int64)
-    lens = fine // parts[:, None]
-    zone, size = _zones(camera, lens, wavelength, step)
-    keys = [zone, size[:, None], depth[:, None], fine - lens * parts[:, None]]
+    cell = fine // parts[:, None]
+    zone, size = _zones(camera, lens, cell, wavelength, step)
+    keys = [zone, size[:, None], depth[:, None], fine - cell * parts[:, None]]
     types = len(camera.mla_focal_lengths)
     if types > 1:
-        lens_type = camera.lattice.lens_type(*lens.T).astype(np.int64)
+        lens_type = camera.lattice.lens_type(*cell.T).astype(np.int64)
         keys.append(lens_type[:, None])
     if pupil_weights is not None:
         slants = np.floor(pupil_weights.slant / (_SLANT_PER_WAVE * step) + 0.5).astype(np.int64)
@@ -115,38 +119,40 @@ def find_patterns(
     # A pattern is computed for the mean of its radiators, in the middle lens of those that have it.
     low, high = np.full((2, len(first), 2), np.iinfo(np.int64).max)
     high = -high
-    np.minimum.at(low, pattern, lens)
-    np.maximum.at(high, pattern, lens)
+    np.minimum.at(low, pattern, cell)
+    np.maximum.at(high, pattern, cell)
     middle = (low + high) // 2
     if types > 1:
         # the nearest lens of the same lens_type
         off = lens_type[first] - camera.lattice.lens_type(*middle.T).astype(np.int64)
         middle[:, 0] += (off + 1) % types - 1
     count = np.bincount(pattern)
-    place = np.column_stack([np.bincount(pattern, part) for part in (image - lens).T]) / count[:, None] + middle
+    place = np.column_stack([np.bincount(pattern, part) for part in (image - cell).T]) / count[:, None] + middle
+    mean = np.bincount(pattern, lens.nearness(positions)) / count
     slant = None
     if pupil_weights is not None:
         slant = np.column_stack([np.bincount(pattern, part) for part in pupil_weights.slant.T]) / count[:, None]
-    centres = _in_pitches(camera, place) * camera.mla_pitch
-    points = objects(camera, centres, mean_distances(camera, g, pattern))
-    return Patterns(points, zone[first], slant, pattern, lens - middle[pattern])
+    # Light that diverges and light that converges may share a pattern, and their mean be collimated.
+    nearness = np.where(np.abs(mean) > 1 / _FARTHEST, mean, 1 / _FARTHEST)
+    found = lens.points(_in_pitches(camera, place) * camera.mla_pitch, nearness)
+    return Patterns(found, zone[first], slant, pattern, cell - middle[pattern])
 
 
 def patterns_at(
-    camera: PlenopticCamera, distances: NDArray[np.float64], lenses: int, wavelength: float, step: float
+    camera: PlenopticCamera, lens: MainLens, distances: NDArray[np.float64], lenses: int, wavelength: float, step: float
 ) -> float:
     """Return about how many patterns any number of radiators at some distances have, that fill the pupil alike.
 
     Parameters
     ----------
-    camera, wavelength, step
+    camera, lens, wavelength, step
         As of `find_patterns`.
     distances : float64 array (n,)
         Their distances.
     lenses : int
         Lenses that their images are on.
     """
-    depth, parts = _depth_steps(camera, distances, wavelength, step)
+    depth, parts = _depth_steps(camera, lens, distances, wavelength, step)
     first = np.unique(depth, return_index=True)[1]
     return float((parts[first] ** 2).sum()) * max(1.0, lenses / LARGEST_ZONE**2)
 
@@ -166,12 +172,12 @@ def _in_pitches(camera: PlenopticCamera, steps: NDArray[Any]) -> NDArray[np.floa
 
 
 def _depth_steps(
-    camera: PlenopticCamera, g: NDArray[np.float64], wavelength: float, step: float
+    camera: PlenopticCamera, lens: MainLens, g: NDArray[np.float64], wavelength: float, step: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the number of each distance's step, and into how many parts a lens is cut along an axis there."""
-    lens, lam = main_lens(camera), in_millimetres(wavelength)
+    lam = in_millimetres(wavelength)
     a, b = lens.pupil_radius, lens.pupil_distance
-    defocus = a * a / (2 * lam) * (lens.vergence(g) - 1 / b)
+    defocus = a * a / (2 * lam) * (lens.convergence(g) - 1 / b)
     pitch = max(camera.mla_pitches)
     lenses_per_wave = 4 * b * lam / (a * pitch)
     lenses = np.maximum(1, lenses_per_wave * np.abs(defocus))
@@ -185,17 +191,17 @@ def _depth_steps(
 
 
 def _zones(
-    camera: PlenopticCamera, lens: NDArray[np.int64], wavelength: float, step: float
+    camera: PlenopticCamera, lens: MainLens, cell: NDArray[np.int64], wavelength: float, step: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return first lens and size of each lens's zone, of as many steps along both lattice vectors.
 
     In it the wavefront changes little enough.
     """
-    main, pitch = main_lens(camera), max(camera.mla_pitches)
-    size = np.ones(len(lens), np.int64)
+    pitch = max(camera.mla_pitches)
+    size = np.ones(len(cell), np.int64)
     width = 2
     while width <= LARGEST_ZONE:
-        first = lens // width * width
+        first = cell // width * width
         square = np.max(
             [
                 ((_in_pitches(camera, first + np.array(corner) * width) * camera.mla_pitch) ** 2).sum(1)
@@ -203,7 +209,7 @@ def _zones(
             ],
             axis=0,
         )
-        waves = main.path_change(np.sqrt(square), pitch, wavelength)
+        waves = lens.path_change(np.sqrt(square), pitch, wavelength)
         size[width * waves <= _ZONE_PER_WAVE * step] = width
         width *= 2
-    return lens // size[:, None] * size[:, None], size
+    return cell // size[:, None] * size[:, None], size

@@ -54,25 +54,27 @@ class Sight:
                 farthest = max(nearest, *depths)
         return float(lens.vergence(nearest)), float(lens.vergence(farthest))
 
-    def ray(self, pupil: tuple[Any, Any], slope: tuple[Any, Any]) -> tuple[Any, Any]:
-        """Return the ray through a pupil point, and the cosine of its angle with the axis."""
+    def ray(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any]) -> tuple[Any, Any]:
+        """Return the ray from a point of the main lens, and the cosine of its angle with the axis."""
         direction = dr.normalize(mi.Vector3f(*slope, 1))
         to_world = self.sensor.world_transform()
-        ray = mi.Ray3f(to_world @ mi.Point3f(*pupil, 0), to_world @ direction)
+        ray = mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ direction)
         ray.time = self.sensor.shutter_open() + 0.5 * self.sensor.shutter_open_time()
         if self.wavelength is not None:
             ray.wavelengths = dr.full(type(ray.wavelengths), self.wavelength)
         return ray, direction.z
 
     def look(
-        self, pupil: tuple[Any, Any], slope: tuple[Any, Any], seed: int, counts: Callable[[Any], Any] | None = None
+        self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], seed: int, counts: Callable[[Any], Any] | None = None
     ) -> tuple[list[Any], Any]:
         """Sample the light along rays.
 
         Parameters
         ----------
-        pupil, slope : (Float, Float)
-            Where the rays pass the pupil, and their slopes.
+        point : (Float, Float, Float)
+            Where the rays leave the main lens, in the camera frame.
+        slope : (Float, Float)
+            Their slopes.
         seed : int
             Of the random numbers.
         counts : callable, optional
@@ -83,9 +85,10 @@ class Sight:
         radiance : list of Float
             For each channel.
         distance : Float
-            Distance g of the plane from which the light seems to come; infinite, or negative where it converges.
+            Distance, from the point along the axis, of the plane from which the light seems to come; infinite, or
+            negative where it converges.
         """
-        ray, cosine = self.ray(pupil, slope)
+        ray, cosine = self.ray(point, slope)
         if not self.optics.plain:
             vertex = first_vertex(self.optics, seed, ray, 1, counts and (lambda distance: counts(distance * cosine)))
             return channels(vertex.radiance), vertex.place.distance * cosine

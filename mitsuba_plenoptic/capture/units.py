@@ -6,9 +6,10 @@ import math
 from typing import Any
 
 from ..camera import PlenopticCamera
+from ..optics.open_pupil import pupil_bound
 
 
-def brightness(lattice: Any, aperture_radius: Any, detector_distance: Any, pixel_size: Any) -> Any:
+def brightness(lattice: Any, pupil_radius: Any, detector_distance: Any, pixel_size: Any) -> Any:
     r"""Return :math:`A_{pupil} z^2 / (A_{lens} A_{pixel})`, of the weight of a radiator what depends on the camera.
 
     The rest is its radiance times the solid angle :math:`A_c / b^2` that it stands for.
@@ -17,13 +18,13 @@ def brightness(lattice: Any, aperture_radius: Any, detector_distance: Any, pixel
     ----------
     lattice : Lattice
         The microlens array.
-    aperture_radius, detector_distance, pixel_size : float or Dr.Jit array
+    pupil_radius, detector_distance, pixel_size : float or Dr.Jit array
         In millimetres.
     """
-    pupil = math.pi * aperture_radius**2
+    pupil = math.pi * pupil_radius**2
     return pupil * detector_distance**2 / (lattice.lens_area * pixel_size**2)
 
 
 def brightness_of(camera: PlenopticCamera) -> float:
     """Return `brightness` for a camera."""
-    return float(brightness(camera.lattice, camera.aperture_radius, camera.detector_distance, camera.pixel_size))
+    return float(brightness(camera.lattice, pupil_bound(camera), camera.detector_distance, camera.pixel_size))

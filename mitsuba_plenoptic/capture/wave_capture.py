@@ -143,9 +143,10 @@ class WaveCapture:
         if self.method != "auto":
             return self.method
         per_lens = self.passes * self.radiators_per_lens**2
-        # A bank takes the main lens to be round.
+        # A bank takes the main lens to be thin and round.
         better = (
             self.occlusion
+            and self.camera.main_lens is None
             and not any(self.camera.wavefront)
             and bank_is_better(self.camera, self.sight, max(self.wavelengths), per_lens, self.accuracy, seed)
         )
@@ -259,7 +260,7 @@ class WaveCapture:
         """Return the weights (n, 1) of radiators of radiance 1."""
         camera = self.camera
         cell = camera.lattice.cell_area / (self.radiators_per_lens**2 * self.passes)
-        whole = cell / camera.mla_distance**2 * brightness_of(camera)
+        whole = cell / camera.pupil_distance**2 * brightness_of(camera)
         return np.asarray(whole / radiators.fraction[:, None])
 
 

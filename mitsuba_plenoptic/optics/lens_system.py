@@ -169,6 +169,11 @@ class LensSystem:
         L, M, N = direction
         return (x, y, self.front + z), (L / N, M / N), is_open
 
+    def ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+        """Follow the ray that comes from a place on the MLA through a point of the exit pupil, as `trace` does."""
+        tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, place, strict=True))
+        return self.trace(place, (tx, ty))
+
     def beside(
         self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], change: tuple[Any, Any]
     ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any]]:

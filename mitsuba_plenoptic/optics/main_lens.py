@@ -23,9 +23,13 @@ from ..errors import InputError
 from ..thin_lens import vergence
 from . import rays
 from .distortion import undistort
+from .finite_pupil import FinitePupil
 from .phase import in_millimetres, parabola
 from .telecentric import TelecentricLens
 from .wavefront import Wavefront
+
+_ROUNDING = 1e-9
+"""How far outside a round pupil, over its radius, a point counts as on its edge."""
 
 
 class MainLens(Protocol):
@@ -68,33 +72,31 @@ class MainLens(Protocol):
             Whether the lens lets it through.
         """
 
-    def aim(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[Any, Any]:
-        """Return the slopes, towards the scene, of the ray that comes from a place on the MLA through a pupil point."""
+    def convergence(self, distance: Any) -> Any:
+        """Return the reciprocal of the distance from the exit pupil to an object plane's image."""
 
-    def land(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
-        """Return the place on the MLA of the ray from a scene point through a pupil point; `aim` leads back."""
+    def ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+        """Return the ray that comes from a place on the MLA through a pupil point, as `trace` does."""
 
-    def path(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any], wavelength: float) -> Any:
-        """Return the path from a scene point to an exit pupil point, less that to the pupil's centre, in waves.
+    def bind(self, points: NDArray[np.float64], which: Any = None) -> Light:
+        """Return the light of some scene points.
 
         Parameters
         ----------
-        pupil : (array, array)
-            Point on the exit pupil in millimetres.
-        point : (array, array, array)
-            Scene point in the camera frame in millimetres.
-        wavelength : float
-            Wavelength in nanometres.
+        points : float64 array (n, 3)
+            The points in the camera frame, or in one that is turned about the axis if the lens is round.
+        which : UInt32 array of Dr.Jit, optional
+            The point of each lane. Default: NumPy's arrays (n, m) are asked for, of which each row is a point's.
         """
 
-    def amplitude(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
-        """Return the modulus of a scene point's field on the exit pupil, in units that are the same for all of it."""
+    def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where on the MLA the rays from scene points (n, 3) through the pupil's middle come; (n, 2)."""
 
-    def inside(self, pupil: tuple[Any, Any]) -> Any:
-        """Return how far within the edge of the exit pupil a point lies, negative outside."""
+    def nearness(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the reciprocals of the distances of scene points (n, 3) from the lens's entrance pupil; (n,)."""
 
-    def cosines(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
-        """Return the direction cosines in which a scene point's light leaves the exit pupil, the gradient of `path`."""
+    def points(self, images: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the scene points (n, 3) that have these `images` and this `nearness`."""
 
     def cone(self, distances: Any) -> float:
         """Return half the range of direction cosines of one point's light at the MLA, the widest of some distances."""
@@ -144,8 +146,43 @@ class MainLens(Protocol):
         """
 
 
+class Light(Protocol):
+    """Scene points' light on the exit pupil. Lengths are millimetres, wavelengths nanometres.
+
+    Points that it is asked for must be those that it is bound to.
+    """
+
+    def path(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any], wavelength: float) -> Any:
+        """Return the path from a scene point to an exit pupil point, less that to the pupil's centre, in waves.
+
+        Parameters
+        ----------
+        pupil : (array, array)
+            Point on the exit pupil in millimetres.
+        point : (array, array, array)
+            Scene point in the camera frame in millimetres.
+        wavelength : float
+            Wavelength in nanometres.
+        """
+
+    def amplitude(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
+        """Return the modulus of a scene point's field on the exit pupil, in units that are the same for all of it."""
+
+    def inside(self, pupil: tuple[Any, Any]) -> Any:
+        """Return how far within the edge of the exit pupil a point lies, negative outside."""
+
+    def is_open(self, pupil: tuple[Any, Any]) -> Any:
+        """Return whether a point lies within the edge of the exit pupil, or but for rounding on it."""
+
+    def cosines(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+        """Return the direction cosines in which a scene point's light leaves the exit pupil, the gradient of `path`."""
+
+    def land(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+        """Return the place on the MLA of the ray from a scene point through a pupil point; `ray` leads back."""
+
+
 @dataclass(frozen=True)
-class ThinLens:
+class ThinLens(FinitePupil):
     r"""A thin lens with a round pupil.
 
     Parameters
@@ -201,10 +238,31 @@ class ThinLens:
             tx, ty = tx + sx, ty + sy
         return tx, ty
 
-    def aim(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[Any, Any]:
-        """Return the slopes of the ray to the conjugate of a place on the MLA; the aberrations are not followed."""
+    def convergence(self, distance: Any) -> Any:
+        """Return `vergence`: the lens is its own pupil."""
+        return self.vergence(distance)
+
+    def ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+        """Return the ray to the conjugate of a place on the MLA; its own aberrations are not followed."""
         tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, place, strict=True))
-        return self._refract((tx, ty), pupil)
+        return (*pupil, 0.0), self._refract((tx, ty), pupil), True
+
+    def bind(self, points: NDArray[np.float64], which: Any = None) -> ThinLens:
+        """Return the lens, which is the same for all points."""
+        return self
+
+    def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where on the MLA the rays from scene points (n, 3) through the pupil's middle come; (n, 2)."""
+        return np.asarray(rays.conjugate_coordinate(points[:, :2], points[:, 2:], self.pupil_distance))
+
+    def nearness(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the reciprocals of the distances of scene points; (n,)."""
+        return np.asarray(1 / points[:, 2])
+
+    def points(self, images: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the scene points (n, 3) that have these `images` and this `nearness`."""
+        distance = 1 / nearness[:, None]
+        return np.hstack([images * (-distance / self.pupil_distance), distance])
 
     def land(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
         """Return the place on the MLA of the ray from a scene point through a pupil point, without aberrations."""
@@ -246,6 +304,10 @@ class ThinLens:
         """Return how far within the edge of the pupil a point lies."""
         return self.pupil_radius - _sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
 
+    def is_open(self, pupil: tuple[Any, Any]) -> Any:
+        """Return whether a point lies within the edge of the pupil, or but for rounding on it."""
+        return self.inside(pupil) >= -_ROUNDING * self.pupil_radius
+
     def cosines(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
         r"""Return :math:`(P - X) / |P - X| - P / f_1` along x and y, and the slope of the aberrations."""
         length = _distance(pupil, point)
@@ -254,30 +316,6 @@ class ThinLens:
             x, y = self._wavefront.slope(*pupil)
             sx, sy = sx + x, sy + y
         return sx, sy
-
-    def cone(self, distances: Any) -> float:
-        """Return the cosine to the rim of the pupil: of light that is collimated, or meets at MLA or image."""
-        powers = np.abs(self.vergence(distances))
-        return float(self.pupil_radius) * float(powers.max(initial=1 / self.pupil_distance))
-
-    def from_array(self, cosine: tuple[Any, Any], image: tuple[Any, Any]) -> tuple[tuple[Any, Any], Any, Any]:
-        r"""Return :math:`M - R s`, :math:`R = b / \sqrt{1 - s^2}`, and R without that of the chief ray."""
-        (sx, sy), (x, y), b = cosine, image, self.pupil_distance
-        R = b / _sqrt(1 - sx * sx - sy * sy)
-        return (x - R * sx, y - R * sy), R, R - _sqrt(x * x + y * y + b * b)
-
-    def to_array(self, pupil: NDArray[np.float64], image: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the direction cosines from points of the pupil to places on the MLA."""
-        towards = image - pupil
-        return np.asarray(towards / np.sqrt((towards**2).sum(-1) + self.pupil_distance**2)[..., None])
-
-    def chief_slope(self, image: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the slopes of the chief rays at places on the MLA."""
-        return np.asarray(image / self.pupil_distance)
-
-    def curvature(self, square: Any) -> Any:
-        """Return the reciprocal of the distance."""
-        return 1 / _sqrt(square)
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
         r"""Return :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda`, of the third order (a: pupil's radius, d: step).
@@ -331,7 +369,7 @@ class DistortedLens(ThinLens):
 
 
 def require_ideal(camera: PlenopticCamera) -> None:
-    """Refuse, for work by waves, a camera with a tilted array or a main lens that distorts or is not thin.
+    """Refuse, for work by waves, a camera with a tilted array or a thin main lens that distorts.
 
     Parameters
     ----------
@@ -343,15 +381,13 @@ def require_ideal(camera: PlenopticCamera) -> None:
     InputError
         Naming the parameter.
     """
-    if camera.objective is None:
-        camera.require_thin("waves are followed, but by method full_field,")
     for name in ("mla_tilt", "distortion"):
         if any(getattr(camera, name)):
             raise InputError(f"{name} = {getattr(camera, name)}: waves need 0; work by rays, or set it to 0")
 
 
 def require_round(camera: PlenopticCamera) -> None:
-    """Refuse, for work by a kernel bank, a camera whose main lens has aberrations.
+    """Refuse, for work by a kernel bank, a camera whose main lens is not thin or has aberrations.
 
     Parameters
     ----------
@@ -363,12 +399,14 @@ def require_round(camera: PlenopticCamera) -> None:
     InputError
         If it has.
     """
+    if camera.main_lens is not None:
+        camera.require_thin("method bank is", "use method patch")
     if any(camera.wavefront):
         raise InputError("wavefront: method bank needs a main lens without aberrations; use patch, or set them to 0")
 
 
-def main_lens(camera: PlenopticCamera) -> MainLens:
-    """Return a camera's main lens as waves pass it.
+def main_lens(camera: PlenopticCamera) -> ThinLens | TelecentricLens:
+    """Return a camera's thin main lens, or its objective, as waves pass it.
 
     Parameters
     ----------
@@ -378,10 +416,11 @@ def main_lens(camera: PlenopticCamera) -> MainLens:
     Raises
     ------
     InputError
-        If the camera has a tilted array or its main lens distorts or is not thin, which waves do not know.
+        If the camera has a tilted array or its main lens distorts, which waves do not know, or is not thin.
     """
     require_ideal(camera)
     if camera.objective is not None:
         return TelecentricLens(camera.objective)
+    camera.require_thin("this is done")
     numbers = camera.focal_length, camera.aperture_radius, camera.mla_distance
     return ThinLens(*numbers, camera.lens_model, camera.wavefront)

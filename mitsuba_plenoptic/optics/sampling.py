@@ -18,7 +18,7 @@ from ..bounds import SHORTEST
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..runtime.limits import memory_limit, require_memory
-from .main_lens import main_lens
+from .main_lens import Light, MainLens
 from .telecentric import TelecentricLens
 
 MEMORY_LIMIT = 4 * 2**30
@@ -32,6 +32,9 @@ _FARTHEST = 1e16
 
 _RIM_ANGLES = 32
 _RIM_RADII = (0.0, 0.4, 0.7, 1.0)
+
+_BISECTIONS = 6
+"""Steps by which the edges of beams are found."""
 
 
 @dataclass(frozen=True)
@@ -47,15 +50,15 @@ class Footprint:
     half_cosine: NDArray[np.float64]
 
 
-def footprint(camera: PlenopticCamera, positions: NDArray[np.float64]) -> Footprint:
+def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
     """Trace rays from each scene point through the pupil to the MLA.
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
+    lens : MainLens
+        The main lens.
     positions : float64 array (n, 3)
-        Scene points in the camera frame.
+        Scene points in the camera frame, or in one that is turned about the axis if the lens is round.
 
     Returns
     -------
@@ -65,24 +68,48 @@ def footprint(camera: PlenopticCamera, positions: NDArray[np.float64]) -> Footpr
     Raises
     ------
     InputError
-        If a ray leaves the main lens at a right angle or steeper, so that it never reaches the MLA.
+        If a ray leaves the main lens at a right angle or steeper, so that it never reaches the MLA, or no light of a
+        point passes the lens.
     """
     angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
-    lens = main_lens(camera)
     P = lens.pupil_radius * np.concatenate([radius * circle for radius in _RIM_RADII])
-    point = positions[:, None, 0], positions[:, None, 1], positions[:, None, 2]
-    cosine = np.stack(lens.cosines((P[:, 0], P[:, 1]), point), -1)
+    point, light = (positions[:, None, 0], positions[:, None, 1], positions[:, None, 2]), lens.bind(positions)
+    is_open = np.broadcast_to(light.is_open((P[:, 0], P[:, 1])), (len(positions), len(P)))
+    P = np.broadcast_to(P, (len(positions), *P.shape))
+    if not is_open.all():
+        P = _drawn_in(light, P, is_open)
+    cosine = np.stack(light.cosines((P[..., 0], P[..., 1]), point), -1)
     square = (cosine**2).sum(-1)
     if np.any(square >= 1):
         worst = positions[np.argmax(square.max(1))]
         raise InputError(f"position = {tuple(worst.tolist())}: its light leaves the main lens too steeply")
     if isinstance(lens, TelecentricLens):
         # It has no pupil at a finite distance from which to go on.
-        return _bounds(
-            np.stack(lens.land((P[:, 0], P[:, 1]), point), -1), np.broadcast_to(cosine, (len(positions), *P.shape))
-        )
-    return bundle_footprint(np.broadcast_to(P, cosine.shape), cosine, lens.pupil_distance)
+        return _bounds(np.stack(lens.land((P[..., 0], P[..., 1]), point), -1), np.broadcast_to(cosine, P.shape))
+    return bundle_footprint(P, cosine, lens.pupil_distance)
+
+
+def _drawn_in(light: Light, P: NDArray[np.float64], is_open: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Move places (n, m, 2) of the rim, the last ones, inwards to the edges of beams, and what else is cut off there.
+
+    Inwards is towards the middle of the places that are open.
+    """
+    if not is_open.any(1).all():
+        # A beam so narrow that no place of these is in it.
+        raise InputError("position: hardly any light of one of the scene points passes the main_lens")
+    middle = (P * is_open[..., None]).sum(1, keepdims=True) / is_open.sum(1)[:, None, None]
+    away = P[:, -_RIM_ANGLES:] - middle
+    low, high = np.zeros((2, *away.shape[:2]))
+    high += 1
+    for _ in range(_BISECTIONS):
+        half = (low + high) / 2
+        x, y = np.moveaxis(middle + half[..., None] * away, -1, 0)
+        within = light.is_open((x, y))
+        low, high = np.where(within, half, low), np.where(within, high, half)
+    # From the edge outwards, so that the bounds hold all of the beam.
+    edge = middle + high[..., None] * away
+    return np.concatenate([np.where(is_open[..., None], P, middle)[:, :-_RIM_ANGLES], edge], axis=1)
 
 
 def bundle_footprint(pupil: NDArray[np.float64], cosine: NDArray[np.float64], distance: float) -> Footprint:

@@ -34,6 +34,9 @@ from .phase import in_millimetres
 
 _Pair = tuple[Any, Any]
 
+_ROUNDING = 1e-9
+"""How far outside the stop, over its radius, a point counts as on its edge."""
+
 
 @dataclass(frozen=True)
 class TelecentricLens:
@@ -86,6 +89,26 @@ class TelecentricLens:
         drop = 2 * math.sin(lens.half_angle / 2) ** 2
         return 1 / self.pupil_distance + 2 * lens.immersion * drop * distance / self.pupil_radius**2
 
+    def convergence(self, distance: Any) -> Any:
+        """Return `vergence`."""
+        return self.vergence(distance)
+
+    def bind(self, points: NDArray[np.float64], which: Any = None) -> TelecentricLens:
+        """Return the lens, which is the same for all points."""
+        return self
+
+    def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the places of the chief rays of points in the native image plane, (n, 2)."""
+        return -self.objective.magnification * points[:, :2]
+
+    def nearness(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the depths of scene points, in which wavefronts are even; (n,)."""
+        return points[:, 2]
+
+    def points(self, images: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the scene points (n, 3) that have these `images` and this `nearness`."""
+        return np.column_stack([images * (-1 / self.objective.magnification), nearness])
+
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
         """Return 0: wavefronts of all points of a plane differ by their tilts alone.
 
@@ -131,9 +154,13 @@ class TelecentricLens:
             f = self.objective.last_focal_length
             place, slope = (f * slope[0], f * slope[1]), (-place[0] / f, -place[1] / f)
         pupil = slope[0] * self.pupil_distance, slope[1] * self.pupil_distance
+        return self.ray(pupil, place)
+
+    def ray(self, pupil: _Pair, place: _Pair) -> tuple[tuple[Any, Any, Any], _Pair, Any]:
+        """Return the ray that comes from a place in the native image plane through a point of the stop."""
         behind = self.aim(pupil, place)
         x, y = (t * self.front - m / self.objective.magnification for m, t in zip(place, behind, strict=True))
-        return (x, y, self.front), behind, self.inside(pupil) >= 0
+        return (x, y, self.front), behind, self.is_open(pupil)
 
     def aim(self, pupil: _Pair, place: _Pair) -> _Pair:
         """Return the slopes in the scene of the ray through a point of the stop, the same from all places."""
@@ -151,6 +178,10 @@ class TelecentricLens:
         """Return how far within the edge of the stop a point lies."""
         square = pupil[0] * pupil[0] + pupil[1] * pupil[1]
         return self.pupil_radius - (dr.sqrt(square) if dr.is_array_v(square) else np.sqrt(square))
+
+    def is_open(self, pupil: _Pair) -> Any:
+        """Return whether a point lies within the stop, or but for rounding on its edge."""
+        return self.inside(pupil) >= -_ROUNDING * self.pupil_radius
 
     def cone(self, distances: Any) -> float:
         """Return NA / M, whatever the depth."""

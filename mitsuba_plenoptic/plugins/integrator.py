@@ -180,6 +180,7 @@ def make_class() -> type:
             if self.method not in ("auto", "patch"):
                 raise InputError(f"{NAME}: method = {self.method}: it has no gradients; use patch")
             names, others = numbers_and_others(params, sensor)
+            PlenopticCamera.from_sensor(sensor).require_thin("captures by waves are differentiated")
             seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
             spp = spp or sensor.sampler().sample_count()
             capture = self._capture(scene, sensor)

@@ -19,6 +19,7 @@ from ..runtime.backend import one_at_a_time
 from ..runtime.limits import largest_fitting, require_memory
 from ..thin_lens import image_distance
 from .methods import METHODS, Found, Task
+from .real_lens import require_upright
 from .result import Reconstruction
 
 FOOTPRINTS = ("lens", "point")
@@ -164,14 +165,15 @@ def reconstruct(
     camera = capture.camera
     if not isinstance(method, str) or method not in METHODS:
         raise InputError(f"method = {shown(method)}: it must be one of {', '.join(METHODS)}")
-    if camera.objective is None:
-        camera.require_thin("captures are reconstructed")
-    elif method != "deconvolved" or camera.objective.is_fourier:
+    if camera.objective is not None and (method != "deconvolved" or camera.objective.is_fourier):
         raise InputError(
             f"method = {method}: behind main_lens = {camera.objective.name} captures are deconvolved alone, those with "
             "the array in the native image plane; CaptureOperator and its adjoint serve others"
         )
     chosen = METHODS[method]
+    if camera.prescription is not None and method != "ray":
+        camera.require_thin(f"captures are reconstructed by method {method}", "use method ray")
+    require_upright(camera)
     if footprint not in FOOTPRINTS:
         raise InputError(f"footprint = {shown(footprint)}: it must be one of {', '.join(FOOTPRINTS)}")
     given = {

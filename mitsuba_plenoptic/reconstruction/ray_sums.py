@@ -12,6 +12,7 @@ from ..errors import InputError
 from ..lightfield.white import white_image
 from ..optics import rays
 from .binning import AxisBins, axis_bins, bin_image
+from .real_lens import traced_white
 from .splatting import splat
 
 # Dr.Jit counts in 32 bits.
@@ -23,8 +24,8 @@ def ray_sums(
 ) -> np.ndarray:
     """Follow one ray a pixel back to the object plane and sum the pixels that go to each bin.
 
-    Where pixels and bins are arranged alike, on an upright square lattice without gaps of unfocused lenses, this is
-    done one axis at a time.
+    Where pixels and bins are arranged alike, on an upright square lattice without gaps of unfocused lenses behind a
+    thin main lens, this is done one axis at a time.
 
     Parameters
     ----------
@@ -62,7 +63,7 @@ def aligned_axes(
     camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
 ) -> tuple[AxisBins, AxisBins] | None:
     """Return where the pixels of each axis go, if pixels and bins are arranged alike; None where they are not."""
-    if focus_type(camera) != "unfocused" or not camera.lenses_like_bins:
+    if camera.main_lens is not None or focus_type(camera) != "unfocused" or not camera.lenses_like_bins:
         return None
     x, y = (_axis(camera, distance, radius, axis, footprint, oversample) for axis in (0, 1))
     return x, y
@@ -78,7 +79,7 @@ def white_sums(camera: PlenopticCamera, distance: float, radius: float, footprin
 @functools.lru_cache(maxsize=1)
 def white_pixels(camera: PlenopticCamera) -> np.ndarray:
     """Return the camera's white image; the last one is kept, for the next distance."""
-    return white_image(camera)
+    return white_image(camera) if camera.main_lens is None else traced_white(camera)
 
 
 def _axis(

@@ -21,6 +21,7 @@ from ..camera import PlenopticCamera
 from ..design import lens_footprint, pixel_footprint
 from ..optics import rays
 from ..runtime.limits import require_memory
+from .real_lens import traced_places
 
 # Samples of the fine grid across a lens pitch; at least so many across a bin.
 _FINE = 16
@@ -214,6 +215,8 @@ def _landing(
     place, lens_type, pixel : int arrays
         Sample, counted bin by bin, type of lens, and flat index of each pixel.
     """
+    if camera.main_lens is not None:
+        return _traced_landing(camera, distance, oversample, fine, shape)
     lattice, columns = camera.lattice, camera.crop_size[0]
     # All along the ray is linear in the pixel and the lens's centre.
     of_pixel = np.array(rays.follow_back(1.0, 0.0, 0.0, distance, camera))
@@ -236,11 +239,37 @@ def _landing(
             (of_pixel[1] * p + of_lens[1] * c) * scale + size / 2
             for p, c, size in ((qx, cx, shape[1]), (qy, cy, shape[0]))
         )
-        column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-        sample = np.floor((y - row) * fine).astype(np.int64) * fine + np.floor((x - column) * fine).astype(np.int64)
         lens_type = lattice.lens_type(i, j).astype(np.int8) if several else np.zeros(lit.size, np.int8)
-        inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
-        place = (row * shape[1] + column) * fine**2 + sample
+        inside, place = _samples(x, y, fine, shape)
         found.append([values[inside] for values in (place, lens_type, lit + first * columns)])
+    place, lens_type, pixel = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return place, lens_type, pixel
+
+
+def _samples(x: np.ndarray, y: np.ndarray, fine: int, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return which places, counted in bins, lie on the bins, and the samples that all would have."""
+    column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    sample = np.floor((y - row) * fine).astype(np.int64) * fine + np.floor((x - column) * fine).astype(np.int64)
+    inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
+    return inside, (row * shape[1] + column) * fine**2 + sample
+
+
+def _traced_landing(
+    camera: PlenopticCamera, distance: float, oversample: int, fine: int, shape: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Do what `_landing` does, by rays traced through a real main lens."""
+    scale, columns = oversample / camera.mla_pitch, camera.crop_size[0]
+    b, z, types = camera.pupil_distance, camera.detector_distance, len(camera.mla_focal_lengths)
+    found = []
+    for rows, x, y, is_lit in traced_places(camera, distance):
+        lit = np.flatnonzero(is_lit)
+        inside, place = _samples(x[lit] * scale + shape[1] / 2, y[lit] * scale + shape[0] / 2, fine, shape)
+        lit, place = lit[inside], place[inside]
+        lens_type = np.zeros(lit.size, np.int8)
+        if types > 1:
+            px, py = camera.pixel_coordinates(0)[lit % columns], camera.pixel_coordinates(1)[rows][lit // columns]
+            own = camera.lattice.cell(*(rays.chief_point(p, b, z) for p in (px, py)))
+            lens_type = camera.lattice.lens_type(*own).astype(np.int8)
+        found.append([place, lens_type, lit + rows.start * columns])
     place, lens_type, pixel = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return place, lens_type, pixel

@@ -33,7 +33,7 @@ def ray_grid(camera: PlenopticCamera) -> Grid:
     steps = np.array(turned.lattice.grid_step) * (turned.micro_image_pitch / turned.mla_pitch)
     origin = -np.array([camera.detector_width, camera.detector_height]) / 2
     pitch = steps / np.ceil(2 * steps / camera.pixel_size)
-    return Grid(turned, camera.mla_rotation, _NO_WAVE, band_for(0.5, 1), 0.0, pitch, origin)
+    return Grid(turned, main_lens(camera), camera.mla_rotation, _NO_WAVE, band_for(0.5, 1), 0.0, pitch, origin)
 
 
 @dataclass(frozen=True)

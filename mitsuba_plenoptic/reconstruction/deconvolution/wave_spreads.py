@@ -14,7 +14,6 @@ from ...capture.grid import Grid, place
 from ...capture.patch_batches import Fields, Scatter
 from ...capture.tile import Copies
 from ...design import resolution_limit
-from ...optics.conjugates import objects
 from ...optics.main_lens import main_lens
 from .cells import Cells
 
@@ -58,11 +57,13 @@ def wave_batches(cells: Cells, distance: float, cell: NDArray[np.int64]) -> list
     """
     grid = cells.grid
     depth = finite_distance(cells.camera, distance)
+    lens = main_lens(cells.camera)
+    nearness = float(lens.nearness(np.array([[0.0, 0.0, depth]]))[0])
     places = cells.bin_places(cell, math.ceil(_radiators(cells, distance) / cells.oversample))
     weight = bin_weight(cells) / places.shape[1]
     batches = []
     for points in places:
-        positions = objects(cells.camera, points, np.full(len(points), depth))
+        positions = lens.points(points, np.full(len(points), nearness))
         placement = place(grid, positions)
         groups = [np.flatnonzero(placement.samples == size) for size in np.unique(placement.samples)]
         copy = Copies(np.zeros((1, 2), np.int64), np.full((1, 1), weight, np.float32))
