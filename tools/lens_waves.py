@@ -16,7 +16,6 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 from accuracy import Row, finish, markdown, options, start
-from lens_accuracy import with_camera
 
 from mitsuba_plenoptic import (
     PlenopticCamera,
@@ -24,6 +23,7 @@ from mitsuba_plenoptic import (
     load_scene,
     point_spread_function,
     render_capture,
+    with_camera,
 )
 from mitsuba_plenoptic.optics.fitted_lens import lens_of_waves
 from mitsuba_plenoptic.optics.lens_system import LensSystem
