@@ -263,8 +263,8 @@ def _trace_lenses(
     Returns
     -------
     tuple of arrays
-        Where the rays' lines pass the plane z = 0; positions, radiance, its variance; which are curved, and by how much
-        each is astigmatic; slants; the bits of the visible cells; which are glossy, and the power of those over the pupil.
+        Where rays pass the plane z = 0; positions, radiance, its variance; which are curved, and by how much each
+        is astigmatic; slants; the bits of the visible cells; which are glossy, and the power of those over the pupil.
     """
     lens, radius = lens_of_rays(camera), pupil_bound(camera)
 

@@ -41,8 +41,17 @@ _NARROWEST = 0.1
 _INVERSIONS = 12
 """Steps by which scene points of given images are found: each takes away the error but for the distortion's part."""
 
-_HEIGHTS, _ANGLES, _RADII = 33, 16, 4
+_HEIGHTS, _ANGLES, _RADII = 33, 16, 8
 """Fields and places on the pupil at which wavefronts are compared."""
+
+_RIM = 0.999
+"""Largest of these places, over the pupil's radius: what lies on the very edge may count as outside."""
+
+_AS_TOLD = 2.0
+"""What changes of the path count for.
+
+With the closed form of the thin lens the bounds of sharing have been chosen, and it tells as much more than its path.
+"""
 
 _NEAR_EDGE = 0.15
 """Distance, over the pupil's radius, up to which places feel by how much an edge moves."""
@@ -144,7 +153,7 @@ class FittedLens(FinitePupil):
         places, paths, edges = self._changes
         path, edge = np.interp(radius, places, paths), np.interp(radius, places, edges)
         across = _EDGE_WEIGHT * edge * step / self.pupil_distance
-        return (path + across) * (step / in_millimetres(wavelength))
+        return (_AS_TOLD * path + across) * (step / in_millimetres(wavelength))
 
     @functools.cached_property
     def _changes(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -155,7 +164,7 @@ class FittedLens(FinitePupil):
         """
         scales = self.fitted.aberration.scales
         angle = 2 * math.pi * (np.arange(_ANGLES) + 0.5) / _ANGLES
-        circle = self.pupil_radius * np.stack([np.cos(angle), np.sin(angle)])
+        circle = _RIM * self.pupil_radius * np.stack([np.cos(angle), np.sin(angle)])
         x, y = (circle[:, None] * (np.arange(1, _RADII + 1) / _RADII)[:, None]).reshape(2, 1, -1)
         heights, middle = np.linspace(0, scales.field, _HEIGHTS), (0.0, 0.0)
         places, paths, edges = np.zeros((3, _HEIGHTS))

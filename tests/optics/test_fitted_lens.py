@@ -118,8 +118,8 @@ def test_the_thin_lens_by_the_way_of_real_ones_is_the_thin_lens(fitted_thin_lens
 
 
 def test_wavefronts_change_over_the_field_as_the_thin_lens_tells(fitted_thin_lens):
-    """Its closed form is that of the third order, for the worst place of the pupil."""
+    """Its closed form is of the third order, and that of images in focus: the bounds of sharing go by it."""
     radius = np.array([0.0, 2.0, 5.0])
     found = fitted_thin_lens.path_change(radius, 0.064, WAVELENGTH)
-    assert np.all(found < 1.3 * THIN.path_change(radius, 0.064, WAVELENGTH))
-    assert np.all(found > 0.3 * THIN.path_change(radius, 0.064, WAVELENGTH))
+    assert np.all(found < 1.6 * THIN.path_change(radius, 0.064, WAVELENGTH))
+    assert np.all(found > 0.5 * THIN.path_change(radius, 0.064, WAVELENGTH))

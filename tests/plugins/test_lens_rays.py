@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import (
+    CaptureOperator,
     InputError,
     PlenopticCamera,
     decode,
     load_scene,
-    point_spread_function,
     read_capture,
     reconstruct,
     render_capture,
@@ -173,15 +173,19 @@ def test_what_knows_thin_lenses_only_refuses_the_capture(tmp_path):
     write_capture(tmp_path / "raw.exr", capture)
     assert read_capture(tmp_path / "raw.exr").camera == camera
     for refused, what in (
-        (lambda: reconstruct(capture, 240), "captures are reconstructed"),
+        (lambda: reconstruct(capture, 240, method="coherent"), "captures are reconstructed by method coherent"),
         (lambda: decode(capture), "white images are computed"),
         (
-            lambda: point_spread_function(camera, (0, 0, 240), wavelength=633),
-            "waves are followed, but by method full_field,",
+            lambda: CaptureOperator(camera, [(0, 0, 240)], wavelength=633, method="bank"),
+            "method bank is",
         ),
         (
-            lambda: render_capture(white_scene(camera), model="wave", wavelength=633),
-            "waves are followed, but by method full_field,",
+            lambda: CaptureOperator(camera, [(0, 0, 240)], wavelength=633).derivative([1.0], {"focal_length": 1.0}),
+            "derivatives by waves are found",
+        ),
+        (
+            lambda: render_capture(white_scene(camera), model="wave", wavelength=633, method="bank"),
+            "method bank is",
         ),
     ):
         with pytest.raises(InputError, match=f"main_lens = Plano-convex singlet: {what} for thin main lenses only"):

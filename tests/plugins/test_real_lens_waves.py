@@ -1,0 +1,81 @@
+"""Scenes through real main lenses by waves: against rays, and against the thin lens."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from scene_cases import disk
+
+from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, reconstruct, render_capture
+
+WAVELENGTH = 633.0
+
+
+@pytest.fixture(autouse=True)
+def variant():
+    mi.set_variant("llvm_ad_mono")
+
+
+def with_lens(lens, lenses=12, **numbers):
+    """A camera like the paper's with few lenses."""
+    values = {"focal_length": 80, "aperture_radius": 5, "focus_distance": 240}
+    values |= {"detector_width": 0.064 * lenses, "resolution": (32 * lenses, 32 * lenses)}
+    return PlenopticCamera(main_lens=lens, **(values | numbers))
+
+
+def scene_of(camera, *things):
+    shapes = {f"shape{number}": thing for number, thing in enumerate(things)}
+    return mi.load_dict({"type": "scene", "camera": camera.to_sensor(), "integrator": {"type": "direct"}} | shapes)
+
+
+def test_a_scene_is_that_by_rays_and_that_of_the_thin_lens():
+    """A disk, partly hidden by another nearer one, refocused to where it stands."""
+    images = {}
+    for lens in (None, "double_gauss"):
+        camera = with_lens(lens)
+        scene = scene_of(camera, disk((0.1, 0.05, 236), 0.45), disk((-0.35, 0.1, 225), 0.2))
+        for model, options in (("ray", {"spp": 64}), ("wave", {"wavelength": WAVELENGTH, "radiators_per_lens": 8})):
+            capture = render_capture(scene, model=model, **options)
+            images[lens, model] = np.nan_to_num(reconstruct(capture, 236.0).image)
+    real = images["double_gauss", "ray"]
+    assert np.corrcoef(real.ravel(), images[None, "ray"].ravel())[0, 1] > 0.999
+    wave = images["double_gauss", "wave"]
+    assert np.corrcoef(wave.ravel(), real.ravel())[0, 1] > 0.995
+    assert np.corrcoef(wave.ravel(), images[None, "wave"].ravel())[0, 1] > 0.999
+    # In the middle of the disk its radiance is there; waves lose what the edges of micro-images send aside.
+    assert np.median(real[real > 0.5]) == pytest.approx(1, abs=0.02)
+    assert wave.sum() == pytest.approx(images[None, "wave"].sum(), rel=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("middle", [(0, 0), (58, -58)], ids=["axis", "corner"])
+def test_rays_and_waves_agree_in_energy_over_the_field(middle):
+    """To 1.5 %, where surfaces take half of the light in the corner."""
+    crop = {"crop_offset": tuple(2048 + 32 * m - 96 for m in middle), "crop_size": (192, 192)}
+    wide = {"focal_length": 16, "aperture_radius": 1.55, "focus_distance": np.inf, "mla_focal_length": 0.3}
+    camera = PlenopticCamera(main_lens="cooke_triplet", **wide, **crop)
+    scene = scene_of(camera, {"type": "constant"})
+    rays = render_capture(scene, spp=256).image
+    waves = render_capture(scene, model="wave", wavelength=WAVELENGTH, radiators_per_lens=8).image
+    assert waves.mean() == pytest.approx(rays.mean(), rel=0.015)
+
+
+def test_the_sum_of_many_points_is_that_of_each():
+    """Points that share spreads, in and out of focus and off the axis, against those that share none."""
+    camera = with_lens("double_gauss", 16, crop_offset=(128, 128), crop_size=(256, 256))
+    rng = np.random.default_rng(0)
+    points = np.column_stack([*rng.uniform(-0.5, 0.5, (2, 600)), rng.choice([225.0, 240.0, 260.0], 600)])
+    weights = rng.random(600)
+    shared, exact = (
+        CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=accuracy).forward(weights)
+        for accuracy in (0.01, 0.0)
+    )
+    assert np.linalg.norm(shared - exact) < 0.02 * np.linalg.norm(exact)
+
+
+def test_the_adjoint_is_the_transpose():
+    camera = with_lens("cooke_triplet", 4, aperture_radius=7)
+    points = np.array([(0.05, -0.1, 235.0), (-0.1, 0.1, 244.0)])
+    operator = CaptureOperator(camera, points, wavelength=WAVELENGTH)
+    image = np.random.default_rng(0).random(camera.shape).astype(np.float32)
+    weights = np.array([1.0, 0.4])
+    assert np.vdot(operator.forward(weights), image) == pytest.approx(weights @ operator.adjoint(image), rel=1e-4)
