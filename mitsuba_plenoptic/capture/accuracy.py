@@ -87,9 +87,7 @@ def derivative_band_for(accuracy: float, count: int) -> Band:
     return replace(band_for(accuracy, count), edge=2.0, smooth=True, beyond=math.inf)
 
 
-def wavefront_step(
-    accuracy: float, camera: PlenopticCamera, lens: MainLens, positions: NDArray[np.float64]
-) -> float:
+def wavefront_step(accuracy: float, camera: PlenopticCamera, lens: MainLens, positions: NDArray[np.float64]) -> float:
     """Choose by how much wavefronts that count as one may differ across a microlens, in waves.
 
     The errors of point spreads that overlap average out, so fewer of them must each be truer.

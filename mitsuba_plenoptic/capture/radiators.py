@@ -21,7 +21,7 @@ from ..errors import InputError
 from ..optics import guards
 from ..optics.fitted_lens import lens_of_rays, lens_of_waves
 from ..optics.lens_system import LensSystem
-from ..optics.main_lens import ThinLens
+from ..optics.main_lens import UniformLens
 from ..optics.open_pupil import open_fraction, pupil_bound
 from ..runtime.limits import largest_fitting, require_memory
 from .chains import Optics
@@ -355,7 +355,7 @@ def _nothing(channels: int) -> tuple[np.ndarray, ...]:
     return *places, *np.empty((2, 0, channels)), nothing > 0, nothing, places[0], *_over_pupil(0)
 
 
-def _depth(found: Found, cosine: Any, start: Any, lens: ThinLens | LensSystem) -> np.ndarray:
+def _depth(found: Found, cosine: Any, start: Any, lens: UniformLens | LensSystem) -> np.ndarray:
     """Return the distances g of places; beyond some all wavefronts are flat."""
     first = mi.UInt32(found.lane)
     depth = found.vertex.place.distance * dr.gather(mi.Float, cosine, first) + dr.gather(mi.Float, start, first)

@@ -25,7 +25,7 @@ from . import guards
 from .finite_pupil import FinitePupil
 from .lens_light import LensLight
 from .lens_system import LensSystem
-from .main_lens import MainLens, ThinLens, main_lens, require_ideal
+from .main_lens import MainLens, UniformLens, main_lens, require_ideal
 from .open_pupil import pupil_bound
 from .phase import in_millimetres
 from .pupil_fit import PupilFit, Pupils, covered, fit_pupil
@@ -92,6 +92,10 @@ class FittedLens(FinitePupil):
     def convergence(self, distance: Any) -> Any:
         """Return the reciprocal of the distance from the exit pupil to an object plane's image."""
         return self.fitted.pupils.convergence(1 / (distance - self.fitted.pupils.entrance))
+
+    def trace(self, place: Place, slope: Place) -> tuple[tuple[Any, Any, Any], Place, Any]:
+        """Follow a ray from a place on the MLA to the scene, through the surfaces."""
+        return self.system.trace(place, slope)
 
     def ray(self, pupil: Place, place: Place) -> tuple[tuple[Any, Any, Any], Place, Any]:
         """Return the ray that comes from a place on the MLA through a pupil point, as `MainLens.ray` does."""
@@ -244,7 +248,7 @@ def _fitted(camera: PlenopticCamera, wavelength: float, field: float, low: float
     return FittedLens(system, pupil_bound(camera), fitted)
 
 
-def lens_of_rays(camera: PlenopticCamera) -> ThinLens | LensSystem:
+def lens_of_rays(camera: PlenopticCamera) -> UniformLens | LensSystem:
     """Return a camera's main lens as rays that look for radiators pass it.
 
     Parameters

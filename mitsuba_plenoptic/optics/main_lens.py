@@ -181,6 +181,10 @@ class Light(Protocol):
         """Return the place on the MLA of the ray from a scene point through a pupil point; `ray` leads back."""
 
 
+class UniformLens(MainLens, Light, Protocol):
+    """A main lens that is the light of any scene point itself: it need not be bound to some."""
+
+
 @dataclass(frozen=True)
 class ThinLens(FinitePupil):
     r"""A thin lens with a round pupil.
@@ -405,7 +409,7 @@ def require_round(camera: PlenopticCamera) -> None:
         raise InputError("wavefront: method bank needs a main lens without aberrations; use patch, or set them to 0")
 
 
-def main_lens(camera: PlenopticCamera) -> ThinLens | TelecentricLens:
+def main_lens(camera: PlenopticCamera) -> UniformLens:
     """Return a camera's thin main lens, or its objective, as waves pass it.
 
     Parameters

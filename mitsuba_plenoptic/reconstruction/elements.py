@@ -10,7 +10,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..optics import rays
-from ..optics.main_lens import ThinLens
+from ..optics.main_lens import UniformLens
 from ..optics.microlenses import is_separable, transmission, transmission_along
 from ..optics.phase import parabola, phasor
 from ..runtime.backend import array_module, backend
@@ -85,7 +85,7 @@ class _Plane:
         backend().arrays.multiply(samples, factor, out=out)
 
 
-def to_object(step: Directions, main: ThinLens, distance: float, wavelength: float) -> Element:
+def to_object(step: Directions, main: UniformLens, distance: float, wavelength: float) -> Element:
     """Return the main lens, less the path to the object plane's point on the axis."""
     return _Plane(step, lambda x, y: phasor(main.path((x, y), (0.0, 0.0, distance), wavelength)))
 

@@ -20,7 +20,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...optics.main_lens import ThinLens, main_lens
+from ...optics.main_lens import UniformLens, main_lens
 from ...optics.phase import in_millimetres
 
 _PER_WAVE = 12
@@ -76,17 +76,17 @@ class RadialFields:
         return cls(step, samples, curvature)
 
 
-def defocus(lens: ThinLens, distances: Any) -> Any:
+def defocus(lens: UniformLens, distances: Any) -> Any:
     """Return the places of rays from the axis on the microlens array over those on the pupil, :math:`1 - b v`."""
     return 1 - lens.pupil_distance * lens.vergence(distances)
 
 
-def distance_of(lens: ThinLens, vergence: Any) -> Any:
+def distance_of(lens: UniformLens, vergence: Any) -> Any:
     """Return the distance of the scene points whose images have these vergences; what is beyond infinity is there."""
     return 1 / np.maximum(lens.vergence(math.inf) - vergence, 1 / _FARTHEST)
 
 
-def axial_ray(lens: ThinLens, rho: Any, distances: Any) -> tuple[Any, Any]:
+def axial_ray(lens: UniformLens, rho: Any, distances: Any) -> tuple[Any, Any]:
     """Return where on the array the ray of an axial point through a pupil radius arrives, and the field's modulus.
 
     The modulus is that of geometric optics, by the area that rays take on the pupil and on the array. Beyond the rim,

@@ -20,7 +20,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...optics.main_lens import ThinLens, main_lens
+from ...optics.main_lens import UniformLens, main_lens
 from ...optics.rays import conjugate_coordinate
 from ...runtime.backend import array_module, backend
 from ...runtime.batches import Box
@@ -103,7 +103,7 @@ class Rays:
         return Traced(arrays[0][lit], arrays[1][lit], arrays[2][lit], table[lit])
 
 
-def _landing(lens: ThinLens, P: list[Any], point: Any) -> tuple[tuple[Any, Any], tuple[Any, ...]]:
+def _landing(lens: UniformLens, P: list[Any], point: Any) -> tuple[tuple[Any, Any], tuple[Any, ...]]:
     """Return where rays through pupil points arrive on the array, and the derivatives of x and of y by Px and Py.
 
     Beyond the rim, where rays may meet before the array, the map goes on as it is at the rim.
