@@ -75,7 +75,8 @@ def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -
         If an argument is out of range or the work would need too much memory.
     """
     with guards.watch():
-        return full_field.point_fields(camera, _check(position), require_wavelength(wavelength))
+        wavelength = require_wavelength(wavelength)
+        return full_field.point_fields(camera.at_wavelength(wavelength), _check(position), wavelength)
 
 
 def _check(position: Any) -> NDArray[np.float64]:

@@ -308,6 +308,27 @@ def require_round(camera: PlenopticCamera) -> None:
         raise InputError("wavefront: method bank needs a main lens without aberrations; use patch, or set them to 0")
 
 
+def require_no_glass(camera: PlenopticCamera, what: str) -> None:
+    """Refuse, for work that knows no dispersion, a camera whose thin lenses are of glass.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    what : str
+        The rule, before "leave it out".
+
+    Raises
+    ------
+    InputError
+        Naming the glass.
+    """
+    for name in ("glass", "mla_glass"):
+        glass = getattr(camera, name)
+        if glass is not None:
+            raise InputError(f"{name} = {glass.name or glass.form}: {what} leave it out")
+
+
 def main_lens(camera: PlenopticCamera) -> MainLens:
     """Return a camera's main lens as waves pass it.
 

@@ -18,6 +18,7 @@ from ..capture.wave_capture import WaveCapture
 from ..errors import InputError, shown
 from ..optics import guards
 from ..optics.main_lens import require_ideal, require_round
+from ..optics.spectrum import RGB_WAVELENGTHS
 from ..runtime.jobs import Job
 from .films import develop, develop_back, put
 from .gradients import accumulate, numbers_and_others, tangent
@@ -32,9 +33,6 @@ MOST_RADIATORS = 256
 
 MOST_PASSES = 1024
 """Passes at most; their radiators are held together."""
-
-# Dominant wavelengths of the sRGB primaries (IEC 61966-2-1), for variants of three channels.
-RGB_WAVELENGTHS = (611.4, 549.1, 464.3)
 
 # Integrators that follow light from the emitters and cannot tell the radiance along a ray.
 _LIGHT_TRACERS = ("ParticleTracerIntegrator", "AdjointIntegrator")
