@@ -33,7 +33,8 @@ class SpectralSum:
 def spectral_sums(
     wavelengths: tuple[float, ...], matrix: NDArray[np.float32], spectrum: Spectrum | None
 ) -> Iterator[SpectralSum]:
-    """Yield the sums of which the image is the sum: one a distinct wavelength, or one a node between which one interpolates.
+    """Yield the sums of which the image is the sum: one a distinct wavelength, or one a node between which one
+    interpolates.
 
     Parameters
     ----------

@@ -282,7 +282,9 @@ class CaptureOperator:
             raise InputError(f"method = {self._method}: it has no derivatives; use patch")
         require_no_glass(self.camera, "there are no derivatives of cameras that disperse light;")
         if self._spectrum is not None and self._spectrum.nodes:
-            raise InputError(f"spectrum: nodes = {self._spectrum.nodes}: there are no derivatives between nodes; leave them out")
+            raise InputError(
+                f"spectrum: nodes = {self._spectrum.nodes}: there are no derivatives between nodes; leave them out"
+            )
         if self._differentials is None:
             self._differentials = Differentials(self.camera, self.points, self._pupil_weights, self._accuracy)
         return self._differentials

@@ -268,7 +268,7 @@ def _trace_lenses(
     q = mi.Point2f(*window.place(i + place[0], j + place[1]))
     slope = mi.Point2f(*lens.aim((P.x, P.y), (q.x, q.y)))
     ray, cosine = sight.ray((P.x, P.y), (slope.x, slope.y))
-    found = draw(sight.optics, seed, ray, spp, dark)
+    found = draw(sight, seed, ray, spp, dark)
     bad = int(np.count_nonzero(~np.isfinite(found.radiance).all(axis=-1)))
     if bad:
         raise InputError(f"scene: the radiance of {bad} radiators is NaN or infinite: all must be finite")

@@ -24,7 +24,8 @@ def read_table(path: str | Path) -> NDArray[np.float64]:
     Raises
     ------
     InputError
-        If there is no such file, it is larger, or what follows the first line are not finite numbers, as many in each row.
+        If there is no such file, it is larger, or what follows the first line are not finite numbers, as many in each
+        row.
     """
     path = require_file(path)
     if path.stat().st_size > _LARGEST_FILE:

@@ -1,8 +1,8 @@
 r"""The wavelengths of a capture, and how strongly each channel of the detector answers to them.
 
 A channel records :math:`\int S(\lambda) L(\lambda) \, psf(\lambda) \, d\lambda`. The integral is a sum at the nodes of
-Gauss and Legendre, of which n integrate polynomials up to the degree 2 n - 1 exactly (Abramowitz and Stegun, "Handbook of
-Mathematical Functions", 25.4.29). Sums over many points change slowly with the wavelength, however finely light and
+Gauss and Legendre, of which n integrate polynomials up to the degree 2 n - 1 exactly (Abramowitz and Stegun, "Handbook
+of Mathematical Functions", 25.4.29). Sums over many points change slowly with the wavelength, however finely light and
 responses change: point spreads may then be computed at a few nodes, and those of all other wavelengths are what the
 polynomial through them tells (Berrut and Trefethen 2004, "Barycentric Lagrange interpolation").
 """
@@ -170,9 +170,11 @@ class Spectrum:
             raise InputError(
                 f"{path}: it must have two rows or more, of a wavelength and responses, by rising wavelength"
             )
+        low, high = (require_wavelength(value, f"{path}: wavelength") for value in table[[0, -1], 0].tolist())
         made = cls.smooth(
             lambda wavelengths: np.stack([np.interp(wavelengths, table[:, 0], column) for column in table[:, 1:].T]),
-            *(require_wavelength(value, f"{path}: wavelength") for value in table[[0, -1], 0].tolist()),
+            low,
+            high,
             count,
         )
         return made.balanced(str(path))
@@ -193,7 +195,9 @@ class Spectrum:
         sums = np.array(self.responses).sum(axis=1)
         if not np.all(sums > 0):
             channel = int(np.argmax(~(sums > 0)))
-            raise InputError(f"{where}: channel {channel + 1}: its responses sum to {sums[channel]:g}: it must be above 0")
+            raise InputError(
+                f"{where}: channel {channel + 1}: its responses sum to {sums[channel]:g}: it must be above 0"
+            )
         return replace(self, responses=tuple(map(tuple, (np.array(self.responses) / sums[:, None]).tolist())))
 
     def interpolated(self, count: int) -> Spectrum:
@@ -225,7 +229,7 @@ class Spectrum:
         weights = np.abs(np.array(self.responses))
         total = weights.sum(axis=1)
         means = weights @ np.array(self.wavelengths) / np.where(total > 0, total, 1)
-        return tuple(np.where(total > 0, means, np.mean(self.wavelengths)).tolist())
+        return tuple(np.round(np.where(total > 0, means, np.mean(self.wavelengths)), 9).tolist())
 
     @property
     def channels(self) -> int:

@@ -1,4 +1,4 @@
-"""Rays of different wavelengths through a camera whose lenses are of glass: which light each ray is, and what it meets."""
+"""Rays of different wavelengths through a camera of glass lenses: which light each ray is, and what it meets."""
 
 from __future__ import annotations
 
@@ -74,7 +74,9 @@ class Dispersion:
         indices = None
         if camera.main_lens is not None:
             indices = [along(surface.glass, Glass.at) for surface in camera.main_lens.surfaces]
-        return cls(wavelengths, along(camera.glass, Glass.focal_ratio), along(camera.mla_glass, Glass.focal_ratio), indices)
+        return cls(
+            wavelengths, along(camera.glass, Glass.focal_ratio), along(camera.mla_glass, Glass.focal_ratio), indices
+        )
 
     def ends(self, camera: PlenopticCamera) -> list[PlenopticCamera]:
         """Return a camera as its shortest and longest wavelengths meet it."""

@@ -139,7 +139,8 @@ def make_class() -> type:
              (Default: a thin lens)
          * - glass, mla_glass
            - |string| or |float|
-           - Of what the thin main lens and the microlenses are made: the name of a glass in a catalogue, an index, or the
+           - Of what the thin main lens and the microlenses are made: the name of a glass in a catalogue, an index, or
+             the
              text of a JSON object such as ``{"index": 1.5168, "abbe": 64.2}``. Focal lengths are then those at
              587.5618 nm, and every wavelength has its own. (Default: the same for all wavelengths)
          * - to_world
@@ -169,11 +170,11 @@ def make_class() -> type:
         :math:`1/a + 1/z = 1/f_2`, or behind it: a focused camera, sharp at the object distance whose image is
         :math:`b - a` from the main lens. The scenes ``keplerian``, ``galilean`` and ``raytrix`` are such cameras.
 
-        Where a camera disperses light, by ``glass``, ``mla_glass`` or the glasses of ``main_lens``, each ray follows the way
-        of one wavelength: in rgb variants that of one channel, drawn evenly (611.4, 549.1 or 464.3 nm, the dominant
-        wavelengths of the primaries of sRGB), in spectral ones the first of its four. The other channels get nothing of
-        it, and it counts as much more: colours take three or four times as many samples. In mono variants light is that of
-        the line d, or of the ``main_lens``'s own wavelength.
+        Where a camera disperses light, by ``glass``, ``mla_glass`` or the glasses of ``main_lens``, each ray follows
+        the way of one wavelength: in rgb variants that of one channel, drawn evenly (611.4, 549.1 or 464.3 nm, the
+        dominant wavelengths of the primaries of sRGB), in spectral ones the first of its four. The other channels get
+        nothing of it, and it counts as much more: colours take three or four times as many samples. In mono variants
+        light is that of the line d, or of the ``main_lens``'s own wavelength.
 
         The capture has the orientation of a ``perspective`` sensor's image. Gradients flow through the ``path``
         and ``direct`` integrators, but the pupil's moving edge contributes none: the gradient is that of the
@@ -303,7 +304,7 @@ def make_class() -> type:
             dr.make_opaque(*self._candidates)
 
         def _neighbours(self, beyond: float = 0.0) -> np.ndarray:
-            """Return the lenses that are tried around that of the chief ray, at whatever wavelength most can light it."""
+            """Return the lenses that are tried around the chief ray's, at the wavelength at which most can light it."""
             camera = self.camera
             seen = [camera] if self._dispersion is None else [camera, *self._dispersion.ends(camera)]
             return max((crosstalk_neighbours(each, beyond=beyond) for each in seen), key=len)
@@ -338,7 +339,7 @@ def make_class() -> type:
             return x * across + y * up
 
         def _trace(
-            self, px: Any, py: Any, mx: Any, my: Any, cx: Any, cy: Any, f2: Any, light: Light | None = None
+            self, px: Any, py: Any, mx: Any, my: Any, cx: Any, cy: Any, f2: Any, *, light: Light | None = None
         ) -> tuple[Any, Any, Any]:
             """Follow the ray from p through m of the lens at c: return what `MainLens.trace` does."""
             lens = self._main_lens
@@ -437,7 +438,7 @@ def make_class() -> type:
                 light, lens_sample, share = self._dispersion.draw(lens_sample, wavelengths)
                 weight = weight * share
             (px, py, *lens), _ = self._places(film_sample, lens_sample, self._candidates)
-            point, slope, open_ = self._trace(px, py, *lens, light)
+            point, slope, open_ = self._trace(px, py, *lens, light=light)
             open_ &= active
             to_world = self.world_transform()
             ray = mi.RayDifferential3f() if differential else mi.Ray3f()
@@ -454,7 +455,7 @@ def make_class() -> type:
                         z = self.detector_distance
                         beside, turned = self._main_lens.beside(point, slope, (-dx / z, -dy / z))
                     else:
-                        beside, turned, _ = self._trace(px + dx, py + dy, *lens, light)
+                        beside, turned, _ = self._trace(px + dx, py + dy, *lens, light=light)
                     setattr(ray, f"o_{name}", to_world @ mi.Point3f(*beside))
                     setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(*turned, 1)))
                 ray.has_differentials = True

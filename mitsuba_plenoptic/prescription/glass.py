@@ -66,7 +66,7 @@ class Glass:
 
     @property
     def reach(self) -> tuple[float, float]:
-        """Shortest and longest wavelength, in nanometres, at which a table tells its index; formulas tell it anywhere."""
+        """Shortest and longest wavelength in nanometres of which a table tells the index; formulas tell all."""
         return (self.numbers[0], self.numbers[-2]) if self.form == "table" else (0.0, np.inf)
 
     def at(self, wavelength: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, overload
@@ -202,7 +203,9 @@ def reconstruct(
         task = Task(
             image, camera, distances, oversample, wavelengths, reference, report, capture.metadata.get("exposure")
         )
-        images = [made if isinstance(made, Found) else Found(made) for made in chosen.refocus(task, **options)]
+        # Methods that compare with computed captures ask for each wavelength's camera themselves.
+        parts = _by_wavelength(task) if waves and not chosen.as_it_is else [task]
+        images = _side_by_side([chosen.refocus(part, **options) for part in parts])
     options |= {"oversample": oversample} | ({"wavelength": wavelengths} if waves else {})
     options |= {"white": "capture"} if reference is not None else {}
     results = [
@@ -219,6 +222,35 @@ def reconstruct(
         for value, made in zip(distances, images, strict=True)
     ]
     return results[0] if np.ndim(distance) == 0 else results
+
+
+def _by_wavelength(task: Task) -> list[Task]:
+    """Return the work on each channel with the camera of its wavelength; all at once where that is the same."""
+    if task.camera.glass is None and task.camera.mla_glass is None:
+        return [task]
+    return [
+        dataclasses.replace(
+            task,
+            image=np.ascontiguousarray(task.image[..., channel : channel + 1]),
+            camera=task.camera.at_wavelength(wavelength),
+            wavelengths=[wavelength],
+            white=None if task.white is None else np.ascontiguousarray(task.white[..., channel : channel + 1]),
+        )
+        for channel, wavelength in enumerate(task.wavelengths)
+    ]
+
+
+def _side_by_side(parts: list[Any]) -> list[Found]:
+    """Return what was found at each distance, with the channels of all parts."""
+    found = [[made if isinstance(made, Found) else Found(made) for made in part] for part in parts]
+    if len(found) == 1:
+        return found[0]
+    return [
+        dataclasses.replace(
+            of_distance[0], image=np.concatenate([np.atleast_3d(made.image) for made in of_distance], 2)
+        )
+        for of_distance in zip(*found, strict=True)
+    ]
 
 
 def _require_memory(
