@@ -33,8 +33,7 @@ class SpectralSum:
 def spectral_sums(
     wavelengths: tuple[float, ...], matrix: NDArray[np.float32], spectrum: Spectrum | None
 ) -> Iterator[SpectralSum]:
-    """Yield the sums of which the image is the sum: one a distinct wavelength, or one a node between which one
-    interpolates.
+    """Yield the sums of which the image is the sum: one for each distinct wavelength, or for each node.
 
     Parameters
     ----------

@@ -37,9 +37,8 @@ def with_enough_nodes(
 ) -> Spectrum:
     """Return a spectrum with as few nodes as its point spreads need.
 
-    The count is raised by halves until images of each point, by every channel, change by no more than the error: as
-    interpolation at nodes of Gauss converges faster than any power, the last change is nearly all that was wrong. Sums
-    over many points need fewer.
+    The count is raised by halves until images of each point, by every channel, change by no more than half of the
+    error: the other half is for what is then still left. Sums over many points need fewer.
 
     Parameters
     ----------
@@ -81,7 +80,7 @@ def with_enough_nodes(
     last = images(counts[0])
     for count, more in itertools.pairwise(counts):
         finer = images(more)
-        if all(_differ(a, b) <= error for a, b in zip(last, finer, strict=True)):
+        if all(_differ(a, b) <= error / 2 for a, b in zip(last, finer, strict=True)):
             return spectrum.interpolated(count)
         last = finer
     return spectrum.interpolated(counts[-1])

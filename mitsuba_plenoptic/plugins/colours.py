@@ -162,5 +162,6 @@ def _read_wavelengths(props: Any, plugin: str) -> tuple[float, ...]:
         wavelengths *= 3
     channels = 3 if mi.is_rgb else 1
     if len(wavelengths) != channels:
-        raise InputError(f"{plugin}: wavelength = {shown(value)}: variant {mi.variant()} takes {channels} of them")
+        there = f"variant {mi.variant()} has {channels} channel{'s' * (channels > 1)}"
+        raise InputError(f"{plugin}: wavelength = {shown(value)}: {there}")
     return wavelengths

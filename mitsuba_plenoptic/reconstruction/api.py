@@ -13,6 +13,7 @@ from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_choice, require_count, require_number, shown
 from ..io.captures import Capture, as_array, require_pixels
+from ..mosaic import require_demosaiced
 from ..optics import guards
 from ..optics.main_lens import require_ideal
 from ..optics.phase import in_millimetres
@@ -275,6 +276,7 @@ def _require_memory(
 
 def _as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) -> Capture:
     if isinstance(capture, Capture):
+        require_demosaiced(capture)
         if camera is None:
             return capture
         return Capture(capture.image, camera, capture.wavelength, capture.model, capture.metadata)
