@@ -1,8 +1,8 @@
 """Take the colour chart through capture, a mosaic of filters, demosaicking and reconstruction: how far colours are off.
 
-The reference are the published reflectances under D65 by the same responses, those of CIE 1931 in linear sRGB, without any
-optics. Differences are CIEDE2000. With --plain, too, by a demosaicking that knows nothing of micro-images, to compare. The
-exit status is 1 if the mean is 1 or more.
+The reference are the published reflectances under D65 by the same responses, those of CIE 1931 in linear sRGB, without
+any optics. Differences are CIEDE2000. With --plain, too, by a demosaicking that knows nothing of micro-images, to
+compare. The exit status is 1 if the mean is 1 or more.
 
     python tools/colour_chart.py --resolution 1024 --spp 64
 """

@@ -15,6 +15,8 @@ from ..errors import InputError, require_number, shown
 from ..optics.spectrum import MOST_WAVELENGTHS, RGB_WAVELENGTHS, WAVELENGTHS, Spectrum
 from .properties import read_count, read_number, read_plain
 
+NAME = "plenoptic_wave"
+
 DEFAULT_WAVELENGTH = 633.0
 
 SRGB = "srgb"
@@ -106,7 +108,7 @@ class Colours:
         return made
 
 
-def read_colours(props: Any, plugin: str) -> Colours:
+def read_colours(props: Any) -> Colours:
     """Take wavelengths, bands and responses from a plugin's properties.
 
     Raises
@@ -115,37 +117,37 @@ def read_colours(props: Any, plugin: str) -> Colours:
         Naming plugin, parameter, value and rule.
     """
     responses = read_plain(props, "responses", None)
-    bandwidth = read_number(props, plugin, "bandwidth", None)
-    count = read_count(props, plugin, "wavelength_count", WAVELENGTHS, maximum=MOST_WAVELENGTHS)
-    nodes = read_count(props, plugin, "nodes", 0, maximum=MOST_WAVELENGTHS) if "nodes" in props else None
-    wavelengths = _read_wavelengths(props, plugin)
+    bandwidth = read_number(props, NAME, "bandwidth", None)
+    count = read_count(props, NAME, "wavelength_count", WAVELENGTHS, maximum=MOST_WAVELENGTHS)
+    nodes = read_count(props, NAME, "nodes", 0, maximum=MOST_WAVELENGTHS) if "nodes" in props else None
+    wavelengths = _read_wavelengths(props)
     table = None
     if responses is not None:
         if not isinstance(responses, str):
-            raise InputError(f"{plugin}: responses = {shown(responses)}: it must be srgb or the name of a file")
+            raise InputError(f"{NAME}: responses = {shown(responses)}: it must be srgb or the name of a file")
         for name in ("wavelength", "bandwidth"):
             if name in props:
-                raise InputError(f"{plugin}: responses, {name}: give one of the two")
+                raise InputError(f"{NAME}: responses, {name}: give one of the two")
         if responses != SRGB:
             responses = str(mi.file_resolver().resolve(responses))
             table = Spectrum.sensor(responses, count)
             if table.channels not in (1, 3):
-                raise InputError(f"{plugin}: responses = {responses}: {table.channels} channels: it must be 1 or 3")
+                raise InputError(f"{NAME}: responses = {responses}: {table.channels} channels: it must be 1 or 3")
         elif not (mi.is_rgb or mi.is_spectral):
             raise InputError(
-                f"{plugin}: responses = srgb: variant {mi.variant()} has no colours; use an rgb or spectral one"
+                f"{NAME}: responses = srgb: variant {mi.variant()} has no colours; use an rgb or spectral one"
             )
     elif "wavelength_count" in props and not mi.is_spectral:
-        raise InputError(f"{plugin}: wavelength_count = {count}: of use with responses only")
+        raise InputError(f"{NAME}: wavelength_count = {count}: of use with responses only")
     if bandwidth is not None:
         for wavelength in wavelengths:
-            require_number(f"{plugin}: bandwidth", bandwidth, maximum=wavelength)
+            require_number(f"{NAME}: bandwidth", bandwidth, maximum=wavelength)
     elif nodes is not None and responses is None and not mi.is_spectral:
-        raise InputError(f"{plugin}: nodes = {nodes}: of use with bandwidth or responses only")
+        raise InputError(f"{NAME}: nodes = {nodes}: of use with bandwidth or responses only")
     return Colours(wavelengths, bandwidth, responses, table, count, nodes)
 
 
-def _read_wavelengths(props: Any, plugin: str) -> tuple[float, ...]:
+def _read_wavelengths(props: Any) -> tuple[float, ...]:
     """Take one wavelength, or one a channel, for the active variant."""
     value = props.get("wavelength", None)
     if value is None:
@@ -155,13 +157,13 @@ def _read_wavelengths(props: Any, plugin: str) -> tuple[float, ...]:
         parts = [float(part) if isinstance(part, str) else part for part in parts]
     except ValueError:
         raise InputError(
-            f"{plugin}: wavelength = {shown(value)}: it must be nanometres, or three of them separated by commas"
+            f"{NAME}: wavelength = {shown(value)}: it must be nanometres, or three of them separated by commas"
         ) from None
-    wavelengths = tuple(require_wavelength(part, f"{plugin}: wavelength") for part in parts)
+    wavelengths = tuple(require_wavelength(part, f"{NAME}: wavelength") for part in parts)
     if len(wavelengths) == 1 and mi.is_rgb:
         wavelengths *= 3
     channels = 3 if mi.is_rgb else 1
     if len(wavelengths) != channels:
         there = f"variant {mi.variant()} has {channels} channel{'s' * (channels > 1)}"
-        raise InputError(f"{plugin}: wavelength = {shown(value)}: {there}")
+        raise InputError(f"{NAME}: wavelength = {shown(value)}: {there}")
     return wavelengths

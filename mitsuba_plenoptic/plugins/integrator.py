@@ -20,12 +20,10 @@ from ..optics import guards
 from ..optics.main_lens import require_ideal, require_no_glass, require_round
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job
-from .colours import read_colours
+from .colours import NAME, read_colours
 from .films import develop, develop_back, put
 from .gradients import accumulate, numbers_and_others, tangent
 from .properties import read_choice, read_count, read_flag, read_plain
-
-NAME = "plenoptic_wave"
 
 MOST_RADIATORS = 256
 """Radiators per lens and axis at most."""
@@ -139,7 +137,7 @@ def make_class() -> type:
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            self.colours = read_colours(props, NAME)
+            self.colours = read_colours(props)
             self.wavelengths = self.colours.wavelengths
             self.radiators_per_lens = read_count(props, NAME, "radiators_per_lens", 8, maximum=MOST_RADIATORS)
             self.passes = read_count(props, NAME, "passes", 1, maximum=MOST_PASSES)

@@ -235,7 +235,8 @@ def make_class() -> type:
             }
             try:
                 given["main_lens"] = _read_main_lens(props, "main_lens")
-                given |= {name: _read_glass(props, name) for name in ("glass", "mla_glass")}
+                given["glass"] = _read_glass(props, "glass")
+                given["mla_glass"] = _read_glass(props, "mla_glass")
                 camera = PlenopticCamera(
                     **{name: value for name, value in given.items() if value is not None},
                     resolution=tuple(film.size()),
