@@ -17,6 +17,8 @@ import numpy as np
 from .bounds import (
     FULL_TURN,
     LEAST_FILL,
+    MOST_JITTER,
+    MOST_SEED,
     MOST_STRETCH,
     STEEPEST_TILT,
     require_length,
@@ -24,9 +26,10 @@ from .bounds import (
     require_numbers,
     require_pixels,
     require_place,
+    require_response,
     require_wavefront,
 )
-from .errors import InputError, require_choice, require_number, shown
+from .errors import InputError, require_choice, require_count, require_number, shown
 from .lattice import APERTURES, LATTICES, Lattice, make_lattice
 from .prescription import Glass, Prescription, bundled_prescription, paraxial
 from .prescription.glass import LINE_D
@@ -35,7 +38,19 @@ from .thin_lens import conjugate_distance, defocus_factor, image_distance, verge
 
 LENS_MODELS = ("ideal", "parabolic")
 
-LATER = {"mla_lattice", "mla_rotation", "mla_offset", "mla_tilt", "mla_aperture", "mla_fill", "distortion", "wavefront"}
+LATER = {
+    "mla_jitter",
+    "mla_seed",
+    "pixel_response",
+    "mla_lattice",
+    "mla_rotation",
+    "mla_offset",
+    "mla_tilt",
+    "mla_aperture",
+    "mla_fill",
+    "distortion",
+    "wavefront",
+}
 """Parameters that files written before there were other lattices do not name."""
 
 _OPTIONAL = {"focus_distance", "main_lens", "glass", "mla_glass"}
@@ -111,6 +126,15 @@ class PlenopticCamera:
         Of what the thin main lens and the microlenses are made, or what `Glass.from_plain` takes: `focal_length` and
         `mla_focal_length` are then those at 587.5618 nm (the line d), and other wavelengths have others, see
         `at_wavelength`. Default: the same for all wavelengths.
+    mla_jitter : (float, float)
+        Standard deviations of what is irregular in the array, for rays: of the lenses' places along x and along y, in
+        millimetres and at most 0.1 of the pitch, and of their focal lengths, over these and at most 0.1; see
+        `mitsuba_plenoptic.optics.irregular`. What decodes and refocuses knows the regular array.
+    mla_seed : int
+        Which of all such arrays it is, up to 4294967295.
+    pixel_response : floats
+        Angular response of the pixels, for rays: angles of incidence in degrees, rising from 0, each followed by a
+        response from 0 to 1, with straight lines between and the last beyond. Default: 1 at all angles.
 
     Raises
     ------
@@ -144,6 +168,9 @@ class PlenopticCamera:
     main_lens: Prescription | None
     glass: Glass | None
     mla_glass: Glass | None
+    mla_jitter: tuple[float, float]
+    mla_seed: int
+    pixel_response: tuple[float, ...]
 
     def __init__(
         self,
@@ -171,6 +198,9 @@ class PlenopticCamera:
         main_lens: Prescription | str | dict[str, Any] | None = None,
         glass: Glass | str | float | dict[str, Any] | None = None,
         mla_glass: Glass | str | float | dict[str, Any] | None = None,
+        mla_jitter: Sequence[float] = (0.0, 0.0),
+        mla_seed: int = 0,
+        pixel_response: Sequence[float] = (),
     ) -> None:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
@@ -227,6 +257,11 @@ class PlenopticCamera:
         put("lens_model", require_choice("lens_model", lens_model, LENS_MODELS))
         put("distortion", require_numbers("distortion", distortion, 5, 1.0))
         put("wavefront", require_wavefront(wavefront))
+        put("mla_jitter", require_numbers("mla_jitter", mla_jitter, 2, MOST_JITTER * max(1.0, *self.mla_pitches)))
+        for value, most in zip(self.mla_jitter, (MOST_JITTER * min(self.mla_pitches), MOST_JITTER), strict=True):
+            require_number("mla_jitter", value, minimum=0, maximum=most)
+        put("mla_seed", require_count("mla_seed", mla_seed, minimum=0, maximum=MOST_SEED))
+        put("pixel_response", require_response(pixel_response))
         put("glass", _glass("glass", glass))
         put("mla_glass", _glass("mla_glass", mla_glass))
         if self.main_lens is not None:

@@ -15,7 +15,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, shown
 from ..io.checkpoints import digest
 from ..optics import guards
-from ..optics.main_lens import main_lens, require_ideal, require_no_glass, require_round
+from ..optics.main_lens import main_lens, require_ideal, require_no_glass, require_regular, require_round
 from ..optics.sampling import check_positions
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import one_at_a_time
@@ -114,6 +114,7 @@ class CaptureOperator:
     ) -> None:
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
+        require_regular(camera)
         if camera.main_lens is None or method != "full_field":
             require_ideal(camera)
         elif any(camera.mla_tilt):

@@ -285,10 +285,29 @@ def require_ideal(camera: PlenopticCamera) -> None:
     InputError
         Naming the parameter.
     """
+    require_regular(camera)
     camera.require_thin("waves are followed, but by method full_field,")
     for name in ("mla_tilt", "distortion"):
         if any(getattr(camera, name)):
             raise InputError(f"{name} = {getattr(camera, name)}: waves need 0; work by rays, or set it to 0")
+
+
+def require_regular(camera: PlenopticCamera) -> None:
+    """Refuse, for work by waves, an irregular array and pixels that answer to angles differently.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+
+    Raises
+    ------
+    InputError
+        Naming the parameter.
+    """
+    for name in ("mla_jitter", "pixel_response"):
+        if any(getattr(camera, name)):
+            raise InputError(f"{name} = {getattr(camera, name)}: it is for rays; work by rays, or leave it out")
 
 
 def require_round(camera: PlenopticCamera) -> None:

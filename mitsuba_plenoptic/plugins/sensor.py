@@ -18,6 +18,7 @@ from ..errors import InputError
 from ..io.lens_file import read_prescription
 from ..lattice import make_lattice
 from ..optics import rays
+from ..optics.irregular import MOST_DEVIATIONS, irregularities
 from ..optics.lens_system import LensSystem
 from ..optics.main_lens import DistortedLens, ThinLens
 from ..prescription import Prescription
@@ -39,9 +40,12 @@ POSITIVE = (
 SEVERAL = {"mla_focal_length": "mla_focal_lengths", "mla_pitch": "mla_pitches"}
 NUMBERS = (*POSITIVE, *SEVERAL, "mla_rotation", "mla_offset")
 WORDS = ("mla_lattice", "mla_aperture", "lens_model")
-FIXED = ("mla_tilt", "distortion")
+FIXED = ("mla_tilt", "distortion", "mla_jitter", "mla_seed", "pixel_response")
 
 _CROSSTALK_RAYS = 2**16
+
+_RESPONSES = 1025
+"""Angles at which the pixels' response is tabulated."""
 
 _BOX = '<rfilter type="box"/>'
 
@@ -132,6 +136,19 @@ def make_class() -> type:
            - Aberrations of the main lens: coefficients of Zernike polynomials in Noll's order, in waves of 633 nm, with
              commas between them. (Default: none, and then it is not exposed)
            - |exposed|, |differentiable|, |discontinuous|
+         * - mla_jitter
+           - |string| or |point|
+           - What is irregular in the array: standard deviations "a, b" of its lenses' places along x and y, and of
+             their
+             focal lengths over these. (Default: "0, 0")
+         * - mla_seed
+           - |int|
+           - Which of all such arrays it is. (Default: 0)
+         * - pixel_response
+           - |string|
+           - Angular response of the pixels: angles of incidence in degrees, rising from 0, each followed by a response
+             from 0
+             to 1, with commas between all of them. (Default: 1 at all angles)
          * - main_lens
            - |string|
            - Surfaces and glasses of a real main lens: a YAML or JSON file, beside the scene or anywhere, the name of
@@ -232,6 +249,9 @@ def make_class() -> type:
                 "mla_tilt": _flat(read_numbers(props, NAME, "mla_tilt")),
                 "distortion": read_numbers(props, NAME, "distortion"),
                 "wavefront": read_numbers(props, NAME, "wavefront"),
+                "mla_jitter": _flat(read_numbers(props, NAME, "mla_jitter")),
+                "mla_seed": read_plain(props, "mla_seed", None),
+                "pixel_response": read_numbers(props, NAME, "pixel_response"),
             }
             try:
                 given["main_lens"] = _read_main_lens(props, "main_lens")
@@ -301,6 +321,7 @@ def make_class() -> type:
             else:
                 self._main_lens = ThinLens(*lens, self.lens_model, aberrations)
             self._dispersion = Dispersion.of(camera)
+            self._response = _angular_response(self.pixel_response)
             self._candidates = [mi.Float(steps) for steps in self._neighbours().T]
             dr.make_opaque(*self._candidates)
 
@@ -308,6 +329,8 @@ def make_class() -> type:
             """Return the lenses that are tried around the chief ray's, at the wavelength at which most can light it."""
             camera = self.camera
             seen = [camera] if self._dispersion is None else [camera, *self._dispersion.ends(camera)]
+            # No lens stands farther off.
+            beyond += MOST_DEVIATIONS * math.hypot(camera.mla_jitter[0], camera.mla_jitter[0])
             return max((crosstalk_neighbours(each, beyond=beyond) for each in seen), key=len)
 
         @property
@@ -392,6 +415,9 @@ def make_class() -> type:
             f2 = self.mla_focal_length
             if dr.width(f2) > 1:
                 f2 = dr.gather(mi.Float, f2, mi.UInt32(lattice.lens_type(i, j)))
+            if any(self.mla_jitter):
+                right, up, longer = irregularities(self._given, i, j)
+                cx, cy, f2 = cx + right, cy + up, f2 * longer
             return (px, py, cx + dx, cy + dy, cx, cy, f2), candidate
 
         def crosstalk_missed(self) -> float:
@@ -441,6 +467,10 @@ def make_class() -> type:
             (px, py, *lens), _ = self._places(film_sample, lens_sample, self._candidates)
             point, slope, open_ = self._trace(px, py, *lens, light=light)
             open_ &= active
+            if self._response is not None:
+                z = self.detector_distance
+                angle = dr.atan(dr.hypot(lens[0] - px, lens[1] - py) / z)
+                weight = weight * self._response(angle)
             to_world = self.world_transform()
             ray = mi.RayDifferential3f() if differential else mi.Ray3f()
             ray.o = to_world @ mi.Point3f(*point)
@@ -511,6 +541,25 @@ def _read_main_lens(props: Any, name: str) -> Prescription | None:
     if not isinstance(source, str):
         raise InputError(f"{name} = {source!r}: it must be text: a file or a bundled lens")
     return read_prescription(source, lambda path: str(mi.file_resolver().resolve(path)))
+
+
+def _angular_response(pairs: tuple[float, ...]) -> Any:
+    """Return the function from angles of incidence, in radians, to responses; None if all are 1."""
+    if not pairs:
+        return None
+    angles, responses = (np.array(values) for values in (pairs[::2], pairs[1::2]))
+    fine = np.linspace(0, angles[-1], _RESPONSES)
+    table = mi.Float(np.interp(fine, angles, responses))
+    dr.make_opaque(table)
+    step = math.radians(float(fine[1]))
+
+    def response(angle: Any) -> Any:
+        place = dr.clip(angle / step, 0, _RESPONSES - 1)
+        low = mi.UInt32(dr.minimum(dr.floor(place), _RESPONSES - 2))
+        first, second = dr.gather(mi.Float, table, low), dr.gather(mi.Float, table, low + 1)
+        return first + (place - mi.Float(low)) * (second - first)
+
+    return response
 
 
 def _read_glass(props: Any, name: str) -> Any:
