@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection
 from typing import Any
 
@@ -106,7 +107,7 @@ def require_response(value: Any, name: str = "pixel_response") -> tuple[float, .
         raise InputError(f"{name} = {shown(value)}: it must be two or more pairs of an angle in degrees and a response")
     numbers = tuple(require_number(name, number, minimum=0, maximum=WIDEST_ANGLE) for number in value)
     angles, responses = numbers[::2], numbers[1::2]
-    if numbers and (angles[0] != 0 or any(a >= b for a, b in zip(angles, angles[1:], strict=False))):
+    if numbers and (angles[0] != 0 or any(a >= b for a, b in itertools.pairwise(angles))):
         raise InputError(f"{name} = {shown(value)}: its angles must rise from 0")
     if any(response > 1 for response in responses):
         raise InputError(f"{name} = {shown(value)}: its responses must be from 0 to 1")

@@ -26,7 +26,7 @@ def white(camera, spp=64):
 
 
 def test_micro_images_lie_behind_displaced_lenses():
-    """The middle of each is the chief ray through its lens's centre, c (b + z) / b, to 0.02 pixels."""
+    """The middle of each is the chief ray through its lens's centre, c (b + z) / b, to 0.03 pixels."""
     camera = CAMERA.replace(mla_jitter=(0.002, 0.0), mla_seed=5)
     image = white(camera)
     assert PlenopticCamera.from_json(camera.to_json()) == camera
@@ -47,7 +47,7 @@ def test_micro_images_lie_behind_displaced_lenses():
             misses.append(np.array(place) / part.sum() + low - expected)
             shifts.append(expected - nominal)
             assert factor == 1
-    assert np.abs(misses).max() < 0.02
+    assert np.abs(misses).max() < 0.03
     assert np.std(shifts) == pytest.approx(0.002 * (1 + 0.512 / 120) / 0.002, rel=0.15)
 
 
@@ -65,9 +65,8 @@ def test_focal_lengths_scatter():
 
 
 def test_the_seed_makes_another_array():
-    a, b = (
-        irregularities(CAMERA.replace(mla_jitter=(0.001, 0.01), mla_seed=s), np.arange(9), np.arange(9)) for s in (0, 1)
-    )
+    seeds = (CAMERA.replace(mla_jitter=(0.001, 0.01), mla_seed=seed) for seed in (0, 1))
+    a, b = (irregularities(camera, np.arange(9), np.arange(9)) for camera in seeds)
     assert not np.isclose(a[0], b[0]).any()
     first, second = (white(CAMERA.replace(mla_jitter=(0.001, 0.0), mla_seed=1), 4) for _ in range(2))
     assert np.array_equal(first, second)
