@@ -128,11 +128,15 @@ def main() -> None:
     parser.add_argument("--resolution", type=int, default=512, help="columns of the letters' detector, of 4096")
     parser.add_argument("--accuracy", type=float, default=0.01, help="of the captures")
     parser.add_argument("--glass", action="store_true", help="also the letters through thin lenses of crown")
+    parser.add_argument("--only", choices=("bands", "letters"), help="measure one of the two alone")
     arguments = parser.parse_args()
     mi.set_variant("llvm_ad_mono")
     verdict = Verdict()
     focal_lengths(verdict)
-    bands(verdict)
+    if arguments.only != "letters":
+        bands(verdict)
+    if arguments.only == "bands":
+        sys.exit(0 if verdict.kept else 1)
     for glass in (None, CROWN)[: 1 + arguments.glass]:
         letters(verdict, arguments.resolution, glass, arguments.accuracy)
     sys.exit(0 if verdict.kept else 1)

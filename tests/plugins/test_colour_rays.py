@@ -150,3 +150,43 @@ def test_glass_in_a_scene_file():
         from mitsuba_plenoptic import CaptureOperator
 
         CaptureOperator(camera, [(0, 0, 240)], wavelength=633, method="bank")
+
+
+def test_lateral_colour_in_pixels():
+    """Where a point's light lies on the detector, by forward rays in double precision: to 0.1 pixel."""
+    mi.set_variant("llvm_ad_rgb")
+    camera = PlenopticCamera(
+        main_lens="singlet", focal_length=80, aperture_radius=3, focus_distance=240, mla_pitch=0.128,
+        mla_focal_length=1.024, detector_width=8.192, resolution=(1024, 1024), crop_offset=(412, 226),
+        crop_size=(200, 200),
+    )  # fmt: skip
+    described = camera.to_sensor()
+    described["film"]["pixel_format"] = "rgb"
+    T, point = mi.ScalarTransform4f, (0.0, 3.0, 200.0)
+    disc = {
+        "type": "disk", "to_world": T().translate(point).rotate([0, 1, 0], 180).scale(0.3),
+        "emitter": {"type": "area", "radiance": 1.0},
+    }  # fmt: skip
+    scene = mi.load_dict({"type": "scene", "camera": described, "disc": disc, "integrator": {"type": "direct"}})
+    image = render_capture(scene, spp=384).image.astype(np.float64)
+    # No light is lost at the borders of the window.
+    edge = np.concatenate([image[:4].ravel(), image[-4:].ravel(), image[:, :4].ravel(), image[:, -4:].ravel()])
+    assert edge.max() == 0 < image.max()
+    rows = camera.pixel_coordinates(1)
+    found = [(image[..., c].sum(1) * rows).sum() / image[..., c].sum() for c in range(3)]
+    expected = []
+    for wavelength in RGB_WAVELENGTHS:
+        lens = LensSystem.of(camera, wavelength)
+        # Places on the disc and on the pupil, at random in both.
+        random = np.random.default_rng(0).random((4, 2_000_000))
+        radius, angle, E = 0.3 * np.sqrt(random[0]), 2 * np.pi * random[1], 10 * random[2:] - 5
+        start = radius * np.cos(angle), point[1] + radius * np.sin(angle), np.full_like(radius, point[2])
+        (_, y), (_, ty), is_open, _ = lens.through(
+            start, tuple((X - e) / 200 for X, e in zip(start[:2], E, strict=True))
+        )
+        centre = (np.floor(y / 0.128) + 0.5) * 0.128
+        # Collimated light is focused where its ray through the lens's centre goes; pixels are a mean over the lens.
+        expected.append((centre - ty * camera.detector_distance)[is_open].mean())
+    shift = np.array(found) - found[0], np.array(expected) - expected[0]
+    assert abs(shift[1][2]) > 0.3 * camera.pixel_size
+    assert np.abs(shift[0] - shift[1]).max() < 0.1 * camera.pixel_size

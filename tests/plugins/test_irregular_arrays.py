@@ -73,7 +73,7 @@ def test_the_seed_makes_another_array():
 
 
 def test_pixels_that_answer_to_angles():
-    """White pixels near the micro-image's rim fall by the response at their angle of incidence, averaged over the lens."""
+    """White pixels have the response at their angles of incidence, averaged over the lens."""
     pairs = (0.0, 1.0, 10.0, 0.2)
     camera = CAMERA.replace(pixel_response=pairs, resolution=(32, 32), detector_width=0.064, mla_offset=(0.032, 0.032))
     image = white(camera, 2048)
