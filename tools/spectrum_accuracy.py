@@ -106,7 +106,7 @@ def letters(verdict: Verdict, resolution: int, glass: dict[str, float] | None, a
     start = time.perf_counter()
     vergence = np.argsort(radiators.positions[:, 2], kind="stable")
     some = vergence[[0, len(vergence) // 2, -1]]
-    chosen = with_enough_nodes(camera, radiators.positions[some], spectrum, accuracy / 3)
+    chosen = with_enough_nodes(camera, radiators.positions[some], spectrum, accuracy)
     probed = time.perf_counter() - start
     found = operator(spectrum=chosen).forward(columns)
     seconds = time.perf_counter() - start

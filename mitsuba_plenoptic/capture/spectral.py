@@ -22,13 +22,10 @@ from .patch_plan import Cost
 from .radiators import Radiators, find_radiators, sample_pairs
 from .wave_capture import WaveCapture
 
-_PART = 1 / 3
-"""Part of the allowed error that interpolation between wavelengths may make."""
-
 _PROBES = 3
 """Radiators whose point spreads tell how many wavelengths are needed."""
 
-_COUNTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
+_COUNTS = (1, 2, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 """Nodes that are tried; more would resolve fringes that no detector does."""
 
 
@@ -37,7 +34,7 @@ def with_enough_nodes(
 ) -> Spectrum:
     """Return a spectrum with as few nodes as its point spreads need.
 
-    The count is raised by halves until images of each point, by every channel, change by no more than half of the
+    The count is raised in steps until images of each point, by every channel, change by no more than half of the
     error: the other half is for what is then still left. Sums over many points need fewer.
 
     Parameters
@@ -192,7 +189,8 @@ class SpectralCapture:
         """Return the spectrum with nodes: as many as given, or as radiators near, far and between need."""
         if self.nodes is not None:
             return self.spectrum.interpolated(self.nodes)
-        count, error = len(radiators.positions), self.capture.accuracy * _PART
+        # Their sum is then nearer by far.
+        count, error = len(radiators.positions), self.capture.accuracy
         if count == 0 or error == 0 or self.capture.method == "full_field":
             return self.spectrum
         order = np.argsort(main_lens(self.capture.camera).vergence(radiators.positions[:, 2]), kind="stable")
