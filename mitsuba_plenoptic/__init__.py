@@ -53,7 +53,7 @@ from .runtime.jobs import Job
 if TYPE_CHECKING:
     from .calibration import calibrate
     from .fitting import fit
-    from .lightfield import decode, ground_truth
+    from .lightfield import decode, demosaic, ground_truth
     from .reconstruction import Reconstruction, reconstruct
     from .runtime.progress import progress_bar
 
@@ -61,6 +61,7 @@ if TYPE_CHECKING:
 _LATER = {
     "calibrate": "calibration",
     "decode": "lightfield",
+    "demosaic": "lightfield",
     "fit": "fitting",
     "ground_truth": "lightfield",
     "Reconstruction": "reconstruction",
@@ -89,6 +90,7 @@ __all__ = [
     "Spectrum",
     "calibrate",
     "decode",
+    "demosaic",
     "estimate_capture",
     "expose",
     "fit",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection
 from typing import Any
 
@@ -41,6 +42,16 @@ LEAST_FILL = 1e-3
 
 MOST_STRETCH = 10.0
 """One pitch over the other, at most."""
+
+
+MOST_JITTER = 0.1
+"""Standard deviation of lenses' places, over the pitch, and of their focal lengths, over these, at most."""
+
+MOST_SEED = 2**32 - 1
+"""Seed of an array's irregularities at most."""
+
+WIDEST_ANGLE = 90.0
+"""Degrees of incidence at most."""
 
 
 def require_wavelength(value: Any, name: str = "wavelength") -> float:
@@ -86,6 +97,21 @@ def require_wavefront(value: Any, name: str = "wavefront") -> tuple[float, ...]:
     if not isinstance(value, (tuple, list)) or len(value) > MOST_ABERRATIONS:
         raise InputError(f"{name} = {shown(value)}: it must be at most {MOST_ABERRATIONS} numbers")
     return require_numbers(name, value, len(value), STRONGEST_ABERRATION)
+
+
+def require_response(value: Any, name: str = "pixel_response") -> tuple[float, ...]:
+    """Return pairs of an angle in degrees, rising from 0, and a response from 0 to 1, as one tuple of numbers."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if not isinstance(value, (tuple, list)) or len(value) % 2 or len(value) == 2:
+        raise InputError(f"{name} = {shown(value)}: it must be two or more pairs of an angle in degrees and a response")
+    numbers = tuple(require_number(name, number, minimum=0, maximum=WIDEST_ANGLE) for number in value)
+    angles, responses = numbers[::2], numbers[1::2]
+    if numbers and (angles[0] != 0 or any(a >= b for a, b in itertools.pairwise(angles))):
+        raise InputError(f"{name} = {shown(value)}: its angles must rise from 0")
+    if any(response > 1 for response in responses):
+        raise InputError(f"{name} = {shown(value)}: its responses must be from 0 to 1")
+    return numbers
 
 
 def require_numbers(name: str, value: Any, count: int, largest: float) -> tuple[float, ...]:

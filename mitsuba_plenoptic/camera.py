@@ -17,6 +17,8 @@ import numpy as np
 from .bounds import (
     FULL_TURN,
     LEAST_FILL,
+    MOST_JITTER,
+    MOST_SEED,
     MOST_STRETCH,
     STEEPEST_TILT,
     require_length,
@@ -24,21 +26,35 @@ from .bounds import (
     require_numbers,
     require_pixels,
     require_place,
+    require_response,
     require_wavefront,
 )
-from .errors import InputError, require_choice, require_number, shown
+from .errors import InputError, require_choice, require_count, require_number, shown
 from .lattice import APERTURES, LATTICES, Lattice, make_lattice
 from .objective import Objective
-from .prescription import Prescription, bundled_prescription, paraxial
+from .prescription import Glass, Prescription, bundled_prescription, paraxial
+from .prescription.glass import LINE_D
 from .presets import PRESETS
 from .thin_lens import conjugate_distance, defocus_factor, image_distance, vergence
 
 LENS_MODELS = ("ideal", "parabolic")
 
-LATER = {"mla_lattice", "mla_rotation", "mla_offset", "mla_tilt", "mla_aperture", "mla_fill", "distortion", "wavefront"}
+LATER = {
+    "mla_jitter",
+    "mla_seed",
+    "pixel_response",
+    "mla_lattice",
+    "mla_rotation",
+    "mla_offset",
+    "mla_tilt",
+    "mla_aperture",
+    "mla_fill",
+    "distortion",
+    "wavefront",
+}
 """Parameters that files written before there were other lattices do not name."""
 
-_OPTIONAL = {"focus_distance", "main_lens"}
+_OPTIONAL = {"focus_distance", "main_lens", "glass", "mla_glass"}
 """Parameters that `to_dict` may leave out."""
 
 _SEVERAL = {"mla_focal_lengths": "mla_focal_length", "mla_pitches": "mla_pitch"}
@@ -109,15 +125,28 @@ class PlenopticCamera:
         `Prescription.from_plain` takes. Or a microscope's objective, as such or as what `Objective.from_plain` takes:
         the origin of the camera frame is then its native object plane, `focal_length` and `aperture_radius` are its
         own, and `mla_distance` is the focal length of the lens before the array. Default: a thin lens.
+    glass, mla_glass : Glass, str, float or dict, optional
+        Of what the thin main lens and the microlenses are made, or what `Glass.from_plain` takes: `focal_length` and
+        `mla_focal_length` are then those at 587.5618 nm (the line d), and other wavelengths have others, see
+        `at_wavelength`. Default: the same for all wavelengths.
+    mla_jitter : (float, float)
+        Standard deviations of what is irregular in the array, for rays: of the lenses' places along x and along y, in
+        millimetres and at most 0.1 of the pitch, and of their focal lengths, over these and at most 0.1; see
+        `mitsuba_plenoptic.optics.irregular`. What decodes and refocuses knows the regular array.
+    mla_seed : int
+        Which of all such arrays it is, up to 4294967295.
+    pixel_response : floats
+        Angular response of the pixels, for rays: angles of incidence in degrees, rising from 0, each followed by a
+        response from 0 to 1, with straight lines between and the last beyond. Default: 1 at all angles.
 
     Raises
     ------
     InputError
         If a length is not a number from 1e-9 to 1e9 (`focus_distance` may be infinite), a side of the detector is not
         from 1 to 1048576 pixels, one pitch is more than ten times the other, the crop window leaves the detector, a
-        tilted array touches detector or main lens, the distortion folds the image, or a `main_lens` is not one, cannot
-        open so far, is given with aberrations or distortion, or reaches to the array, or an objective has another
-        focal length, aperture or distance to the array.
+        tilted array touches detector or main lens, the distortion folds the image, a `main_lens` is not one, cannot
+        open so far, is given with aberrations, distortion or a glass, or reaches to the array, an objective has another
+        focal length, aperture or distance to the array, or a glass is not one or has no index at the line d.
     """
 
     focal_length: float
@@ -140,6 +169,11 @@ class PlenopticCamera:
     distortion: tuple[float, float, float, float, float]
     wavefront: tuple[float, ...]
     main_lens: Prescription | Objective | None
+    glass: Glass | None
+    mla_glass: Glass | None
+    mla_jitter: tuple[float, float]
+    mla_seed: int
+    pixel_response: tuple[float, ...]
 
     def __init__(
         self,
@@ -165,6 +199,11 @@ class PlenopticCamera:
         distortion: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
         wavefront: Sequence[float] = (),
         main_lens: Prescription | Objective | str | dict[str, Any] | None = None,
+        glass: Glass | str | float | dict[str, Any] | None = None,
+        mla_glass: Glass | str | float | dict[str, Any] | None = None,
+        mla_jitter: Sequence[float] = (0.0, 0.0),
+        mla_seed: int = 0,
+        pixel_response: Sequence[float] = (),
     ) -> None:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
@@ -227,6 +266,13 @@ class PlenopticCamera:
         put("lens_model", require_choice("lens_model", lens_model, LENS_MODELS))
         put("distortion", require_numbers("distortion", distortion, 5, 1.0))
         put("wavefront", require_wavefront(wavefront))
+        put("mla_jitter", require_numbers("mla_jitter", mla_jitter, 2, MOST_JITTER * max(1.0, *self.mla_pitches)))
+        for value, most in zip(self.mla_jitter, (MOST_JITTER * min(self.mla_pitches), MOST_JITTER), strict=True):
+            require_number("mla_jitter", value, minimum=0, maximum=most)
+        put("mla_seed", require_count("mla_seed", mla_seed, minimum=0, maximum=MOST_SEED))
+        put("pixel_response", require_response(pixel_response))
+        put("glass", _glass("glass", glass))
+        put("mla_glass", _glass("mla_glass", mla_glass))
         if self.main_lens is not None:
             self._require_main_lens(own[1])
         reach = np.hypot(*(np.abs(self.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))
@@ -243,6 +289,8 @@ class PlenopticCamera:
         for name in ("distortion", "wavefront"):
             if any(getattr(self, name)):
                 raise InputError(f"{name} = {getattr(self, name)}: a main_lens brings its own; leave it out")
+        if self.glass is not None:
+            raise InputError(f"glass = {shown(self.glass.to_plain())}: a main_lens brings its own; leave it out")
         if isinstance(self.main_lens, Objective):
             self._require_objective(self.main_lens)
             return
@@ -335,10 +383,12 @@ class PlenopticCamera:
         return cls._from_names(values)
 
     def to_dict(self) -> dict[str, Any]:
-        """All parameters by name, in plain numbers, strings and tuples; a real main lens as a dictionary of such."""
-        values = {_SEVERAL.get(f.name, f.name): getattr(self, f.name) for f in fields(self) if f.name != "main_lens"}
-        if self.main_lens is not None:
-            values["main_lens"] = self.main_lens.to_plain()
+        """All parameters by name, in plain numbers, strings and tuples; lens and glasses as dictionaries of such."""
+        values = {_SEVERAL.get(f.name, f.name): getattr(self, f.name) for f in fields(self)}
+        for name in ("main_lens", "glass", "mla_glass"):
+            value = values.pop(name)
+            if value is not None:
+                values[name] = value.to_plain()
         if len(self.mla_focal_lengths) == 1:
             values["mla_focal_length"] = self.mla_focal_length
         if self.lattice.aspect == 1:
@@ -463,6 +513,42 @@ class PlenopticCamera:
         if "focus_distance" in changes and "mla_distance" not in changes:
             values.pop("mla_distance")
         return self._from_names(values)
+
+    # -- colour --------------------------------------------------------------------------------------
+
+    @property
+    def is_dispersive(self) -> bool:
+        """Whether rays of different wavelengths go different ways through it."""
+        glasses = [self.glass, self.mla_glass]
+        if self.prescription is not None:
+            glasses += [surface.glass for surface in self.prescription.surfaces]
+        return any(glass is not None and glass.form != "index" for glass in glasses)
+
+    def at_wavelength(self, wavelength: float) -> PlenopticCamera:
+        """Return the camera with its thin lenses as one wavelength meets them, and without their glasses.
+
+        What stands where does not move: what is in focus does. A `main_lens` stays as it is, since it has indices of
+        its own.
+
+        Parameters
+        ----------
+        wavelength : float
+            Wavelength in nanometres.
+
+        Raises
+        ------
+        InputError
+            If a glass has no index there.
+        """
+        if self.glass is None and self.mla_glass is None:
+            return self
+        values = self.to_dict()
+        if self.glass is not None:
+            values["focal_length"] = self.focal_length * self.glass.focal_ratio(wavelength)
+        if self.mla_glass is not None:
+            ratio = self.mla_glass.focal_ratio(wavelength)
+            values["mla_focal_length"] = tuple(ratio * value for value in self.mla_focal_lengths)
+        return self._from_names({name: value for name, value in values.items() if name not in ("glass", "mla_glass")})
 
     # -- main lens -----------------------------------------------------------------------------------
 
@@ -721,6 +807,18 @@ def _known_lens(value: Prescription | Objective | str | dict[str, Any] | None) -
     if isinstance(value, dict) and "magnification" in value:
         return Objective.from_plain(value)
     return bundled_prescription(value) if isinstance(value, str) else Prescription.from_plain(value)
+
+
+def _glass(name: str, value: Any) -> Glass | None:
+    """Return a lens's glass that is given in any of its forms, one that bends light of the line d."""
+    if value is None:
+        return None
+    glass = value if isinstance(value, Glass) else Glass.from_plain(value, name)
+    try:
+        glass.focal_ratio(LINE_D)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+    return glass
 
 
 def _own_numbers(lens: Prescription | Objective, focal_length: float | None) -> tuple[float, float]:

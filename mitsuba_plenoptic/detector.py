@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from .errors import InputError, require_count, require_number, shown
+from .errors import InputError, require_choice, require_count, require_number, shown
 from .io.captures import Capture
+from .mosaic import MOSAICS, filters, require_demosaiced
 
 # Bounds of what is counted or multiplied, so that no product leaves what a float holds.
 _SMALLEST, _LARGEST = 1e-9, 1e9
@@ -28,7 +29,8 @@ class Detector:
     :math:`2^{bits} - 1`. Its variance is :math:`\sigma_y^2 = K^2 (\sigma_d^2 + \mu_e) + 1/12`.
 
     The defaults are about those of a CMOS sensor with pixels of 2 micrometres. Every channel of a colour capture is
-    exposed as a sensor of its own; there is no colour mosaic, and no non-uniformity from pixel to pixel.
+    exposed as a sensor of its own, or, with a `mosaic`, each pixel records one of the three. There is no non-uniformity
+    from pixel to pixel.
 
     Parameters
     ----------
@@ -47,6 +49,9 @@ class Detector:
     black_level : int, optional
         Digital number without any electron. Default: four standard deviations of the dark noise, so that it is not
         cut off.
+    mosaic : {"RGGB", "GRBG", "GBRG", "BGGR"}, optional
+        Colours of the filters on the first two pixels of the detector's first row and of its second, repeated all over
+        it. Default: none.
 
     Raises
     ------
@@ -61,6 +66,7 @@ class Detector:
     bits: int = 12
     gain: float | None = None
     black_level: int | None = None
+    mosaic: str | None = None
 
     def __post_init__(self) -> None:
         def put(name: str, value: Any) -> None:
@@ -80,6 +86,8 @@ class Detector:
         if self.gain is None:
             put("gain", (top - self.black_level) / self.full_well)
         put("gain", _positive("gain", self.gain))
+        if self.mosaic is not None:
+            require_choice("mosaic", self.mosaic, MOSAICS)
 
     def digital_numbers(self, photons: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         """Expose pixels that so many photons hit on average.
@@ -129,19 +137,27 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     Returns
     -------
     Capture
-        With detector, photons and seed in `metadata` under ``exposure``, and without the noise of its rendering.
+        With detector, photons and seed in `metadata` under ``exposure``, and without the noise of its rendering. With a
+        mosaic it has one channel, for `demosaic`, and its metadata the `wavelength` of the colours under ``exposure``.
 
     Raises
     ------
     InputError
-        If an argument is out of range.
+        If an argument is out of range, or a mosaic is to record a capture that has not three channels.
     """
     if not isinstance(capture, Capture) or not isinstance(detector, Detector):
         raise InputError(f"expose({shown(capture)}, {shown(detector)}): it takes a Capture and a Detector")
     photons = _positive("photons", photons)
     seed = require_count("seed", seed, minimum=0)
     generator = np.random.default_rng(seed)
-    image = capture.image
+    require_demosaiced(capture)
+    image, wavelength = capture.image, capture.wavelength
+    extra: dict[str, Any] = {}
+    if detector.mosaic is not None:
+        if image.ndim != 3 or image.shape[2] != 3:
+            raise InputError(f"mosaic = {detector.mosaic}: the capture has 1 channel: filters need three")
+        image = np.take_along_axis(image, filters(capture.camera, detector.mosaic)[..., None], 2)[..., 0]
+        extra, wavelength = {"wavelength": wavelength}, None
     assert detector.gain is not None and detector.black_level is not None
     result = np.empty_like(image)
     rows = max(1, _CHUNK // (image[0].size))
@@ -150,5 +166,6 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
         numbers = detector.digital_numbers(photons * np.maximum(part, 0), generator)
         electrons = (numbers.astype(np.float64) - detector.black_level) / detector.gain - detector.dark_electrons
         result[start : start + rows] = electrons / (detector.quantum_efficiency * photons)
-    exposure = {**asdict(detector), "photons": photons, "seed": seed}
-    return replace(capture, image=result, noise=None, metadata={**capture.metadata, "exposure": exposure})
+    exposure = {**asdict(detector), "photons": photons, "seed": seed, **extra}
+    metadata = {**capture.metadata, "exposure": exposure}
+    return replace(capture, image=result, wavelength=wavelength, noise=None, metadata=metadata)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
@@ -14,6 +14,9 @@ from . import child
 from .chains import Optics
 from .first_vertex import first_vertex
 from .places import Vertex, seen_directly
+
+if TYPE_CHECKING:
+    from .sight import Sight
 
 MOST_PLACES = 4
 """Places, at most, that stand for those where the light of one ray comes from."""
@@ -53,12 +56,12 @@ class Found:
         return Found(self.lane[kept], self.radiance[kept] * scale, self.variance[kept] * scale**2, vertex)
 
 
-def draw(optics: Optics, seed: int, ray: Any, spp: int, dark: bool = False) -> Found:
+def draw(sight: Sight, seed: int, ray: Any, spp: int, dark: bool = False) -> Found:
     """Follow light paths, `spp` neighbouring lanes for each ray, and gather those of equal places.
 
     Parameters
     ----------
-    optics : Optics
+    sight : Sight
         Scene and child.
     seed : int
         Of the random numbers.
@@ -73,16 +76,24 @@ def draw(optics: Optics, seed: int, ray: Any, spp: int, dark: bool = False) -> F
     -------
     Found
     """
-    return _draw_plain(optics, seed, ray, spp, dark) if optics.plain else _draw_places(optics, seed, ray, spp)
+    return (
+        _draw_plain(sight, seed, ray, spp, dark) if sight.optics.plain else _draw_places(sight.optics, seed, ray, spp)
+    )
 
 
-def _draw_plain(optics: Optics, seed: int, ray: Any, spp: int, dark: bool) -> Found:
+def _draw_plain(sight: Sight, seed: int, ray: Any, spp: int, dark: bool) -> Found:
     """Ask the child alone: all light of a ray comes from where it first hits."""
-    sampler = child.random_numbers(seed, dr.width(ray))
-    radiance = child.sample(optics.child.integrator, optics.scene, sampler, ray, None, mi.Bool(True))
+    optics, radiances = sight.optics, []
+    for light in sight.lights(ray):
+        # The same numbers lead light of all wavelengths along the same paths.
+        sampler = child.random_numbers(seed, dr.width(ray))
+        found = child.sample(optics.child.integrator, optics.scene, sampler, light, None, mi.Bool(True))
+        dr.eval(found)
+        radiances.append(found)
+    spectrum = sight.spectrum(radiances)
     sums = [
         np.stack([dr.block_sum(value, spp).numpy() for value in values], axis=-1)
-        for values in (channels(radiance), [value * value for value in channels(radiance)])
+        for values in (spectrum, [value * value for value in spectrum])
     ]
     shines = ~(sums[0].max(axis=-1) <= 0)
     if dark:

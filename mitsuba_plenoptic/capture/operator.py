@@ -16,7 +16,7 @@ from ..errors import InputError, shown
 from ..io.checkpoints import digest
 from ..objective import Objective
 from ..optics import guards
-from ..optics.main_lens import main_lens, require_ideal, require_round
+from ..optics.main_lens import main_lens, require_ideal, require_no_glass, require_round
 from ..optics.sampling import check_positions
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import one_at_a_time
@@ -27,7 +27,7 @@ from .bank.blend import near_weight
 from .bank.plan import BankPlan
 from .derivatives import Differentials, check_changes, check_names
 from .full_field_plan import FullFieldPlan
-from .mixing import groups, mix
+from .mixing import SpectralSum, mix, spectral_sums
 from .patch_plan import Cost, PatchPlan
 from .pupil_weights import PupilWeights
 
@@ -80,7 +80,8 @@ class CaptureOperator:
     wavelength : float, optional
         Wavelength in nanometres, the same for all channels of the weights; or give `spectrum`.
     spectrum : Spectrum, optional
-        Wavelengths, and the channels that record them. Weights and point spreads then have a value for each wavelength.
+        Wavelengths, and the channels that record them. Weights then have a value for each wavelength, and so have point
+        spreads, or for each of the spectrum's nodes.
     method : {"patch", "full_field", "bank"}
         Way to compute point spreads: on the part of the array that each lights; without shortcuts; or, out of focus,
         lens by lens from a bank of kernels, which takes about as long for any number of points and is meant for sums
@@ -126,6 +127,7 @@ class CaptureOperator:
             _require_followed(camera.objective, method)
         if method == "bank":
             require_round(camera)
+            require_no_glass(camera, "method bank takes the same focal lengths for all wavelengths; use patch, or")
         self._method, self._accuracy = method, check_accuracy(accuracy)
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
         self._portions = list(_portions(camera, self.points, method, self._accuracy))
@@ -188,16 +190,17 @@ class CaptureOperator:
             If the image has another shape or is not finite, or the work would need too much memory.
         """
         channels = self._check_image(image)
-        wavelengths, matrix = self._mixing(channels.shape[2])
+        wavelengths, _ = self._mixing(channels.shape[2])
         job = job or Job()
         result = np.zeros((len(self.points), len(wavelengths)))
         with guards.watch():
             done = 0
-            for wavelength, some in groups(wavelengths):
-                given = mix(channels, matrix[:, some].T)
+            for part in self._sums(channels.shape[2]):
+                given = mix(channels, part.after.T)
                 for portion in self._portions:
-                    found = self._planned(wavelength, portion, job, len(some)).gather(given, job, done, self._items)
-                    result[np.ix_(portion.points, np.array(some))] += portion.fractions[:, None] * found
+                    plan = self._planned(part.wavelength, portion, job, given.shape[2])
+                    found = plan.gather(given, job, done, self._items)
+                    result[portion.points] += portion.fractions[:, None] * (found @ part.before.T)
                     done += len(portion.points)
         return result[:, 0] if np.ndim(image) == 2 and len(wavelengths) == 1 else result
 
@@ -307,6 +310,11 @@ class CaptureOperator:
         if self._method != "patch":
             raise InputError(f"method = {self._method}: it has no derivatives; use patch")
         self.camera.require_thin("derivatives by waves are found", "differentiate by rays")
+        require_no_glass(self.camera, "there are no derivatives of cameras that disperse light;")
+        if self._spectrum is not None and self._spectrum.nodes:
+            raise InputError(
+                f"spectrum: nodes = {self._spectrum.nodes}: there are no derivatives between nodes; leave them out"
+            )
         if self._differentials is None:
             self._differentials = Differentials(self.camera, self.points, self._pupil_weights, self._accuracy)
         return self._differentials
@@ -326,7 +334,7 @@ class CaptureOperator:
         PhysicsError
             If too much of the light would be lost.
         """
-        wavelength, workers = self._mixing(1)[0][0], (job or Job()).workers
+        wavelength, workers = next(iter(self._sums(1))).wavelength, (job or Job()).workers
         costs = [self._plan(wavelength, portion).cost(workers) for portion in self._portions]
         return Cost(
             radiators=self.sums * sum(cost.radiators for cost in costs),
@@ -364,25 +372,26 @@ class CaptureOperator:
 
     @property
     def sums(self) -> int:
-        """Sums of point spreads that make an image: one for each distinct wavelength."""
-        return 1 if self._spectrum is None else len(set(self._spectrum.wavelengths))
+        """Sums of point spreads that make an image: one for each distinct wavelength, or node."""
+        return 1 if self._spectrum is None else len(self._spectrum.nodes or set(self._spectrum.wavelengths))
 
     def tasks(self, weights: NDArray[np.float64], job: Job) -> Iterator[Task]:
         """Yield the sum at each distinct wavelength, for weights (n, channels or wavelengths)."""
-        wavelengths, matrix = self._mixing(weights.shape[1])
-        for wavelength, some in groups(wavelengths):
+        for part in self._sums(weights.shape[1]):
             for portion in self._portions:
 
-                def plan(wavelength: float = wavelength, some: list[int] = some, portion: Portion = portion) -> LongSum:
-                    given = weights[np.ix_(portion.points, np.array(some))] * portion.fractions[:, None]
-                    return self._planned(wavelength, portion, job, len(some)).sum(given)
+                def plan(part: SpectralSum = part, portion: Portion = portion) -> LongSum:
+                    given = (weights[portion.points] @ part.before) * portion.fractions[:, None]
+                    return self._planned(part.wavelength, portion, job, given.shape[1]).sum(given)
 
-                def combine(
-                    sums: NDArray[np.float32], part: NDArray[np.float32] = matrix[:, some]
-                ) -> NDArray[np.float32]:
-                    return mix(sums, part)
+                def combine(sums: NDArray[np.float32], after: NDArray[np.float32] = part.after) -> NDArray[np.float32]:
+                    return mix(sums, after)
 
                 yield Task(len(portion.points), plan, combine)
+
+    def _sums(self, columns: int) -> Iterator[SpectralSum]:
+        """Yield the sums that make an image of so many columns of weights, or channels where there is no spectrum."""
+        return spectral_sums(*self._mixing(columns), self._spectrum)
 
     @property
     def _items(self) -> int:
@@ -395,7 +404,8 @@ class CaptureOperator:
         if key not in self._plans:
             weights = self._pupil_weights and self._pupil_weights.take(portion.points)
             make = PLANS[portion.method]
-            self._plans[key] = make(self.camera, self.points[portion.points], weights, wavelength, self._accuracy)
+            camera = self.camera.at_wavelength(wavelength)
+            self._plans[key] = make(camera, self.points[portion.points], weights, wavelength, self._accuracy)
         return self._plans[key]
 
     def _planned(self, wavelength: float, portion: Portion, job: Job, channels: int) -> Plan:

@@ -75,7 +75,9 @@ def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -
         If an argument is out of range or the work would need too much memory.
     """
     with guards.watch():
-        return full_field.point_fields(camera, _check(camera, position), require_wavelength(wavelength))
+        wavelength = require_wavelength(wavelength)
+        point = _check(camera, position)
+        return full_field.point_fields(camera.at_wavelength(wavelength), point, wavelength)
 
 
 def _check(camera: PlenopticCamera, position: Any) -> NDArray[np.float64]:

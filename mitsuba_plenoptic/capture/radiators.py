@@ -290,7 +290,7 @@ def _trace_lenses(
     lane = dr.arange(mi.UInt32, dr.width(kept) * spp)
     P, point, slope, _ = primary(dr.gather(mi.UInt32, kept, lane // spp))
     ray, cosine = sight.ray(tuple(point), (slope.x, slope.y))
-    found = draw(sight.optics, seed, ray, spp, dark)
+    found = draw(sight, seed, ray, spp, dark)
     bad = int(np.count_nonzero(~np.isfinite(found.radiance).all(axis=-1)))
     if bad:
         raise InputError(f"scene: the radiance of {bad} radiators is NaN or infinite: all must be finite")

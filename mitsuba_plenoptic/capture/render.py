@@ -97,7 +97,9 @@ def render_capture(
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
     if noise:
         require_samples(spp)
-    wavelengths = getattr(integrator, "wavelengths", None)
+    wavelengths, spectrum = None, None
+    if hasattr(integrator, "wavelengths"):
+        wavelengths, spectrum = integrator.channel_wavelengths(chosen), integrator.spectrum_of(chosen)
     _require_film_memory(camera, spp)
     # Of two sensors with the same camera, the checkpoint of one is none of the other.
     which = {} if sensor == 0 else {"sensor": sensor if isinstance(sensor, int) else chosen.id()}
@@ -118,6 +120,8 @@ def render_capture(
             if noise:
                 image, deviation = _split(image, film.base_channels_count())
     metadata["guards"] = fractions
+    if spectrum is not None:
+        metadata["spectrum"] = {"wavelengths": spectrum.wavelengths, "responses": spectrum.responses}
     if image.shape[2] not in (1, 3):
         raise InputError(
             f"film: it has {image.shape[2]} channels; a capture needs pixel_format 'luminance' or 'rgb' and an "

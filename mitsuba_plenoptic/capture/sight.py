@@ -11,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..bounds import SHORTEST
+from ..errors import InputError
 from ..optics.main_lens import MainLens
 from . import child
 from .chains import Optics
@@ -29,18 +30,30 @@ class Sight:
         The scene, and the integrator that finds the radiance.
     sensor : mitsuba.Sensor
         Where the pupil is, and when the shutter is open.
-    wavelength : float, optional
-        For spectral variants: the wavelength of all light, in nanometres.
+    wavelengths : tuple of float, optional
+        For spectral variants: those of the channels of the radiance, in nanometres.
     """
 
     optics: Optics
     sensor: Any
-    wavelength: float | None
+    wavelengths: tuple[float, ...] | None
 
     @classmethod
-    def of(cls, scene: Any, sensor: Any, integrator: Any, wavelength: float | None) -> Sight:
-        """Look at a scene with a Mitsuba integrator."""
-        return cls(Optics.of(scene, child.Child.of(integrator), sensor), sensor, wavelength)
+    def of(cls, scene: Any, sensor: Any, integrator: Any, wavelengths: tuple[float, ...] | None) -> Sight:
+        """Look at a scene with a Mitsuba integrator; where anything branches light, at one wavelength only.
+
+        Raises
+        ------
+        InputError
+            If there are several wavelengths, and mirrors, glass, cut-outs, masks or media.
+        """
+        optics = Optics.of(scene, child.Child.of(integrator), sensor)
+        if wavelengths is not None and len(wavelengths) > 1 and not optics.plain:
+            raise InputError(
+                f"variant {mi.variant()}: {len(wavelengths)} wavelengths at once need a scene without mirrors, "
+                "glass, cut-outs, masks and media; use an rgb variant, or one wavelength"
+            )
+        return cls(optics, sensor, wavelengths)
 
     def vergences(self, lens: MainLens) -> tuple[float, float]:
         """Return the vergences of the images of the nearest and the farthest point that can be seen to shine."""
@@ -60,9 +73,31 @@ class Sight:
         to_world = self.sensor.world_transform()
         ray = mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ direction)
         ray.time = self.sensor.shutter_open() + 0.5 * self.sensor.shutter_open_time()
-        if self.wavelength is not None:
-            ray.wavelengths = dr.full(type(ray.wavelengths), self.wavelength)
+        if self.wavelengths is not None:
+            ray.wavelengths = self.lights(ray)[0].wavelengths
         return ray, direction.z
+
+    def lights(self, ray: Any) -> list[Any]:
+        """Return rays as all wavelengths take them together: several at a time, spread evenly over all of them."""
+        if self.wavelengths is None:
+            return [ray]
+        lanes, count = len(ray.wavelengths), len(self.wavelengths)
+        groups = -(-count // lanes)
+        made = []
+        for group in range(groups):
+            own = self.wavelengths[group::groups]
+            copy = mi.Ray3f(ray)
+            # What is left over repeats the last.
+            copy.wavelengths = type(ray.wavelengths)([own[min(lane, len(own) - 1)] for lane in range(lanes)])
+            made.append(copy)
+        return made
+
+    def spectrum(self, radiances: list[Any]) -> list[Any]:
+        """Return the channels of the radiances that were found along the rays of `lights`."""
+        if self.wavelengths is None:
+            return channels(radiances[0])
+        groups = len(radiances)
+        return [radiances[number % groups][number // groups] for number in range(len(self.wavelengths))]
 
     def look(
         self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], seed: int, counts: Callable[[Any], Any] | None = None

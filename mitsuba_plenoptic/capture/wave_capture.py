@@ -93,7 +93,7 @@ class WaveCapture:
             tasks = [keep_spread(task) for task in tasks]
         generator = np.random.default_rng((seed, PARTS)) if noise else None
         sums = itertools.chain(self._sums(operators, sets, job, generator, shape[2]), tasks)
-        image = job.run(sums, shape, items, partial(self._facts, sets, seed))
+        image = job.run(sums, shape, items, partial(self.facts, sets, seed))
         if noise and rays:
             image = with_spread(image, len(rays))
         # What interpolation leaves below zero between the samples is not light.
@@ -143,11 +143,12 @@ class WaveCapture:
         if self.method != "auto":
             return self.method
         per_lens = self.passes * self.radiators_per_lens**2
-        # A bank takes the main lens to be thin and round.
+        # A bank takes the main lens to be thin and round, and of the same focal length for all channels.
         better = (
             self.occlusion
             and self.camera.main_lens is None
             and not any(self.camera.wavefront)
+            and not (self.camera.glass or self.camera.mla_glass)
             and bank_is_better(self.camera, self.sight, max(self.wavelengths), per_lens, self.accuracy, seed)
         )
         return "bank" if better else "patch"
@@ -246,7 +247,7 @@ class WaveCapture:
             for task, own in zip(tasks, groups, strict=True):
                 yield keep_variances(task, own, len(self.wavelengths), channels)
 
-    def _facts(self, sets: list[Radiators], seed: int) -> dict[str, Any]:
+    def facts(self, sets: list[Radiators], seed: int) -> dict[str, Any]:
         """Return by what a capture is known as the same: its radiators, and the light along some rays."""
         probes = Probes.of(self.camera, self.sight, seed)
         arrays: list[np.ndarray | None] = [probes.radiance, probes.vergence]

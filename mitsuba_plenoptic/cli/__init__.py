@@ -18,6 +18,7 @@ from . import (
     compare,
     convert,
     dataset,
+    demosaic,
     depth,
     doctor,
     epi,
@@ -73,6 +74,7 @@ app.command("epi")(epi.epi)
 app.command("stack")(stack.stack)
 app.command("depth")(depth.depth)
 app.command("expose")(expose.expose)
+app.command("demosaic")(demosaic.demosaic)
 app.command("calibrate")(calibrate.calibrate)
 app.command("fit")(fit.fit)
 app.command("convert")(convert.convert)

@@ -9,6 +9,7 @@ import typer
 from ..detector import Detector
 from ..detector import expose as record
 from ..io.captures import read_capture, write_capture
+from ..mosaic import MOSAICS
 from .inputs import require_capture_output
 from .options import CaptureFile, CaptureOutput, number
 
@@ -30,6 +31,14 @@ def expose(
     black_level: Annotated[
         int | None, number("Number without any electron.", "four deviations of the dark noise")
     ] = None,
+    mosaic: Annotated[
+        str | None,
+        typer.Option(
+            metavar="|".join(MOSAICS),
+            show_default="none",
+            help="Colour filters of the first pixels of two rows; each pixel then records one of three channels.",
+        ),
+    ] = None,
     seed: Annotated[int, number("Seed of the noise.")] = 0,
 ) -> None:
     """Add what a real detector does: photon and read noise, saturation, digital numbers.
@@ -37,9 +46,11 @@ def expose(
     The sensor is linear after EMVA Standard 1288. The result is a capture in
     the units of the first, so that every command takes it.
 
-    [bold]Example:[/bold]
+    [bold]Examples:[/bold]
 
       mitsuba-plenoptic expose raw.exr -o noisy.exr --photons 2000
+
+      mitsuba-plenoptic expose colours.exr -o bayer.exr --photons 2000 --mosaic RGGB
     """
     require_capture_output(output)
     detector = Detector(
@@ -50,6 +61,7 @@ def expose(
         bits=bits,
         gain=gain,
         black_level=black_level,
+        mosaic=mosaic,
     )
     write_capture(output, record(read_capture(capture), detector, photons=photons, seed=seed))
     electrons = detector.quantum_efficiency * photons

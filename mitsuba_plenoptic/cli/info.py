@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from itertools import groupby
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -32,6 +33,14 @@ def info(
     wavelength: Annotated[
         float | None, number("Wavelength in nanometres at which to judge diffraction.", "the capture's", unit="NM")
     ] = None,
+    drawing: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.png",
+            show_default="none",
+            help="Draw the main_lens with rays, spots, light and distortion over the field.",
+        ),
+    ] = None,
     define: Definitions = None,
 ) -> None:
     """Print what follows from a camera's parameters, and what is poor about the design.
@@ -45,6 +54,8 @@ def info(
       mitsuba-plenoptic info raytrix --wavelength 550
 
       mitsuba-plenoptic info raw.exr
+
+      mitsuba-plenoptic info camera.json --drawing lens.png
     """
     if wavelength is not None:
         wavelength = require_wavelength(wavelength)
@@ -53,6 +64,11 @@ def info(
     camera = capture.camera if capture else load_camera(source, parameters)[0]
     if capture and wavelength is None and isinstance(capture.wavelength, float):
         wavelength = capture.wavelength
+    if drawing is not None:
+        # Brings Matplotlib, which takes a while to load.
+        from ..report.lens_drawing import draw_main_lens
+
+        draw_main_lens(drawing, camera)
     console = Console(highlight=False)
     console.print(_table(design_sheet(camera, wavelength)))
     if capture:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import re
 import warnings
@@ -15,6 +16,7 @@ from ..capture.scene import load_scene, scene_path
 from ..capture.scene_file import check_scene_file
 from ..design import design_warnings
 from ..errors import InputError
+from ..io.captures import Capture, read_capture
 from ..io.files import require_writable
 from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
@@ -57,6 +59,19 @@ def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamer
     if not sensors:
         raise InputError(f"{source}: it has no sensor; add one of type 'plenoptic'")
     return PlenopticCamera.from_sensor(sensors[0]), None
+
+
+def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool) -> Capture:
+    """Read a capture, or a raw picture of a known camera; the camera that is given takes the place of a capture's."""
+    if path.suffix.lower() in (".png", ".tif", ".tiff"):
+        if camera is None:
+            raise InputError(f"{path}: a raw picture needs its --camera")
+        # Brings libraries that take a while to load.
+        from ..lightfield.exchange import read_picture
+
+        return Capture(read_picture(path, linear=linear), camera, None, "ray", {})
+    found = read_capture(path)
+    return found if camera is None else dataclasses.replace(found, camera=camera)
 
 
 def named_camera(source: str | None) -> PlenopticCamera | None:

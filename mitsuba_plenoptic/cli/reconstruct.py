@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,15 +9,11 @@ from typing import Annotated, Any
 import typer
 
 from .. import reconstruction
-from ..camera import PlenopticCamera
-from ..errors import InputError
-from ..io.captures import Capture, read_capture
-from ..lightfield.exchange import read_picture
 from ..report.brightness import Brightness
 from ..report.output_files import reconstruction_paths, write_reconstructions
 from ..runtime.progress import progress_bar
 from ..runtime.variant import set_variant
-from .inputs import named_camera
+from .inputs import named_camera, read_recorded
 from .options import CameraFile, CaptureFile, Distances, Exposure, Linear, Percentile, Variant, number, output_option
 
 
@@ -130,8 +125,8 @@ def reconstruct(
     paths = reconstruction_paths(output, distance)
     brightness = Brightness(exposure, percentile)
     known = named_camera(camera)
-    recorded = _recorded(capture, known, linear)
-    reference = None if white is None else _recorded(white, known, linear)
+    recorded = read_recorded(capture, known, linear)
+    reference = None if white is None else read_recorded(white, known, linear)
     set_variant(variant)
     with progress_bar("Refocusing") as progress:
         results = reconstruction.reconstruct(
@@ -168,13 +163,3 @@ def _told(facts: dict[str, Any]) -> str:
         f"; {facts['iterations']} iterations, {ended}, {facts['residual']:.2%} of the capture left; resolution limit "
         f"{facts['resolution_limit']:.3g} line pairs/mm{near}"
     )
-
-
-def _recorded(path: Path, camera: PlenopticCamera | None, linear: bool) -> Capture:
-    """Read a capture, or a raw picture of a known camera; the camera that is given takes the place of a capture's."""
-    if path.suffix.lower() in (".png", ".tif", ".tiff"):
-        if camera is None:
-            raise InputError(f"{path}: a raw picture needs its --camera")
-        return Capture(read_picture(path, linear=linear), camera, None, "ray", {})
-    found = read_capture(path)
-    return found if camera is None else dataclasses.replace(found, camera=camera)

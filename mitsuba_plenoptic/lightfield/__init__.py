@@ -4,6 +4,7 @@ A light field is an `xarray.DataArray`; `geometry` says what its axes mean.
 """
 
 from .decode import decode
+from .demosaic import demosaic
 from .depth import DepthError, depth_error, depth_map
 from .fourier import FourierRefocuser
 from .geometry import camera_of, depth_range, disparity, distance_of, grid_of
@@ -20,6 +21,7 @@ __all__ = [
     "LensGrid",
     "camera_of",
     "decode",
+    "demosaic",
     "depth_error",
     "depth_map",
     "depth_range",

@@ -12,6 +12,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, shown
 from ..io.captures import Capture, as_array, require_pixels
 from ..io.ground_truth import COORDINATES, GroundTruth, channel_planes
+from ..mosaic import require_demosaiced
 from ..runtime.limits import require_memory
 from .geometry import DIMS, light_field
 from .grid import LensGrid, bin_grid, lens_grid
@@ -65,6 +66,7 @@ def decode(
         If neither camera nor grid is known, or the images or the ground truth do not fit each other or the camera.
     """
     if isinstance(capture, Capture):
+        require_demosaiced(capture)
         camera = camera or capture.camera
         capture = capture.image
     image = _image("capture", capture)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,6 +49,8 @@ class LensSystem:
         Distance from the rear principal plane to the array.
     wavelength : float, optional
         Wavelength in nanometres of the light. Default: the prescription's own.
+    indices : sequence of float or Dr.Jit array, optional
+        For `trace`: the index behind each surface that each ray meets. Default: those at the wavelength.
     """
 
     prescription: Prescription
@@ -55,6 +58,7 @@ class LensSystem:
     aperture_radius: Any
     mla_distance: Any
     wavelength: float | None = None
+    indices: Sequence[Any] | None = None
 
     @classmethod
     def of(cls, camera: PlenopticCamera, wavelength: float | None = None) -> LensSystem:
@@ -233,7 +237,9 @@ class LensSystem:
 
     @functools.cached_property
     def _backwards(self) -> list[sequential.Element]:
-        return sequential.elements(self.prescription, self._light, stop_radius=self.stop_radius, backwards=True)
+        return sequential.elements(
+            self.prescription, self._light, stop_radius=self.stop_radius, backwards=True, indices=self.indices
+        )
 
     @functools.cached_property
     def forwards(self) -> list[sequential.Element]:

@@ -40,7 +40,7 @@ class Element:
         Coefficients of the fourth, sixth, ... power of the distance from the axis.
     semi_aperture : float or Dr.Jit array
         Distance from the axis up to which light passes.
-    before, after : float
+    before, after : float or Dr.Jit array
         Indices on both sides.
     """
 
@@ -49,12 +49,23 @@ class Element:
     conic: float
     asphere: tuple[float, ...]
     semi_aperture: Any
-    before: float
-    after: float
+    before: Any
+    after: Any
+
+    @property
+    def refracts(self) -> bool:
+        """Whether the indices on both sides differ; those of single rays are taken to."""
+        plain = isinstance(self.before, float) and isinstance(self.after, float)
+        return not plain or self.before != self.after
 
 
 def elements(
-    prescription: Prescription, wavelength: float, *, stop_radius: Any = None, backwards: bool = False
+    prescription: Prescription,
+    wavelength: float,
+    *,
+    stop_radius: Any = None,
+    backwards: bool = False,
+    indices: Sequence[Any] | None = None,
 ) -> list[Element]:
     """Return a lens's surfaces in the order of its light, the gap before the first being 0.
 
@@ -68,8 +79,11 @@ def elements(
         Radius of the stop. Default: fully open.
     backwards : bool
         Whether light goes from the array to the scene.
+    indices : sequence of float or Dr.Jit array, optional
+        Of what follows each surface. Default: those at the wavelength.
     """
-    surfaces, index = prescription.surfaces, [1.0, *prescription.indices(wavelength)]
+    surfaces = prescription.surfaces
+    index = [1.0, *(prescription.indices(wavelength) if indices is None else indices)]
     made = []
     for number, surface in enumerate(surfaces):
         stopped = number == prescription.stop and stop_radius is not None
@@ -162,7 +176,7 @@ def follow(
         if squares is not None:
             squares.append(square)
         is_open = is_open & (square <= surface.semi_aperture * surface.semi_aperture)
-        if surface.before != surface.after:
+        if surface.refracts:
             slope = _slope(surface, square)
             scale = 1 / _sqrt(1 + slope * slope * square)
             nx, ny, nz = -slope * x * scale, -slope * y * scale, scale

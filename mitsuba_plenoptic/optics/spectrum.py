@@ -1,14 +1,33 @@
-"""The wavelengths of a capture, and how strongly each channel of the detector answers to them."""
+r"""The wavelengths of a capture, and how strongly each channel of the detector answers to them.
+
+A channel records :math:`\int S(\lambda) L(\lambda) \, psf(\lambda) \, d\lambda`. The integral is a sum at the nodes of
+Gauss and Legendre, of which n integrate polynomials up to the degree 2 n - 1 exactly (Abramowitz and Stegun, "Handbook
+of Mathematical Functions", 25.4.29). Sums over many points change slowly with the wavelength, however finely light and
+responses change: point spreads may then be computed at a few nodes, and those of all other wavelengths are what the
+polynomial through them tells (Berrut and Trefethen 2004, "Barycentric Lagrange interpolation").
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
-from ..errors import InputError
+from ..errors import InputError, require_count, require_number
+from ..io.tables import read_table
+
+MOST_WAVELENGTHS = 1024
+"""Wavelengths of a spectrum at most."""
+
+RGB_WAVELENGTHS = (611.4, 549.1, 464.3)
+"""Dominant wavelengths of the sRGB primaries (IEC 61966-2-1) in nanometres, for variants of three channels."""
+
+WAVELENGTHS = 31
+"""Wavelengths at which smooth responses are taken by default: every 10 nm of what is visible, about."""
 
 
 @dataclass(frozen=True)
@@ -21,15 +40,20 @@ class Spectrum:
         Nanometres.
     responses : tuple of tuples of float
         For each channel its response to each wavelength.
+    nodes : tuple of float
+        Wavelengths at which point spreads are computed, those of all others being interpolated; see `interpolated`.
+        Without them each wavelength has its own.
 
     Raises
     ------
     InputError
-        If there is no wavelength, one is not from 1 to 1e6, or a channel does not have one finite response to each.
+        If there is no wavelength, one is not from 1 to 1e6, a channel does not have one finite response to each, or
+        two nodes are the same.
     """
 
     wavelengths: tuple[float, ...]
     responses: tuple[tuple[float, ...], ...]
+    nodes: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.wavelengths:
@@ -44,6 +68,9 @@ class Spectrum:
                 f"spectrum: responses of shape {matrix.shape}: every channel must have a finite one to each of "
                 f"{len(self.wavelengths)} wavelengths"
             )
+        object.__setattr__(self, "nodes", tuple(require_wavelength(value, "spectrum: node") for value in self.nodes))
+        if len(set(self.nodes)) < len(self.nodes):
+            raise InputError(f"spectrum: nodes = {self.nodes}: they must be different")
 
     @classmethod
     def lines(cls, *wavelengths: float) -> Spectrum:
@@ -55,6 +82,154 @@ class Spectrum:
             Nanometres.
         """
         return cls(tuple(wavelengths), tuple(map(tuple, np.eye(len(wavelengths)).tolist())))
+
+    @classmethod
+    def band(cls, centre: float, width: float, count: int) -> Spectrum:
+        """Make a flat band of one channel, whose responses sum to 1.
+
+        Parameters
+        ----------
+        centre, width : float
+            Middle and full width in nanometres.
+        count : int
+            Wavelengths, the nodes of Gauss and Legendre; `capture.spectral.with_enough_nodes` finds how many do.
+
+        Raises
+        ------
+        InputError
+            If a number is out of range.
+        """
+        return cls.bands((centre,), width, count)
+
+    @classmethod
+    def bands(cls, centres: Sequence[float], width: float, count: int) -> Spectrum:
+        """Make flat bands of equal width, each with a channel of its own; otherwise as `band`.
+
+        Parameters
+        ----------
+        centres : sequence of float
+            Their middles in nanometres.
+        width : float
+            Their full width in nanometres.
+        count : int
+            Wavelengths of each.
+        """
+        half = require_number("spectrum: width", width, positive=True) / 2
+        count = require_count("spectrum: count", count, maximum=MOST_WAVELENGTHS)
+        places, weights = np.polynomial.legendre.leggauss(count)
+        wavelengths = [float(centre + half * place) for centre in centres for place in places]
+        responses = np.kron(np.eye(len(centres)), weights / 2)
+        return cls(tuple(wavelengths), tuple(map(tuple, responses.tolist())))
+
+    @classmethod
+    def smooth(
+        cls,
+        responses: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+        low: float,
+        high: float,
+        count: int = WAVELENGTHS,
+    ) -> Spectrum:
+        """Make a spectrum of responses that are functions of the wavelength, whose sums are their integrals.
+
+        Parameters
+        ----------
+        responses : callable
+            From wavelengths (n,) in nanometres to responses (channels, n) per nanometre.
+        low, high : float
+            Where it begins and ends, in nanometres.
+        count : int
+            Wavelengths, the nodes of Gauss and Legendre.
+        """
+        count = require_count("spectrum: count", count, maximum=MOST_WAVELENGTHS)
+        places, weights = np.polynomial.legendre.leggauss(count)
+        wavelengths = (low + high) / 2 + (high - low) / 2 * places
+        values = np.asarray(responses(wavelengths)) * weights * (high - low) / 2
+        return cls(tuple(wavelengths.tolist()), tuple(map(tuple, values.tolist())))
+
+    @classmethod
+    def sensor(cls, path: str | Path, count: int = WAVELENGTHS) -> Spectrum:
+        """Take the responses of a detector from a table, with straight lines between its rows.
+
+        Each channel is divided by its integral, so that light of radiance 1 at every wavelength reads 1 in all of them.
+
+        Parameters
+        ----------
+        path : path
+            A CSV file: a line of names, then a wavelength in nanometres and the response of every channel to a row, by
+            rising wavelength.
+        count : int
+            Wavelengths.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read or is no such table, or a channel answers to nothing.
+        """
+        table = read_table(path)
+        if table.shape[1] < 2 or len(table) < 2 or np.any(np.diff(table[:, 0]) <= 0):
+            raise InputError(
+                f"{path}: it must have two rows or more, of a wavelength and responses, by rising wavelength"
+            )
+        low, high = (require_wavelength(value, f"{path}: wavelength") for value in table[[0, -1], 0].tolist())
+        made = cls.smooth(
+            lambda wavelengths: np.stack([np.interp(wavelengths, table[:, 0], column) for column in table[:, 1:].T]),
+            low,
+            high,
+            count,
+        )
+        return made.balanced(str(path))
+
+    def balanced(self, where: str = "spectrum") -> Spectrum:
+        """Return it with every channel divided by the sum of its responses.
+
+        Parameters
+        ----------
+        where : str
+            What messages call it.
+
+        Raises
+        ------
+        InputError
+            If a sum is not greater than 0.
+        """
+        sums = np.array(self.responses).sum(axis=1)
+        if not np.all(sums > 0):
+            channel = int(np.argmax(~(sums > 0)))
+            raise InputError(
+                f"{where}: channel {channel + 1}: its responses sum to {sums[channel]:g}: it must be above 0"
+            )
+        return replace(self, responses=tuple(map(tuple, (np.array(self.responses) / sums[:, None]).tolist())))
+
+    def interpolated(self, count: int) -> Spectrum:
+        """Return it with point spreads computed at few wavelengths, nodes of Gauss and Legendre over its range.
+
+        Parameters
+        ----------
+        count : int
+            How many. Where there are no more wavelengths than that, each keeps its own.
+        """
+        count = require_count("spectrum: nodes", count, maximum=MOST_WAVELENGTHS)
+        if count >= len(set(self.wavelengths)):
+            return replace(self, nodes=())
+        low, high = min(self.wavelengths), max(self.wavelengths)
+        places, _ = np.polynomial.legendre.leggauss(count)
+        return replace(self, nodes=tuple(((low + high) / 2 + (high - low) / 2 * places).tolist()))
+
+    def shares(self) -> NDArray[np.float64]:
+        """Return the values (nodes, wavelengths) of each node's Lagrange polynomial at every wavelength."""
+        nodes, wavelengths = np.array(self.nodes), np.array(self.wavelengths)
+        factors = np.ones((len(nodes), len(wavelengths)))
+        for number, node in enumerate(nodes):
+            for other in np.delete(nodes, number):
+                factors[number] *= (wavelengths - other) / (node - other)
+        return factors
+
+    def centroids(self) -> tuple[float, ...]:
+        """Return the mean wavelength of each channel, weighted by the magnitude of its responses."""
+        weights = np.abs(np.array(self.responses))
+        total = weights.sum(axis=1)
+        means = weights @ np.array(self.wavelengths) / np.where(total > 0, total, 1)
+        return tuple(np.round(np.where(total > 0, means, np.mean(self.wavelengths)), 9).tolist())
 
     @property
     def channels(self) -> int:

@@ -6,7 +6,6 @@ from typing import Any
 
 import mitsuba as mi
 
-from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..capture.accuracy import DEFAULT_ACCURACY, check_accuracy
 from ..capture.operator import METHODS
@@ -14,27 +13,23 @@ from ..capture.patch_plan import Cost
 from ..capture.render_gradients import RenderGradients
 from ..capture.replay import Replay
 from ..capture.sight import Sight
+from ..capture.spectral import SpectralCapture
 from ..capture.wave_capture import WaveCapture
-from ..errors import InputError, shown
+from ..errors import InputError
 from ..optics import guards
-from ..optics.main_lens import require_ideal, require_round
+from ..optics.main_lens import require_ideal, require_no_glass, require_round
+from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job
+from .colours import NAME, read_colours
 from .films import develop, develop_back, put
 from .gradients import accumulate, numbers_and_others, tangent
 from .properties import read_choice, read_count, read_flag, read_plain
-
-NAME = "plenoptic_wave"
-
-DEFAULT_WAVELENGTH = 633.0
 
 MOST_RADIATORS = 256
 """Radiators per lens and axis at most."""
 
 MOST_PASSES = 1024
 """Passes at most; their radiators are held together."""
-
-# Dominant wavelengths of the sRGB primaries (IEC 61966-2-1), for variants of three channels.
-RGB_WAVELENGTHS = (611.4, 549.1, 464.3)
 
 # Integrators that follow light from the emitters and cannot tell the radiance along a ray.
 _LIGHT_TRACERS = ("ParticleTracerIntegrator", "AdjointIntegrator")
@@ -52,12 +47,22 @@ def make_class() -> type:
            - |float| or |string|
            - Vacuum wavelength in nanometres, 1 to 1e6; for variants of three channels three of them, separated by
              commas. (Default: 633; in three channels "611.4, 549.1, 464.3")
-         * - radiators_per_lens
+         * - bandwidth
+           - |float|
+           - Full width in nanometres of a flat band around each wavelength. (Default: none, light of one wavelength)
+         * - responses
+           - |string|
+           - Instead of ``wavelength``, what the film's channels answer to: ``srgb``, the colour matching functions of
+             CIE
+             1931 in linear sRGB, or a table of a detector, a CSV file with a wavelength in nanometres and one or three
+             responses to a row. (Default in spectral variants with a film of colours: ``srgb``)
+         * - wavelength_count
            - |int|
-           - Radiators per microlens and axis, up to 256; the time grows with its square. (Default: 8)
-         * - passes
+           - With ``responses``: at how many wavelengths light is taken, up to 1024. (Default: 31)
+         * - nodes
            - |int|
-           - How often the whole set of radiators is drawn, shifted, and averaged, up to 1024. (Default: 1)
+           - At how many wavelengths point spreads are computed: of each band, or with ``responses`` of all, between
+             which they are interpolated. (Default: as many as spreads of single radiators need for ``accuracy``)
          * - method
            - |string|
            - ``patch``: each radiator's field on the part of the microlens array that it lights. ``bank``: so near
@@ -88,6 +93,11 @@ def make_class() -> type:
         where :math:`psf` is the fraction of the power through the visible pupil that lands in the pixel and
         :math:`f` the fraction of the visible pupil whose rays land in the sampled part of the array. The pixel's
         unit is that of the sensor by rays: a scene of radiance 1 reads 1 inside wide micro-images.
+
+        With a band or responses, one set of radiators serves all wavelengths. In spectral variants light has the
+        scene's own spectra, in rgb ones those of D65 times the smoothest reflectances that have the colours, in mono
+        ones the same radiance at all wavelengths. With a camera's ``glass`` and ``mla_glass`` each wavelength has its
+        own focal lengths.
 
         Scalar waves and thin elements: no polarisation, and both lenses are thin parabolic phases, whose geometric
         twin is the sensor's ``lens_model="parabolic"``. Objects before a radiator hide parts of the pupil but do
@@ -120,7 +130,8 @@ def make_class() -> type:
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            self.wavelengths = _read_wavelengths(props)
+            self.colours = read_colours(props)
+            self.wavelengths = self.colours.wavelengths
             self.radiators_per_lens = read_count(props, NAME, "radiators_per_lens", 8, maximum=MOST_RADIATORS)
             self.passes = read_count(props, NAME, "passes", 1, maximum=MOST_PASSES)
             self.method = read_choice(props, NAME, "method", ("auto", *METHODS))
@@ -179,11 +190,14 @@ def make_class() -> type:
             """Return which of the camera's numbers have gradients, and what differentiates; or refuse."""
             if self.method not in ("auto", "patch"):
                 raise InputError(f"{NAME}: method = {self.method}: it has no gradients; use patch")
+            if self.spectrum_of(sensor) is not None:
+                raise InputError(f"{NAME}: there are no gradients of captures of bands or responses; leave them out")
             names, others = numbers_and_others(params, sensor)
             PlenopticCamera.from_sensor(sensor).require_thin("captures by waves are differentiated")
             seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
             spp = spp or sensor.sampler().sample_count()
             capture = self._capture(scene, sensor)
+            assert isinstance(capture, WaveCapture)
             try:
                 replay = Replay.of(capture.sight, spp, seed) if others else None
             except InputError as error:
@@ -216,15 +230,10 @@ def make_class() -> type:
                     f"{NAME}: the film's filter is {film.rfilter().class_name()}: pixels are integrated exactly, "
                     'use <rfilter type="box"/>'
                 )
-            if mi.is_spectral and film.base_channels_count() > 1:
-                raise InputError(
-                    f"{NAME}: variant {mi.variant()} records one wavelength, and the film has the colours of many: use "
-                    "pixel_format luminance, or an rgb variant"
-                )
             with guards.watch():
                 image = capture.compute(seed=seed, spp=spp, job=job or Job(), noise=noise)
 
-            put(film, image, len(self.wavelengths))
+            put(film, image, image.shape[2] if noise is False else len(self.wavelengths))
             return film
 
         def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:
@@ -232,7 +241,16 @@ def make_class() -> type:
             with guards.watch():
                 return self._capture(scene, sensor).estimate(seed=seed, spp=spp, job=job)
 
-        def _capture(self, scene: Any, sensor: Any) -> WaveCapture:
+        def spectrum_of(self, sensor: Any) -> Spectrum | None:
+            """Return the spectrum that a sensor's film records; None if each channel has one wavelength."""
+            return self.colours.spectrum_for(sensor.film().base_channels_count())
+
+        def channel_wavelengths(self, sensor: Any) -> tuple[float, ...]:
+            """Return the wavelength of each channel of a sensor's film, of many the mean."""
+            spectrum = self.spectrum_of(sensor)
+            return self.wavelengths if spectrum is None else spectrum.centroids()
+
+        def _capture(self, scene: Any, sensor: Any) -> WaveCapture | SpectralCapture:
             camera = PlenopticCamera.from_sensor(sensor)
             require_ideal(camera)
             if camera.objective is not None:
@@ -242,9 +260,12 @@ def make_class() -> type:
                 )
             if self.method == "bank":
                 require_round(camera)
-            return WaveCapture(
+                require_no_glass(camera, "method bank takes the same focal lengths for all wavelengths; use patch, or")
+            spectrum = self.spectrum_of(sensor)
+            wavelengths = self.wavelengths if spectrum is None else spectrum.wavelengths
+            capture = WaveCapture(
                 camera=camera,
-                sight=Sight.of(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None),
+                sight=Sight.of(scene, sensor, self.child, wavelengths if mi.is_spectral else None),
                 wavelengths=self.wavelengths,
                 radiators_per_lens=self.radiators_per_lens,
                 passes=self.passes,
@@ -252,11 +273,16 @@ def make_class() -> type:
                 occlusion=self.occlusion,
                 accuracy=self.accuracy,
             )
+            if spectrum is None:
+                return capture
+            return SpectralCapture(
+                capture, spectrum, self.colours.upsampling(spectrum), self.colours.nodes_of(spectrum)
+            )
 
         def parameters(self) -> dict[str, Any]:
             """Its own parameters by name, as ``mi.load_dict`` takes them."""
             return {
-                "wavelength": ", ".join(f"{wavelength:g}" for wavelength in self.wavelengths),
+                **self.colours.parameters(),
                 "radiators_per_lens": self.radiators_per_lens,
                 "passes": self.passes,
                 "method": self.method,
@@ -270,26 +296,3 @@ def make_class() -> type:
             return "\n".join(["PlenopticWaveIntegrator[", *lines, f"  child = {self.child}", "]"])
 
     return PlenopticWaveIntegrator
-
-
-def _read_wavelengths(props: Any) -> tuple[float, ...]:
-    """Take one wavelength, or one a channel, for the active variant."""
-    value = props.get("wavelength", None)
-    if value is None:
-        return RGB_WAVELENGTHS if mi.is_rgb else (DEFAULT_WAVELENGTH,)
-    parts = value.split(",") if isinstance(value, str) else list(value) if hasattr(value, "__len__") else [value]
-    try:
-        parts = [float(part) if isinstance(part, str) else part for part in parts]
-    except ValueError:
-        raise InputError(
-            f"{NAME}: wavelength = {shown(value)}: it must be nanometres, or three of them separated by commas"
-        ) from None
-    wavelengths = tuple(require_wavelength(part, f"{NAME}: wavelength") for part in parts)
-    if len(wavelengths) == 1 and mi.is_rgb:
-        wavelengths *= 3
-    channels = 3 if mi.is_rgb else 1
-    if len(wavelengths) != channels:
-        raise InputError(
-            f"{NAME}: wavelength = {shown(value)}: variant {mi.variant()} has {channels} channel{'s' * (channels > 1)}"
-        )
-    return wavelengths

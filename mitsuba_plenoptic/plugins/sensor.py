@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
+import json
 import math
 from typing import Any
 
@@ -17,10 +19,12 @@ from ..io.lens_file import read_lens
 from ..lattice import make_lattice
 from ..objective import Objective
 from ..optics import rays
+from ..optics.irregular import MOST_DEVIATIONS, irregularities
 from ..optics.lens_system import LensSystem
 from ..optics.main_lens import DistortedLens, ThinLens
 from ..optics.telecentric import TelecentricLens
 from ..prescription import Prescription
+from .dispersion import Dispersion, Light
 from .properties import read_number, read_numbers, read_plain
 
 NAME = "plenoptic"
@@ -38,9 +42,12 @@ POSITIVE = (
 SEVERAL = {"mla_focal_length": "mla_focal_lengths", "mla_pitch": "mla_pitches"}
 NUMBERS = (*POSITIVE, *SEVERAL, "mla_rotation", "mla_offset")
 WORDS = ("mla_lattice", "mla_aperture", "lens_model")
-FIXED = ("mla_tilt", "distortion")
+FIXED = ("mla_tilt", "distortion", "mla_jitter", "mla_seed", "pixel_response")
 
 _CROSSTALK_RAYS = 2**16
+
+_RESPONSES = 1025
+"""Angles at which the pixels' response is tabulated."""
 
 _BOX = '<rfilter type="box"/>'
 
@@ -131,6 +138,19 @@ def make_class() -> type:
            - Aberrations of the main lens: coefficients of Zernike polynomials in Noll's order, in waves of 633 nm, with
              commas between them. (Default: none, and then it is not exposed)
            - |exposed|, |differentiable|, |discontinuous|
+         * - mla_jitter
+           - |string| or |point|
+           - What is irregular in the array: standard deviations "a, b" of its lenses' places along x and y, and of
+             their
+             focal lengths over these. (Default: "0, 0")
+         * - mla_seed
+           - |int|
+           - Which of all such arrays it is. (Default: 0)
+         * - pixel_response
+           - |string|
+           - Angular response of the pixels: angles of incidence in degrees, rising from 0, each followed by a response
+             from 0
+             to 1, with commas between all of them. (Default: 1 at all angles)
          * - main_lens
            - |string|
            - Surfaces and glasses of a real main lens: a YAML or JSON file, beside the scene or anywhere, the name of
@@ -138,6 +158,12 @@ def make_class() -> type:
              Or a microscope's objective as such a file or text, an object with ``magnification`` and
              ``numerical_aperture``: see `mitsuba_plenoptic.Objective`.
              (Default: a thin lens)
+         * - glass, mla_glass
+           - |string| or |float|
+           - Of what the thin main lens and the microlenses are made: the name of a glass in a catalogue, an index, or
+             the
+             text of a JSON object such as ``{"index": 1.5168, "abbe": 64.2}``. Focal lengths are then those at
+             587.5618 nm, and every wavelength has its own. (Default: the same for all wavelengths)
          * - to_world
            - |transform|
            - Camera to world, without scale. The camera looks along +z, +x is left and +y is up.
@@ -164,6 +190,12 @@ def make_class() -> type:
         what is in focus. With another one the microlenses see the main lens's image at :math:`a` before the array,
         :math:`1/a + 1/z = 1/f_2`, or behind it: a focused camera, sharp at the object distance whose image is
         :math:`b - a` from the main lens. The scenes ``keplerian``, ``galilean`` and ``raytrix`` are such cameras.
+
+        Where a camera disperses light, by ``glass``, ``mla_glass`` or the glasses of ``main_lens``, each ray follows
+        the way of one wavelength: in rgb variants that of one channel, drawn evenly (611.4, 549.1 or 464.3 nm, the
+        dominant wavelengths of the primaries of sRGB), in spectral ones the first of its four. The other channels get
+        nothing of it, and it counts as much more: colours take three or four times as many samples. In mono variants
+        light is that of the line d, or of the ``main_lens``'s own wavelength.
 
         The capture has the orientation of a ``perspective`` sensor's image. Gradients flow through the ``path``
         and ``direct`` integrators, but the pupil's moving edge contributes none: the gradient is that of the
@@ -221,9 +253,14 @@ def make_class() -> type:
                 "mla_tilt": _flat(read_numbers(props, NAME, "mla_tilt")),
                 "distortion": read_numbers(props, NAME, "distortion"),
                 "wavefront": read_numbers(props, NAME, "wavefront"),
+                "mla_jitter": _flat(read_numbers(props, NAME, "mla_jitter")),
+                "mla_seed": read_plain(props, "mla_seed", None),
+                "pixel_response": read_numbers(props, NAME, "pixel_response"),
             }
             try:
                 given["main_lens"] = _read_main_lens(props, "main_lens")
+                given["glass"] = _read_glass(props, "glass")
+                given["mla_glass"] = _read_glass(props, "mla_glass")
                 camera = PlenopticCamera(
                     **{name: value for name, value in given.items() if value is not None},
                     resolution=tuple(film.size()),
@@ -294,8 +331,18 @@ def make_class() -> type:
                 self._main_lens = DistortedLens(*lens, self.lens_model, aberrations, self.distortion)
             else:
                 self._main_lens = ThinLens(*lens, self.lens_model, aberrations)
-            self._candidates = [mi.Float(steps) for steps in crosstalk_neighbours(camera).T]
+            self._dispersion = Dispersion.of(camera)
+            self._response = _angular_response(self.pixel_response)
+            self._candidates = [mi.Float(steps) for steps in self._neighbours().T]
             dr.make_opaque(*self._candidates)
+
+        def _neighbours(self, beyond: float = 0.0) -> np.ndarray:
+            """Return the lenses that are tried around the chief ray's, at the wavelength at which most can light it."""
+            camera = self.camera
+            seen = [camera] if self._dispersion is None else [camera, *self._dispersion.ends(camera)]
+            # No lens stands farther off.
+            beyond += MOST_DEVIATIONS * math.hypot(camera.mla_jitter[0], camera.mla_jitter[0])
+            return max((crosstalk_neighbours(each, beyond=beyond) for each in seen), key=len)
 
         @property
         def _numbers(self) -> tuple[str, ...]:
@@ -314,6 +361,8 @@ def make_class() -> type:
                 **numbers,
                 **{name: getattr(self, name) for name in (*WORDS, *FIXED)},
                 main_lens=given.main_lens,
+                glass=given.glass,
+                mla_glass=given.mla_glass,
                 resolution=tuple(film.size()),
                 crop_offset=tuple(film.crop_offset()),
                 crop_size=tuple(film.crop_size()),
@@ -324,8 +373,17 @@ def make_class() -> type:
             across, up = (math.tan(math.radians(angle)) for angle in self.mla_tilt)
             return x * across + y * up
 
-        def _trace(self, px: Any, py: Any, mx: Any, my: Any, cx: Any, cy: Any, f2: Any) -> tuple[Any, Any, Any]:
+        def _trace(
+            self, px: Any, py: Any, mx: Any, my: Any, cx: Any, cy: Any, f2: Any, *, light: Light | None = None
+        ) -> tuple[Any, Any, Any]:
             """Follow the ray from p through m of the lens at c: return what `MainLens.trace` does."""
+            lens = self._main_lens
+            if light is not None:
+                f2 = f2 * light.mla_ratio
+                if light.indices is not None:
+                    lens = dataclasses.replace(lens, indices=light.indices)
+                else:
+                    lens = dataclasses.replace(lens, focal_length=lens.focal_length * light.ratio)
             z = self.detector_distance
             height = self._height(cx, cy) if any(self.mla_tilt) else None
             if height is not None:
@@ -338,7 +396,7 @@ def make_class() -> type:
             if height is not None:
                 # Where it crosses the plane of the lens on the axis.
                 mx, my = mx - height * slope[0], my - height * slope[1]
-            return self._main_lens.trace((mx, my), slope)
+            return lens.trace((mx, my), slope)
 
         def _places(self, film_sample: Any, lens_sample: Any, candidates: list[Any]) -> tuple[tuple[Any, ...], Any]:
             """Detector point, point on a lens, its centre and focal length, and which of the candidates it is."""
@@ -369,12 +427,15 @@ def make_class() -> type:
             f2 = self.mla_focal_length
             if dr.width(f2) > 1:
                 f2 = dr.gather(mi.Float, f2, mi.UInt32(lattice.lens_type(i, j)))
+            if any(self.mla_jitter):
+                right, up, longer = irregularities(self._given, i, j)
+                cx, cy, f2 = cx + right, cy + up, f2 * longer
             return (px, py, cx + dx, cy + dy, cx, cy, f2), candidate
 
         def crosstalk_missed(self) -> float:
             """Estimate from a sample of rays what fraction of the light lenses beyond those that are tried let in."""
             tried = set(zip(*(steps.numpy().astype(int).tolist() for steps in self._candidates), strict=True))
-            around = crosstalk_neighbours(self.camera, beyond=max(self.camera.mla_pitches))
+            around = self._neighbours(beyond=max(self.camera.mla_pitches))
             random = mi.PCG32(size=_CROSSTALK_RAYS)
             film_sample, lens_sample = (
                 mi.Point2f(random.next_float32(), random.next_float32()) for _ in ("film", "lens")
@@ -410,10 +471,18 @@ def make_class() -> type:
             self, time: Any, wavelength_sample: Any, film_sample: Any, lens_sample: Any, active: Any, differential: bool
         ) -> tuple[Any, Any]:
             pixel = self.detector_width / self.film().size()[0]
-            (px, py, *lens), _ = self._places(film_sample, lens_sample, self._candidates)
-            point, slope, open_ = self._trace(px, py, *lens)
-            open_ &= active
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
+            light = None
+            if self._dispersion is not None:
+                light, lens_sample, share = self._dispersion.draw(lens_sample, wavelengths)
+                weight = weight * share
+            (px, py, *lens), _ = self._places(film_sample, lens_sample, self._candidates)
+            point, slope, open_ = self._trace(px, py, *lens, light=light)
+            open_ &= active
+            if self._response is not None:
+                z = self.detector_distance
+                angle = dr.atan(dr.hypot(lens[0] - px, lens[1] - py) / z)
+                weight = weight * self._response(angle)
             to_world = self.world_transform()
             ray = mi.RayDifferential3f() if differential else mi.Ray3f()
             ray.o = to_world @ mi.Point3f(*point)
@@ -429,7 +498,7 @@ def make_class() -> type:
                         z = self.detector_distance
                         beside, turned = self._main_lens.beside(point, slope, (-dx / z, -dy / z))
                     else:
-                        beside, turned, _ = self._trace(px + dx, py + dy, *lens)
+                        beside, turned, _ = self._trace(px + dx, py + dy, *lens, light=light)
                     setattr(ray, f"o_{name}", to_world @ mi.Point3f(*beside))
                     setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(*turned, 1)))
                 ray.has_differentials = True
@@ -489,6 +558,36 @@ def _read_main_lens(props: Any, name: str) -> Prescription | Objective | None:
     if not isinstance(source, str):
         raise InputError(f"{name} = {source!r}: it must be text: a file or a bundled lens")
     return read_lens(source, lambda path: str(mi.file_resolver().resolve(path)))
+
+
+def _angular_response(pairs: tuple[float, ...]) -> Any:
+    """Return the function from angles of incidence, in radians, to responses; None if all are 1."""
+    if not pairs:
+        return None
+    angles, responses = (np.array(values) for values in (pairs[::2], pairs[1::2]))
+    fine = np.linspace(0, angles[-1], _RESPONSES)
+    table = mi.Float(np.interp(fine, angles, responses))
+    dr.make_opaque(table)
+    step = math.radians(float(fine[1]))
+
+    def response(angle: Any) -> Any:
+        place = dr.clip(angle / step, 0, _RESPONSES - 1)
+        low = mi.UInt32(dr.minimum(dr.floor(place), _RESPONSES - 2))
+        first, second = dr.gather(mi.Float, table, low), dr.gather(mi.Float, table, low + 1)
+        return first + (place - mi.Float(low)) * (second - first)
+
+    return response
+
+
+def _read_glass(props: Any, name: str) -> Any:
+    """Take a glass from a plugin's properties: a name, an index or the text of a JSON object."""
+    source = read_plain(props, name, None)
+    if not isinstance(source, str) or not source.lstrip().startswith("{"):
+        return source
+    try:
+        return json.loads(source)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{name}: it must be a JSON object: {error}") from None
 
 
 def _flags(name: str) -> Any:

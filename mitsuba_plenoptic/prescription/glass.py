@@ -64,6 +64,11 @@ class Glass:
         if self.form == "abbe" and self.numbers[1] <= 0:
             raise InputError(f"glass: abbe = {self.numbers[1]:g}: it must be greater than 0")
 
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Shortest and longest wavelength in nanometres of which a table tells the index; formulas tell all."""
+        return (self.numbers[0], self.numbers[-2]) if self.form == "table" else (0.0, np.inf)
+
     def at(self, wavelength: float) -> float:
         """Return the index at a wavelength.
 
@@ -115,6 +120,27 @@ class Glass:
             )
         abscissa, index = 1 / table[::-1, 0] ** 2, table[::-1, 1]
         return float(make_interp_spline(abscissa, index, k=min(3, len(table) - 1))(1 / wavelength**2))
+
+    def focal_ratio(self, wavelength: float) -> float:
+        r"""Return by how much the focal length of a thin lens of this glass is longer than at the line d.
+
+        :math:`f(\lambda) / f_d = (n_d - 1) / (n(\lambda) - 1)`, the lensmaker's equation (Born and Wolf, "Principles of
+        Optics", section 4.7).
+
+        Parameters
+        ----------
+        wavelength : float
+            Wavelength in nanometres.
+
+        Raises
+        ------
+        InputError
+            If it has no index there or at the line d, or bends no light.
+        """
+        bends = self.at(LINE_D) - 1, self.at(wavelength) - 1
+        if min(bends) <= 0:
+            raise InputError(f"glass {self.name or self.form}: its index is 1: a lens of it bends no light")
+        return bends[0] / bends[1]
 
     def to_plain(self) -> Any:
         """Return what `from_plain` takes: a number, or a dictionary."""

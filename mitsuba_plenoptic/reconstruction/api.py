@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, overload
@@ -12,6 +13,7 @@ from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_choice, require_count, require_number, shown
 from ..io.captures import Capture, as_array, require_pixels
+from ..mosaic import require_demosaiced
 from ..optics import guards
 from ..optics.main_lens import require_ideal
 from ..optics.phase import in_millimetres
@@ -212,7 +214,9 @@ def reconstruct(
         task = Task(
             image, camera, distances, oversample, wavelengths, reference, report, capture.metadata.get("exposure")
         )
-        images = [made if isinstance(made, Found) else Found(made) for made in chosen.refocus(task, **options)]
+        # Methods that compare with computed captures ask for each wavelength's camera themselves.
+        parts = _by_wavelength(task) if waves and not chosen.as_it_is else [task]
+        images = _side_by_side([chosen.refocus(part, **options) for part in parts])
     options |= {"oversample": oversample} | ({"wavelength": wavelengths} if waves else {})
     options |= {"white": "capture"} if reference is not None else {}
     results = [
@@ -229,6 +233,35 @@ def reconstruct(
         for value, made in zip(distances, images, strict=True)
     ]
     return results[0] if np.ndim(distance) == 0 else results
+
+
+def _by_wavelength(task: Task) -> list[Task]:
+    """Return the work on each channel with the camera of its wavelength; all at once where that is the same."""
+    if task.camera.glass is None and task.camera.mla_glass is None:
+        return [task]
+    return [
+        dataclasses.replace(
+            task,
+            image=np.ascontiguousarray(task.image[..., channel : channel + 1]),
+            camera=task.camera.at_wavelength(wavelength),
+            wavelengths=[wavelength],
+            white=None if task.white is None else np.ascontiguousarray(task.white[..., channel : channel + 1]),
+        )
+        for channel, wavelength in enumerate(task.wavelengths)
+    ]
+
+
+def _side_by_side(parts: list[Any]) -> list[Found]:
+    """Return what was found at each distance, with the channels of all parts."""
+    found = [[made if isinstance(made, Found) else Found(made) for made in part] for part in parts]
+    if len(found) == 1:
+        return found[0]
+    return [
+        dataclasses.replace(
+            of_distance[0], image=np.concatenate([np.atleast_3d(made.image) for made in of_distance], 2)
+        )
+        for of_distance in zip(*found, strict=True)
+    ]
 
 
 def _require_memory(
@@ -253,6 +286,7 @@ def _require_memory(
 
 def _as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) -> Capture:
     if isinstance(capture, Capture):
+        require_demosaiced(capture)
         if camera is None:
             return capture
         return Capture(capture.image, camera, capture.wavelength, capture.model, capture.metadata)

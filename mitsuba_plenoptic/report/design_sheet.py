@@ -68,6 +68,9 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
         rows.append(
             ("kind", "real", "", "below, resolution and refocusing are those of a thin lens of this focal length")
         )
+    for name, glass in (("glass", camera.glass), ("glass of the microlenses", camera.mla_glass)):
+        if glass is not None:
+            rows.append((name, glass.name or glass.form, "", "focal lengths are those at 587.56 nm"))
     rows.append(("lens model", camera.lens_model, "", ""))
     if any(camera.distortion):
         rows.append(

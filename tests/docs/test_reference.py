@@ -13,7 +13,7 @@ import typer
 
 import mitsuba_plenoptic
 from mitsuba_plenoptic.cli import app
-from mitsuba_plenoptic.plugins import integrator, sensor
+from mitsuba_plenoptic.plugins import colours, integrator, sensor
 
 ROOT = Path(__file__).parents[2]
 
@@ -122,7 +122,7 @@ def read_by(module):
     "name, read",
     [
         ("plenoptic", {*sensor.NUMBERS, *sensor.WORDS, *sensor.FIXED, "focus_distance", *read_by(sensor)}),
-        ("plenoptic_wave", read_by(integrator) | {"wavelength"}),
+        ("plenoptic_wave", read_by(integrator) | read_by(colours) | {"wavelength"}),
     ],
 )
 def test_plugins_document_what_they_read(name, read):

@@ -1,0 +1,58 @@
+"""``mitsuba-plenoptic demosaic``: from a mosaic of colour filters to three channels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..io.captures import write_capture
+from ..mosaic import MOSAICS
+from .inputs import named_camera, read_recorded, require_capture_output
+from .options import CameraFile, CaptureFile, CaptureOutput, Linear
+
+
+def demosaic(
+    capture: CaptureFile,
+    output: CaptureOutput,
+    mosaic: Annotated[
+        str | None,
+        typer.Option(
+            metavar="|".join(MOSAICS),
+            show_default="as the capture tells",
+            help="Colour filters of the first pixels of two rows.",
+        ),
+    ] = None,
+    white: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            show_default="computed from the camera",
+            help="A capture or picture of a white scene by the same camera, without a mosaic.",
+        ),
+    ] = None,
+    camera: CameraFile = None,
+    linear: Linear = False,
+) -> None:
+    """Estimate all three colours of every pixel, micro-image by micro-image.
+
+    Nothing is taken from a neighbouring lens's micro-image or from the dark
+    between them. A raw picture (.png or .tiff) of a real camera needs its
+    [bold]--camera[/bold].
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic demosaic bayer.exr -o colours.exr
+
+      mitsuba-plenoptic demosaic raw.tiff -o colours.exr --mosaic GRBG --camera lytro --linear
+    """
+    require_capture_output(output)
+    # Brings libraries that take a while to load.
+    from ..lightfield import demosaic as interpolate
+
+    known = named_camera(camera)
+    reference = None if white is None else read_recorded(white, known, linear)
+    found = interpolate(read_recorded(capture, known, linear), mosaic=mosaic, white=reference)
+    write_capture(output, found)
+    typer.echo(f"{output}: {found.camera.shape[1]} x {found.camera.shape[0]} pixels of three colours")

@@ -1,0 +1,43 @@
+"""Tables of numbers as text, from anyone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .files import require_file
+
+_LARGEST_FILE = 2**22
+
+
+def read_table(path: str | Path) -> NDArray[np.float64]:
+    """Read the numbers of a CSV file below its line of names, all columns of all rows, at most 4 MiB.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, it is larger, or what follows the first line are not finite numbers, as many in each
+        row.
+    """
+    path = require_file(path)
+    if path.stat().st_size > _LARGEST_FILE:
+        raise InputError(f"{path}: {path.stat().st_size} bytes: it may have at most {_LARGEST_FILE}")
+    try:
+        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines()[1:] if line.strip()]
+        rows = np.loadtxt(lines, delimiter=",", ndmin=2) if lines else np.empty((0, 0))
+    except (ValueError, OSError) as error:
+        raise InputError(f"{path}: it is no table of numbers: {error}") from None
+    if not len(rows):
+        raise InputError(f"{path}: it has no rows below its line of names")
+    if not np.isfinite(rows).all():
+        row = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
+        raise InputError(f"{path}, row {row + 1}: all numbers must be finite")
+    return np.asarray(rows)

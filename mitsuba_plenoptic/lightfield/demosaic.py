@@ -1,0 +1,157 @@
+r"""From a mosaic of colour filters to three channels, micro-image by micro-image.
+
+What is missing of a colour is estimated from the pixels around that have it, as ratio to what they would record of
+white:
+
+.. math:: \hat{I}_c(p) = W(p) \, \frac{\sum_q k(p - q) \, m_c(q) \, I(q)}{\sum_q k(p - q) \, m_c(q) \, W(q)}
+
+with the filters :math:`m_c` and the white image W: normalised convolution, whose certainty is the white image
+(Knutsson and Westin 1993). Only pixels q of the lens of p count: a neighbour's light comes from elsewhere, and what is
+dark between micro-images tells no colour. Pixels that are recorded are kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import InputError, require_choice
+from ..io.captures import Capture
+from ..mosaic import MOSAICS, filters, mosaic_of, require_demosaiced
+from ..optics import rays
+from .white import white_image
+
+METHODS = ("micro-images", "plain")
+
+_REACH = 2
+"""Pixels around that are asked; next to the border of a micro-image the nearest of a colour may be that far away."""
+
+_WIDTH = 0.7
+"""Of the bell of weights, in pixels: neighbours two pixels away count only where there are no nearer ones."""
+
+_LIT = 1e-3
+"""Part of the weight of the brightest pixel of white below which a colour is not known."""
+
+
+def demosaic(
+    capture: Capture,
+    *,
+    mosaic: str | None = None,
+    white: Capture | None = None,
+    method: str = "micro-images",
+) -> Capture:
+    """Estimate all three colours of every pixel of a capture that was recorded through a mosaic of filters.
+
+    Parameters
+    ----------
+    capture : Capture
+        As `expose` makes it with a mosaic, or a raw picture of a real camera.
+    mosaic : {"RGGB", "GRBG", "GBRG", "BGGR"}, optional
+        The filters of the first two pixels of the detector's first row and of its second. Default: what the capture
+        says.
+    white : Capture, optional
+        What the same camera records of something white, of one channel or of three. Default: computed by rays from the
+        camera, which real main lenses do not allow.
+    method : {"micro-images", "plain"}
+        ``micro-images`` keeps micro-images apart, and knows how they darken towards their rims. ``plain`` does not:
+        bilinear interpolation, as of photographs, to compare with.
+
+    Returns
+    -------
+    Capture
+        With three channels, and the wavelengths that they had before the exposure.
+
+    Raises
+    ------
+    InputError
+        If the capture has three channels already, no mosaic is known, or the white image does not fit.
+    """
+    require_choice("method", method, METHODS)
+    if capture.image.ndim != 2:
+        raise InputError(f"capture of {capture.image.shape[2]} channels: a mosaic has one")
+    known = mosaic_of(capture)
+    if mosaic is None and known is None:
+        raise InputError("mosaic = None: the capture tells none; give one")
+    mosaic = require_choice("mosaic", known if mosaic is None else mosaic, MOSAICS)
+    camera, own = capture.camera, filters(capture.camera, mosaic)
+    if method == "plain":
+        certainty = np.ones((*camera.shape, 3), np.float32)
+        lenses = np.zeros(camera.shape, np.int64)
+    else:
+        camera.require_resolved()
+        certainty, lenses = _certainty(capture, white), lens_numbers(camera)
+    image = _interpolate(capture.image, own, certainty, lenses, 1 if method == "plain" else _REACH)
+    metadata = dict(capture.metadata)
+    wavelength: Any = capture.wavelength
+    if known is not None:
+        exposure = {**metadata["exposure"], "mosaic": None, "demosaiced": mosaic}
+        given = exposure.pop("wavelength", None)
+        metadata["exposure"] = exposure
+        wavelength = tuple(given) if isinstance(given, (list, tuple)) else given
+    return replace(capture, image=image, wavelength=wavelength, noise=None, metadata=metadata)
+
+
+def lens_numbers(camera: PlenopticCamera) -> NDArray[np.int64]:
+    """Return a number for each recorded pixel: that of the lens of its chief ray."""
+    x, y = (
+        rays.chief_point(camera.pixel_coordinates(axis), camera.pupil_distance, camera.detector_distance)
+        for axis in (0, 1)
+    )
+    i, j = (np.rint(index).astype(np.int64) for index in camera.lattice.cell(*np.meshgrid(x, y)))
+    return np.asarray((i - i.min()) * (np.ptp(j) + 1) + j - j.min())
+
+
+def _certainty(capture: Capture, white: Capture | None) -> NDArray[np.float32]:
+    """Return the white image, (rows, columns, 3)."""
+    if white is None:
+        return np.repeat(white_image(capture.camera)[..., None], 3, axis=2)
+    require_demosaiced(white)
+    if white.image.shape[:2] != capture.image.shape:
+        raise InputError(f"white of shape {white.image.shape}: it must have the pixels of the capture")
+    if white.image.ndim == 3:
+        return np.maximum(np.broadcast_to(white.image, (*capture.image.shape, 3)), 0)
+    return np.repeat(np.maximum(white.image, 0)[..., None], 3, axis=2)
+
+
+def _shifts(reach: int) -> Iterator[tuple[int, int, float]]:
+    """Yield steps along columns and rows to the pixels around, and their weights."""
+    for down in range(-reach, reach + 1):
+        for across in range(-reach, reach + 1):
+            if reach == 1:
+                yield across, down, (2.0 - abs(across)) * (2.0 - abs(down))
+            else:
+                yield across, down, float(np.exp(-(across**2 + down**2) / (2 * _WIDTH**2)))
+
+
+def _interpolate(
+    image: NDArray[np.float32],
+    own: NDArray[np.int64],
+    certainty: NDArray[np.float32],
+    lenses: NDArray[np.int64],
+    reach: int,
+) -> NDArray[np.float32]:
+    """Return all three channels (rows, columns, 3)."""
+    rows, columns = image.shape
+    light, weight = np.zeros((2, rows, columns, 3), np.float32)
+    for across, down, kernel in _shifts(reach):
+        here = _window(rows, -down), _window(columns, -across)
+        there = _window(rows, down), _window(columns, across)
+        same = kernel * (lenses[here] == lenses[there])
+        for channel in range(3):
+            seen = same * (own[there] == channel)
+            light[(*here, channel)] += seen * image[there]
+            weight[(*here, channel)] += seen * certainty[(*there, channel)]
+    known = weight > _LIT * certainty.max(initial=0)
+    result = np.where(known, certainty * light / np.where(known, weight, 1), 0)
+    recorded = own[..., None] == np.arange(3)
+    return np.asarray(np.where(recorded, image[..., None], result), np.float32)
+
+
+def _window(size: int, step: int) -> slice:
+    """Return the part of an axis that stays on it when it is shifted by -step."""
+    return slice(max(0, step), size + min(0, step))

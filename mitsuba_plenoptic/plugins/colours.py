@@ -1,0 +1,169 @@
+"""What a wave capture's film answers to: the integrator's parameters on wavelengths, bands and responses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bounds import require_wavelength
+from ..capture import colour
+from ..errors import InputError, require_number, shown
+from ..optics.spectrum import MOST_WAVELENGTHS, RGB_WAVELENGTHS, WAVELENGTHS, Spectrum
+from .properties import read_count, read_number, read_plain
+
+NAME = "plenoptic_wave"
+
+DEFAULT_WAVELENGTH = 633.0
+
+SRGB = "srgb"
+
+BAND_NODES = 8
+"""Wavelengths of a band where their number is not given, of which fewer point spreads may be computed."""
+
+
+@dataclass(frozen=True)
+class Colours:
+    """Wavelengths and responses of the channels of wave captures.
+
+    Attributes
+    ----------
+    wavelengths : tuple of float
+        Of each channel of light in nanometres; with responses those of the default.
+    bandwidth : float, or None
+        Full width of the band around each.
+    responses : str, or None
+        ``srgb``, or the name of a file.
+    table : Spectrum, or None
+        What the file holds.
+    count : int
+        Wavelengths of responses.
+    nodes : int, or None
+        At how many wavelengths point spreads are computed.
+    """
+
+    wavelengths: tuple[float, ...]
+    bandwidth: float | None
+    responses: str | None
+    table: Spectrum | None
+    count: int
+    nodes: int | None
+
+    def spectrum_for(self, channels: int) -> Spectrum | None:
+        """Return the spectrum of a film of so many channels; None if each channel of light has one wavelength.
+
+        Raises
+        ------
+        InputError
+            If the responses have another number of channels than the film's light.
+        """
+        if self.table is not None:
+            # A film of luminance takes three channels, too, but would add up what it does not know as colours.
+            if self.table.channels not in (1, channels):
+                raise InputError(
+                    f"responses = {self.responses}: {self.table.channels} channels, and the film has {channels}: "
+                    "use pixel_format rgb"
+                )
+            return self.table
+        if self.bandwidth is not None:
+            return Spectrum.bands(self.wavelengths, self.bandwidth, self.nodes or BAND_NODES)
+        if self.responses == SRGB or (mi.is_spectral and channels == 3):
+            return colour.srgb(self.count)
+        return None
+
+    def upsampling(self, spectrum: Spectrum) -> NDArray[np.float64] | None:
+        """Return the matrix (channels of light, wavelengths) from radiance to spectra; None if it has one already."""
+        if mi.is_spectral:
+            return None
+        if self.bandwidth is not None:
+            each = len(spectrum.wavelengths) // len(self.wavelengths)
+            return np.asarray(np.kron(np.eye(len(self.wavelengths)), np.ones(each)), np.float64)
+        if not mi.is_rgb:
+            return np.ones((1, len(spectrum.wavelengths)))
+        basis = colour.upsampling(spectrum.wavelengths)
+        if self.responses != SRGB:
+            return basis
+        # Their sums are no integrals to the last digit; what is grey shall stay so.
+        return np.asarray(np.linalg.solve(basis @ spectrum.matrix().astype(np.float64).T, basis))
+
+    def nodes_of(self, spectrum: Spectrum) -> int | None:
+        """Return at how many of a spectrum's wavelengths point spreads are computed; None: as many as they need."""
+        # Those of bands are nodes already.
+        return len(spectrum.wavelengths) if self.nodes and self.bandwidth is not None else self.nodes
+
+    def parameters(self) -> dict[str, Any]:
+        """Return them by name, as ``mi.load_dict`` takes them."""
+        made: dict[str, Any] = {}
+        if self.responses is None:
+            made["wavelength"] = ", ".join(f"{wavelength:g}" for wavelength in self.wavelengths)
+        else:
+            made |= {"responses": self.responses, "wavelength_count": self.count}
+        if self.bandwidth is not None:
+            made["bandwidth"] = self.bandwidth
+        if self.nodes is not None:
+            made["nodes"] = self.nodes
+        return made
+
+
+def read_colours(props: Any) -> Colours:
+    """Take wavelengths, bands and responses from a plugin's properties.
+
+    Raises
+    ------
+    InputError
+        Naming plugin, parameter, value and rule.
+    """
+    responses = read_plain(props, "responses", None)
+    bandwidth = read_number(props, NAME, "bandwidth", None)
+    count = read_count(props, NAME, "wavelength_count", WAVELENGTHS, maximum=MOST_WAVELENGTHS)
+    nodes = read_count(props, NAME, "nodes", 0, maximum=MOST_WAVELENGTHS) if "nodes" in props else None
+    wavelengths = _read_wavelengths(props)
+    table = None
+    if responses is not None:
+        if not isinstance(responses, str):
+            raise InputError(f"{NAME}: responses = {shown(responses)}: it must be srgb or the name of a file")
+        for name in ("wavelength", "bandwidth"):
+            if name in props:
+                raise InputError(f"{NAME}: responses, {name}: give one of the two")
+        if responses != SRGB:
+            responses = str(mi.file_resolver().resolve(responses))
+            table = Spectrum.sensor(responses, count)
+            if table.channels not in (1, 3):
+                raise InputError(f"{NAME}: responses = {responses}: {table.channels} channels: it must be 1 or 3")
+        elif not (mi.is_rgb or mi.is_spectral):
+            raise InputError(
+                f"{NAME}: responses = srgb: variant {mi.variant()} has no colours; use an rgb or spectral one"
+            )
+    elif "wavelength_count" in props and not mi.is_spectral:
+        raise InputError(f"{NAME}: wavelength_count = {count}: of use with responses only")
+    if bandwidth is not None:
+        for wavelength in wavelengths:
+            require_number(f"{NAME}: bandwidth", bandwidth, maximum=wavelength)
+    elif nodes is not None and responses is None and not mi.is_spectral:
+        raise InputError(f"{NAME}: nodes = {nodes}: of use with bandwidth or responses only")
+    return Colours(wavelengths, bandwidth, responses, table, count, nodes)
+
+
+def _read_wavelengths(props: Any) -> tuple[float, ...]:
+    """Take one wavelength, or one a channel, for the active variant."""
+    value = props.get("wavelength", None)
+    if value is None:
+        return RGB_WAVELENGTHS if mi.is_rgb else (DEFAULT_WAVELENGTH,)
+    parts = value.split(",") if isinstance(value, str) else list(value) if hasattr(value, "__len__") else [value]
+    try:
+        parts = [float(part) if isinstance(part, str) else part for part in parts]
+    except ValueError:
+        raise InputError(
+            f"{NAME}: wavelength = {shown(value)}: it must be nanometres, or three of them separated by commas"
+        ) from None
+    wavelengths = tuple(require_wavelength(part, f"{NAME}: wavelength") for part in parts)
+    if len(wavelengths) == 1 and mi.is_rgb:
+        wavelengths *= 3
+    channels = 3 if mi.is_rgb else 1
+    if len(wavelengths) != channels:
+        there = f"variant {mi.variant()} has {channels} channel{'s' * (channels > 1)}"
+        raise InputError(f"{NAME}: wavelength = {shown(value)}: {there}")
+    return wavelengths

@@ -1,0 +1,152 @@
+"""Captures by waves of many wavelengths: against each by itself, and against Mitsuba's colours by rays."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, Spectrum, render_capture
+from mitsuba_plenoptic.capture import colour
+from mitsuba_plenoptic.capture.spectral import with_enough_nodes
+
+CAMERA = PlenopticCamera(
+    focal_length=40, aperture_radius=2.5, mla_distance=60, resolution=(192, 192), detector_width=0.384,
+    lens_model="parabolic",
+)  # fmt: skip
+POINTS = np.array([(0.0, 0.0, 120.0), (0.1, -0.05, 112.0), (-0.12, 0.1, 130.0)])
+
+
+def relative(image, reference):
+    return np.linalg.norm(image - reference) / np.linalg.norm(reference)
+
+
+@pytest.fixture(autouse=True)
+def variant():
+    mi.set_variant("llvm_ad_mono")
+
+
+def alone(camera, wavelength, weights):
+    """What one wavelength by itself makes of the points, its camera's numbers put in by hand."""
+    return CaptureOperator(camera.at_wavelength(wavelength), POINTS, wavelength=wavelength, accuracy=0).forward(weights)
+
+
+def test_nodes_against_every_wavelength_by_itself():
+    """16 wavelengths, light that changes with the wavelength, two channels, at a fraction of the spreads."""
+    wavelengths = np.linspace(450, 650, 16)
+    responses = np.stack([np.exp(-(((wavelengths - middle) / 40) ** 2)) for middle in (520, 590)])
+    spectrum = Spectrum(tuple(wavelengths.tolist()), tuple(map(tuple, responses.tolist())))
+    chosen = with_enough_nodes(CAMERA, POINTS, spectrum, 0.008)
+    assert 1 < len(chosen.nodes) <= 8
+    weights = 1 + np.sin(wavelengths / 17 + np.arange(3)[:, None])
+    found = CaptureOperator(CAMERA, POINTS, spectrum=chosen, accuracy=0).forward(weights)
+    each = [alone(CAMERA, wavelength, column) for wavelength, column in zip(wavelengths, weights.T, strict=True)]
+    expected = np.moveaxis(np.tensordot(responses, np.array(each), 1), 0, -1)
+    assert max(relative(found[..., i], expected[..., i]) for i in range(2)) < 0.008
+    # One node is not enough, and the function must have seen it.
+    coarse = CaptureOperator(CAMERA, POINTS, spectrum=spectrum.interpolated(1), accuracy=0).forward(weights)
+    assert relative(coarse[..., 0], expected[..., 0]) > 0.008
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("glass", [None, {"index": 1.5168, "abbe": 64.17}], ids=["none", "crown"])
+def test_a_band_against_dense_quadrature(glass):
+    """The spread of a band of 40 nm with as many wavelengths as are found necessary, against 64: to 0.3 %."""
+    camera = CAMERA.replace(glass=glass)
+    dense = Spectrum.band(550, 40, 48)
+    nodes = with_enough_nodes(camera, POINTS[1:2], dense, 0.003)
+    few = Spectrum.band(550, 40, len(nodes.nodes))
+    assert 1 <= len(nodes.nodes) <= 16
+
+    def spread(spectrum):
+        weights = np.ones((1, len(spectrum.wavelengths)))
+        return CaptureOperator(camera, POINTS[1:2], spectrum=spectrum, accuracy=0).forward(weights)
+
+    assert relative(spread(few), spread(dense)) < 0.003
+    if glass:
+        assert relative(spread(Spectrum.band(550, 40, 1)), spread(dense)) > 0.003
+
+
+def test_the_adjoint_of_interpolated_sums():
+    """<A x, y> = <x, A' y> with glasses, for more wavelengths than channels and the other way round."""
+    camera, random = CAMERA.replace(mla_glass={"index": 1.5, "abbe": 50}), np.random.default_rng(0)
+    for channels, count in ((2, 5), (5, 3)):
+        responses = tuple(map(tuple, random.random((channels, count)).tolist()))
+        spectrum = Spectrum(tuple(np.linspace(500, 600, count).tolist()), responses).interpolated(2)
+        operator = CaptureOperator(camera, POINTS, spectrum=spectrum)
+        x, y = random.random((3, count)), random.random((192, 192, channels))
+        forward, back = (operator.forward(x) * y).sum(), (operator.adjoint(y) * x).sum()
+        assert forward == pytest.approx(back, rel=1e-5)
+
+
+def test_what_has_no_derivatives():
+    spectrum = Spectrum.band(550, 40, 4).interpolated(2)
+    with pytest.raises(InputError, match=r"spectrum: nodes = \(.*\): there are no derivatives between nodes"):
+        CaptureOperator(CAMERA, POINTS, spectrum=spectrum).derivative(np.ones(3), {"focal_length": 1})
+    with pytest.raises(InputError, match="glass = abbe: there are no derivatives of cameras that disperse"):
+        operator = CaptureOperator(CAMERA.replace(glass={"index": 1.5, "abbe": 50}), POINTS, wavelength=633)
+        operator.gradient(np.ones(3), np.ones((192, 192)))
+
+
+def wall(variant, **film):
+    mi.set_variant(variant)
+    described = CAMERA.replace(resolution=(128, 128), detector_width=0.256).to_sensor()
+    described["film"] |= {"pixel_format": "rgb"} | film
+    T = mi.ScalarTransform4f
+    paint = {"type": "rgb", "value": [0.8, 0.4, 0.1]}
+    paint = {"type": "diffuse", "reflectance": paint}
+    board = {
+        "type": "rectangle",
+        "to_world": T().translate([0, 0, 125]).scale(10).rotate([0, 1, 0], 180),
+        "bsdf": paint,
+    }
+    light = {"type": "constant", "radiance": {"type": "d65", "scale": 1.0} if "spectral" in variant else 1.0}
+    return mi.load_dict(
+        {"type": "scene", "camera": described, "board": board, "light": light, "integrator": {"type": "path"}}
+    )
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_rgb", "llvm_ad_spectral"])
+def test_colours_are_those_of_rays(variant):
+    """A painted wall, each channel: with its spectra in the spectral variant, with upsampled ones in the rgb one."""
+    scene = wall(variant)
+    rays = render_capture(scene, spp=512).image.mean((0, 1))
+    waves = render_capture(scene, model="wave", spp=4, radiators_per_lens=2, responses="srgb", nodes=2)
+    found = waves.image.mean((0, 1))
+    # By waves some 0.5 % of the light goes beyond what is kept.
+    assert found == pytest.approx(rays, rel=0.02)
+    assert len(waves.metadata["spectrum"]["wavelengths"]) == 31 and waves.metadata["nodes"] == 2
+    assert waves.wavelength[0] > waves.wavelength[1] > waves.wavelength[2]
+
+
+def test_bands_of_an_rgb_variant(tmp_path):
+    scene = wall("llvm_ad_rgb")
+    options = {"model": "wave", "spp": 1, "radiators_per_lens": 2}
+    lines = render_capture(scene, **options, wavelength="600, 550, 500")
+    bands = render_capture(scene, **options, wavelength="600, 550, 500", bandwidth=20.0, nodes=2)
+    assert bands.wavelength == (600, 550, 500)
+    assert 1e-5 < relative(bands.image, lines.image) < 0.05
+    table = tmp_path / "sensor.csv"
+    table.write_text("wavelength,a,b\n400,1,1\n700,1,1\n")
+    for more, message in [
+        ({"responses": str(table)}, "2 channels: it must be 1 or 3"),
+        ({"responses": "none.csv"}, "there is no such file"),
+        ({"responses": "srgb", "bandwidth": 20.0}, "responses, bandwidth: give one of the two"),
+        ({"wavelength_count": 5}, "of use with responses only"),
+        ({"nodes": 5}, "of use with bandwidth or responses only"),
+        ({"bandwidth": 1000.0}, "bandwidth = 1000"),
+        ({"bandwidth": 20.0, "method": "bank"}, "method = bank: it records light of one wavelength"),
+        ({"bandwidth": 20.0, "noise": True, "spp": 2}, "noise: of captures of bands"),
+    ]:
+        with pytest.raises(InputError, match=message) as refused:
+            render_capture(scene, **options | more)
+        assert "\n" not in str(refused.value)
+
+
+def test_spectra_of_colours():
+    """Upsampled spectra have their colours again, by Mitsuba's tables, and lie in [0, 1] times D65."""
+    mi.set_variant("llvm_ad_rgb")
+    wavelengths = tuple(np.arange(360, 830.5, 1.0).tolist())
+    basis = colour.upsampling(wavelengths)
+    seen = basis @ colour._srgb_responses(np.array(wavelengths)).T
+    assert seen == pytest.approx(np.eye(3), abs=0.01)
+    d65 = np.array(mi.cie_d65(mi.Float(wavelengths)))
+    assert basis.min() >= 0 and basis.sum(0) == pytest.approx(d65, rel=1e-6)

@@ -1,0 +1,187 @@
+"""Rays of each colour go their own way through lenses of glass: against traces in double precision, and each alone."""
+
+import dataclasses
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, reconstruct, render_capture
+from mitsuba_plenoptic.optics.lens_system import LensSystem
+from mitsuba_plenoptic.optics.spectrum import RGB_WAVELENGTHS
+
+SMALL = {"resolution": (64, 64), "detector_width": 0.128}
+FLINT = {"index": 1.7, "abbe": 30.0}
+
+
+def sensor_of(camera, pixel_format="rgb"):
+    described = camera.to_sensor()
+    described["film"]["pixel_format"] = pixel_format
+    return mi.load_dict(described)
+
+
+def rays(sensor, channel, count=256):
+    """Rays of one channel, by the third of the random numbers that stands for it, and their weights."""
+    random = np.random.default_rng(1).random((4, count)).astype(np.float32)
+    lens = mi.Point2f((random[2] + channel) / 3 if mi.is_rgb else random[2], random[3])
+    return sensor.sample_ray(0.0, mi.Float(random[3]), mi.Point2f(*random[:2]), lens)
+
+
+@pytest.mark.parametrize("channel", [0, 1, 2])
+def test_channels_through_a_singlet(channel):
+    """Slopes and places are those of the wavelength of the channel alone, traced in double precision."""
+    mi.set_variant("llvm_ad_rgb")
+    camera = PlenopticCamera(main_lens="singlet", focal_length=80, aperture_radius=4, **SMALL)
+    ray, weight = rays(sensor_of(camera), channel)
+    weight = np.array(weight)
+    own = np.zeros(3)
+    own[channel] = 3
+    lit = weight[channel] > 0
+    assert lit.sum() > 50 and np.all(weight[:, lit] == own[:, None])
+    # Behind the array a ray goes from its pixel to the centre of its lens: what leaves the main lens must come back so
+    # through it at that wavelength, and at no other.
+    p = (np.random.default_rng(1).random((4, 256)).astype(np.float32)[:2, lit] - 0.5) * camera.detector_width
+    chief = p * camera.pupil_distance / (camera.pupil_distance + camera.detector_distance)
+    expected = ((np.floor(chief / camera.mla_pitch) + 0.5) * camera.mla_pitch - p) / camera.mla_focal_length
+    origin, direction = np.array(ray.o, np.float64)[:, lit], np.array(ray.d, np.float64)[:, lit]
+    misses = [
+        LensSystem.of(camera, wavelength).through(tuple(origin), tuple(direction[:2] / direction[2]))[1] - expected
+        for wavelength in RGB_WAVELENGTHS
+    ]
+    errors = [np.abs(miss).max() for miss in misses]
+    assert errors[channel] < 2e-5 and min(errors[:channel] + errors[channel + 1 :]) > 1e-4
+
+
+def test_spectral_rays_follow_their_first_wavelength():
+    mi.set_variant("llvm_ad_spectral")
+    camera = PlenopticCamera(glass=FLINT, mla_glass=FLINT, **SMALL)
+    ray, weight = rays(sensor_of(camera), 0)
+    alone = PlenopticCamera(**SMALL)
+    wavelengths = np.array(ray.wavelengths)[0]
+    weight = np.array(weight)
+    assert np.all(weight[1:] == 0) and np.any(weight[0] > 0)
+    for lane in np.flatnonzero(weight[0] > 0)[:6]:
+        there = camera.at_wavelength(float(wavelengths[lane]))
+        other, _ = rays(sensor_of(there), 0)
+        assert np.abs(np.array(other.d)[:, lane] - np.array(ray.d)[:, lane]).max() < 2e-6
+        plain, _ = rays(sensor_of(alone), 0)
+        if abs(wavelengths[lane] - 587.56) > 30:
+            assert np.abs(np.array(plain.d)[:, lane] - np.array(ray.d)[:, lane]).max() > 1e-5
+
+
+def wall(camera, variant):
+    mi.set_variant(variant)
+    described = camera.to_sensor()
+    described["film"]["pixel_format"] = "rgb"
+    T = mi.ScalarTransform4f
+    texture = {"type": "checkerboard", "to_uv": T().scale([40, 40, 1]), "color0": 0.1, "color1": 0.9}
+    board = {
+        "type": "rectangle", "to_world": T().translate([0, 0, 240]).scale(10).rotate([0, 1, 0], 180),
+        "emitter": {"type": "area", "radiance": texture},
+    }  # fmt: skip
+    return mi.load_dict({"type": "scene", "camera": described, "board": board, "integrator": {"type": "direct"}})
+
+
+def test_every_channel_is_the_capture_at_its_wavelength():
+    """Of thin lenses of glass, against cameras with the focal lengths of each wavelength, without dispersion."""
+    camera = PlenopticCamera(glass=FLINT, mla_glass=FLINT, resolution=(128, 128), detector_width=0.256)
+
+    def capture(camera, spp):
+        image = render_capture(wall(camera, "llvm_ad_rgb"), spp=spp).image
+        return image.reshape(32, 4, 32, 4, 3).mean((1, 3))
+
+    found = capture(camera, 768)
+    for channel, wavelength in enumerate(RGB_WAVELENGTHS):
+        alone = capture(camera.at_wavelength(wavelength), 256)[..., channel]
+        plain = capture(camera.replace(glass=None, mla_glass=None), 256)[..., 0]
+        own, other = (np.linalg.norm(found[..., channel] - image) / np.linalg.norm(image) for image in (alone, plain))
+        assert own < 0.03
+        if channel == 2:
+            assert other > 0.1
+
+
+def test_one_index_costs_no_noise():
+    """Glasses of one index for all wavelengths leave all channels to every ray."""
+    mi.set_variant("llvm_ad_rgb")
+    _, weight = rays(sensor_of(PlenopticCamera(glass=1.5, **SMALL)), 1)
+    assert set(np.unique(np.array(weight))) <= {0.0, 1.0}
+
+
+def test_gradients_flow_through_dispersion():
+    mi.set_variant("llvm_ad_rgb")
+    sensor = sensor_of(PlenopticCamera(glass=FLINT, **SMALL))
+    parameters = mi.traverse(sensor)
+    dr.enable_grad(parameters["focal_length"])
+    parameters.update()
+    ray, _ = rays(sensor, 2)
+    dr.backward(dr.sum(dr.square(ray.d.x)))
+    assert float(dr.grad(parameters["focal_length"])[0]) != 0
+
+
+@pytest.mark.filterwarnings("ignore:.*does not go back through the main lens")
+def test_waves_refocus_each_channel_with_its_own_lens():
+    """The plane that is sharp at a wavelength, where the stated focal length would blur it."""
+    mi.set_variant("llvm_ad_mono")
+    camera = PlenopticCamera(glass={"index": 1.5, "abbe": 20.0}, resolution=(256, 256), detector_width=0.512)
+    image = np.random.default_rng(0).random((256, 256, 3)).astype(np.float32)
+    wavelengths = (650.0, 550.0, 450.0)
+    made = reconstruct(image, 240.0, method="coherent", camera=camera, wavelength=wavelengths).image
+    for channel, wavelength in enumerate(wavelengths):
+        alone = reconstruct(
+            image[..., channel],
+            240.0,
+            method="coherent",
+            camera=camera.at_wavelength(wavelength),
+            wavelength=wavelength,
+        ).image
+        assert np.array_equal(made[..., channel], alone, equal_nan=True)
+
+
+def test_glass_in_a_scene_file():
+    mi.set_variant("llvm_ad_rgb")
+    sensor = mi.load_dict({"type": "plenoptic", "glass": '{"index": 1.5168, "abbe": 64.2}', "film": {
+        "type": "hdrfilm", "rfilter": {"type": "box"}}})  # fmt: skip
+    camera = PlenopticCamera.from_sensor(sensor)
+    assert dataclasses.astuple(camera.glass)[:2] == ("abbe", (1.5168, 64.2))
+    with pytest.raises(Exception, match="glass: it must be a JSON object"):
+        mi.load_dict({"type": "plenoptic", "glass": "{1.5", "film": {"type": "hdrfilm", "rfilter": {"type": "box"}}})
+    with pytest.raises(InputError, match="method bank takes the same focal lengths"):
+        from mitsuba_plenoptic import CaptureOperator
+
+        CaptureOperator(camera, [(0, 0, 240)], wavelength=633, method="bank")
+
+
+def test_lateral_colour_in_pixels():
+    """Where the light of a small spot lies on the detector, by forward rays in double precision: to 0.1 pixel."""
+    mi.set_variant("llvm_ad_rgb")
+    camera = PlenopticCamera(
+        main_lens="singlet", focal_length=80, aperture_radius=3, focus_distance=240, mla_pitch=0.128,
+        mla_focal_length=1.024, detector_width=8.192, resolution=(1024, 1024), crop_offset=(412, 226),
+        crop_size=(200, 200),
+    )  # fmt: skip
+    point, width = (0.0, 3.0, 200.0), 0.15
+    random = np.random.default_rng(0).random((4, 2_000_000)).astype(np.float32)
+    sensor, found = sensor_of(camera), []
+    rows = (226 + 200 * random[1].astype(np.float64) - 512) * camera.pixel_size
+    for channel in range(3):
+        # The same random numbers for all of them, so that what is left of noise is the same, too.
+        lens = mi.Point2f((random[2] + channel) / 3, random[3])
+        ray, weight = sensor.sample_ray(0.0, 0.0, mi.Point2f(*random[:2]), lens)
+        step = (point[2] - ray.o.z) / ray.d.z
+        away = dr.square(ray.o.x + step * ray.d.x - point[0]) + dr.square(ray.o.y + step * ray.d.y - point[1])
+        light = np.array(weight[channel] * dr.exp(-away / (2 * width**2)), np.float64)
+        found.append((light * rows).sum() / light.sum())
+    expected = []
+    for wavelength in RGB_WAVELENGTHS:
+        lens, draw = LensSystem.of(camera, wavelength), np.random.default_rng(1)
+        start = *(c + width * draw.normal(size=1_000_000) for c in point[:2]), np.full(1_000_000, point[2])
+        pupil = draw.uniform(-4, 4, (2, 1_000_000))
+        slope = tuple((X - P) / (point[2] - lens.front) for X, P in zip(start[:2], pupil, strict=True))
+        (_, y), (_, ty), is_open, _ = lens.through(start, slope)
+        # Collimated light is focused where its ray through the lens's centre goes.
+        centre = (np.floor(y / camera.mla_pitch) + 0.5) * camera.mla_pitch
+        expected.append((centre - ty * camera.detector_distance)[is_open].mean())
+    shift = np.array(found) - found[0], np.array(expected) - expected[0]
+    assert abs(shift[1][2]) > 0.3 * camera.pixel_size
+    assert np.abs(shift[0] - shift[1]).max() < 0.1 * camera.pixel_size

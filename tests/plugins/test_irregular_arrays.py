@@ -1,0 +1,115 @@
+"""Irregular arrays and pixels with an angular response, by rays: where micro-images lie, and how bright they are."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, render_capture
+from mitsuba_plenoptic.optics.irregular import irregularities
+
+CAMERA = PlenopticCamera(resolution=(512, 512), detector_width=1.024)
+
+
+@pytest.fixture(autouse=True)
+def variant():
+    mi.set_variant("llvm_ad_mono")
+
+
+def white(camera, spp=64):
+    scene = {
+        "type": "scene",
+        "camera": camera.to_sensor(),
+        "sky": {"type": "constant"},
+        "integrator": {"type": "direct"},
+    }
+    return render_capture(mi.load_dict(scene), spp=spp).image
+
+
+def test_micro_images_lie_behind_displaced_lenses():
+    """The middle of each is the chief ray through its lens's centre, c (b + z) / b, to 0.03 pixels."""
+    camera = CAMERA.replace(mla_jitter=(0.002, 0.0), mla_seed=5)
+    image = white(camera)
+    assert PlenopticCamera.from_json(camera.to_json()) == camera
+    misses, shifts = [], []
+    for i in range(-6, 6):
+        for j in range(-6, 6):
+            right, up, factor = irregularities(camera, np.array([i]), np.array([j]))
+            regular = (np.array([i, j]) + 0.5) * camera.mla_pitch
+            centre = regular + np.concatenate([right, up])
+            expected, nominal = (
+                c * (1 + camera.detector_distance / camera.mla_distance) / camera.pixel_size + 256
+                for c in (centre, regular)
+            )
+            # The micro-image is 21 pixels wide and its neighbour 32 away.
+            low = np.rint(nominal).astype(int) - 14
+            part = image[low[1] : low[1] + 28, low[0] : low[0] + 28]
+            place = [np.sum(part * (np.arange(28) + 0.5)[None, :]), np.sum(part * (np.arange(28) + 0.5)[:, None])]
+            misses.append(np.array(place) / part.sum() + low - expected)
+            shifts.append(expected - nominal)
+            assert factor == 1
+    assert np.abs(misses).max() < 0.03
+    assert np.std(shifts) == pytest.approx(0.002 * (1 + 0.512 / 120) / 0.002, rel=0.15)
+
+
+def test_focal_lengths_scatter():
+    """Micro-images of lenses out of focus widen: the blur of each lens is that of a camera with its focal length."""
+    camera = CAMERA.replace(mla_jitter=(0.0, 0.08), resolution=(64, 64), detector_width=0.128)
+    found = white(camera, 1024)
+    for i, j in ((-1, -1), (0, -1), (-1, 0), (0, 0)):
+        factor = float(irregularities(camera, np.array([i]), np.array([j]))[2][0])
+        alone = white(CAMERA.replace(mla_focal_length=0.512 * factor, detector_distance=0.512, resolution=(64, 64),
+                                     detector_width=0.128), 1024)  # fmt: skip
+        own = np.s_[32 * (j + 1) : 32 * (j + 2), 32 * (i + 1) : 32 * (i + 2)]
+        assert np.abs(found[own] - alone[own]).mean() < 4e-3
+    assert np.abs(found - white(CAMERA.replace(resolution=(64, 64), detector_width=0.128), 1024)).mean() > 6e-3
+
+
+def test_the_seed_makes_another_array():
+    seeds = (CAMERA.replace(mla_jitter=(0.001, 0.01), mla_seed=seed) for seed in (0, 1))
+    a, b = (irregularities(camera, np.arange(9), np.arange(9)) for camera in seeds)
+    assert not np.isclose(a[0], b[0]).any()
+    first, second = (white(CAMERA.replace(mla_jitter=(0.001, 0.0), mla_seed=1), 4) for _ in range(2))
+    assert np.array_equal(first, second)
+
+
+def test_pixels_that_answer_to_angles():
+    """White pixels have the response at their angles of incidence, averaged over the lens."""
+    pairs = (0.0, 1.0, 10.0, 0.2)
+    camera = CAMERA.replace(pixel_response=pairs, resolution=(32, 32), detector_width=0.064, mla_offset=(0.032, 0.032))
+    image = white(camera, 2048)
+    x = camera.pixel_coordinates(0)
+    m = (np.arange(400) + 0.5) / 400 * 0.064 - 0.032
+    for column in (16, 20, 24):
+        # A pixel of the middle row; places on the lens by a plain sum.
+        dx, dy = np.meshgrid(m - x[column], m - x[16])
+        angle = np.degrees(np.arctan(np.hypot(dx, dy) / 0.512))
+        expected = np.interp(angle, pairs[::2], pairs[1::2]).mean()
+        assert image[16, column] == pytest.approx(expected, rel=0.01)
+    again = PlenopticCamera.from_sensor(mi.load_dict(camera.to_sensor()))
+    assert again.pixel_response == pairs and again == camera
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"mla_jitter": (0.01, 0)}, r"mla_jitter = 0.01"),
+        ({"mla_jitter": (0, 0.2)}, r"mla_jitter = 0.2"),
+        ({"mla_jitter": (-0.001, 0)}, r"mla_jitter = -0.001"),
+        ({"mla_jitter": 0.1}, r"mla_jitter = 0.1: it must be 2 numbers"),
+        ({"mla_seed": -1}, "mla_seed = -1"),
+        ({"pixel_response": (0, 1, 10)}, "two or more pairs"),
+        ({"pixel_response": (5, 1, 10, 0.5)}, "its angles must rise from 0"),
+        ({"pixel_response": (0, 1, 10, 1.5)}, "its responses must be from 0 to 1"),
+    ],
+)
+def test_mistakes(given, message):
+    with pytest.raises(InputError, match=message) as refused:
+        PlenopticCamera(**given)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("given", [{"mla_jitter": (0.001, 0)}, {"pixel_response": (0, 1, 20, 0.5)}])
+@pytest.mark.parametrize("more", [{}, {"method": "full_field"}])
+def test_waves_refuse_them(given, more):
+    with pytest.raises(InputError, match="it is for rays; work by rays, or leave it out"):
+        CaptureOperator(CAMERA.replace(**given), [(0, 0, 240)], wavelength=633, **more)

@@ -1,0 +1,62 @@
+"""The drawing of a real main lens: what is drawn is what is traced."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.optics.lens_figures import field_figures, lateral_colour, ray_paths, spot
+from mitsuba_plenoptic.optics.lens_system import LensSystem
+from mitsuba_plenoptic.prescription.glass import LINE_C, LINE_F
+from mitsuba_plenoptic.report.lens_drawing import draw_main_lens
+
+CAMERA = PlenopticCamera(main_lens="double_gauss", focal_length=80, aperture_radius=5, focus_distance=240)
+
+
+@pytest.mark.parametrize("height", [0.0, 4.0])
+def test_paths_end_where_rays_leave_the_lens(height):
+    z, y = ray_paths(CAMERA, height, 5)
+    lens = LensSystem.of(CAMERA)
+    slopes = (y[1] - y[0]) / (z[1] - z[0])
+    (_, last, front), _, is_open = lens.trace((0 * slopes, np.full(5, height)), (0 * slopes, slopes))
+    assert np.abs(last - y[-1]).max() < 1e-12 and np.abs(front - z[-1]).max() < 1e-12 and is_open.all()
+    assert z[0] == pytest.approx(np.full(5, lens.front - lens.scale * lens.numbers.length - lens.back_distance))
+    # In air the lens stands between its vertices, where surfaces follow each other towards the scene.
+    assert (np.diff(z, axis=0) > 0).all()
+
+
+def test_spots_are_those_of_the_sheet():
+    """At the prescription's own wavelength the root mean square radius is that of `field_figures`."""
+    for height in (0.0, 4.0):
+        x, y = spot(CAMERA, height, CAMERA.main_lens.wavelength)
+        assert np.sqrt(x.var() + y.var()) == pytest.approx(field_figures(CAMERA, (height,))[0].spot, rel=1e-12)
+
+
+def test_lateral_colour_is_that_of_forward_rays():
+    """Of one object point, through the middle of the stop, which is the first surface of the singlet: to 2 %."""
+    camera = PlenopticCamera(main_lens="singlet", focal_length=80, aperture_radius=3, focus_distance=240)
+    point, places = np.array([0.0, 5.0, 240.0]), []
+    for wavelength in (LINE_C, LINE_F):
+        lens = LensSystem.of(camera, wavelength)
+        slope = (np.zeros(1), np.array([point[1] / (point[2] - lens.front)]))
+        place, _, is_open, _ = lens.through(tuple(np.full(1, c) for c in point), slope)
+        assert is_open.all()
+        places.append(float(place[1][0]))
+    found = lateral_colour(camera, abs(places[0]), (LINE_C, LINE_F))
+    assert found == pytest.approx(abs(places[1]) - abs(places[0]), rel=0.02)
+
+
+def test_a_drawing_is_made(tmp_path, capsys):
+    camera = tmp_path / "camera.json"
+    camera.write_text(CAMERA.to_json())
+    picture = tmp_path / "lens.png"
+    assert main(["info", str(camera), "--drawing", str(picture)]) == 0
+    with Image.open(picture) as image:
+        pixels = np.asarray(image.convert("L"))
+    assert pixels.shape[0] > 500 and (pixels < 128).mean() > 0.002
+    capsys.readouterr()
+    assert main(["info", "paper", "--drawing", str(picture)]) == 2
+    assert "no main_lens that could be drawn" in capsys.readouterr().err
+    with pytest.raises(InputError, match="the folder"):
+        draw_main_lens(tmp_path / "none" / "lens.png", CAMERA)
