@@ -9,6 +9,7 @@ from .api import FOOTPRINTS, RESPONSES, reconstruct
 from .differentiable import RayRefocus
 from .methods import METHODS
 from .result import Reconstruction, write_reconstruction
+from .volume import Volume, write_volume
 
 __all__ = [
     "FOOTPRINTS",
@@ -16,6 +17,8 @@ __all__ = [
     "RESPONSES",
     "RayRefocus",
     "Reconstruction",
+    "Volume",
     "reconstruct",
     "write_reconstruction",
+    "write_volume",
 ]

@@ -63,7 +63,7 @@ class Kept:
     def state(self, shapes: Sequence[tuple[int, int]]) -> State | None:
         """Return where the iteration under way was stopped, once; refuse one of bins of other shapes."""
         state, self._state = self._state, None
-        for values in [] if state is None else [state.found, state.last, *state.moves]:
+        for values in [] if state is None else [state.found, state.last]:
             if [part.shape for part in values] != list(shapes):
                 raise InputError("checkpoint: it is damaged: its bins are not those of this reconstruction")
         return state
@@ -81,18 +81,15 @@ class Kept:
 
 def _arrays(state: State) -> dict[str, NDArray[Any]]:
     """Name the arrays of a state."""
-    found: dict[str, NDArray[Any]] = {"misfits": np.array(state.misfits), "done": np.array(float(state.done))}
+    counts = np.array([state.done, state.momentum], np.float64)
+    found: dict[str, NDArray[Any]] = {"misfits": np.array(state.misfits), "counts": counts}
     named = {"found": state.found, "last": state.last}
-    named |= {f"move{number}": move for number, move in enumerate(state.moves)}
     return found | {f"{name}.{plane}": part for name, parts in named.items() for plane, part in enumerate(parts)}
 
 
 def _state(arrays: dict[str, NDArray[Any]]) -> State:
     """Take a state from its arrays."""
-
-    def of(name: str) -> list[NDArray[np.float32]]:
-        planes = sum(key.startswith(f"{name}.") for key in arrays)
-        return [arrays[f"{name}.{plane}"] for plane in range(planes)]
-
-    moves = [move for number in range(2) if (move := of(f"move{number}"))]
-    return State(of("found"), of("last"), moves, int(arrays["done"]), arrays["misfits"].tolist())
+    planes = sum(name.startswith("found.") for name in arrays)
+    found, last = ([arrays[f"{name}.{plane}"] for plane in range(planes)] for name in ("found", "last"))
+    done, momentum = arrays["counts"].astype(int).tolist()
+    return State(found, last, momentum, done, arrays["misfits"].tolist())

@@ -6,11 +6,14 @@ r"""Richardson's and Lucy's iteration, plain or accelerated, stopped by the nois
 of Poisson counts. :math:`\beta` is the variance of a dark pixel over the value that counts one electron: with it a
 Poisson law stands for photons and read noise together (Snyder, Hammoud and White 1993, J. Opt. Soc. Am. A 10, 1014).
 
-Accelerated, each step starts from a point extrapolated along the last two (Biggs and Andrews 1997, Appl. Opt. 36,
-1766):
+Accelerated, each step starts from a point extrapolated along the last one by Nesterov's momentum (1983, Soviet Math.
+Dokl. 27, 372; for this iteration Wang and Miller 2014, IEEE Trans. Image Process. 23, 848),
 
-.. math:: z_k = x_k + \alpha_k (x_k - x_{k-1}), \qquad
-          \alpha_k = \frac{g_{k-1} \cdot g_{k-2}}{g_{k-2} \cdot g_{k-2}}, \qquad g_{k-1} = x_k - z_{k-1}
+.. math:: z_k = x_k + \frac{m}{m + 3} (x_k - x_{k-1}),
+
+where m counts the steps since one pointed against the way made, from where it begins anew (O'Donoghue and Candès 2015,
+Found. Comput. Math. 15, 715). Extrapolating by what the last two steps have in common (Biggs and Andrews 1997, Appl.
+Opt. 36, 1766) overshoots here: lines that are well resolved swing to a contrast of 1.2 and back for a hundred steps.
 
 It ends where the residual, weighted by the variances of the pixels, is as large as noise: the discrepancy principle
 (Morozov 1966; for Poisson counts Bertero et al. 2010, Inverse Problems 26, 105004). Further steps would fit the noise.
@@ -98,8 +101,8 @@ class State:
     ----------
     found, last : list of float32 arrays
         The radiance after the last step, and after the one before.
-    moves : list of lists of float32 arrays
-        How far the last steps went from where they started, two at most.
+    momentum : int
+        Steps since one pointed against the way made.
     done : int
         Steps that were made.
     misfits : list of float
@@ -108,7 +111,7 @@ class State:
 
     found: Values
     last: Values
-    moves: list[Values] = field(default_factory=list)
+    momentum: int = 0
     done: int = 0
     misfits: list[float] = field(default_factory=lambda: [np.inf])
 
@@ -189,7 +192,8 @@ def richardson_lucy(
             slopes = penalty[0].gradient(point, inside)
             new = [part / (1 + np.float32(penalty[1]) * slope) for part, slope in zip(new, slopes, strict=True)]
         if accelerate:
-            state.moves = [*state.moves[-1:], [a - b for a, b in zip(new, point, strict=True)]]
+            against = _dot(new, point, new, state.found) < 0
+            state.momentum = 0 if against else state.momentum + 1
         state.last, state.found = state.found, new
         state.done += 1
         if keep:
@@ -206,14 +210,13 @@ def _explained(misfits: list[float]) -> bool:
 
 
 def _start(state: State) -> Values:
-    """Return the point from which the next step is made, extrapolated along the last two, nowhere negative."""
-    if len(state.moves) < 2:
+    """Return the point from which the next step is made, extrapolated along the last one, nowhere negative."""
+    if state.momentum == 0:
         return state.found
-    before, now = state.moves
-    length = _dot(before, before)
-    alpha = min(max(_dot(now, before) / length, 0.0), 1 - 1e-6) if length > 0 else 0.0
-    return [np.maximum(x + np.float32(alpha) * (x - y), 0) for x, y in zip(state.found, state.last, strict=True)]
+    along = np.float32(state.momentum / (state.momentum + 3))
+    return [np.maximum(x + along * (x - y), 0) for x, y in zip(state.found, state.last, strict=True)]
 
 
-def _dot(first: Values, second: Values) -> float:
-    return sum(float(np.vdot(a, b)) for a, b in zip(first, second, strict=True))
+def _dot(a: Values, b: Values, c: Values, d: Values) -> float:
+    """Return (a - b) . (c - d)."""
+    return sum(float(np.vdot(w - x, y - z)) for w, x, y, z in zip(a, b, c, d, strict=True))
