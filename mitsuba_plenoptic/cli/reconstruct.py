@@ -35,8 +35,8 @@ def reconstruct(
         output_option(
             "FILE",
             "File to write: float32 OpenEXR if it ends in .exr, an 8-bit picture if in .png. With "
-            "several distances each goes into a file of its own: out.exr becomes out_210.exr and so on. All go into one "
-            "volume with voxel sizes if it ends in .tif (ImageJ), .ome.tif (OME) or .zarr.",
+            "several distances each goes into a file of its own: out.exr becomes out_210.exr and so on. All go into "
+            "one volume with voxel sizes if it ends in .tif (ImageJ), .ome.tif (OME) or .zarr.",
         ),
     ],
     distance: Distances,

@@ -223,7 +223,7 @@ def write_volume(path: str | Path, volume: Volume) -> None:
             tifffile.imwrite(temporary, values, ome=True, photometric="minisblack", metadata=_ome(volume, axes))
         else:
             about = {"distances": list(volume.distances), **volume.attributes}
-            metadata = {"axes": axes, "unit": "mm", "Info": json.dumps(about)}
+            metadata: dict[str, Any] = {"axes": axes, "unit": "mm", "Info": json.dumps(about)}
             if volume.spacing is not None:
                 metadata["spacing"] = volume.spacing
             resolution = (1 / volume.voxel_size, 1 / volume.voxel_size)
