@@ -20,7 +20,7 @@ from ..lightfield.exchange import read_picture
 from ..reconstruction import METHODS, Reconstruction, Volume, write_volume
 from ..reconstruction.volume import SUFFIXES, require_volume_path
 from ..report.brightness import Brightness
-from ..report.output_files import reconstruction_paths, require_picture_path, write_reconstructions
+from ..report.output_files import reconstruction_paths, write_reconstructions
 from ..runtime.progress import progress_bar
 from ..runtime.variant import set_variant
 from .inputs import batches_on, named_camera
@@ -164,7 +164,7 @@ def reconstruct(
     paths = [] if whole else reconstruction_paths(output, distance)
     if whole:
         require_writable(require_volume_path(output, distance))
-    if overview and require_picture_path(overview).suffix.lower() != ".png":
+    if overview and require_writable(overview).suffix.lower() != ".png":
         raise InputError(f"{overview}: an overview is a picture; give a name that ends in .png")
     long = METHODS[method].long if method in METHODS else False
     for name, value in (("--resume", resume), ("--workers", workers), ("--scheduler", scheduler)):
@@ -198,7 +198,8 @@ def reconstruct(
                 checkpoint=kept,
                 batch_map=batch_map,
             )
-        write_reconstructions(paths, [] if whole else results, recorded.metadata, brightness)
+        if not whole:
+            write_reconstructions(paths, results, recorded.metadata, brightness)
         _write_volume(output if whole else None, overview, results, brightness)
     for path, result in zip(paths or [output] * len(results), results, strict=True):
         rows, columns = result.image.shape[:2]
