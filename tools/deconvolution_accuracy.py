@@ -242,7 +242,7 @@ def main() -> int:
     parser.add_argument("--relative", type=float, nargs="*", help="frequencies over the limit; 0.8 must be one")
     parser.add_argument("--lenses", type=int, help="lenses across; default: one more than a point lights, 10 at least")
     parser.add_argument("--accuracy", type=float, default=0.0, help="of the captures")
-    parser.add_argument("--iterations", type=int, default=40, help="steps without noise")
+    parser.add_argument("--iterations", type=int, default=100, help="steps without noise")
     given = accuracy.start(parser)
     planes = given.planes or (PLANES[1:2] if given.quick else PLANES)
     relative = given.relative or ([JUDGED] if given.quick else list(RELATIVE))

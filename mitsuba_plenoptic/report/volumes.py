@@ -14,6 +14,9 @@ from .images import write_png
 _GAP = 4
 """Black pixels between the parts of a picture."""
 
+_DARK_ENDS = 0.1
+"""Part of the colours at each end that is too dark to be seen."""
+
 _LEAST_PLANE = 3
 """Pixels of a plane, at least, where planes are seen from the side."""
 
@@ -31,7 +34,7 @@ def depth_coded(volume: Volume) -> NDArray[np.float32]:
     grey = np.nan_to_num(volume.values if volume.values.ndim == 3 else volume.values.mean(-1), nan=0.0)
     near, far = volume.distances[0], volume.distances[-1]
     depth = (np.array(volume.distances) - near) / ((far - near) or 1)
-    encoded = matplotlib.colormaps["turbo"](depth)[:, :3]
+    encoded = matplotlib.colormaps["turbo"](_DARK_ENDS + (1 - 2 * _DARK_ENDS) * depth)[:, :3]
     # from sRGB (IEC 61966-2-1) to light, of which the picture is made
     colours = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
     found = colours[grey.argmax(axis=0)] * np.maximum(grey.max(axis=0), 0)[..., None]
