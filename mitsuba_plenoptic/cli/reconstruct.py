@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from .. import reconstruction
+from ..errors import InputError
+from ..io.checkpoints import SUFFIX, Checkpoint
+from ..io.files import require_writable
+from ..reconstruction import METHODS, Reconstruction, Volume, write_volume
+from ..reconstruction.volume import SUFFIXES, require_volume_path
 from ..report.brightness import Brightness
 from ..report.output_files import reconstruction_paths, write_reconstructions
 from ..runtime.progress import progress_bar
 from ..runtime.variant import set_variant
-from .inputs import named_camera, read_recorded
+from .inputs import batches_on, named_camera, read_recorded
 from .options import CameraFile, CaptureFile, Distances, Exposure, Linear, Percentile, Variant, number, output_option
+from .terminal import stopped_by_hand
 
 
 def reconstruct(
@@ -24,7 +31,8 @@ def reconstruct(
         output_option(
             "FILE",
             "File to write: float32 OpenEXR if it ends in .exr, an 8-bit picture if in .png. With "
-            "several distances each goes into a file of its own: out.exr becomes out_210.exr and so on.",
+            "several distances each goes into a file of its own: out.exr becomes out_210.exr and so on. All go into "
+            "one volume with voxel sizes if it ends in .tif (ImageJ), .ome.tif (OME) or .zarr.",
         ),
     ],
     distance: Distances,
@@ -96,6 +104,30 @@ def reconstruct(
         bool,
         typer.Option("--volume", help="For deconvolved: all distances together explain the capture, not each alone."),
     ] = False,
+    variation: Annotated[
+        float,
+        number("For deconvolved: weight of the total variation, which makes planes even between sharp borders."),
+    ] = 0.0,
+    overview: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.png",
+            help="Write a picture of all distances, too: maximum projections, slices through the brightest voxel, and "
+            "depth as colour.",
+        ),
+    ] = None,
+    resume: Annotated[
+        bool,
+        typer.Option("--resume", help="For deconvolved: go on from the checkpoint of a run that was stopped."),
+    ] = False,
+    workers: Annotated[
+        int | None,
+        number("For deconvolved: compute point spreads on so many processes.", "threads of one process"),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="For deconvolved: compute them on the workers of this Dask scheduler."),
+    ] = None,
     exposure: Exposure = None,
     percentile: Percentile = None,
     variant: Variant = None,
@@ -120,37 +152,74 @@ def reconstruct(
 
       mitsuba-plenoptic reconstruct raw.exr -o fine.exr --method deconvolved --oversample 4 --distance 280
 
+      mitsuba-plenoptic reconstruct raw.exr -o out.tif --method deconvolved --volume --distance 220 --distance 260
+
       mitsuba-plenoptic reconstruct raw.tiff -o out.png --distance 600 --camera camera.json --linear
     """
-    paths = reconstruction_paths(output, distance)
+    whole = output.suffix.lower() in SUFFIXES
+    paths = [] if whole else reconstruction_paths(output, distance)
+    if whole:
+        require_writable(require_volume_path(output, distance))
+    if overview and require_writable(overview).suffix.lower() != ".png":
+        raise InputError(f"{overview}: an overview is a picture; give a name that ends in .png")
+    long = METHODS[method].long if method in METHODS else False
+    for name, value in (("--resume", resume), ("--workers", workers), ("--scheduler", scheduler)):
+        if value and not long:
+            raise InputError(f"{name}: method {method} is too quick to need it; leave it out")
     brightness = Brightness(exposure, percentile)
     known = named_camera(camera)
     recorded = read_recorded(capture, known, linear)
     reference = None if white is None else read_recorded(white, known, linear)
     set_variant(variant)
-    with progress_bar("Refocusing") as progress:
-        results = reconstruction.reconstruct(
-            recorded,
-            distance,
-            method=method,
-            wavelength=wavelength,
-            interleave=int(interleave) if interleave.isdecimal() and len(interleave) < 10 else interleave,
-            footprint=footprint,
-            relay=relay,
-            oversample=oversample,
-            white=reference,
-            response=response,
-            iterations=iterations,
-            accelerate=accelerate,
-            photons=photons,
-            volume=volume,
-            progress=progress,
-        )
-    write_reconstructions(paths, results, recorded.metadata, brightness)
-    for path, result in zip(paths, results, strict=True):
+    kept = Checkpoint(output.with_name(output.name + SUFFIX), "resume" if resume else "refuse") if long else None
+    with kept or nullcontext(), batches_on(workers, scheduler) as batch_map:
+        with progress_bar("Refocusing") as progress, stopped_by_hand(kept, progress) if kept else nullcontext():
+            results = reconstruction.reconstruct(
+                recorded,
+                distance,
+                method=method,
+                wavelength=wavelength,
+                interleave=int(interleave) if interleave.isdecimal() and len(interleave) < 10 else interleave,
+                footprint=footprint,
+                relay=relay,
+                oversample=oversample,
+                white=reference,
+                response=response,
+                iterations=iterations,
+                accelerate=accelerate,
+                photons=photons,
+                volume=volume,
+                variation=variation,
+                progress=progress,
+                checkpoint=kept,
+                batch_map=batch_map,
+            )
+        if not whole:
+            write_reconstructions(paths, results, recorded.metadata, brightness)
+        _write_volume(output if whole else None, overview, results, brightness)
+    for path, result in zip(paths or [output] * len(results), results, strict=True):
         rows, columns = result.image.shape[:2]
         where = "rad at infinity" if math.isinf(result.distance) else f"mm at {result.distance:g} mm"
         typer.echo(f"{path}: {columns} x {rows} bins of {result.bin_size:.4g} {where}{_told(result.facts)}")
+
+
+def _write_volume(
+    path: Path | None, overview: Path | None, results: list[Reconstruction], brightness: Brightness
+) -> None:
+    """Write all distances together, as a volume and as a picture, where these are asked for."""
+    if path is None and overview is None:
+        return
+    made = Volume.of(results)
+    if path is not None:
+        write_volume(path, made)
+        planes, rows, columns = made.values.shape[:3]
+        typer.echo(f"{path}: volume of {columns} x {rows} x {planes} voxels, {made.voxel_size:.4g} mm wide")
+    if overview is not None:
+        # Brings libraries that take a second to load.
+        from ..report.volumes import write_volume_overview
+
+        write_volume_overview(overview, made, brightness.white([made.values]))
+        typer.echo(f"{overview}: overview")
 
 
 def _told(facts: dict[str, Any]) -> str:

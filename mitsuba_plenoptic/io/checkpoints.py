@@ -1,6 +1,6 @@
-"""Checkpoints of wave captures: what has been summed so far, on disk, so that a run that was killed goes on there.
+"""Checkpoints: what is done of a wave capture or a deconvolution, on disk, so that a run that was killed goes on there.
 
-A checkpoint is a NumPy archive (``.npz``) of float32 arrays and a ``header``, a JSON text that holds all that the run's
+A checkpoint is a NumPy archive (``.npz``) of arrays and a ``header``, a JSON text that holds all that the run's
 bits depend on; a run with anything else there is refused. Nothing of a checkpoint is ever unpickled.
 """
 
@@ -13,10 +13,10 @@ import math
 import os
 import time
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,13 +41,15 @@ FRACTION = 0.05
 
 _DIFFERENCES_SHOWN = 3
 
+_State = TypeVar("_State")
+
 _log = logging.getLogger(__name__)
 
 
 class Checkpoint:
-    """A file into which a capture writes its state now and then, and from which it can go on.
+    """A file into which a capture or a deconvolution writes its state now and then, and from which it can go on.
 
-    A context in which the capture is rendered and written: left without an exception, the file is removed.
+    A context in which the result is computed and written: left without an exception, the file is removed.
 
     Parameters
     ----------
@@ -101,13 +103,36 @@ class Checkpoint:
         InputError
             If there is the checkpoint of another run, with the differences, or a damaged one.
         """
+        return self._begin(facts, lambda archive, header: _snapshot(archive, header, shape))
+
+    def begin_arrays(self, **facts: Any) -> dict[str, NDArray[Any]] | None:
+        """Say what a run is whose state is no sum, and return the arrays that an earlier process has kept of it.
+
+        Parameters
+        ----------
+        **facts
+            As of `begin`.
+
+        Returns
+        -------
+        dict of float32 and float64 arrays by name, or None
+            None if nothing is kept.
+
+        Raises
+        ------
+        InputError
+            As of `begin`.
+        """
+        return self._begin(facts, _named_arrays)
+
+    def _begin(self, facts: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State | None:
         self._due = time.monotonic() + INTERVAL
         self.run = json.loads(json.dumps({**self.run, **facts, "software": software()}))
         remove_leftovers(self.path)
         if not self.path.exists():
             return None
         try:
-            found = _read(self.path, self.run, shape)
+            found = _read(self.path, self.run, take)
         except InputError as error:
             if self._existing == "resume":
                 raise
@@ -142,13 +167,31 @@ class Checkpoint:
         KeyboardInterrupt
             After `stop`.
         """
+        self._save(lambda path: _write(path, self.run, snapshot))
+
+    def save_arrays(self, arrays: Callable[[], Mapping[str, NDArray[Any]]]) -> None:
+        """Write the arrays that `begin_arrays` is to return, if it is time to; as `save` does.
+
+        Parameters
+        ----------
+        arrays : callable
+            Gathers them: float32 and float64, by name.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            After `stop`.
+        """
+        self._save(lambda path: _write_archive(path, self.run, {}, dict(arrays())))
+
+    def _save(self, write: Callable[[Path], None]) -> None:
         start = time.monotonic()
         if start < self._due and not self._stopping:
             return
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with atomic_output(self.path) as temporary:
-                _write(temporary, self.run, snapshot)
+                write(temporary)
         except (OSError, InputError) as error:
             if not self._complained:
                 cause = getattr(error, "strerror", None) or str(error)
@@ -173,27 +216,31 @@ def digest(*arrays: NDArray[Any] | None) -> str:
 
 
 def _write(path: Path, run: dict[str, Any], snapshot: Snapshot) -> None:
-    header: dict[str, Any] = {"format": FORMAT, "run": run, "sums": snapshot.sums}
+    header: dict[str, Any] = {"sums": snapshot.sums}
     arrays: dict[str, Any] = {"image": snapshot.image}
     if snapshot.partial:
         partial = snapshot.partial
         header |= {"batches": partial.batches, "arrived": partial.arrived}
         arrays["partial"] = backend_of(partial.sums).to_host(partial.sums)
+    _write_archive(path, run, header, arrays)
+
+
+def _write_archive(path: Path, run: dict[str, Any], header: dict[str, Any], arrays: dict[str, Any]) -> None:
     with path.open("wb") as file:
-        np.savez(file, header=json.dumps(header), **arrays)
+        np.savez(file, header=json.dumps({"format": FORMAT, "run": run, **header}), **arrays)
         file.flush()
         # On the disk before it takes the place of the one of before.
         os.fsync(file.fileno())
 
 
-def _read(path: Path, run: dict[str, Any], shape: tuple[int, ...]) -> Snapshot:
+def _read(path: Path, run: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State:
     """Read the checkpoint of a run, and refuse that of another run or a damaged one."""
     try:
         with np.load(path, allow_pickle=False) as archive:
             header = json.loads(str(archive["header"]))
             differences = _differences({"format": header["format"], **header["run"]}, {"format": FORMAT, **run})
             if not differences:
-                return _snapshot(archive, header, shape)
+                return take(archive, header)
     except Exception as error:
         # ZIP, JSON and NumPy report damage by many types of exception; all mean the same to the user.
         raise InputError(f"{path}: it is not a checkpoint of this version, or is damaged: {error}") from None
@@ -212,6 +259,16 @@ def _snapshot(archive: Mapping[str, NDArray[Any]], header: dict[str, Any], shape
     batches = require_count("batches", header["batches"], minimum=0)
     arrived = require_number("arrived", header["arrived"])
     return Snapshot(sums, image, PartialSum(batches, _array(archive, "partial"), arrived))
+
+
+def _named_arrays(archive: Mapping[str, NDArray[Any]], header: dict[str, Any]) -> dict[str, NDArray[Any]]:
+    found = {name: archive[name] for name in archive if name != "header"}
+    for name, array in found.items():
+        if array.dtype not in (np.float32, np.float64):
+            raise ValueError(f"{name} is of type {array.dtype}")
+        if np.isnan(array).any():
+            raise ValueError(f"{name} holds what is no number")
+    return found
 
 
 def _array(archive: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.float32]:

@@ -10,6 +10,7 @@ from .differentiable import RayRefocus
 from .differentiable_waves import CoherentRefocus
 from .methods import METHODS
 from .result import Reconstruction, write_reconstruction
+from .volume import Volume, write_volume
 
 __all__ = [
     "FOOTPRINTS",
@@ -18,6 +19,8 @@ __all__ = [
     "CoherentRefocus",
     "RayRefocus",
     "Reconstruction",
+    "Volume",
     "reconstruct",
     "write_reconstruction",
+    "write_volume",
 ]

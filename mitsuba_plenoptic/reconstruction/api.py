@@ -13,13 +13,16 @@ from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_choice, require_count, require_number, shown
 from ..io.captures import Capture, as_array, require_pixels
+from ..io.checkpoints import Checkpoint
 from ..mosaic import require_demosaiced
 from ..optics import guards
 from ..optics.main_lens import require_ideal
 from ..optics.phase import in_millimetres
 from ..runtime.backend import one_at_a_time
+from ..runtime.batches import BatchMap
 from ..runtime.limits import largest_fitting, require_memory
 from ..thin_lens import image_distance
+from .deconvolution.variation import MOST as MOST_VARIATION
 from .methods import METHODS, Found, Task
 from .real_lens import require_upright
 from .result import Reconstruction
@@ -48,7 +51,10 @@ def reconstruct(
     accelerate: bool = ...,
     photons: float | None = ...,
     volume: bool = ...,
+    variation: float = ...,
     progress: Callable[[int, int], None] | None = ...,
+    checkpoint: Checkpoint | None = ...,
+    batch_map: BatchMap | None = ...,
 ) -> Reconstruction: ...
 @overload
 def reconstruct(
@@ -68,7 +74,10 @@ def reconstruct(
     accelerate: bool = ...,
     photons: float | None = ...,
     volume: bool = ...,
+    variation: float = ...,
     progress: Callable[[int, int], None] | None = ...,
+    checkpoint: Checkpoint | None = ...,
+    batch_map: BatchMap | None = ...,
 ) -> list[Reconstruction]: ...
 @one_at_a_time
 def reconstruct(
@@ -88,7 +97,10 @@ def reconstruct(
     accelerate: bool = True,
     photons: float | None = None,
     volume: bool = False,
+    variation: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
+    checkpoint: Checkpoint | None = None,
+    batch_map: BatchMap | None = None,
 ) -> Reconstruction | list[Reconstruction]:
     """Refocus a capture to one or several object distances.
 
@@ -141,8 +153,17 @@ def reconstruct(
         For ``deconvolved``: photons that a pixel of value 1 has counted, if nothing else makes it noisy.
     volume : bool
         For ``deconvolved``: whether all distances together explain the capture, instead of each alone.
+    variation : float
+        For ``deconvolved``: weight of the planes' total variation, at most 0.25, which makes them even between sharp
+        borders; 0.002 to 0.02 suit, the more the noisier the capture. It flattens what is fainter than the noise, and
+        makes steps of slopes.
     progress : callable, optional
         Called with the steps done and their number.
+    checkpoint : Checkpoint, optional
+        For ``deconvolved``: what has been done is kept in its file, and taken from there.
+    batch_map : callable, optional
+        For ``deconvolved``: computes the point spreads, for example `runtime.cluster.Cluster`. Default: threads of this
+        process.
 
     Returns
     -------
@@ -187,9 +208,13 @@ def reconstruct(
         "accelerate": bool(accelerate),
         "photons": None if photons is None else require_number("photons", photons, positive=True),
         "volume": bool(volume),
+        "variation": require_number("variation", variation, minimum=0, maximum=MOST_VARIATION),
     }
     if camera.objective is not None and given["response"] == "ray":
         raise InputError(f"response = ray: behind main_lens = {camera.objective.name} it must be wave")
+    for name, value in (("checkpoint", checkpoint), ("batch_map", batch_map)):
+        if value is not None and not chosen.long:
+            raise InputError(f"{name}: method {method} is too quick to need one; leave it out")
     options: dict[str, Any] = {name: given[name] for name in chosen.options}
     oversample = require_count("oversample", oversample)
     distances = _distances(distance, camera)
@@ -212,7 +237,16 @@ def reconstruct(
     report(0)
     with guards.watch() as found:
         task = Task(
-            image, camera, distances, oversample, wavelengths, reference, report, capture.metadata.get("exposure")
+            image=image,
+            camera=camera,
+            distances=distances,
+            oversample=oversample,
+            wavelengths=wavelengths,
+            white=reference,
+            progress=report,
+            exposure=capture.metadata.get("exposure"),
+            checkpoint=checkpoint,
+            batch_map=batch_map,
         )
         # Methods that compare with computed captures ask for each wavelength's camera themselves.
         parts = _by_wavelength(task) if waves and not chosen.as_it_is else [task]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 
 from ..design import resolution_limit
 from ..errors import InputError
+from ..io.checkpoints import digest
 from ..runtime.jobs import Job
+from .deconvolution.kept import Kept, Solved
 from .deconvolution.noise import Noise
 from .deconvolution.response import Response
-from .deconvolution.solver import Solution, richardson_lucy
+from .deconvolution.solver import richardson_lucy
 from .deconvolution.to_bins import to_bins
+from .deconvolution.variation import TotalVariation
 from .methods import Found, Task, method
 
 DEFAULT_ITERATIONS, MOST_ITERATIONS = 30, 100
@@ -26,17 +29,11 @@ _LEAST_SEEN = 0.01
 _PLANNING = 0.3
 """Fraction of the progress that counts for the point spreads."""
 
+_OPTIONS = ("response", "iterations", "accelerate", "photons", "volume", "variation")
 
-@method("deconvolved", options=("response", "iterations", "accelerate", "photons", "volume"), waves=True, as_it_is=True)
-def refocus(
-    task: Task,
-    *,
-    response: str,
-    iterations: int | None,
-    accelerate: bool,
-    photons: float | None,
-    volume: bool,
-) -> list[Found]:
+
+@method("deconvolved", options=_OPTIONS, waves=True, as_it_is=True, long=True)
+def refocus(task: Task, **options: Any) -> list[Found]:
     """Invert the response of the camera by Richardson's and Lucy's iteration (see `deconvolution.solver`).
 
     Each plane alone explains the whole capture, or all of them do together as a volume. Light from elsewhere is put
@@ -49,23 +46,24 @@ def refocus(
     """
     if task.white is not None:
         raise InputError("white: method deconvolved knows the light of every bin itself; it takes no white capture")
-    noise = Noise.of(task.exposure, photons)
+    noise = Noise.of(task.exposure, options["photons"])
     _require_light(task.image, noise)
-    groups: list[Sequence[float]] = [task.distances] if volume else [[distance] for distance in task.distances]
-    channels = task.image.shape[2]
-    work = len(groups) * channels
-    found: list[list[tuple[NDArray[np.float32], Solution]]] = [[] for _ in task.distances]
-    for number, (channel, group) in enumerate((c, g) for c in range(channels) for g in range(len(groups))):
+    groups = [task.distances] if options["volume"] else [[distance] for distance in task.distances]
+    channels, planes = task.image.shape[2], len(task.distances)
+    kept = Kept(task.checkpoint, _inputs(task, options) if task.checkpoint else {})
+    work, done = channels * planes, len(kept.solved)
+    if done > work or done % len(groups[0]):
+        raise InputError(f"checkpoint: it is damaged: {done} planes are no part of {work}")
+    for number in range(done // len(groups[0]), channels * len(groups)):
 
-        def report(done: float, number: int = number) -> None:
-            task.progress((number + done) / work)
+        def report(part: float, number: int = number) -> None:
+            task.progress((number + part) / (channels * len(groups)))
 
-        first = 0 if volume else group
-        solved = _solve(task, groups[group], channel, response, iterations, accelerate, noise, report)
-        for k, result in enumerate(solved):
-            found[first + k].append(result)
+        channel, group = divmod(number, len(groups))
+        kept.solved += list(_solve(task, groups[group], channel, options, noise, kept, report))
+    found = [[kept.solved[channel * planes + plane] for channel in range(channels)] for plane in range(planes)]
     return [
-        Found(np.stack([image for image, _ in of_plane], axis=-1), _facts(task, distance, of_plane, response))
+        Found(np.stack([one.image for one in of_plane], axis=-1), _facts(task, distance, of_plane))
         for distance, of_plane in zip(task.distances, found, strict=True)
     ]
 
@@ -74,51 +72,64 @@ def _solve(
     task: Task,
     distances: Sequence[float],
     channel: int,
-    response: str,
-    iterations: int | None,
-    accelerate: bool,
+    options: dict[str, Any],
     noise: Noise | None,
-    report: Any,
-) -> Iterator[tuple[NDArray[np.float32], Solution]]:
-    """Yield image and solution of each plane, from one channel."""
+    kept: Kept,
+    report: Callable[[float], None],
+) -> Iterator[Solved]:
+    """Yield what is found of each plane, from one channel."""
     image = np.ascontiguousarray(task.image[..., channel])
-    job = Job(progress=lambda done, total: report(_PLANNING * done / total))
-    made = Response(
+    iterations, variation = options["iterations"], options["variation"]
+    with Response(
         task.camera,
         distances,
-        wavelength=None if response == "ray" else task.wavelengths[channel],
+        wavelength=None if options["response"] == "ray" else task.wavelengths[channel],
         oversample=task.oversample,
-        job=job,
-    )
-    known = iterations is None and noise is not None
-    solution = richardson_lucy(
-        made,
-        image,
-        iterations=iterations or (MOST_ITERATIONS if known else DEFAULT_ITERATIONS),
-        accelerate=accelerate,
-        misfit=noise.misfit if known and noise else None,
-        shift=noise.shift if noise else 0.0,
-        progress=lambda done: report(_PLANNING + (1 - _PLANNING) * done),
-    )
-    for plane, values, seen in zip(made.planes, solution.values, solution.seen, strict=True):
-        radiance, light = (
-            to_bins(part, made.cells, plane.lit, task.camera, task.oversample) for part in (values, seen)
+        job=Job(progress=lambda done, total: report(_PLANNING * done / total), batch_map=task.batch_map),
+    ) as made:
+        known = iterations is None and noise is not None
+        lit = [plane.lit for plane in made.planes]
+        solution = richardson_lucy(
+            made,
+            image,
+            iterations=iterations or (MOST_ITERATIONS if known else DEFAULT_ITERATIONS),
+            accelerate=options["accelerate"],
+            misfit=noise.misfit if known and noise else None,
+            shift=noise.shift if noise else 0.0,
+            penalty=(TotalVariation(made.cells, lit), variation) if variation else None,
+            state=kept.state([plane.shape for plane in made.planes]),
+            keep=kept.keep,
+            progress=lambda done: report(_PLANNING + (1 - _PLANNING) * done),
         )
-        yield np.where(light >= _LEAST_SEEN, radiance, np.float32(np.nan)), solution
+    for cells, values, seen in zip(lit, solution.values, solution.seen, strict=True):
+        radiance, light = (to_bins(part, made.cells, cells, task.camera, task.oversample) for part in (values, seen))
+        visible = np.where(light >= _LEAST_SEEN, radiance, np.float32(np.nan))
+        yield Solved(visible, solution.iterations, solution.residual, solution.stopped)
 
 
-def _facts(
-    task: Task, distance: float, of_plane: list[tuple[NDArray[np.float32], Solution]], response: str
-) -> dict[str, Any]:
+def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str, Any]:
     """Return what is known of a plane."""
     wavelengths: Sequence[float | None] = task.wavelengths or [None]
     limits = [resolution_limit(task.camera, distance, wavelength) for wavelength in wavelengths]
     return {
-        "iterations": max(solution.iterations for _, solution in of_plane),
-        "residual": max(solution.residual for _, solution in of_plane),
-        "stopped_by_noise": all(solution.stopped for _, solution in of_plane),
+        "iterations": max(one.iterations for one in of_plane),
+        "residual": max(one.residual for one in of_plane),
+        "stopped_by_noise": all(one.stopped for one in of_plane),
         "resolution_limit": min(limit.frequency for limit in limits),
         "in_focus": any(limit.in_focus for limit in limits),
+    }
+
+
+def _inputs(task: Task, options: dict[str, Any]) -> dict[str, Any]:
+    """Return what the bits of the result depend on, by which a checkpoint is known as of the same run."""
+    return {
+        "capture": digest(task.image),
+        "camera": task.camera.to_dict(),
+        "distances": list(task.distances),
+        "oversample": task.oversample,
+        "wavelengths": list(task.wavelengths),
+        "exposure": task.exposure,
+        "options": options,
     }
 
 

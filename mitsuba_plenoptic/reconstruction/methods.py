@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..io.checkpoints import Checkpoint
+from ..runtime.batches import BatchMap
 
 Progress = Callable[[float], None]
 """Called with the fraction of the work that is done."""
@@ -36,6 +38,10 @@ class Task:
         Called with the fraction of the work that is done.
     exposure : dict, optional
         What `expose` has kept with the capture.
+    checkpoint : Checkpoint, optional
+        For a method that is long: keeps what is done.
+    batch_map : BatchMap, optional
+        For a method that is long: computes its point spreads.
     """
 
     image: np.ndarray
@@ -46,6 +52,8 @@ class Task:
     white: np.ndarray | None
     progress: Progress
     exposure: dict[str, Any] | None = None
+    checkpoint: Checkpoint | None = None
+    batch_map: BatchMap | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +93,8 @@ class Method:
     as_it_is : bool
         Whether it needs the camera with the aberrations of its main lens; others form images by the lens as it
         should be.
+    long : bool
+        Whether it may take so long that it keeps checkpoints and takes workers.
     """
 
     name: str
@@ -92,12 +102,15 @@ class Method:
     options: tuple[str, ...]
     waves: bool
     as_it_is: bool = False
+    long: bool = False
 
 
 METHODS: dict[str, Method] = {}
 
 
-def method(name: str, *, options: tuple[str, ...], waves: bool, as_it_is: bool = False) -> Callable[[Refocus], Refocus]:
+def method(
+    name: str, *, options: tuple[str, ...], waves: bool, as_it_is: bool = False, long: bool = False
+) -> Callable[[Refocus], Refocus]:
     """Register a function as a `Method`.
 
     Parameters
@@ -110,10 +123,12 @@ def method(name: str, *, options: tuple[str, ...], waves: bool, as_it_is: bool =
         Whether it needs wavelengths.
     as_it_is : bool
         Whether it needs the camera with its aberrations.
+    long : bool
+        Whether it keeps checkpoints and takes workers.
     """
 
     def register(refocus: Refocus) -> Refocus:
-        METHODS[name] = Method(name, refocus, options, waves, as_it_is)
+        METHODS[name] = Method(name, refocus, options, waves, as_it_is, long)
         return refocus
 
     return register

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import OpenEXR
+import tifffile
 
 from mitsuba_plenoptic import PlenopticCamera, write_capture
 from mitsuba_plenoptic.io.captures import Capture
@@ -36,3 +37,36 @@ def test_info_tells_the_limit(run):
     output = run("info", "paper", "--wavelength", "633")
     assert "resolution, deconvolved" in output
     assert "deconvolution does not help" in output
+
+
+def test_reconstruct_writes_a_volume(tmp_path, run, complaint):
+    camera = PlenopticCamera(detector_width=0.256, resolution=(128, 128))
+    raw, out, picture = tmp_path / "raw.exr", tmp_path / "out.tif", tmp_path / "seen.png"
+    write_capture(raw, Capture(white_image(camera), camera))
+    planes = "--distance", 226, "--distance", 253, "--distance", 280
+    options = "--method", "deconvolved", "--iterations", 2, "--volume", "--variation", 0.01
+    told = run("reconstruct", raw, "-o", out, *options, *planes, "--overview", picture)
+    assert f"{out}: volume of" in told and f"{picture}: overview" in told
+    assert not (tmp_path / "out.tif.checkpoint").exists()
+    with tifffile.TiffFile(out) as file:
+        assert file.imagej_metadata["spacing"] == 27 and file.imagej_metadata["slices"] == 3
+    assert picture.stat().st_size > 0
+    uneven = "--distance", 226, "--distance", 253, "--distance", 290
+    assert "evenly spaced" in complaint("reconstruct", raw, "-o", out, *options, *uneven)
+    assert "variation = 1" in complaint("reconstruct", raw, "-o", out, *planes, "--variation", 1)
+    assert "ends in .png" in complaint("reconstruct", raw, "-o", out, *planes, "--overview", out)
+    for words in (("--resume",), ("--workers", 2)):
+        assert f"{words[0]}: method ray is too quick" in complaint("reconstruct", raw, "-o", out, *planes, *words)
+
+
+def test_reconstruct_goes_on_from_its_checkpoint(tmp_path, run, complaint):
+    camera = PlenopticCamera(detector_width=0.256, resolution=(128, 128))
+    raw, out, kept = tmp_path / "raw.exr", tmp_path / "out.exr", tmp_path / "out.exr.checkpoint"
+    write_capture(raw, Capture(white_image(camera), camera))
+    words = "reconstruct", raw, "-o", out, "--method", "deconvolved", "--distance", 253, "--iterations", 2
+    kept.write_bytes(b"")
+    assert "the checkpoint of a run that was stopped" in complaint(*words)
+    assert "not a checkpoint of this version" in complaint(*words, "--resume")
+    kept.unlink()
+    assert "2 iterations" in run(*words, "--resume")
+    assert out.exists() and not kept.exists()

@@ -69,8 +69,11 @@ WORKS = {
 ADJOINTS = {
     "adjoint": lambda: [CaptureOperator(CAMERA, POSITIONS, wavelength=633, pupil_weights=PUPILS).adjoint(CAPTURE)],
     "adjoint on a turned array": lambda: [CaptureOperator(TURNED, POSITIONS, wavelength=633).adjoint(CAPTURE)],
+    "deconvolved": lambda: [
+        reconstruct(CAPTURE[:128, :128], 253.0, camera=SMALL, wavelength=633, method="deconvolved", iterations=3).image
+    ],
 }
-"""They hand parts of the image to their batches through the host."""
+"""They hand parts of the image to their batches, or the bins between steps, through the host."""
 
 
 @pytest.fixture

@@ -35,7 +35,7 @@ def write_labelled(path: str | Path, lf: xr.DataArray) -> None:
         if path.suffix.lower() == ".nc":
             lf.to_netcdf(temporary, engine="scipy")
         else:
-            _require_zarr(path)
+            require_zarr(path)
             # The third format has no texts of fixed length yet, as the names of the channels are.
             lf.to_zarr(temporary, zarr_format=2)
 
@@ -67,7 +67,7 @@ def read_labelled(path: str | Path) -> xr.DataArray:
         else:
             if not (path / "zarr.json").is_file() and not (path / ".zgroup").is_file():
                 raise InputError(f"{path}: there is no such folder of Zarr")
-            _require_zarr(path)
+            require_zarr(path)
             opened = xr.open_dataarray(path, engine="zarr")
             require_memory(_PER_BYTE * opened.nbytes, f"{path}: a light field")
             stored = opened.load()
@@ -85,7 +85,8 @@ def read_labelled(path: str | Path) -> xr.DataArray:
     return lf
 
 
-def _require_zarr(path: Path) -> None:
+def require_zarr(path: Path) -> None:
+    """Refuse a file of Zarr where the package is not installed."""
     try:
         import zarr  # noqa: F401
     except ImportError:

@@ -8,12 +8,15 @@ so that no power is lost.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import InputError
+from ...runtime.backend import backend_of
 from ...runtime.batches import Part
 from .cells import Cells
 
@@ -44,7 +47,7 @@ class Block:
     matrix: NDArray[np.float32]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Kernel:
     """The response of the bins of any cell near some place.
 
@@ -63,6 +66,36 @@ class Kernel:
     def memory(self) -> int:
         """Bytes of its matrices."""
         return sum(block.matrix.nbytes for block in self.blocks)
+
+
+def on_disk(kernels: Sequence[Kernel], path: Path) -> list[Kernel]:
+    """Write the matrices of kernels into one file, and return kernels that read them from there.
+
+    What is read is kept by the system as long as there is memory for it, and dropped when there is not.
+
+    Raises
+    ------
+    InputError
+        If the disk has no room.
+    """
+    try:
+        with path.open("wb") as file:
+            for kernel in kernels:
+                for block in kernel.blocks:
+                    file.write(block.matrix.data)
+    except OSError as error:
+        raise InputError(
+            f"{path.parent}: the response needs room there: {error.strerror}; TMPDIR names another folder"
+        ) from None
+    values, place, found = np.memmap(path, np.float32, "r"), 0, []
+    for kernel in kernels:
+        blocks = []
+        for block in kernel.blocks:
+            matrix = values[place : place + block.matrix.size].reshape(block.matrix.shape)
+            blocks.append(replace(block, matrix=matrix))
+            place += matrix.size
+        found.append(Kernel(kernel.steps, blocks))
+    return found
 
 
 def make_kernel(cells: Cells, cell: NDArray[np.int64], spreads: Iterable[list[Part]]) -> Kernel:
@@ -85,7 +118,8 @@ def make_kernel(cells: Cells, cell: NDArray[np.int64], spreads: Iterable[list[Pa
     for number, parts in enumerate(spreads):
         for part in parts:
             reached = cells.holding(part.box)
-            values = cells.split(part.sums[0], part.box, reached)
+            sums = backend_of(part.sums).to_host(part.sums)
+            values = cells.split(sums[0], part.box, reached)
             found.append((number, reached.index - cell, values))
     low = np.min([index.min(0) for _, index, _ in found], axis=0)
     high = np.max([index.max(0) for _, index, _ in found], axis=0)

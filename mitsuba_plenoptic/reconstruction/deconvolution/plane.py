@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...runtime.backend import backend
 from ...runtime.blas import single_threaded_blas
 from ...runtime.fft import worker_count
 from .cells import Cells, CellSet
-from .kernels import Kernel
+from .kernels import Block, Kernel
 
 Result = TypeVar("Result")
 
@@ -69,11 +70,18 @@ class PlaneResponse:
     """
 
     def __init__(self, cells: Cells, sampled: CellSet, zones: list[Zone]) -> None:
-        self._cells, self._sampled, self._zones = cells, sampled, zones
+        self._cells = cells
         steps = np.concatenate([zone.kernel.steps for zone in zones])
         self.lit = sampled.grown(-steps.max(0), -steps.min(0))
-        self._sources = [
-            self.lit.find(sampled.index[zone.members][:, None] - zone.kernel.steps).astype(np.int32) for zone in zones
+        asarray = backend().arrays.asarray
+        self._zones = [
+            _Placed(
+                zone.kernel.blocks,
+                [asarray(block.steps) for block in zone.kernel.blocks],
+                asarray(zone.members),
+                asarray(self.lit.find(sampled.index[zone.members][:, None] - zone.kernel.steps).astype(np.int32)),
+            )
+            for zone in zones
         ]
 
     @property
@@ -81,7 +89,7 @@ class PlaneResponse:
         """Cells and their bins."""
         return len(self.lit), self._cells.bins[0] * self._cells.bins[1]
 
-    def add_forward(self, values: NDArray[np.float32], samples: NDArray[np.float32]) -> None:
+    def add_forward(self, values: NDArray[np.float32], samples: Any) -> None:
         """Add the light of bins to samples.
 
         Parameters
@@ -89,43 +97,62 @@ class PlaneResponse:
         values : float32 array (cells, bins)
             Of the cells of `lit`.
         samples : float32 array (cells, rows, columns)
-            Of the sampled cells.
+            Of the sampled cells, on the backend's device.
         """
-        dark = np.zeros((1, values.shape[1]), np.float32)
-        padded = np.concatenate([values, dark])
+        arrays = backend().arrays
+        padded = arrays.asarray(np.concatenate([values, np.zeros((1, values.shape[1]), np.float32)]))
 
-        def work(zone: Zone, sources: NDArray[np.int32]) -> None:
-            around = padded[sources]
-            for block in zone.kernel.blocks:
-                light = around[:, block.steps].reshape(len(around), -1) @ block.matrix
+        def work(zone: _Placed) -> None:
+            around = padded[zone.sources]
+            for block, steps in zip(zone.blocks, zone.steps, strict=True):
+                light = around[:, steps].reshape(len(around), -1) @ arrays.asarray(block.matrix)
                 target = samples[zone.members, block.rows, block.columns]
                 samples[zone.members, block.rows, block.columns] = target + light.reshape(target.shape)
 
-        for _ in _each(work, self._zones, self._sources):
+        for _ in _each(work, self._zones):
             pass
 
-    def adjoint(self, samples: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Weigh the samples of cells, (cells, rows, columns), by the light of each bin; returns (cells, bins)."""
-        result = np.zeros((len(self.lit) + 1, self.shape[1]), np.float32)
+    def adjoint(self, samples: Any) -> NDArray[np.float32]:
+        """Weigh the samples of cells by the light of each bin.
 
-        def work(zone: Zone, sources: NDArray[np.int32]) -> NDArray[np.float32]:
-            around = np.zeros((*sources.shape, result.shape[1]), np.float32)
-            for block in zone.kernel.blocks:
+        Parameters
+        ----------
+        samples : float32 array (cells, rows, columns)
+            Of the sampled cells, on the backend's device.
+
+        Returns
+        -------
+        float32 array (cells, bins)
+        """
+        arrays, bins = backend().arrays, self.shape[1]
+        result = arrays.zeros((len(self.lit) + 1, bins), np.float32)
+
+        def work(zone: _Placed) -> Any:
+            around = arrays.zeros((*zone.sources.shape, bins), np.float32)
+            for block, steps in zip(zone.blocks, zone.steps, strict=True):
                 part = samples[zone.members, block.rows, block.columns].reshape(len(around), -1)
-                light = part @ block.matrix.T
-                around[:, block.steps] += light.reshape(len(around), len(block.steps), -1)
+                light = part @ arrays.asarray(block.matrix).T
+                around[:, steps] += light.reshape(len(around), len(block.steps), -1)
             return around
 
-        for sources, around in zip(self._sources, _each(work, self._zones, self._sources), strict=True):
-            for step in range(sources.shape[1]):
+        for zone, around in zip(self._zones, _each(work, self._zones), strict=True):
+            for step in range(around.shape[1]):
                 # A step takes every cell to another; only what no bin lights is met twice.
-                result[sources[:, step]] += around[:, step]
-        return result[:-1]
+                result[zone.sources[:, step]] += around[:, step]
+        return np.asarray(backend().to_host(result))[:-1]
 
 
-def _each(
-    work: Callable[[Zone, NDArray[np.int32]], Result], zones: list[Zone], sources: list[NDArray[np.int32]]
-) -> Iterator[Result]:
-    """Compute zones on all cores, and yield their results in order."""
-    with single_threaded_blas(), ThreadPoolExecutor(worker_count()) as pool:
-        yield from pool.map(work, zones, sources)
+@dataclass(frozen=True)
+class _Placed:
+    """A zone: its blocks, and on the backend's device the steps of each, its members and where their light is from."""
+
+    blocks: list[Block]
+    steps: list[Any]
+    members: Any
+    sources: Any
+
+
+def _each(work: Callable[[_Placed], Result], zones: list[_Placed]) -> Iterator[Result]:
+    """Compute zones on all cores, and yield their results in order; a CUDA device takes its work from one."""
+    with single_threaded_blas(), ThreadPoolExecutor(1 if backend().is_cuda else worker_count()) as pool:
+        yield from pool.map(work, zones)

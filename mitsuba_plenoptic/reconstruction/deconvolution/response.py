@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,10 +12,11 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...capture.recorder import Recorder
+from ...runtime.backend import backend
 from ...runtime.jobs import Job
 from ...runtime.limits import largest_fitting, require_memory
 from .cells import Cells
-from .kernels import Kernel, make_kernel
+from .kernels import Kernel, make_kernel, on_disk
 from .plane import PlaneResponse, Zone, zones
 from .ray_spreads import ray_batches, ray_grid
 from .wave_spreads import wave_batches, wave_grid
@@ -25,7 +28,7 @@ _ZONE = 16
 """Lenses along an axis for which one kernel serves, where there is memory for as many as that makes."""
 
 _MEMORY = 2 * 2**30
-"""Bytes of kernels beyond which zones grow."""
+"""Bytes of a plane's kernels beyond which zones grow, and of all planes' beyond which they are kept on disk."""
 
 _LIT = 0.6
 """Fraction of a kernel's blocks that hold light, at most."""
@@ -48,6 +51,9 @@ class Response:
         Bins along a lens pitch.
     job : Job, optional
         Who computes the point spreads, and who is told of the progress.
+
+    Kernels of many planes are kept in a temporary folder; as a context it removes the folder when it is left, else that
+    is done when nothing refers to it any more.
 
     Attributes
     ----------
@@ -81,7 +87,10 @@ class Response:
         each = [self._kernel_memory(distance, oversample) for distance in distances]
         # By rays, without aberrations, all lenses are alike.
         alike = wavelength is None and camera.lens_model == "ideal" and not any(camera.wavefront)
-        groups = self._zones(sum(each), alike)
+        groups = self._zones(max(each), alike)
+        self._folder = None
+        if _LIT * len(groups) * sum(each) > _MEMORY and len(distances) > 1:
+            self._folder = tempfile.TemporaryDirectory(prefix="deconvolution-")
         self._require_memory(distances, len(groups), oversample)
         bins, total = self.cells.bins[0] * self.cells.bins[1], len(distances) * len(groups)
         self.planes: list[PlaneResponse] = []
@@ -90,7 +99,17 @@ class Response:
             for members in groups:
                 done = (len(self.planes) * len(groups) + len(found)) * bins
                 found.append(Zone(members, self._kernel(distance, members, job, done, total * bins)))
+            if self._folder:
+                kernels = on_disk([zone.kernel for zone in found], Path(self._folder.name) / f"{len(self.planes)}")
+                found = [Zone(zone.members, kernel) for zone, kernel in zip(found, kernels, strict=True)]
             self.planes.append(PlaneResponse(self.cells, self._sampled, found))
+
+    def __enter__(self) -> Response:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._folder:
+            self._folder.cleanup()
 
     def _kernel(self, distance: float, members: NDArray[np.int64], job: Job, done: int, total: int) -> Kernel:
         """Compute the kernel of a zone from the spreads of the cell in its middle."""
@@ -125,7 +144,8 @@ class Response:
             each = [self._kernel_memory(distance, oversample) for distance in distances]
             bins = 4.0 * len(self._sampled) * _period(self.cells.camera) * oversample**2 * len(distances)
             samples = 4.0 * self._recorder.box.rows * self._recorder.box.columns
-            return _LIT * groups * sum(each) + 2 * max(each) + 12 * bins + 4 * samples + self._recorder.memory
+            kernels = _LIT * groups * (max(each) if self._folder else sum(each))
+            return kernels + 2 * max(each) + 12 * bins + 4 * samples + self._recorder.memory
 
         def fitting(limit: float) -> str | None:
             largest = largest_fitting(memory, limit, oversample)
@@ -147,11 +167,12 @@ class Response:
         float32 array (rows, columns)
         """
         width, height = self.cells.size
-        samples = np.zeros((len(self._sampled), height, width), np.float32)
+        libraries = backend()
+        samples = libraries.arrays.zeros((len(self._sampled), height, width), np.float32)
         for plane, radiance in zip(self.planes, values, strict=True):
             plane.add_forward(radiance, samples)
-        sums = self.cells.join(samples, self._sampled, self._recorder.box)
-        return self._recorder.record(sums[None])[..., 0]
+        sums = self.cells.join(libraries.to_host(samples), self._sampled, self._recorder.box)
+        return self._recorder.record(libraries.arrays.asarray(sums[None]))[..., 0]
 
     def adjoint(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         """Apply the transpose of `forward`.
@@ -165,8 +186,9 @@ class Response:
         -------
         list of float32 arrays (cells, bins)
         """
-        sums = self._recorder.spread(image[..., None])[0]
-        samples = self.cells.split(sums, self._recorder.box, self._sampled)
+        libraries = backend()
+        sums = libraries.to_host(self._recorder.spread(image[..., None])[0])
+        samples = libraries.arrays.asarray(self.cells.split(sums, self._recorder.box, self._sampled))
         return [plane.adjoint(samples) for plane in self.planes]
 
 

@@ -6,21 +6,29 @@ r"""Richardson's and Lucy's iteration, plain or accelerated, stopped by the nois
 of Poisson counts. :math:`\beta` is the variance of a dark pixel over the value that counts one electron: with it a
 Poisson law stands for photons and read noise together (Snyder, Hammoud and White 1993, J. Opt. Soc. Am. A 10, 1014).
 
-Accelerated, each step starts from a point extrapolated along the last two (Biggs and Andrews 1997, Appl. Opt. 36,
-1766):
+Accelerated, each step starts from a point extrapolated along the last one by Nesterov's momentum (1983, Soviet Math.
+Dokl. 27, 372; for this iteration Wang and Miller 2014, IEEE Trans. Image Process. 23, 848),
 
-.. math:: z_k = x_k + \alpha_k (x_k - x_{k-1}), \qquad
-          \alpha_k = \frac{g_{k-1} \cdot g_{k-2}}{g_{k-2} \cdot g_{k-2}}, \qquad g_{k-1} = x_k - z_{k-1}
+.. math:: z_k = x_k + \frac{m}{m + 3} (x_k - x_{k-1}),
+
+where m counts the steps since one pointed against the way made, from where it begins anew (O'Donoghue and Candès 2015,
+Found. Comput. Math. 15, 715). Extrapolating by what the last two steps have in common (Biggs and Andrews 1997, Appl.
+Opt. 36, 1766) overshoots here: lines that are well resolved swing to a contrast of 1.2 and back for a hundred steps.
 
 It ends where the residual, weighted by the variances of the pixels, is as large as noise: the discrepancy principle
 (Morozov 1966; for Poisson counts Bertero et al. 2010, Inverse Problems 26, 105004). Further steps would fit the noise.
 It ends as well where what is above that hardly falls any more, since it is then no light from these bins.
+
+A penalty P of weight :math:`\lambda` on what x may look like, its total variation for one (see `variation`), divides
+each step (Green 1990, IEEE Trans. Med. Imaging 9, 84; Dey et al. 2006, Microscopy Research and Technique 69, 260):
+
+.. math:: x \leftarrow \frac{x}{A^T 1 \, (1 + \lambda \nabla P(x))} \, A^T \frac{y + \beta}{A x + \beta}
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -78,6 +86,36 @@ class Solution:
     stopped: bool
 
 
+class Penalty(Protocol):
+    """What is asked of the radiance of bins, beside that it explains the image."""
+
+    def gradient(self, values: Values, inside: list[NDArray[np.bool_]]) -> Values:
+        """Return its derivatives by the bins; those that are not inside do not count."""
+
+
+@dataclass
+class State:
+    """How far an iteration has come: all that its next steps depend on.
+
+    Attributes
+    ----------
+    found, last : list of float32 arrays
+        The radiance after the last step, and after the one before.
+    momentum : int
+        Steps since one pointed against the way made.
+    done : int
+        Steps that were made.
+    misfits : list of float
+        Squared residuals over that of noise, of the last steps.
+    """
+
+    found: Values
+    last: Values
+    momentum: int = 0
+    done: int = 0
+    misfits: list[float] = field(default_factory=lambda: [np.inf])
+
+
 def richardson_lucy(
     response: Linear,
     image: NDArray[np.float32],
@@ -86,6 +124,9 @@ def richardson_lucy(
     accelerate: bool = True,
     misfit: Misfit | None = None,
     shift: float = 0.0,
+    penalty: tuple[Penalty, float] | None = None,
+    state: State | None = None,
+    keep: Callable[[State], None] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Solution:
     r"""Find the radiance of bins that explains an image.
@@ -104,6 +145,12 @@ def richardson_lucy(
         Tells the squared residual over that of noise alone, which ends the iteration at 1.
     shift : float
         The number :math:`\beta`.
+    penalty : (Penalty, float), optional
+        The penalty P and its weight :math:`\lambda`, so small that steps stay positive.
+    state : State, optional
+        Where an earlier run was stopped; the result has the bits of one that was not.
+    keep : callable, optional
+        Given the state after every step.
     progress : callable, optional
         Called with the fraction of the steps that is done.
 
@@ -118,32 +165,42 @@ def richardson_lucy(
     light = response.adjoint(np.ones_like(image))
     best = max(float(part.max()) for part in light)
     seen: Values = [np.asarray(np.maximum(part, 0) / best, np.float32) for part in light]
-    weight = [np.where(part > _LEAST_SEEN, 1 / np.maximum(part * best, 1e-30), 0).astype(np.float32) for part in seen]
-    level = total / sum(
-        float((part * (gain > 0)).sum(dtype=np.float64)) for part, gain in zip(light, weight, strict=True)
-    )
-    start = [np.where(gain > 0, np.float32(level), np.float32(0)) for gain in weight]
-    last, found, steps = start, start, _Extrapolation() if accelerate else None
+    inside = [part > _LEAST_SEEN for part in seen]
+    weight = [
+        np.where(kept, 1 / np.maximum(part * best, 1e-30), 0).astype(np.float32)
+        for part, kept in zip(seen, inside, strict=True)
+    ]
+    if state is None:
+        level = total / sum(
+            float((part * kept).sum(dtype=np.float64)) for part, kept in zip(light, inside, strict=True)
+        )
+        start = [np.where(kept, np.float32(level), np.float32(0)) for kept in inside]
+        state = State(start, start)
     scale = float(np.linalg.norm(image))
-    done, misfits = 0, [np.inf]
     while True:
-        point = found if steps is None else steps.start(found, last)
+        point = _start(state) if accelerate else state.found
         model = response.forward(point)
         if misfit is not None:
-            misfits.append(misfit(image, model))
-        stopped = _explained(misfits)
-        if stopped or done == iterations:
+            state.misfits = [*state.misfits[-_SPAN:], misfit(image, model)]
+        stopped = _explained(state.misfits)
+        if stopped or state.done == iterations:
             break
         ratio = given / (np.maximum(model, 0) + np.float32(shift))
         back = response.adjoint(ratio)
         new = [z * np.maximum(part, 0) * gain for z, part, gain in zip(point, back, weight, strict=True)]
-        if steps is not None:
-            steps.note(new, point)
-        last, found = found, new
-        done += 1
+        if penalty is not None:
+            slopes = penalty[0].gradient(point, inside)
+            new = [part / (1 + np.float32(penalty[1]) * slope) for part, slope in zip(new, slopes, strict=True)]
+        if accelerate:
+            against = _dot(new, point, new, state.found) < 0
+            state.momentum = 0 if against else state.momentum + 1
+        state.last, state.found = state.found, new
+        state.done += 1
+        if keep:
+            keep(state)
         if progress:
-            progress(done / iterations)
-    return Solution(point, seen, done, float(np.linalg.norm(image - model)) / scale, stopped)
+            progress(state.done / iterations)
+    return Solution(point, seen, state.done, float(np.linalg.norm(image - model)) / scale, stopped)
 
 
 def _explained(misfits: list[float]) -> bool:
@@ -152,25 +209,14 @@ def _explained(misfits: list[float]) -> bool:
     return above[-1] <= 0 or (len(above) > _SPAN and above[-1] > _LEAST_FALL * above[0])
 
 
-class _Extrapolation:
-    """Where the next step starts, from the last two."""
-
-    def __init__(self) -> None:
-        self._moves: list[Values] = []
-
-    def note(self, found: Values, start: Values) -> None:
-        """Keep how far a step has gone."""
-        self._moves = [*self._moves[-1:], [a - b for a, b in zip(found, start, strict=True)]]
-
-    def start(self, found: Values, last: Values) -> Values:
-        """Return the point from which the next step is made, nowhere negative."""
-        if len(self._moves) < 2:
-            return found
-        before, now = self._moves
-        length = _dot(before, before)
-        alpha = min(max(_dot(now, before) / length, 0.0), 1 - 1e-6) if length > 0 else 0.0
-        return [np.maximum(x + np.float32(alpha) * (x - y), 0) for x, y in zip(found, last, strict=True)]
+def _start(state: State) -> Values:
+    """Return the point from which the next step is made, extrapolated along the last one, nowhere negative."""
+    if state.momentum == 0:
+        return state.found
+    along = np.float32(state.momentum / (state.momentum + 3))
+    return [np.maximum(x + along * (x - y), 0) for x, y in zip(state.found, state.last, strict=True)]
 
 
-def _dot(first: Values, second: Values) -> float:
-    return sum(float(np.vdot(a, b)) for a, b in zip(first, second, strict=True))
+def _dot(a: Values, b: Values, c: Values, d: Values) -> float:
+    """Return (a - b) . (c - d)."""
+    return sum(float(np.vdot(w - x, y - z)) for w, x, y, z in zip(a, b, c, d, strict=True))

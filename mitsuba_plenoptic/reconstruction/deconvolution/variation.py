@@ -1,0 +1,112 @@
+r"""Total variation of planes of bins, by which an iteration prefers even areas with sharp borders.
+
+.. math:: \mathrm{TV}(x) = \sum \sqrt{(\Delta_1 x)^2 + (\Delta_2 x)^2 + \epsilon^2}
+
+(Rudin, Osher and Fatemi 1992, Physica D 60, 259), with the differences to the next bin along the rows of the lattice
+and across them. Its gradient is :math:`-\mathrm{div}(\nabla x / |\nabla x|)`, by which Richardson's and Lucy's step is
+divided (Dey et al. 2006, Microscopy Research and Technique 69, 260). Bins may be wider than high: differences count
+over the shorter side, so that the gradient is at most :math:`2 + \sqrt 2`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from .cells import Cells, CellSet
+
+MOST = 0.25
+"""Largest weight: steps stay positive, as the gradient is at most 3.42."""
+
+_SMOOTH = 1e-3
+"""What counts as even: the step between bins, over their mean."""
+
+
+class TotalVariation:
+    """The variation of some planes.
+
+    Parameters
+    ----------
+    cells : Cells
+        How bins are gathered.
+    lit : sequence of CellSet
+        The cells of each plane.
+    """
+
+    def __init__(self, cells: Cells, lit: Sequence[CellSet]) -> None:
+        self._differences = [_differences(cells, some) for some in lit]
+
+    def gradient(
+        self, values: Sequence[NDArray[np.float32]], inside: Sequence[NDArray[np.bool_]]
+    ) -> list[NDArray[np.float32]]:
+        """Return the gradient, one number a bin, free of units.
+
+        Parameters
+        ----------
+        values : sequence of float32 arrays (cells, bins)
+            Radiance, for each plane.
+        inside : sequence of bool arrays (cells, bins)
+            The bins that count; there is no step between one of them and one beyond.
+
+        Returns
+        -------
+        list of float32 arrays (cells, bins)
+        """
+        return [
+            _gradient(steps, part, kept) for steps, part, kept in zip(self._differences, values, inside, strict=True)
+        ]
+
+
+def _gradient(
+    differences: Sequence[sparse.csr_matrix], values: NDArray[np.float32], inside: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    flat, beyond = values.ravel(), (~inside.ravel()).astype(np.float32)
+    # A step that touches a bin beyond is none.
+    steps = [np.where(abs(matrix) @ beyond > 0, np.float32(0), matrix @ flat) for matrix in differences]
+    even = _SMOOTH * float(values[inside].mean()) if inside.any() else 0.0
+    length = np.sqrt(sum(np.square(step) for step in steps) + np.float32(even**2 + 1e-30))
+    found = sum(matrix.T @ (step / length) for matrix, step in zip(differences, steps, strict=True))
+    return np.asarray(found, np.float32).reshape(values.shape)
+
+
+def _differences(cells: Cells, lit: CellSet) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+    """Return the steps to the next bin along a row and across the rows, as matrices over all bins of a plane."""
+    across, down = cells.bins
+    width, height = cells.bin_sizes
+    index = lit.index
+    line = (index[:, 1, None, None] * down + np.arange(down)[:, None]) + np.zeros(across, np.int64)
+    column = (index[:, 0, None, None] * across + np.arange(across)) + np.zeros((down, 1), np.int64)
+    line, column = line.ravel(), column.ravel()
+    # Rows of cells may be staggered by a part of a bin.
+    aside = ((line + 1) // down - line // down) * (float(cells.vectors[1, 0]) / width)
+    left = np.floor(column - aside + 1e-9).astype(np.int64)
+    share = np.clip(column - aside - left, 0, 1)
+    share[share < 1e-6] = 0
+
+    def number(column: NDArray[np.int64], line: NDArray[np.int64]) -> NDArray[np.int64]:
+        cell = lit.find(np.stack([column // across, line // down], axis=-1))
+        found = (cell * down + line % down) * across + column % across
+        return np.asarray(np.where(cell < len(lit), found, -1))
+
+    shortest = min(width, height)
+    along = _steps([(number(column + 1, line), np.ones(len(line)))], shortest / width)
+    below = [(number(left, line + 1), 1 - share), (number(left + 1, line + 1), share)]
+    return along, _steps(below, shortest / height)
+
+
+def _steps(neighbours: list[tuple[NDArray[np.int64], NDArray[np.float64]]], scale: float) -> sparse.csr_matrix:
+    """Return the matrix of the steps from every bin to a mean of others; a bin that lacks one of these has none."""
+    count = len(neighbours[0][0])
+    bins = np.arange(count)
+    whole = np.all([(number >= 0) | (share == 0) for number, share in neighbours], axis=0)
+    rows, columns, values = [bins[whole]], [bins[whole]], [np.full(int(whole.sum()), -scale)]
+    for number, share in neighbours:
+        used = whole & (share > 0)
+        rows.append(bins[used])
+        columns.append(number[used])
+        values.append(scale * share[used])
+    entries = np.concatenate(values).astype(np.float32), (np.concatenate(rows), np.concatenate(columns))
+    return sparse.csr_matrix(entries, shape=(count, count))

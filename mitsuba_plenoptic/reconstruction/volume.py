@@ -1,0 +1,266 @@
+"""Volumes: planes at several distances on voxels of one width, on disk as TIFF or Zarr with their sizes."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+import xarray as xr
+from numpy.typing import NDArray
+
+from ..errors import InputError, require_choice
+from ..io.files import atomic_output
+from ..lightfield.exchange.labelled import require_zarr
+from ..runtime.limits import require_memory
+from .result import Reconstruction
+
+SUFFIXES = (".tif", ".tiff", ".zarr")
+
+_EVEN = 1e-3
+"""Part of the mean spacing by which planes may lie elsewhere and be evenly spaced."""
+
+_ALONG = {"z": 0, "y": 1, "x": 2}
+
+
+@dataclass(frozen=True, eq=False)
+class Volume:
+    """Planes from near to far on voxels of one width.
+
+    Attributes
+    ----------
+    values : float32 array (planes, rows, columns[, channels])
+        Upright, in units of the capture; NaN beyond what a plane shows.
+    distances : tuple of floats
+        Of the planes, from the main lens, in scene units.
+    voxel_size : float
+        Width and height of a voxel in scene units.
+    attributes : dict
+        What is known of it, as plain data: camera, method, options, and the facts of each plane.
+    """
+
+    values: NDArray[np.float32]
+    distances: tuple[float, ...]
+    voxel_size: float
+    attributes: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, results: Sequence[Reconstruction]) -> Volume:
+        """Gather reconstructions of one capture.
+
+        Bins grow with the distance. Here all planes have voxels as wide as the finest bins, over the field of the
+        farthest plane, interpolated linearly between the centres of their own bins.
+
+        Parameters
+        ----------
+        results : sequence of Reconstruction
+            In any order.
+
+        Returns
+        -------
+        Volume
+
+        Raises
+        ------
+        InputError
+            If there are none, a distance is infinite or given twice, or images differ in their channels.
+        """
+        if not results:
+            raise InputError("results = []: a volume needs one plane at least")
+        planes = sorted(results, key=lambda result: result.distance)
+        distances = tuple(plane.distance for plane in planes)
+        for nearer, distance in zip((None, *distances), distances, strict=False):
+            if math.isinf(distance) or distance == nearer:
+                rule = "a volume needs finite distances" if math.isinf(distance) else "it is given twice"
+                raise InputError(f"distance = {distance:g}: {rule}")
+        if len({plane.image.shape[2:] for plane in planes}) > 1:
+            raise InputError("results: their images differ in the number of channels")
+        size = min(plane.bin_size for plane in planes)
+        rows, columns = (
+            max(math.ceil(plane.image.shape[axis] * plane.bin_size / size - 1e-6) for plane in planes)
+            for axis in (0, 1)
+        )
+        shape = len(planes), rows, columns, *planes[0].image.shape[2:]
+        require_memory(12.0 * math.prod(shape), f"a volume of {len(planes)} planes of {columns} x {rows} voxels")
+        values = np.empty(shape, np.float32)
+        for place, plane in zip(values, planes, strict=True):
+            along_rows = _interpolated(plane.image, 0, plane.bin_size / size, rows)
+            place[...] = _interpolated(along_rows, 1, plane.bin_size / size, columns)
+        first = planes[0]
+        attributes = {
+            "camera": first.camera.to_dict(),
+            "method": first.method,
+            "options": first.options,
+            "facts": [plane.facts for plane in planes],
+        }
+        return cls(values, distances, size, attributes)
+
+    @property
+    def spacing(self) -> float | None:
+        """Distance between planes; None for one plane, and where it varies by more than a thousandth."""
+        steps = np.diff(self.distances)
+        if not len(steps) or float(np.ptp(steps)) > 2 * _EVEN * float(steps.mean()):
+            return None
+        return float(steps.mean())
+
+    def maximum(self, axis: str = "z") -> NDArray[np.float32]:
+        """Return the brightest voxel along an axis.
+
+        Parameters
+        ----------
+        axis : {"z", "y", "x"}
+            Seen from the camera, from above, or from the side.
+
+        Returns
+        -------
+        float32 array
+            (rows, columns[, channels]) along z, (planes, columns[, channels]) along y, (planes, rows[, channels]) along
+            x; 0 where no voxel shows anything.
+        """
+        along = _ALONG[require_choice("axis", axis, tuple(_ALONG))]
+        return np.asarray(np.nan_to_num(self.values, nan=0.0).max(axis=along))
+
+    def slices(
+        self, plane: int | None = None, row: int | None = None, column: int | None = None
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """Return three orthogonal slices through one voxel.
+
+        Parameters
+        ----------
+        plane, row, column : int, optional
+            The voxel. Default: each that of the brightest one.
+
+        Returns
+        -------
+        tuple of float32 arrays
+            (rows, columns[, channels]) of the plane, (planes, columns[, channels]) of the row, and
+            (planes, rows[, channels]) of the column.
+
+        Raises
+        ------
+        InputError
+            If the volume has no such voxel.
+        """
+        grey = np.nan_to_num(self.values if self.values.ndim == 3 else self.values.mean(-1), nan=-np.inf)
+        brightest = np.unravel_index(int(grey.argmax()), grey.shape)
+        place = []
+        for name, given, best, count in zip(
+            ("plane", "row", "column"), (plane, row, column), brightest, grey.shape, strict=True
+        ):
+            if given is not None and not (isinstance(given, (int, np.integer)) and 0 <= given < count):
+                raise InputError(f"{name} = {given!r}: the volume's are numbered from 0 to {count - 1}")
+            place.append(int(best if given is None else given))
+        return self.values[place[0]], self.values[:, place[1]], self.values[:, :, place[2]]
+
+    def to_xarray(self) -> xr.DataArray:
+        """Return it with its axes: ``distance``, ``y`` and ``x`` in scene units, from the axis, x to the right."""
+        _, rows, columns = self.values.shape[:3]
+        coordinates = {
+            "distance": list(self.distances),
+            "y": (np.arange(rows) - (rows - 1) / 2) * self.voxel_size,
+            "x": (np.arange(columns) - (columns - 1) / 2) * self.voxel_size,
+        }
+        dimensions = [*coordinates, "channel"][: self.values.ndim]
+        attributes = {"voxel_size": self.voxel_size, **{k: json.dumps(v) for k, v in self.attributes.items()}}
+        return xr.DataArray(self.values, coordinates, dimensions, name="radiance", attrs=attributes)
+
+
+def require_volume_path(path: str | Path, distances: Sequence[float]) -> Path:
+    """Check, before a long computation, that a volume of these planes can be written as the file's suffix says.
+
+    Raises
+    ------
+    InputError
+        If the suffix is another, planes of an ImageJ TIFF are unevenly spaced, or Zarr is not installed.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: a volume is written as TIFF or Zarr; its name ends in {', '.join(SUFFIXES)}")
+    if path.suffix.lower() == ".zarr":
+        require_zarr(path)
+    elif not _is_ome(path) and len(distances) > 1:
+        ordered = tuple(sorted(distances))
+        if Volume(np.zeros((len(ordered), 1, 1), np.float32), ordered, 1.0).spacing is None:
+            told = ", ".join(f"{distance:g}" for distance in ordered[:4]) + (", ..." if len(ordered) > 4 else "")
+            raise InputError(
+                f"distance = {told}: planes of a .tif are evenly spaced; write .ome.tif, which holds any, or .zarr"
+            )
+    return path
+
+
+def write_volume(path: str | Path, volume: Volume) -> None:
+    """Write a volume with its voxel sizes: TIFF for ImageJ, OME-TIFF or Zarr.
+
+    Parameters
+    ----------
+    path : path
+        A name that ends in ``.tif`` or ``.tiff``, which ImageJ reads as a hyperstack; in ``.ome.tif`` or ``.ome.tiff``,
+        where planes may be unevenly spaced; or in ``.zarr``, which xarray reads and needs the package zarr.
+    volume : Volume
+        What to write, as float32.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    path = require_volume_path(path, volume.distances)
+    if path.suffix.lower() == ".zarr":
+        with atomic_output(path) as temporary:
+            # The third format has no texts of fixed length yet.
+            volume.to_xarray().to_zarr(temporary, zarr_format=2)
+        return
+    values, axes = volume.values, "ZYX"
+    if values.ndim == 4:
+        values, axes = np.moveaxis(values, -1, 1), "ZCYX"
+    with atomic_output(path) as temporary:
+        if _is_ome(path):
+            tifffile.imwrite(temporary, values, ome=True, photometric="minisblack", metadata=_ome(volume, axes))
+        else:
+            about = {"distances": list(volume.distances), **volume.attributes}
+            metadata: dict[str, Any] = {"axes": axes, "unit": "mm", "Info": json.dumps(about)}
+            if volume.spacing is not None:
+                metadata["spacing"] = volume.spacing
+            resolution = (1 / volume.voxel_size, 1 / volume.voxel_size)
+            tifffile.imwrite(temporary, values, imagej=True, resolution=resolution, metadata=metadata)
+
+
+def _ome(volume: Volume, axes: str) -> dict[str, Any]:
+    """Return what OME's XML tells of a volume."""
+    channels = volume.values.shape[3] if volume.values.ndim == 4 else 1
+    places = [distance for distance in volume.distances for _ in range(channels)]
+    spacing = {} if volume.spacing is None else {"PhysicalSizeZ": volume.spacing, "PhysicalSizeZUnit": "mm"}
+    return {
+        "axes": axes,
+        "PhysicalSizeX": volume.voxel_size,
+        "PhysicalSizeXUnit": "mm",
+        "PhysicalSizeY": volume.voxel_size,
+        "PhysicalSizeYUnit": "mm",
+        **spacing,
+        "Plane": {"PositionZ": places, "PositionZUnit": ["mm"] * len(places)},
+        "Description": json.dumps(volume.attributes),
+    }
+
+
+def _is_ome(path: Path) -> bool:
+    return path.name.lower().endswith((".ome.tif", ".ome.tiff"))
+
+
+def _interpolated(image: NDArray[np.float32], axis: int, width: float, count: int) -> NDArray[np.float32]:
+    """Take bins that are `width` voxels wide to voxels about the same middle, along one axis; NaN beyond the bins."""
+    bins = image.shape[axis]
+    place = (np.arange(count) - (count - 1) / 2) / width + (bins - 1) / 2
+    outside = np.abs(place - (bins - 1) / 2) > bins / 2 + 1e-6
+    place = np.clip(np.where(np.abs(place - np.rint(place)) < 1e-6, np.rint(place), place), 0, bins - 1)
+    low = np.floor(place).astype(np.int64)
+    share = np.expand_dims((place - low).astype(np.float32), tuple(range(1, image.ndim - axis)))
+    below, above = (np.take(image, np.minimum(some, bins - 1), axis) for some in (low, low + 1))
+    # A bin that has no part in a voxel may be NaN.
+    found = np.where(share > 0, (1 - share) * below + share * above, below)
+    found[(slice(None),) * axis + (outside,)] = np.nan
+    return np.asarray(found, np.float32)

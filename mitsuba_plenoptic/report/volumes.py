@@ -1,0 +1,98 @@
+"""Pictures of volumes: maximum projections, orthogonal slices, and depth as colour."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from numpy.typing import NDArray
+
+from ..reconstruction.volume import Volume
+from .images import write_png
+
+_GAP = 4
+"""Black pixels between the parts of a picture."""
+
+_DARK_ENDS = 0.1
+"""Part of the colours at each end that is too dark to be seen."""
+
+_LEAST_PLANE = 3
+"""Pixels of a plane, at least, where planes are seen from the side."""
+
+
+def depth_coded(volume: Volume) -> NDArray[np.float32]:
+    """Return a picture whose brightness is the brightest voxel's along z and whose colour tells where that is.
+
+    Colours run from blue for the nearest plane to red for the farthest.
+
+    Returns
+    -------
+    float32 array (rows, columns, 3)
+        Linear sRGB, in units of the volume.
+    """
+    grey = np.nan_to_num(volume.values if volume.values.ndim == 3 else volume.values.mean(-1), nan=0.0)
+    near, far = volume.distances[0], volume.distances[-1]
+    depth = (np.array(volume.distances) - near) / ((far - near) or 1)
+    encoded = matplotlib.colormaps["turbo"](_DARK_ENDS + (1 - 2 * _DARK_ENDS) * depth)[:, :3]
+    # from sRGB (IEC 61966-2-1) to light, of which the picture is made
+    colours = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    found = colours[grey.argmax(axis=0)] * np.maximum(grey.max(axis=0), 0)[..., None]
+    return np.asarray(found, np.float32)
+
+
+def volume_overview(volume: Volume) -> NDArray[np.float32]:
+    """Lay out what is seen of a volume, from left to right: maximum projections, slices, and depth as colour.
+
+    The first two parts show the view along z with that along x to its right and that along y below, planes as far apart
+    as they are, but three pixels at least; slices go through the brightest voxel.
+
+    Returns
+    -------
+    float32 array (rows, columns, 3)
+        Linear, in units of the volume; black between the parts.
+    """
+    projections = volume.maximum("z"), volume.maximum("y"), volume.maximum("x")
+    parts = [_orthogonal(volume, *projections), _orthogonal(volume, *volume.slices()), depth_coded(volume)]
+    rows, gap = max(len(part) for part in parts), np.zeros((1, _GAP, 3), np.float32)
+    padded = [np.pad(part, ((0, rows - len(part)), (0, 0), (0, 0))) for part in parts]
+    gap = np.repeat(gap, rows, axis=0)
+    return np.concatenate([padded[0], gap, padded[1], gap, padded[2]], axis=1)
+
+
+def write_volume_overview(path: str | Path, volume: Volume, peak: float | None = None) -> None:
+    """Write `volume_overview` as an 8-bit PNG; `peak`, by default the brightest voxel, becomes white."""
+    write_png(path, volume_overview(volume), peak=peak)
+
+
+def _orthogonal(
+    volume: Volume, front: NDArray[np.float32], above: NDArray[np.float32], side: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Lay out the view along z with that along x to its right and that along y below."""
+    front, above, side = (_coloured(part, volume.values.ndim == 4) for part in (front, above, side))
+    repeats = _plane_pixels(volume)
+    above, side = above.repeat(repeats, axis=0), side.repeat(repeats, axis=0).swapaxes(0, 1)
+    rows, columns = front.shape[:2]
+    picture = np.zeros((rows + _GAP + len(above), columns + _GAP + side.shape[1], 3), np.float32)
+    picture[:rows, :columns] = front
+    picture[rows + _GAP :, :columns] = above
+    picture[:rows, columns + _GAP :] = side
+    return picture
+
+
+def _plane_pixels(volume: Volume) -> NDArray[np.int64]:
+    """Return how many pixels stand for each plane: as far as to the middles between it and its neighbours."""
+    places = np.array(volume.distances)
+    if len(places) == 1:
+        return np.array([_LEAST_PLANE])
+    middles = (places[1:] + places[:-1]) / 2
+    borders = np.concatenate([[2 * places[0] - middles[0]], middles, [2 * places[-1] - middles[-1]]])
+    widths = np.diff(borders)
+    # At their true widths where these fill half the picture at most.
+    scale = min(1 / volume.voxel_size, 0.5 * volume.values.shape[2] / widths.sum())
+    return np.maximum(_LEAST_PLANE, np.rint(widths * scale)).astype(np.int64)
+
+
+def _coloured(image: NDArray[np.float32], colours: bool) -> NDArray[np.float32]:
+    image = np.nan_to_num(image, nan=0.0)
+    return image if colours else np.repeat(image[..., None], 3, axis=-1)
