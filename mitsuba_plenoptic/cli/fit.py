@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -39,16 +39,14 @@ def fit(
     radiators: Annotated[
         int, typer.Option("--radiators-per-lens", metavar="N", help="Radiators per microlens and axis.")
     ] = 8,
-    accuracy: Annotated[float, number("By waves: error that is allowed for speed; 0: none.")] = 0.0,
-    spp: Annotated[int, typer.Option("--spp", metavar="N", help="By rays: rays to each pixel of the model.")] = 64,
+    accuracy: Annotated[float, number("Error that is allowed for speed; 0: none.")] = 0.0,
     define: Definitions = None,
 ) -> None:
-    """Fit a camera's numbers to captures of known scenes.
+    """Fit a camera's numbers to captures of known scenes, by waves.
 
-    Captures by rays are explained by rays, others by waves. It starts from
-    the captures' own camera, or from --camera. What cannot be told apart is
-    printed: changes of several numbers at once that hardly change the
-    captures.
+    It starts from the captures' own camera, or from --camera. What cannot be
+    told apart is printed: changes of several numbers at once that hardly
+    change the captures.
 
     [bold]Example:[/bold]
 
@@ -66,15 +64,9 @@ def fit(
     known = wavelength or read[0].wavelength or 633.0
     if isinstance(known, tuple):
         raise InputError(f"{captures[0]}: it has several wavelengths; a camera is fitted to captures of one")
-    models = {capture.model for capture in read}
-    if len(models) > 1:
-        raise InputError(f"{captures[0]} and others: captures by rays and by waves are fitted apart")
-    views: list[Any] = []
+    views = []
     for name, capture in zip(scenes, read, strict=True):
         scene = load_scene(name, variant=DEFAULT_VARIANT, parameters=parse_definitions(define))
-        if capture.model == "ray":
-            views.append(fitting.RayView(capture.image, scene, spp=spp))
-            continue
         view = fitting.known_view(capture.image, scene, first, wavelength=known, radiators_per_lens=radiators)
         views.append(view)
     found = fitting.fit(first, views, names, wavelength=known, photons=photons, accuracy=accuracy)

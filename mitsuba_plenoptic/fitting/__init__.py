@@ -1,8 +1,7 @@
-"""Fitting a camera's numbers to captures of known light, by waves or by rays."""
+"""Fitting a camera's numbers to captures of known light, by waves."""
 
 from .fit import Direction, Fit, fit
 from .light import View, known_view
-from .ray_model import RayView
 from .start import lattice_from_white
 
-__all__ = ["Direction", "Fit", "RayView", "View", "fit", "known_view", "lattice_from_white"]
+__all__ = ["Direction", "Fit", "View", "fit", "known_view", "lattice_from_white"]

@@ -15,7 +15,6 @@ from ..capture.accuracy import check_accuracy
 from ..errors import InputError, require_number, shown
 from .light import View
 from .model import Model, Number, changed, numbers_of, scales, values
-from .ray_model import RayModel, RayView
 
 _ROUNDS = 2
 """How often the noise of photons is taken from the model anew."""
@@ -85,7 +84,7 @@ class Fit:
 
 def fit(
     camera: PlenopticCamera,
-    views: View | RayView | Sequence[View] | Sequence[RayView],
+    views: View | Sequence[View],
     names: Iterable[str] | str,
     *,
     wavelength: float = 633.0,
@@ -94,11 +93,10 @@ def fit(
     accuracy: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Fit:
-    r"""Find the numbers of a camera that explain captures of known light best, by waves or by rays.
+    r"""Find the numbers of a camera that explain captures of known light best, by waves.
 
-    Least squares of the pixels over their deviations (a trust region method: ``scipy.optimize.least_squares``), by
-    waves with the derivatives of `CaptureOperator`, by rays with differences of captures of the same random numbers.
-    The light is held. Where the noise is that of photons, its variance is that of
+    Least squares of the pixels over their deviations, with the derivatives of `CaptureOperator` (a trust region method:
+    ``scipy.optimize.least_squares``). The light is held. Where the noise is that of photons, its variance is that of
     the model, taken anew after a first fit, so that the fit is as good as maximum likelihood.
 
     Parameters
@@ -106,19 +104,19 @@ def fit(
     camera : PlenopticCamera
         Where to start; the numbers that are not fitted are right. It must be near: spots of the model that lie beside
         those of a capture by more than their width do not find them. `lattice_from_white` brings a lattice near.
-    views : View or RayView, or sequence of one of them
-        Captures by one camera, and their light: by waves, or by rays.
+    views : View, or sequence of View
+        Captures by one camera, and their light.
     names : str or iterable of str
         What is fitted: names of the numbers by which captures are differentiated, as of `CaptureOperator.derivative`.
     wavelength : float
-        In nanometres, for waves.
+        In nanometres.
     photons : float, optional
         Photons of a pixel of value 1, for views whose noise is not given.
     bounds : mapping, optional
         By name, as in `Fit.values`, the lowest and the highest value. Default: what keeps lengths within half of where
         they start, angles within 50 degrees, and ``mla_fill`` at most 1.
     accuracy : float
-        As of `CaptureOperator`, for waves. Above 0 shared point spreads make the model jump a little.
+        As of `CaptureOperator`. Above 0 shared point spreads make the model jump a little.
     progress : callable, optional
         Called with the cameras that have been tried and the most that are.
 
@@ -129,7 +127,7 @@ def fit(
     """
     from scipy.optimize import least_squares
 
-    given: list[Any] = [views] if isinstance(views, View | RayView) else list(views)
+    given = [views] if isinstance(views, View) else list(views)
     _check(camera, given, photons)
     numbers = numbers_of(camera, names)
     start = values(camera, numbers)
@@ -164,14 +162,14 @@ class _Trials:
     def __init__(
         self,
         camera: PlenopticCamera,
-        views: list[Any],
+        views: list[View],
         numbers: list[Number],
         wavelength: float,
         accuracy: float,
         progress: Callable[[int, int], None] | None,
     ) -> None:
         self._camera, self._numbers, self._progress = camera, numbers, progress
-        self._views, self._options = views, (wavelength, accuracy)
+        self._options = views, wavelength, accuracy
         self.count = 0
         self._x: NDArray[np.float64] | None = None
         self._slopes: NDArray[np.float64] | None = None
@@ -179,17 +177,12 @@ class _Trials:
     def expected(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return what a camera of these numbers records."""
         if self._x is None or not np.array_equal(x, self._x):
-            self._model = self._of(changed(self._camera, self._numbers, x))
+            self._model = Model(changed(self._camera, self._numbers, x), *self._options)
             self._images, self._slopes, self._x = self._model.images(), None, x.copy()
             self.count += 1
             if self._progress:
                 self._progress(min(self.count, _ROUNDS * _MOST_STEPS), _ROUNDS * _MOST_STEPS)
         return self._images
-
-    def _of(self, camera: PlenopticCamera) -> Model | RayModel:
-        if isinstance(self._views[0], RayView):
-            return RayModel(camera, self._views)
-        return Model(camera, self._views, *self._options)
 
     def derivatives(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the derivatives of that."""
@@ -199,13 +192,10 @@ class _Trials:
         return self._slopes
 
 
-def _check(camera: PlenopticCamera, views: list[Any], photons: float | None) -> None:
+def _check(camera: PlenopticCamera, views: list[View], photons: float | None) -> None:
     """Refuse views that do not fit together."""
     if not views:
         raise InputError("views: give at least one capture of known light")
-    if len({type(view) for view in views}) > 1 or not isinstance(views[0], View | RayView):
-        kinds = ", ".join(sorted({type(view).__name__ for view in views}))
-        raise InputError(f"views of {kinds}: they must be all View, by waves, or all RayView")
     if photons is not None:
         require_number("photons", photons, positive=True)
     for view in views:
@@ -234,7 +224,7 @@ def _limits(
     return low, high
 
 
-def _noise(views: list[Any], expected: NDArray[np.float64], photons: float | None) -> NDArray[np.float64]:
+def _noise(views: list[View], expected: NDArray[np.float64], photons: float | None) -> NDArray[np.float64]:
     """Return the standard deviations of all pixels."""
     if photons is None:
         return np.stack([np.broadcast_to(view.noise, view.image.shape) for view in views])

@@ -55,32 +55,18 @@ class View:
     pupil_weights: Any = None
 
     def __post_init__(self) -> None:
-        image = checked_image(self.image)
+        image = as_array("image", self.image)
+        if image.ndim != 2:
+            raise InputError(f"image of shape {image.shape}: a camera is fitted to images of one channel")
+        require_pixels("image", image)
         points, weights = check_positions(self.points), np.asarray(self.weights, np.float64)
         if weights.shape != (len(points),) or not np.isfinite(weights).all():
             raise InputError(f"weights of shape {weights.shape}: they must be ({len(points)},) finite numbers")
-        noise = checked_noise(self.noise, image)
+        noise = None if self.noise is None else np.asarray(self.noise, np.float64)
+        if noise is not None and (noise.shape not in ((), image.shape) or not (noise > 0).all()):
+            raise InputError(f"noise of shape {noise.shape}: it must be positive, one number or one for each pixel")
         for name, value in (("image", image), ("points", points), ("weights", weights), ("noise", noise)):
             object.__setattr__(self, name, value)
-
-
-def checked_image(image: Any) -> NDArray[Any]:
-    """Return a capture of one channel as an array, or refuse it."""
-    pixels = as_array("image", image)
-    if pixels.ndim != 2:
-        raise InputError(f"image of shape {pixels.shape}: a camera is fitted to images of one channel")
-    require_pixels("image", pixels)
-    return pixels
-
-
-def checked_noise(noise: Any, image: NDArray[Any]) -> NDArray[np.float64] | None:
-    """Return the standard deviations of the pixels of an image, None if they are not given, or refuse them."""
-    if noise is None:
-        return None
-    given = np.asarray(noise, np.float64)
-    if given.shape not in ((), image.shape) or not (given > 0).all():
-        raise InputError(f"noise of shape {given.shape}: it must be positive, one number or one for each pixel")
-    return given
 
 
 @one_at_a_time
