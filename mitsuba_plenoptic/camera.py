@@ -619,8 +619,7 @@ class PlenopticCamera:
         InputError
             If the main lens is an objective: its image is no such cone.
         """
-        if self.objective is not None:
-            raise InputError(f"main_lens = {self.objective.name}: defocus as of a thin lens is not defined for it")
+        self.require_lens("defocus")
         return defocus_factor(distance, self.mla_distance, self.focal_length)
 
     def blur_diameter(self, distance: float) -> float:
@@ -733,6 +732,25 @@ class PlenopticCamera:
             raise InputError(
                 f"mla_pitch = {min(self.mla_pitches):g}: it is less than a pixel of {self.pixel_size:g}, so that no "
                 "micro-image is resolved"
+            )
+
+    def require_lens(self, what: str) -> None:
+        """Refuse a camera behind an objective, for numbers that a lens at a finite distance has.
+
+        Parameters
+        ----------
+        what : str
+            The number, the beginning of a sentence.
+
+        Raises
+        ------
+        InputError
+            If it is one.
+        """
+        if self.objective is not None:
+            raise InputError(
+                f"main_lens = {self.objective.name}: {what} is not defined behind an objective; "
+                "mitsuba_plenoptic.design tells native_field and resolution_limit"
             )
 
     def require_thin(self, what: str, instead: str = "capture by rays") -> None:

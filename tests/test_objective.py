@@ -119,6 +119,24 @@ def test_parallax_is_told_in_the_image_of_the_stop_only():
         design.native_field(PlenopticCamera())
 
 
+@pytest.mark.parametrize(
+    "tell",
+    [
+        design.field_of_view,
+        design.refocus_range,
+        design.depth_ranges,
+        design.best_distances,
+        lambda camera: design.field_width(camera, 1.0),
+        lambda camera: design.virtual_depth(camera, 1.0),
+        lambda camera: design.main_fresnel_number(camera, 550),
+        lambda camera: camera.defocus(1.0),
+    ],
+)
+def test_numbers_of_a_lens_at_a_finite_distance_are_refused(tell):
+    with pytest.raises(InputError, match="is not defined behind an objective"):
+        tell(PlenopticCamera.preset("lfm"))
+
+
 def test_reconstructions_that_do_not_know_objectives_say_so():
     camera = PlenopticCamera(main_lens=AIR, mla_pitch=0.15, mla_focal_length=3, detector_width=0.6, resolution=(60, 60))
     capture = Capture(np.ones((60, 60), np.float32), camera, 550.0, "wave", {})

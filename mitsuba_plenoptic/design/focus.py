@@ -89,6 +89,7 @@ def best_distances(camera: PlenopticCamera) -> tuple[float, ...]:
 
 def best_images(camera: PlenopticCamera) -> tuple[float, ...]:
     """Distance behind the main lens of what each type of microlens is to see: the MLA's for an unfocused one."""
+    camera.require_lens("the plane that microlenses see")
     return tuple(
         camera.mla_distance - (0 if focus == "unfocused" else a)
         for focus, a in zip(focus_types(camera), mla_object_distances(camera), strict=True)
@@ -108,6 +109,7 @@ def virtual_depth(camera: PlenopticCamera, distance: float) -> float:
     distance : float
         Object distance from the main lens in millimetres.
     """
+    camera.require_lens("virtual depth")
     return (camera.mla_distance - image_distance(camera.focal_length, distance)) / camera.detector_distance
 
 
@@ -116,11 +118,13 @@ def virtual_depth(camera: PlenopticCamera, distance: float) -> float:
 
 def field_of_view(camera: PlenopticCamera) -> float:
     """Full horizontal field of view in degrees."""
+    camera.require_lens("the field of view")
     return math.degrees(2 * math.atan(camera.detector_width / (2 * camera.mla_distance)))
 
 
 def field_width(camera: PlenopticCamera, distance: float) -> float:
     """Width of the field in the object plane."""
+    camera.require_lens("the width of the field")
     return camera.detector_width * distance / camera.mla_distance
 
 
@@ -246,6 +250,7 @@ def refocus_range(camera: PlenopticCamera, wavelength: float | None = None) -> t
     wavelength : float
         Wavelength in nanometres.
     """
+    camera.require_lens("the range of refocusing")
     slack = direction_count(camera, wavelength) * camera.mla_pitch / camera.aperture_diameter
     ends = []
     for focus, a in zip(focus_types(camera), mla_object_distances(camera), strict=True):
@@ -280,6 +285,7 @@ def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> li
         One for each of the camera's `mla_focal_lengths`; None where there is no such distance. The far end may be
         infinite.
     """
+    camera.require_lens("the range of depths")
     z = camera.detector_distance
     slack = _finest(camera, wavelength) / camera.lattice.aperture_width / z
     found: list[tuple[float, float] | None] = []

@@ -62,6 +62,7 @@ def mla_fresnel_number(camera: PlenopticCamera, wavelength: float) -> float:
 
 def main_fresnel_number(camera: PlenopticCamera, wavelength: float) -> float:
     r"""Fresnel number of the main lens seen from the MLA, :math:`(D_1/2)^2 / (\lambda b)`."""
+    camera.require_lens("the Fresnel number of the main lens")
     return camera.aperture_radius**2 / (wavelength * 1e-6 * camera.mla_distance)
 
 

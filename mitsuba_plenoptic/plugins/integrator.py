@@ -53,9 +53,8 @@ def make_class() -> type:
          * - responses
            - |string|
            - Instead of ``wavelength``, what the film's channels answer to: ``srgb``, the colour matching functions of
-             CIE
-             1931 in linear sRGB, or a table of a detector, a CSV file with a wavelength in nanometres and one or three
-             responses to a row. (Default in spectral variants with a film of colours: ``srgb``)
+             CIE 1931 in linear sRGB, or a table of a detector, a CSV file with a wavelength in nanometres and one or
+             three responses to a row. (Default in spectral variants with a film of colours: ``srgb``)
          * - wavelength_count
            - |int|
            - With ``responses``: at how many wavelengths light is taken, up to 1024. (Default: 31)
@@ -63,6 +62,12 @@ def make_class() -> type:
            - |int|
            - At how many wavelengths point spreads are computed: of each band, or with ``responses`` of all, between
              which they are interpolated. (Default: as many as spreads of single radiators need for ``accuracy``)
+         * - radiators_per_lens
+           - |int|
+           - Radiators per microlens and axis, up to 256; the time grows with its square. (Default: 8)
+         * - passes
+           - |int|
+           - How often the whole set of radiators is drawn, shifted, and averaged, up to 1024. (Default: 1)
          * - method
            - |string|
            - ``patch``: each radiator's field on the part of the microlens array that it lights. ``bank``: so near

@@ -46,7 +46,7 @@ def _image(camera: PlenopticCamera, lens: Objective) -> list[Line]:
     micro, main = camera.detector_distance / camera.lattice.aperture_width, 1 / (2 * lens.image_aperture)
     pixel = camera.pixel_size
     return [
-        ("arrangement", lens.arrangement, "", "in the native image plane"),
+        ("kind of camera", "light-field microscope", "", "array in the native image plane"),
         ("lens pitch in the object", _four(1e3 * camera.mla_pitch / lens.magnification), "um", ""),
         ("f-number z/width", f"{micro:.3g}", "", ""),
         ("objective's M/2NA", f"{main:.3g}", "", "micro-images touch where the two match"),
@@ -58,7 +58,12 @@ def _image(camera: PlenopticCamera, lens: Objective) -> list[Line]:
 def _fourier(camera: PlenopticCamera, lens: Objective) -> list[Line]:
     outer = 0.5 * (lens.blur_diameter(0) - camera.mla_pitch)
     rows = [
-        ("arrangement", lens.arrangement, "", f"lens of {_four(lens.last_focal_length)} mm before the array"),
+        (
+            "kind of camera",
+            "Fourier light-field microscope",
+            "",
+            f"lens of {_four(lens.last_focal_length)} mm before the array",
+        ),
         ("image of the stop", _four(lens.blur_diameter(0)), "mm", ""),
         ("lenses across it", f"{design.lenses_across_stop(camera):.3g}", "", ""),
         ("numerical aperture of a lens", _four(design.lens_aperture(camera)), "", ""),

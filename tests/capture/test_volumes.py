@@ -59,4 +59,4 @@ def test_beads_send_what_their_size_says():
 
 def test_fibres_are_in_view():
     image = render_capture(load_scene("fibres"), model="ray", spp=4).image
-    assert 0.1 < np.mean(image > 0) < 0.9
+    assert 0.01 < np.mean(image > 0) < 0.5
