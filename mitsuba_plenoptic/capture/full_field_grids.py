@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..optics.exit_pupil import ExitPupil
 from ..optics.lens_system import LensSystem
-from ..optics.main_lens import MainLens, main_lens
+from ..optics.main_lens import ThinLens, main_lens
 from ..optics.microlenses import diffraction, scattering
 from ..optics.phase import in_millimetres
 from ..optics.sampling import bundle_footprint, check_memory, fast_length, footprint
@@ -54,7 +54,7 @@ class FieldGrids:
     margin: int  # pixels of the detector's window before the first recorded one
 
 
-def lens_of_point(camera: PlenopticCamera, position: NDArray[np.float64], wavelength: float) -> MainLens | ExitPupil:
+def lens_of_point(camera: PlenopticCamera, position: NDArray[np.float64], wavelength: float) -> ThinLens | ExitPupil:
     """Return a camera's main lens as the waves of one scene point pass it.
 
     Parameters

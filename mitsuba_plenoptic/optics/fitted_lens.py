@@ -92,6 +92,10 @@ class FittedLens:
         """Return the reciprocal of the distance from the exit pupil to an object plane's image."""
         return self.fitted.pupils.convergence(1 / (distance - self.fitted.pupils.entrance))
 
+    def trace(self, place: Place, slope: Place) -> tuple[tuple[Any, Any, Any], Place, Any]:
+        """Follow a ray from a place on the MLA to the scene, as `MainLens.trace` does."""
+        return self.system.trace(place, slope)
+
     def ray(self, pupil: Place, place: Place) -> tuple[tuple[Any, Any, Any], Place, Any]:
         """Return the ray that comes from a place on the MLA through a pupil point, as `MainLens.ray` does."""
         return self.system.ray(pupil, place)
