@@ -94,7 +94,7 @@ class FittedLens(FinitePupil):
         return self.fitted.pupils.convergence(1 / (distance - self.fitted.pupils.entrance))
 
     def trace(self, place: Place, slope: Place) -> tuple[tuple[Any, Any, Any], Place, Any]:
-        """Follow a ray from a place on the MLA to the scene, through the surfaces."""
+        """Follow a ray from a place on the MLA to the scene, as `MainLens.trace` does."""
         return self.system.trace(place, slope)
 
     def ray(self, pupil: Place, place: Place) -> tuple[tuple[Any, Any, Any], Place, Any]:

@@ -59,6 +59,25 @@ def test_rays_and_waves_agree_in_energy_over_the_field(middle):
     assert waves.mean() == pytest.approx(rays.mean(), rel=0.015)
 
 
+def test_white_is_one_where_surfaces_take_half_of_the_light():
+    """Bins of a corner by rays: the traced white divides what is missing."""
+    camera = PlenopticCamera(
+        main_lens="cooke_triplet",
+        focal_length=16,
+        aperture_radius=1.55,
+        focus_distance=np.inf,
+        mla_focal_length=0.3,
+        crop_offset=(3800, 140),
+        crop_size=(128, 128),
+    )
+    capture = render_capture(scene_of(camera, {"type": "constant"}), spp=64)
+    assert capture.image.mean() < 0.4
+    image = reconstruct(capture, np.inf).image
+    inside = image[np.isfinite(image)]
+    assert inside.size > 9
+    assert np.abs(inside - 1).max() < 0.03
+
+
 def test_the_sum_of_many_points_is_that_of_each():
     """Points that share spreads, in and out of focus and off the axis, against those that share none."""
     camera = with_lens("double_gauss", 16, crop_offset=(128, 128), crop_size=(256, 256))
