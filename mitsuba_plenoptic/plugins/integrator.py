@@ -62,7 +62,7 @@ def make_class() -> type:
          * - nodes
            - |int|
            - At how many wavelengths point spreads are computed: of each band, or with ``responses`` of all, between
-             which they are interpolated. (Default: as many as spreads of single radiators need for ``accuracy``)
+             which they are interpolated. (Default: as many as the sum of some radiators needs for ``accuracy``)
          * - method
            - |string|
            - ``patch``: each radiator's field on the part of the microlens array that it lights. ``bank``: so near
