@@ -71,6 +71,8 @@ def with_enough_nodes(
     """
     error = require_number("error", error, positive=True)
     weights = PupilWeights.of(pupil_weights, len(points))
+    # The sum of all that a capture records averages more of it out.
+    allowed = error if together else error / 2
     points, most = np.asarray(points, np.float64), len(set(spectrum.wavelengths))
 
     def images(count: int) -> list[NDArray[np.float32]]:
@@ -91,7 +93,7 @@ def with_enough_nodes(
     last = images(counts[0])
     for count, more in itertools.pairwise(counts):
         finer = images(more)
-        if all(_differ(a, b) <= error / 2 for a, b in zip(last, finer, strict=True)):
+        if all(_differ(a, b) <= allowed for a, b in zip(last, finer, strict=True)):
             return spectrum.interpolated(count)
         last = finer
     return spectrum.interpolated(counts[-1])

@@ -63,6 +63,12 @@ def make_class() -> type:
            - |int|
            - At how many wavelengths point spreads are computed: of each band, or with ``responses`` of all, between
              which they are interpolated. (Default: as many as the sum of some radiators needs for ``accuracy``)
+         * - radiators_per_lens
+           - |int|
+           - Radiators per microlens and axis, up to 256; the time grows with its square. (Default: 8)
+         * - passes
+           - |int|
+           - How often the whole set of radiators is drawn, shifted, and averaged, up to 1024. (Default: 1)
          * - method
            - |string|
            - ``patch``: each radiator's field on the part of the microlens array that it lights. ``bank``: so near
