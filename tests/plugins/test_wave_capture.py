@@ -10,7 +10,7 @@ from scipy.ndimage import map_coordinates
 from scipy.signal import fftconvolve
 from wave_cases import error
 
-from mitsuba_plenoptic import InputError, design, reconstruct, render_capture, scene_path
+from mitsuba_plenoptic import design, reconstruct, render_capture, scene_path
 from mitsuba_plenoptic.capture.point_spread import point_spread_function
 
 
