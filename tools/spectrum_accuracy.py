@@ -105,8 +105,8 @@ def letters(verdict: Verdict, resolution: int, glass: dict[str, float] | None, a
     spectrum = Spectrum(tuple(wavelengths.tolist()), tuple(map(tuple, responses.tolist())))
     start = time.perf_counter()
     vergence = np.argsort(radiators.positions[:, 2], kind="stable")
-    some = vergence[[0, len(vergence) // 2, -1]]
-    chosen = with_enough_nodes(camera, radiators.positions[some], spectrum, accuracy)
+    some = vergence[np.linspace(0, len(vergence) - 1, 12).astype(int)]
+    chosen = with_enough_nodes(camera, radiators.positions[some], spectrum, accuracy, together=True)
     probed = time.perf_counter() - start
     found = operator(spectrum=chosen).forward(columns)
     seconds = time.perf_counter() - start

@@ -19,23 +19,31 @@ from ..runtime.jobs import Job
 from .estimate import estimate_waves
 from .operator import CaptureOperator
 from .patch_plan import Cost
+from .pupil_weights import PupilWeights
 from .radiators import Radiators, find_radiators, sample_pairs
 from .wave_capture import WaveCapture
 
-_PROBES = 3
-"""Radiators whose point spreads tell how many wavelengths are needed."""
+_PROBES = 12
+"""Radiators whose sum tells how many wavelengths are needed; that of all is smoother still."""
 
 _COUNTS = (1, 2, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 """Nodes that are tried; more would resolve fringes that no detector does."""
 
 
 def with_enough_nodes(
-    camera: PlenopticCamera, points: Any, spectrum: Spectrum, error: float, pupil_weights: Any = None
+    camera: PlenopticCamera,
+    points: Any,
+    spectrum: Spectrum,
+    error: float,
+    pupil_weights: Any = None,
+    *,
+    together: bool = False,
 ) -> Spectrum:
     """Return a spectrum with as few nodes as its point spreads need.
 
     The count is raised in steps until images of each point, by every channel, change by no more than half of the
-    error: the other half is for what is then still left. Sums over many points need fewer.
+    error: the other half is for what is then still left. A sum of points, which stands for that of many more, may change by
+    all of it.
 
     Parameters
     ----------
@@ -49,6 +57,8 @@ def with_enough_nodes(
         Relative error (L2) of each channel's image that is allowed.
     pupil_weights : optional
         As of `CaptureOperator`.
+    together : bool
+        Whether the sum of the points is to be so exact, in which what changes fast averages out, or each by itself.
 
     Returns
     -------
@@ -61,23 +71,30 @@ def with_enough_nodes(
         If an argument is out of range.
     """
     error = require_number("error", error, positive=True)
+    weights = PupilWeights.of(pupil_weights, len(points))
+    # The sum of all that a capture records averages more of it out.
+    allowed = error if together else error / 2
     points, most = np.asarray(points, np.float64), len(set(spectrum.wavelengths))
 
     def images(count: int) -> list[NDArray[np.float32]]:
         chosen = spectrum.interpolated(count)
-        weights = [None if pupil_weights is None else pupil_weights.take(np.array([i])) for i in range(len(points))]
+        sets = [np.arange(len(points))] if together else np.arange(len(points))[:, None]
         return [
-            CaptureOperator(camera, point[None], spectrum=chosen, accuracy=0, pupil_weights=weight).forward(
-                np.ones((1, len(spectrum.wavelengths)))
-            )
-            for point, weight in zip(points, weights, strict=True)
+            CaptureOperator(
+                camera,
+                points[some],
+                spectrum=chosen,
+                accuracy=0,
+                pupil_weights=None if weights is None else weights.take(some),
+            ).forward(np.ones((len(some), len(spectrum.wavelengths))))
+            for some in sets
         ]
 
     counts = [count for count in _COUNTS if count < most] + [most] * (most <= _COUNTS[-1])
     last = images(counts[0])
     for count, more in itertools.pairwise(counts):
         finer = images(more)
-        if all(_differ(a, b) <= error / 2 for a, b in zip(last, finer, strict=True)):
+        if all(_differ(a, b) <= allowed for a, b in zip(last, finer, strict=True)):
             return spectrum.interpolated(count)
         last = finer
     return spectrum.interpolated(counts[-1])
@@ -189,7 +206,6 @@ class SpectralCapture:
         """Return the spectrum with nodes: as many as given, or as radiators near, far and between need."""
         if self.nodes is not None:
             return self.spectrum.interpolated(self.nodes)
-        # Their sum is then nearer by far.
         count, error = len(radiators.positions), self.capture.accuracy
         if count == 0 or error == 0 or self.capture.method == "full_field":
             return self.spectrum
@@ -197,7 +213,9 @@ class SpectralCapture:
         some = order[np.unique(np.linspace(0, count - 1, _PROBES).astype(int))]
         weights = radiators.pupil_weights
         chosen = None if weights is None else weights.take(some)
-        return with_enough_nodes(self.capture.camera, radiators.positions[some], self.spectrum, error, chosen)
+        return with_enough_nodes(
+            self.capture.camera, radiators.positions[some], self.spectrum, error, chosen, together=True
+        )
 
     def _weights(self, radiators: Radiators) -> NDArray[np.float64]:
         """Return the weights (n, wavelengths) of radiators."""

@@ -61,7 +61,7 @@ def make_class() -> type:
          * - nodes
            - |int|
            - At how many wavelengths point spreads are computed: of each band, or with ``responses`` of all, between
-             which they are interpolated. (Default: as many as spreads of single radiators need for ``accuracy``)
+             which they are interpolated. (Default: as many as the sum of some radiators needs for ``accuracy``)
          * - radiators_per_lens
            - |int|
            - Radiators per microlens and axis, up to 256; the time grows with its square. (Default: 8)
