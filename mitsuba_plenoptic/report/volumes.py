@@ -26,6 +26,11 @@ def depth_coded(volume: Volume) -> NDArray[np.float32]:
 
     Colours run from blue for the nearest plane to red for the farthest.
 
+    Parameters
+    ----------
+    volume : Volume
+        What is shown.
+
     Returns
     -------
     float32 array (rows, columns, 3)
@@ -47,6 +52,11 @@ def volume_overview(volume: Volume) -> NDArray[np.float32]:
     The first two parts show the view along z with that along x to its right and that along y below, planes as far apart
     as they are, but three pixels at least; slices go through the brightest voxel.
 
+    Parameters
+    ----------
+    volume : Volume
+        What is shown.
+
     Returns
     -------
     float32 array (rows, columns, 3)
@@ -61,7 +71,17 @@ def volume_overview(volume: Volume) -> NDArray[np.float32]:
 
 
 def write_volume_overview(path: str | Path, volume: Volume, peak: float | None = None) -> None:
-    """Write `volume_overview` as an 8-bit PNG; `peak`, by default the brightest voxel, becomes white."""
+    """Write `volume_overview` as an 8-bit PNG.
+
+    Parameters
+    ----------
+    path : path
+        File to write.
+    volume : Volume
+        What is shown.
+    peak : float, optional
+        What becomes white. Default: the brightest voxel.
+    """
     write_png(path, volume_overview(volume), peak=peak)
 
 
