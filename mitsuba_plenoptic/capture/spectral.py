@@ -42,8 +42,8 @@ def with_enough_nodes(
     """Return a spectrum with as few nodes as its point spreads need.
 
     The count is raised in steps until images of each point, by every channel, change by no more than half of the
-    error: the other half is for what is then still left. A sum of points, which stands for that of many more, may change by
-    all of it.
+    error: the other half is for what is then still left. A sum of points, which stands for that of many more, may
+    change by all of it.
 
     Parameters
     ----------
