@@ -13,6 +13,7 @@ held. Reverse is compared with forward. Writes ``render_gradient_accuracy.md`` a
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -141,7 +142,9 @@ def camera_difference(scene: Any) -> np.ndarray:
             changes = {name: np.add(getattr(camera, name), np.multiply(side, step)) for name, step in STEPS.items()}
             moved = camera.replace(**{name: value.tolist() for name, value in changes.items()})
             growth = side / 2 * weight * brightness_of(moved) / brightness_of(camera)
-            total += growth * full_field(moved, place, WAVELENGTH, grids=grids).astype(np.float64)
+            # The count of orders is held: a jump of it would be divided by the step.
+            held = replace(grids, bend=grids.bend * camera.mla_pitch / moved.mla_pitch * (1 + 1e-9))
+            total += growth * full_field(moved, place, WAVELENGTH, grids=held).astype(np.float64)
         print(f"{number + 1} of {len(weights)} radiators", flush=True)
     return np.asarray(total)
 
