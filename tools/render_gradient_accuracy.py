@@ -2,17 +2,18 @@
 
     python tools/render_gradient_accuracy.py [--lenses 8] [--radiators-per-lens 3]
 
-The scene is that of the letters, made small before 64 lenses of the paper's camera at half its aperture, with a card
-beside them that shines by four by four texels. The light changes through a texture and through radiance, whose
-differences are those of captures that are rendered anew: nothing but the light changes between them. The camera's
-numbers change all at once, against central differences of the full field of every radiator, on grids that are held.
-Reverse is compared with forward. Writes ``render_gradient_accuracy.md`` and ``.json`` to the folder that ``--output``
-names; exits with 1 where an error is beyond its limit.
+The scene is that of the letters, made small before 64 lenses behind half the paper's main lens at half its distances,
+with a card beside them that shines by four by four texels. The light changes through a texture and through radiance,
+whose differences are those of captures that are rendered anew: nothing but the light changes between them. The
+camera's numbers change all at once, against central differences of the full field of every radiator, on grids that are
+held. Reverse is compared with forward. Writes ``render_gradient_accuracy.md`` and ``.json`` to the folder that
+``--output`` names; exits with 1 where an error is beyond its limit.
 """
 
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,19 +29,22 @@ from mitsuba_plenoptic.capture.units import brightness_of
 
 WAVELENGTH = 633.0
 LIMIT, TRANSPOSE = 0.01, 1e-4
+WINDOW = 1.4
+"""Width of the full field's windows over that for images, as of `derivative_accuracy`."""
+
 MESHES = Path(__file__).resolve().parents[1] / "scenes" / "meshes"
-LETTERS = {"eight": (2.8, 210.0), "f": (0.0, 240.0), "hash": (-2.8 * 280 / 210, 280.0)}
-"""Places of the letters at full size, across and along."""
+LETTERS = {"eight": (2.8, 105.0), "f": (0.0, 120.0), "hash": (-2.8 * 140 / 105, 140.0)}
+"""Places of the letters before as many lenses as the paper's, across and along."""
 
 TEXTURE, RADIANCE = "card.emitter.radiance.data", "f.emitter.radiance.value"
 STEPS = {
-    "focal_length": 4e-3,
-    "mla_distance": 6e-3,
-    "mla_focal_length": 4e-4,
-    "mla_pitch": 3e-5,
-    "mla_rotation": 0.02,
-    "mla_offset": [6e-5, -4e-5],
-    "detector_distance": 4e-4,
+    "focal_length": 1e-3,
+    "mla_distance": 1.5e-3,
+    "mla_focal_length": 1e-4,
+    "mla_pitch": 5e-6,
+    "mla_rotation": 0.005,
+    "mla_offset": [1.5e-5, -1e-5],
+    "detector_distance": 1e-4,
 }
 """By how much the camera's numbers change."""
 
@@ -56,7 +60,7 @@ def scene_of(lenses: int, radiators: int) -> Any:
         },
         "camera": {
             "type": "plenoptic",
-            "aperture_radius": 2.5,
+            "focal_length": 40.0, "aperture_radius": 2.5, "mla_distance": 60.0,
             "detector_width": 0.064 * lenses,
             "film": {
                 "type": "hdrfilm", "width": 32 * lenses, "height": 32 * lenses, "pixel_format": "luminance",
@@ -66,7 +70,7 @@ def scene_of(lenses: int, radiators: int) -> Any:
         },
         "card": {
             "type": "rectangle",
-            "to_world": transform.translate([0.1, -0.2, 250.0]).rotate([0, 1, 0], 180).scale(0.1),
+            "to_world": transform.translate([0.1, -0.2, 125.0]).rotate([0, 1, 0], 180).scale(0.1),
             "bsdf": {"type": "diffuse", "reflectance": 0.0},
             "emitter": {
                 "type": "area",
@@ -133,12 +137,14 @@ def camera_difference(scene: Any) -> np.ndarray:
     weights = (capture.scale(radiators) * radiators.radiance)[:, 0]
     total = 0.0
     for number, (weight, place) in enumerate(zip(weights, radiators.positions, strict=True)):
-        grids = field_grids(camera, place, WAVELENGTH, 1.0, 1.0)
+        grids = field_grids(camera, place, WAVELENGTH, 1.0, WINDOW)
         for side in (1, -1):
             changes = {name: np.add(getattr(camera, name), np.multiply(side, step)) for name, step in STEPS.items()}
             moved = camera.replace(**{name: value.tolist() for name, value in changes.items()})
             growth = side / 2 * weight * brightness_of(moved) / brightness_of(camera)
-            total += growth * full_field(moved, place, WAVELENGTH, grids=grids).astype(np.float64)
+            # The count of orders is held: a jump of it would be divided by the step.
+            held = replace(grids, bend=grids.bend * camera.mla_pitch / moved.mla_pitch * (1 + 1e-9))
+            total += growth * full_field(moved, place, WAVELENGTH, grids=held).astype(np.float64)
         print(f"{number + 1} of {len(weights)} radiators", flush=True)
     return np.asarray(total)
 
@@ -167,6 +173,7 @@ def main() -> None:
             ((key, direction),) = directions.items()
             expected = light_difference(scene_of(*size), key, direction, 0.1)
         rows.append({"case": f"{case}, forward", "error": error(change, expected), "limit": LIMIT})
+        print(f"{case}: changes the image by {np.linalg.norm(change) / np.linalg.norm(image):.3%}", flush=True)
         gradient = rng.normal(size=image.shape)
         found = backward(scene_of(*size), list(directions), gradient)
         back = sum(np.vdot(np.ravel(found[key]), np.ravel(np.array(step))) for key, step in directions.items())
