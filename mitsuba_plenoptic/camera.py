@@ -30,10 +30,10 @@ from .bounds import (
     require_wavefront,
 )
 from .errors import InputError, require_choice, require_count, require_number, shown
+from .given_lens import exit_pupil, known_glass, known_lens, nearest_array, own_numbers
 from .lattice import APERTURES, LATTICES, Lattice, make_lattice
 from .objective import Objective
-from .prescription import Glass, Prescription, bundled_prescription, paraxial
-from .prescription.glass import LINE_D
+from .prescription import Glass, Prescription
 from .presets import PRESETS
 from .thin_lens import conjugate_distance, defocus_factor, image_distance, vergence
 
@@ -208,8 +208,8 @@ class PlenopticCamera:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        put("main_lens", _known_lens(main_lens))
-        own = (80.0, 5.0) if self.main_lens is None else _own_numbers(self.main_lens, focal_length)
+        put("main_lens", known_lens(main_lens))
+        own = (80.0, 5.0) if self.main_lens is None else own_numbers(self.main_lens, focal_length)
         put("focal_length", require_length("focal_length", own[0] if focal_length is None else focal_length))
         put(
             "aperture_radius", require_length("aperture_radius", own[1] if aperture_radius is None else aperture_radius)
@@ -271,8 +271,8 @@ class PlenopticCamera:
             require_number("mla_jitter", value, minimum=0, maximum=most)
         put("mla_seed", require_count("mla_seed", mla_seed, minimum=0, maximum=MOST_SEED))
         put("pixel_response", require_response(pixel_response))
-        put("glass", _glass("glass", glass))
-        put("mla_glass", _glass("mla_glass", mla_glass))
+        put("glass", known_glass("glass", glass))
+        put("mla_glass", known_glass("mla_glass", mla_glass))
         if self.main_lens is not None:
             self._require_main_lens(own[1])
         reach = np.hypot(*(np.abs(self.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))
@@ -297,9 +297,7 @@ class PlenopticCamera:
         # What rounding to single precision adds is no wider stop.
         if self.aperture_radius > widest * (1 + 1e-6):
             raise InputError(f"aperture_radius = {self.aperture_radius:g}: the main_lens opens to {widest:.6g} at most")
-        numbers = paraxial(self.main_lens)
-        scale = self.focal_length / numbers.focal_length
-        nearest = -scale * min(numbers.rear_principal, numbers.rear_principal - numbers.exit_pupil)
+        nearest = nearest_array(self.main_lens, self.focal_length)
         if self.mla_distance <= nearest:
             raise InputError(
                 f"mla_distance = {self.mla_distance:g}: the array would stand within the main_lens or its exit pupil; "
@@ -569,19 +567,12 @@ class PlenopticCamera:
         That of the stop seen through the lens before the array is infinite behind an objective; this is then the focal
         length of that lens, by which places on the stop are divided to have directions at the array.
         """
-        if self.main_lens is None or isinstance(self.main_lens, Objective):
-            return self.mla_distance
-        numbers = paraxial(self.main_lens)
-        scale = self.focal_length / numbers.focal_length
-        return self.mla_distance + scale * (numbers.rear_principal - numbers.exit_pupil)
+        return self.mla_distance + exit_pupil(self.main_lens, self.focal_length)[0]
 
     @property
     def pupil_radius(self) -> float:
         """Radius of the exit pupil near the axis: :math:`D_1/2` for a thin lens."""
-        if self.main_lens is None or isinstance(self.main_lens, Objective):
-            return self.aperture_radius
-        numbers = paraxial(self.main_lens)
-        return self.aperture_radius * (numbers.exit_radius / numbers.entrance_radius)
+        return self.aperture_radius * exit_pupil(self.main_lens, self.focal_length)[1]
 
     @property
     def aperture_diameter(self) -> float:
@@ -816,33 +807,3 @@ class PlenopticCamera:
         if self.objective is not None:
             return self.mla_pitch / self.objective.magnification
         return self.mla_pitch * distance / self.mla_distance
-
-
-def _known_lens(value: Prescription | Objective | str | dict[str, Any] | None) -> Prescription | Objective | None:
-    """Return the main lens that is given in any of its forms."""
-    if value is None or isinstance(value, (Prescription, Objective)):
-        return value
-    if isinstance(value, dict) and "magnification" in value:
-        return Objective.from_plain(value)
-    return bundled_prescription(value) if isinstance(value, str) else Prescription.from_plain(value)
-
-
-def _glass(name: str, value: Any) -> Glass | None:
-    """Return a lens's glass that is given in any of its forms, one that bends light of the line d."""
-    if value is None:
-        return None
-    glass = value if isinstance(value, Glass) else Glass.from_plain(value, name)
-    try:
-        glass.focal_ratio(LINE_D)
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from None
-    return glass
-
-
-def _own_numbers(lens: Prescription | Objective, focal_length: float | None) -> tuple[float, float]:
-    """Return a lens's focal length and the radius of its open entrance pupil, scaled to what focal length is given."""
-    if isinstance(lens, Objective):
-        return lens.focal_length, lens.stop_radius
-    numbers = paraxial(lens)
-    given = numbers.focal_length if focal_length is None else require_length("focal_length", focal_length)
-    return given, numbers.entrance_radius * given / numbers.focal_length

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import rays
-from ..optics.main_lens import ThinLens
+from ..optics.thin import ThinLens
 from ..runtime.batches import Box, Part, PartialSum
 from ..runtime.fft import busy_drjit
 from .bank import Convolution, LensBank, near_weight

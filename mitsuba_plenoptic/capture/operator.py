@@ -16,9 +16,10 @@ from ..errors import InputError, shown
 from ..io.checkpoints import digest
 from ..objective import Objective
 from ..optics import guards
-from ..optics.main_lens import main_lens, require_ideal, require_no_glass, require_round
+from ..optics.main_lens import main_lens
 from ..optics.sampling import check_positions
 from ..optics.spectrum import Spectrum
+from ..optics.wave_cameras import require_ideal, require_no_glass, require_round
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job, LongSum, Task

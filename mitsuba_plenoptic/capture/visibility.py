@@ -9,7 +9,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..optics.main_lens import MainLens, ThinLens
+from ..optics.main_lens import MainLens
+from ..optics.thin import ThinLens
 from .chains import Optics, leads_to
 from .entrance import Entrances
 from .lens_window import LensWindow

@@ -25,12 +25,13 @@ from . import guards
 from .finite_pupil import FinitePupil
 from .lens_light import LensLight
 from .lens_system import LensSystem
-from .main_lens import MainLens, UniformLens, main_lens, require_ideal
+from .main_lens import MainLens, UniformLens, main_lens
 from .open_pupil import pupil_bound
 from .phase import in_millimetres
 from .pupil_fit import PupilFit, Pupils, covered, fit_pupil
 from .pupil_polynomials import Place, Polynomial
 from .pupil_rays import trace
+from .wave_cameras import require_ideal
 
 _FIELD_STEP, _NEARNESS_STEP = 1.1, 0.02
 """Steps of the fitted range: of fields, by factors, and of nearnesses, over the power of the lens. Fits are kept."""

@@ -17,8 +17,8 @@ from ..capture.spectral import SpectralCapture
 from ..capture.wave_capture import WaveCapture
 from ..errors import InputError
 from ..optics import guards
-from ..optics.main_lens import require_ideal, require_no_glass, require_round
 from ..optics.spectrum import Spectrum
+from ..optics.wave_cameras import require_ideal, require_no_glass, require_round
 from ..runtime.jobs import Job
 from .colours import NAME, read_colours
 from .films import develop, develop_back, put

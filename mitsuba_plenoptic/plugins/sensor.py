@@ -21,8 +21,8 @@ from ..objective import Objective
 from ..optics import rays
 from ..optics.irregular import MOST_DEVIATIONS, irregularities
 from ..optics.lens_system import LensSystem
-from ..optics.main_lens import DistortedLens, ThinLens
 from ..optics.telecentric import TelecentricLens
+from ..optics.thin import DistortedLens, ThinLens
 from ..prescription import Prescription
 from .dispersion import Dispersion, Light
 from .properties import read_number, read_numbers, read_plain

@@ -16,8 +16,8 @@ from ..io.captures import Capture, as_array, require_pixels
 from ..io.checkpoints import Checkpoint
 from ..mosaic import require_demosaiced
 from ..optics import guards
-from ..optics.main_lens import require_ideal
 from ..optics.phase import in_millimetres
+from ..optics.wave_cameras import require_ideal
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
 from ..runtime.limits import largest_fitting, require_memory

@@ -12,7 +12,7 @@ from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_count, require_number
 from ..io.captures import as_array, require_pixels
-from ..optics.main_lens import require_ideal
+from ..optics.wave_cameras import require_ideal
 from ..runtime.backend import one_at_a_time
 from ..thin_lens import image_distance
 from .bin_sums import BinSums

@@ -14,9 +14,9 @@ from mitsuba_plenoptic.capture.tile import Copies, Tile
 from mitsuba_plenoptic.optics.exit_pupil import ExitPupil
 from mitsuba_plenoptic.optics.fitted_lens import FittedLens, lens_of_waves
 from mitsuba_plenoptic.optics.lens_system import LensSystem
-from mitsuba_plenoptic.optics.main_lens import ThinLens
 from mitsuba_plenoptic.optics.pupil_fit import Pupils, fit_pupil
 from mitsuba_plenoptic.optics.pupil_rays import PupilRays
+from mitsuba_plenoptic.optics.thin import ThinLens
 
 WAVELENGTH = 633.0
 

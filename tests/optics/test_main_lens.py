@@ -6,8 +6,9 @@ from drjit.llvm import Float64
 
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.optics import rays
-from mitsuba_plenoptic.optics.main_lens import ThinLens, main_lens
+from mitsuba_plenoptic.optics.main_lens import main_lens
 from mitsuba_plenoptic.optics.sampling import footprint
+from mitsuba_plenoptic.optics.thin import ThinLens
 
 WAVELENGTH, LAMBDA = 633.0, 633e-6
 LENS = ThinLens(80.0, 5.0, 120.0)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...errors import InputError, require_number, shown
 from ...lattice import make_lattice, turn
-from ...optics.main_lens import ThinLens
 from ...optics.microlens_derivatives import VaryingMicrolenses
+from ...optics.thin import ThinLens
 from ...runtime.backend import array_module
 from ..grid import Grid
 from ..patch_factors import Elements
