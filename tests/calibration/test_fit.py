@@ -71,6 +71,7 @@ def test_the_camera_alone_explains_as_much(found, table, tmp_path):
         assert again.error == pytest.approx(found.evaluation.error, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_deviations_are_true():
     # The mean squared error over the variance, of each combination of the numbers that the data tell well; with little
     # noise, so that the model is linear over the errors.

@@ -117,6 +117,7 @@ def test_colours_are_those_of_rays(variant):
     assert waves.wavelength[0] > waves.wavelength[1] > waves.wavelength[2]
 
 
+@pytest.mark.slow
 def test_bands_of_an_rgb_variant(tmp_path):
     scene = wall("llvm_ad_rgb")
     options = {"model": "wave", "spp": 1, "radiators_per_lens": 2}

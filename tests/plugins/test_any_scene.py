@@ -75,9 +75,9 @@ def test_a_sky_does_not_shine_through_a_black_card():
     [
         (in_fog, 4),
         (lambda: lamp_behind_glass(True), 8),
-        (lambda: lamp_behind_glass(False), 8),
+        pytest.param(lambda: lamp_behind_glass(False), 8, marks=pytest.mark.slow),
         (lambda: lit_mirror(2), 4),
-        (lambda: plastic(6), 4),
+        pytest.param(lambda: plastic(6), 4, marks=pytest.mark.slow),
     ],
 )
 def test_energy_is_that_of_rays(scene, per_lens):

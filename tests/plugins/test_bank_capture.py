@@ -38,7 +38,7 @@ def by_bank(scene, **options):
     return render_capture(scene, **{"model": "wave", "method": "bank", "accuracy": 0.03, "spp": 16} | options)
 
 
-@pytest.mark.parametrize("name", ["square", "turned, cropped"])
+@pytest.mark.parametrize("name", ["square", pytest.param("turned, cropped", marks=pytest.mark.slow)])
 def test_white_has_the_energy_of_rays(name):
     camera = small_camera(4, **SOME[name] | {"crop_offset": (0, 0), "crop_size": None})
     scene = scene_of(camera)
@@ -98,7 +98,7 @@ def test_the_noise_is_that_of_seeds():
     assert np.sqrt(np.mean([capture.noise**2 for capture in captures])) == pytest.approx(spread, rel=0.05)
 
 
-@pytest.mark.parametrize("noise", [False, True])
+@pytest.mark.parametrize("noise", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_capture_goes_on_where_it_was_stopped(tmp_path, monkeypatch, noise):
     monkeypatch.setattr("mitsuba_plenoptic.capture.lens_rays._BAND_BYTES", 2**15)
     scene, path = scene_of(small_camera(2), texture=board(60)), tmp_path / "raw.checkpoint"

@@ -57,6 +57,6 @@ def test_a_drawing_is_made(tmp_path, capsys):
     assert pixels.shape[0] > 500 and (pixels < 128).mean() > 0.002
     capsys.readouterr()
     assert main(["info", "paper", "--drawing", str(picture)]) == 2
-    assert "no main_lens that could be drawn" in capsys.readouterr().err
+    assert "no main_lens of surfaces that could be drawn" in capsys.readouterr().err
     with pytest.raises(InputError, match="the folder"):
         draw_main_lens(tmp_path / "none" / "lens.png", CAMERA)

@@ -64,6 +64,7 @@ def test_reproduce_writes_everything_and_then_keeps_it(quick_waves, tmp_path, ca
     assert [row["paper_seconds"] for row in results["timing"]] == [330, 65, 195]
 
 
+@pytest.mark.slow
 def test_what_is_missing_damaged_or_outdated_is_made_again(quick_waves, tiny, tmp_path, monkeypatch):
     working = experiments.reconstruct
 

@@ -50,6 +50,7 @@ def test_the_same_bits_on_any_number_of_threads_and_in_any_process(python, tmp_p
         assert one[name].max() > 0
 
 
+@pytest.mark.slow
 def test_two_threads_at_once(python):
     """Captures and reconstructions of both, interleaved, have the bits that they have alone."""
     code = (
