@@ -137,6 +137,8 @@ def camera_difference(scene: Any) -> np.ndarray:
     weights = (capture.scale(radiators) * radiators.radiance)[:, 0]
     total = 0.0
     for number, (weight, place) in enumerate(zip(weights, radiators.positions, strict=True)):
+        # The letters hide parts of the pupil from each other.
+        seen = None if radiators.pupil_weights is None else radiators.pupil_weights.take(np.array([number]))
         grids = field_grids(camera, place, WAVELENGTH, 1.0, WINDOW)
         for side in (1, -1):
             changes = {name: np.add(getattr(camera, name), np.multiply(side, step)) for name, step in STEPS.items()}
@@ -144,7 +146,7 @@ def camera_difference(scene: Any) -> np.ndarray:
             growth = side / 2 * weight * brightness_of(moved) / brightness_of(camera)
             # The count of orders is held: a jump of it would be divided by the step.
             held = replace(grids, bend=grids.bend * camera.mla_pitch / moved.mla_pitch * (1 + 1e-9))
-            total += growth * full_field(moved, place, WAVELENGTH, grids=held).astype(np.float64)
+            total += growth * full_field(moved, place, WAVELENGTH, grids=held, pupil_weights=seen).astype(np.float64)
         print(f"{number + 1} of {len(weights)} radiators", flush=True)
     return np.asarray(total)
 
