@@ -126,7 +126,7 @@ def _curves(light: Axes, distortion: Axes, camera: PlenopticCamera, corner: floa
         axes.plot(values, heights, color=_RAYS[0])
         axes.set_title(title, size=9, color=_INK, loc="left")
         axes.set_ylabel("mm from the axis", size=7, color=_INK)
-        axes.xaxis.set_major_locator(MaxNLocator(4))
+        axes.xaxis.set_major_locator(MaxNLocator(2))
         axes.yaxis.set_major_locator(MaxNLocator(4))
         axes.tick_params(labelsize=7, color=_INK, labelcolor=_INK)
     light.set_xlim(0, 105)
