@@ -26,7 +26,7 @@ from .wave_capture import WaveCapture
 _PROBES = 12
 """Radiators whose sum tells how many wavelengths are needed; that of all is smoother still."""
 
-_COUNTS = (1, 2, 4, 6, 8, 12, 16, 24, 32, 48, 64)
+_COUNTS = (1, 2, 4, 6, 8, 10, 12, 16, 24, 32, 48, 64)
 """Nodes that are tried; more would resolve fringes that no detector does."""
 
 
@@ -42,8 +42,7 @@ def with_enough_nodes(
     """Return a spectrum with as few nodes as its point spreads need.
 
     The count is raised in steps until images of each point, by every channel, change by no more than half of the
-    error: the other half is for what is then still left. A sum of points, which stands for that of many more, may
-    change by all of it.
+    error: the other half is for what is then still left.
 
     Parameters
     ----------
@@ -72,8 +71,6 @@ def with_enough_nodes(
     """
     error = require_number("error", error, positive=True)
     weights = PupilWeights.of(pupil_weights, len(points))
-    # The sum of all that a capture records averages more of it out.
-    allowed = error if together else error / 2
     points, most = np.asarray(points, np.float64), len(set(spectrum.wavelengths))
 
     def images(count: int) -> list[NDArray[np.float32]]:
@@ -94,7 +91,7 @@ def with_enough_nodes(
     last = images(counts[0])
     for count, more in itertools.pairwise(counts):
         finer = images(more)
-        if all(_differ(a, b) <= allowed for a, b in zip(last, finer, strict=True)):
+        if all(_differ(a, b) <= error / 2 for a, b in zip(last, finer, strict=True)):
             return spectrum.interpolated(count)
         last = finer
     return spectrum.interpolated(counts[-1])
