@@ -31,7 +31,7 @@ from ..optics import rays
 from ..optics.thin import ThinLens
 from ..runtime.batches import Box, Part, PartialSum
 from ..runtime.fft import busy_drjit
-from .bank import Convolution, LensBank, near_weight
+from .bank import Convolution, LensBank, margin_of, near_weight
 from .sight import Sight
 
 _BAND_BYTES = 2**29
@@ -95,9 +95,9 @@ class LensRaySum:
         self.box = Box(0, 0, columns, rows)
         # The aberrations of the parabolic phase that waves pass displace the spots.
         self._lens = ThinLens(camera.focal_length, camera.aperture_radius, camera.mla_distance, "parabolic")
-        reach = max(len(bank.kernels[0]) for of_channel in banks for bank in of_channel) // 2
-        left, top = (offset * self._parts - reach for offset in camera.crop_offset)
-        self._bins = Box(left, top, columns * self._parts + 2 * reach, rows * self._parts + 2 * reach)
+        margin = max(margin_of(of_channel) for of_channel in banks)
+        left, top = (offset * self._parts - margin for offset in camera.crop_offset)
+        self._bins = Box(left, top, columns * self._parts + 2 * margin, rows * self._parts + 2 * margin)
         ranks = [sum(bank.rank for bank in of_channel) for of_channel in banks]
         most = max(1, _BAND_BYTES // (4 * sum(ranks) * self._bins.columns))
         self._height = math.ceil(self._bins.rows / math.ceil(self._bins.rows / most))
@@ -161,8 +161,7 @@ class LensRaySum:
             # The first compile the kernels, of which light paths of other lengths need others.
             for seed in range(_TRIALS):
                 start = time.perf_counter()
-                sums = self._trace_bins(self._bins, bins, self._candidates, np.random.SeedSequence(seed))
-                dr.eval(sums)
+                self._trace_bins(self._bins, bins, self._candidates, np.random.SeedSequence(seed))
                 dr.sync_thread()
                 times.append(time.perf_counter() - start)
         return min(times) / (lines * columns)

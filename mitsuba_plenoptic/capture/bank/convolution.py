@@ -58,8 +58,7 @@ class Convolution:
         left, top = (offset * self._parts for offset in camera.crop_offset)
         self._window = Box(left, top, camera.shape[1] * self._parts, camera.shape[0] * self._parts)
         kernels = [kernel for bank in banks for kernel in bank.kernels]
-        # Banks of different types of lenses have kernels of different widths.
-        self._margin = max(kernel.shape[0] for kernel in kernels) // 2 + _TAIL
+        self._margin = margin_of(banks)
         self.ranks, self.box = len(kernels), _grown(self._window, self._margin)
         support = 2 * self._margin + 1
         most = max(_SQUARE - support, support)
@@ -149,6 +148,12 @@ class Convolution:
 
     def _back(self, spectrum: NDArray[np.complex64]) -> NDArray[np.float32]:
         return scipy.fft.irfft2(spectrum, self._size, overwrite_x=True, workers=worker_count())
+
+
+def margin_of(banks: Sequence[LensBank]) -> int:
+    """Return from how many samples beyond the recorded pixels light still arrives."""
+    # Banks of different types of lenses have kernels of different widths.
+    return max(len(bank.kernels[0]) for bank in banks) // 2 + _TAIL
 
 
 def _grown(box: Box, margin: int) -> Box:
