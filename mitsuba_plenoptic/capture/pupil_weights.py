@@ -6,12 +6,16 @@ radiator at X sends to the point P of the pupil the power
 .. math:: w(P) = \frac{n \cdot (X - P)}{n \cdot X}
 
 relative to that of a surface which faces the lens (Lambert's law); this is linear in P.
+
+Where a surface hides a part of the pupil, only one point of each cell is known to be open or not: somewhere between two
+of them the shadow's border runs. Light that passes an object does not diffract here, so that a shadow's border must not
+diffract either, which it would if it lay sharp in the pupil: it is a spline between the cells.
 """
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -19,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from .splines import spline_parts
 
 STEEPEST = 0.98
 """Largest slant: of surfaces seen more slantwise the pupil sees both sides, and what it sees of one is hidden."""
@@ -38,11 +43,15 @@ class PupilWeights:
         Which of them each radiator has.
     slant : float64 array (n, 2)
         By how much the power grows besides from the pupil's centre to its rim, along x and along y of the camera frame.
+    sampled : bool
+        Whether the weights are those of points in the middle of the cells, between which the power changes smoothly;
+        if not, each holds for the whole of its cell.
     """
 
     table: NDArray[np.float32]
     index: NDArray[np.int64]
     slant: NDArray[np.float64]
+    sampled: bool = False
 
     @classmethod
     def of(cls, weights: Any, count: int) -> PupilWeights | None:
@@ -88,7 +97,7 @@ class PupilWeights:
     def take(self, which: NDArray[Any] | slice) -> PupilWeights:
         """Return those of some radiators."""
         kept, index = np.unique(self.index[which], return_inverse=True)
-        return PupilWeights(self.table[kept], index.reshape(-1), self.slant[which])
+        return replace(self, table=self.table[kept], index=index.reshape(-1), slant=self.slant[which])
 
     def lit(self) -> NDArray[np.bool_]:
         """Whether any light of each radiator passes."""
@@ -123,19 +132,56 @@ class PupilWeights:
         sides = []
         for P in (Px, Py):
             place = (P + radius) * (cells / (2 * radius))
-            low, high = (UInt32(dr.clip(place + side * half, 0, cells - 1)) for side in (-1, 1))
-            # The part of the sample beyond the border between the two cells.
-            beyond = Float(dr.clip((place + half - type(place)(high)) / (2 * half), 0, 1))
-            sides.append(((low, 1 - beyond), (high, beyond)))
+            near = _splines(place) if self.sampled else _border(place, half, cells)
+            sides.append([(UInt32(dr.clip(cell, 0, cells - 1)), Float(part)) for cell, part in near])
         table = Float(self.table.reshape(-1))
         power, amplitude = dr.zeros(Float), dr.zeros(Float)
         for (column, across), (row, down) in itertools.product(*sides):
             weight = dr.gather(Float, table, first + row * cells + column)
             power += across * down * weight
             amplitude += across * down * dr.sqrt(weight)
+        if self.sampled:
+            amplitude = dr.sqrt(power)
         slant = [dr.gather(Float, Float(np.ascontiguousarray(part)), radiator) for part in self.slant.T]
         cosine = dr.maximum(1 + (slant[0] * Float(Px) + slant[1] * Float(Py)) / radius, 0)
         return power * cosine, amplitude * dr.sqrt(cosine)
+
+    def means(self, points: int) -> NDArray[np.float64]:
+        """Return the mean of each radiator's weights over the pupil; (n,).
+
+        Parameters
+        ----------
+        points : int
+            Across a cell, for how much of it lies in the pupil.
+        """
+        cells = self.table.shape[1]
+        place = (np.arange(cells * points) + 0.5) / points
+        near = _splines(place) if self.sampled else [(np.floor(place), 1.0)]
+        share = np.zeros((len(place), cells))
+        for cell, part in near:
+            np.add.at(share, (np.arange(len(place)), np.clip(cell, 0, cells - 1).astype(int)), part)
+        place = place * (2 / cells) - 1
+        inside = np.hypot(place, place[:, None]) < 1
+        flat, along_x, along_y = (
+            np.tensordot(self.table.astype(np.float64), share.T @ part @ share / inside.sum(), 2)[self.index]
+            for part in (inside * 1.0, inside * place, inside * place[:, None])
+        )
+        return np.asarray(flat + self.slant[:, 0] * along_x + self.slant[:, 1] * along_y)
+
+
+def _border(place: Any, half: Any, cells: int) -> list[tuple[Any, Any]]:
+    """Return the two cells that a sample of some half width lies on, and what part of it is on each."""
+    low, high = (dr.floor(dr.clip(place + side * half, 0, cells - 1)) for side in (-1, 1))
+    # The part of the sample beyond the border between the two cells.
+    beyond = dr.clip((place + half - high) / (2 * half), 0, 1)
+    return [(low, 1 - beyond), (high, beyond)]
+
+
+def _splines(place: Any) -> list[tuple[Any, Any]]:
+    """Return the four cells around a place, and the cubic B-splines of their middles there."""
+    before = np.floor(place - 0.5) if isinstance(place, np.ndarray) else dr.floor(place - 0.5)
+    parts = spline_parts(place - 0.5 - before)
+    return [(before + step, part) for step, part in zip(range(-1, 3), parts, strict=True)]
 
 
 def slants(normals: NDArray[np.floating[Any]], positions: NDArray[np.float64], radius: float) -> NDArray[np.float64]:

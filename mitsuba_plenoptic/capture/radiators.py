@@ -377,10 +377,10 @@ def _pupil_weights(slant: np.ndarray, bits: np.ndarray, shiny: np.ndarray, power
     which = np.flatnonzero(shiny)[lit]
     if not which.size and (bits == 255).all() and (np.abs(slant) < _LEVEL).all():
         return None
-    masks = replace(PupilWeights.from_bits(bits, PUPIL_CELLS), slant=slant)
+    masks = replace(PupilWeights.from_bits(bits, PUPIL_CELLS), slant=slant, sampled=True)
     if not which.size:
         return masks
     rows = power[lit] / power[lit].max(axis=(1, 2), keepdims=True)
     index = masks.index.copy()
     index[which] = len(masks.table) + np.arange(len(which))
-    return PupilWeights(np.concatenate([masks.table, rows]), index, slant)
+    return PupilWeights(np.concatenate([masks.table, rows]), index, slant, sampled=True)

@@ -26,6 +26,7 @@ from ...runtime.backend import array_module, backend
 from ...runtime.batches import Box
 from ...runtime.indexing import quotient
 from ..pupil_weights import PupilWeights
+from ..splines import spline_parts
 from .lens_bank import LensBank
 
 _NEWTON = 3
@@ -83,7 +84,8 @@ class Rays:
             # A lens takes light from a part of the pupil.
             seen = max(camera.mla_pitches) / abs(defocus)
             power *= self.pupil_weights.at(number, *pupil, lens.pupil_radius, seen)[0]
-            power *= value(1 / _mean(self.pupil_weights), number)
+            mean = self.pupil_weights.means(_POINTS)
+            power *= value(1 / np.where(mean > 0, mean, np.inf), number)
         kind = lattice.lens_type(i, j) if len(self.banks) > 1 else types.Float64(0)
         coefficients = []
         for lens_type, bank in enumerate(self.banks):
@@ -145,34 +147,15 @@ class Traced:
     def shares(self, box: Box) -> Any:
         """Return the matrix (samples, rays) by which each ray is shared by the nearest samples of a box.
 
-        The parts are those of a cubic B-spline along both axes (Unser 1999, "Splines").
+        The parts are those of a cubic B-spline along both axes.
         """
         left, top = np.floor(self.x), np.floor(self.y)
         corner = ((top - 1 - box.top) * box.columns + left - 1 - box.left).astype(np.int32)
-        across, down = _spline(self.x - left), _spline(self.y - top)
+        across, down = (
+            [part.astype(np.float32) for part in spline_parts(place)] for place in (self.x - left, self.y - top)
+        )
         rows = np.concatenate([corner + (row * box.columns + column) for row in range(4) for column in range(4)])
         parts = [down[row] * across[column] for row in range(4) for column in range(4)]
         columns = np.tile(np.arange(len(corner), dtype=np.int32), 16)
         shape = box.rows * box.columns, len(corner)
         return scipy.sparse.coo_array((np.concatenate(parts), (rows, columns)), shape=shape).tocsr()
-
-
-def _spline(place: NDArray[np.float64]) -> list[NDArray[np.float32]]:
-    """Return the cubic B-spline at the four nearest samples, for places between the middle two."""
-    left = 1 - place
-    parts = left**3 / 6, 2 / 3 - place**2 + place**3 / 2, 2 / 3 - left**2 + left**3 / 2, place**3 / 6
-    return [part.astype(np.float32) for part in parts]
-
-
-def _mean(weights: PupilWeights) -> NDArray[np.float64]:
-    """Return the mean of each radiator's weights over the pupil; infinite where all are zero."""
-    cells = weights.table.shape[1]
-    place = (np.arange(cells * _POINTS) + 0.5) * (2 / (cells * _POINTS)) - 1
-    inside = np.hypot(place, place[:, None]) < 1
-    table = weights.table.astype(np.float64)
-    mean, along_x, along_y = (
-        np.tensordot(table, part.reshape(cells, _POINTS, cells, _POINTS).sum((1, 3)) / inside.sum(), 2)[weights.index]
-        for part in (inside * 1.0, inside * place, inside * place[:, None])
-    )
-    mean += weights.slant[:, 0] * along_x + weights.slant[:, 1] * along_y
-    return np.where(mean > 0, mean, np.inf)
