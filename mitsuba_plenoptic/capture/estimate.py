@@ -30,10 +30,10 @@ _BLOCK = 16
 _RAYS = 2**20
 """Rays from the detector that are traced at a time."""
 
-_SECONDS = 1.0
+_SECONDS = 0.6
 """How long light paths are traced for an estimate, about."""
 
-_PATHS, _FEW_PATHS = 2**20, 16
+_PATHS, _FEW_PATHS = 2**19, 16
 """Light paths by which the radiators are counted, and for each of them at most."""
 
 

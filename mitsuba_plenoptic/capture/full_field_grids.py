@@ -98,7 +98,7 @@ def field_grids(
     radius = lens.pupil_radius
     if isinstance(lens, ExitPupil):
         places, cosines = lens.bundle
-        image = bundle_footprint(places[None], cosines[None], lens.pupil_distance)
+        image = bundle_footprint(places.T[:, None], cosines.T[:, None], lens.pupil_distance)
     else:
         image = footprint(lens, position[None])
     place, half_width = image.centre[0], image.half_width[0]

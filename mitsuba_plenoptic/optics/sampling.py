@@ -76,18 +76,20 @@ def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
     P = lens.pupil_radius * np.concatenate([radius * circle for radius in _RIM_RADII])
     point, light = (positions[:, None, 0], positions[:, None, 1], positions[:, None, 2]), lens.bind(positions)
     is_open = np.broadcast_to(light.is_open((P[:, 0], P[:, 1])), (len(positions), len(P)))
-    P = np.broadcast_to(P, (len(positions), *P.shape))
+    pupil = np.broadcast_to(P.T[:, None], (2, len(positions), len(P)))
     if not is_open.all():
-        P = _drawn_in(light, P, is_open)
-    cosine = np.stack(light.cosines((P[..., 0], P[..., 1]), point), -1)
-    square = (cosine**2).sum(-1)
+        drawn = _drawn_in(light, np.broadcast_to(P, (len(positions), *P.shape)), is_open)
+        pupil = np.moveaxis(drawn, -1, 0)
+    cosine = np.stack(np.broadcast_arrays(*light.cosines((pupil[0], pupil[1]), point)))
+    square = (cosine**2).sum(0)
     if np.any(square >= 1):
         worst = positions[np.argmax(square.max(1))]
         raise InputError(f"position = {tuple(worst.tolist())}: its light leaves the main lens too steeply")
     if isinstance(lens, TelecentricLens):
         # It has no pupil at a finite distance from which to go on.
-        return _bounds(np.stack(lens.land((P[..., 0], P[..., 1]), point), -1), np.broadcast_to(cosine, P.shape))
-    return bundle_footprint(P, cosine, lens.pupil_distance)
+        landed = np.stack(np.broadcast_arrays(*lens.land((pupil[0], pupil[1]), point)))
+        return _bounds(landed, np.broadcast_to(cosine, pupil.shape))
+    return bundle_footprint(pupil, cosine, lens.pupil_distance)
 
 
 def _drawn_in(light: Light, P: NDArray[np.float64], is_open: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -117,19 +119,18 @@ def bundle_footprint(pupil: NDArray[np.float64], cosine: NDArray[np.float64], di
 
     Parameters
     ----------
-    pupil, cosine : float64 array (n, rays, 2)
-        Places on the exit pupil and direction cosines, for each scene point.
+    pupil, cosine : float64 array (2, n, rays)
+        Places on the exit pupil and direction cosines along x and y, for each scene point.
     distance : float
         Distance from the pupil to the MLA.
     """
-    place = pupil + distance * cosine / np.sqrt(1 - (cosine**2).sum(-1))[..., None]
+    place = pupil + distance * cosine / np.sqrt(1 - (cosine**2).sum(0))
     return _bounds(place, cosine)
 
 
 def _bounds(place: NDArray[np.float64], cosine: NDArray[np.float64]) -> Footprint:
-    """Return the boxes around places and direction cosines, (n, rays, 2)."""
-    low, high = place.min(1), place.max(1)
-    first, last = cosine.min(1), cosine.max(1)
+    """Return the boxes around places and direction cosines, (2, n, rays)."""
+    low, high, first, last = place.min(-1).T, place.max(-1).T, cosine.min(-1).T, cosine.max(-1).T
     return Footprint((low + high) / 2, (high - low) / 2, (first + last) / 2, (last - first) / 2)
 
 
