@@ -95,25 +95,26 @@ def bank_is_better(
         return False
     lens = main_lens(camera)
 
-    def too_large(vergences: NDArray[np.floating]) -> bool:
+    def too_large(vergences: NDArray[np.floating], found: float) -> bool:
         ends = np.array([vergences.min(), vergences.max()], np.float64)
-        return not patches_fit(camera, wavelength, accuracy, distance_of(lens, ends))
+        return not patches_fit(camera, wavelength, accuracy, distance_of(lens, ends), int(found))
 
     window = len(LensWindow.of(camera).index)
     count, worth = per_lens * window, _BANK + _BANK_PER_PIXEL * math.prod(camera.shape)
     few = count * _most_work(camera) <= worth
-    # What the scene's size tells costs no rays.
-    if few and not too_large(np.array(sight.vergences(lens))):
+    # What the scene's size tells costs no rays; mirrors show what is beyond it.
+    if few and sight.optics.plain and not too_large(np.array(sight.vergences(lens)), 1):
         return False
     probes = Probes.of(camera, sight, seed)
     far = (probes.radiance.max(0) > 0) * (1 - near_weight(camera, probes.vergence, accuracy))
     lit = far > 0
     if not lit.any():
         return False
-    if too_large(probes.vergence[lit]):
+    found = count * float(lit.mean())
+    # The patches of few are wider, and there may be fewer than the probes tell.
+    if too_large(probes.vergence[lit], found / 2):
         return True
     blurred = np.maximum(1, np.abs(blur_of(camera, probes.vergence)) / _BLUR) ** 2
-    found = count * float(lit.mean())
     distances = distance_of(lens, probes.vergence[lit].astype(np.float64))
     patterns = min(found, patterns_at(camera, lens, distances, window, wavelength, accuracy * WAVES_PER_ERROR))
     return patterns * float((far * blurred)[lit].mean()) > worth

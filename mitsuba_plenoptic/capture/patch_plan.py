@@ -35,8 +35,8 @@ _CHUNK = 64
 _PATCH_LIMIT = 2**26
 """Bytes of one radiator's field above which many are refused: blurred over thousands of pixels, they take days."""
 
-_MANY, _OFF_AXIS = 2**20, 2
-"""Radiators that are many, and how much more memory than those on the axis patches off the axis may take."""
+_OFF_AXIS = 2
+"""How much more memory than those on the axis patches off the axis may take."""
 
 _CHUNK_BYTES = 2**26
 
@@ -69,8 +69,10 @@ class Cost:
     memory: float
 
 
-def patches_fit(camera: PlenopticCamera, wavelength: float, accuracy: float, distances: NDArray[np.float64]) -> bool:
-    """Tell whether the patches of very many points at some distances are small enough to be computed.
+def patches_fit(
+    camera: PlenopticCamera, wavelength: float, accuracy: float, distances: NDArray[np.float64], count: int
+) -> bool:
+    """Tell whether the patches of points at some distances are small enough to be computed, if there are many.
 
     Parameters
     ----------
@@ -82,10 +84,12 @@ def patches_fit(camera: PlenopticCamera, wavelength: float, accuracy: float, dis
         Allowed relative error.
     distances : float64 array (n,)
         Of points on the axis; those of others are somewhat larger, which is allowed for.
+    count : int
+        How many points there are: the patches of few hold more of what is diffracted.
     """
     points = np.column_stack([np.zeros((len(distances), 2)), distances])
     try:
-        grid = Grid.of(camera, wavelength, band_for(accuracy, _MANY), points)
+        grid = Grid.of(camera, wavelength, band_for(accuracy, count), points)
         samples = place(grid, points).samples.max()
     except InputError:  # no field can hold them
         return False

@@ -46,6 +46,14 @@ def test_white_has_the_energy_of_rays(name):
     assert by_bank(scene, spp=4).image.mean() == pytest.approx(by_rays.image.mean(), rel=0.01)
 
 
+def test_few_points_far_out_of_focus_are_the_banks():
+    # Blurred over 40 lenses, patches hold many points but not few, whose diffracted light does not average out.
+    scene = scene_of(small_camera(4), distance=490.0, radius=60.0)
+    by_rays = render_capture(scene, model="ray", spp=64)
+    by_waves = render_capture(scene, model="wave", radiators_per_lens=2, spp=4)
+    assert by_waves.image.mean() == pytest.approx(by_rays.image.mean(), rel=0.01)
+
+
 @pytest.mark.parametrize("pixels", [64], ids=lambda count: f"{512 // count} um pixels")
 def test_coarse_pixels_are_cut_into_bins_that_hold_the_spots_of_lenses(pixels):
     camera = small_camera().replace(resolution=(pixels, pixels))
