@@ -5,10 +5,10 @@
 
 ``focal_length``: from random starts the microlens focal length is sought by which points between 220 and 260 mm are
 refocused with most contrast; each end must lie within 0.5 % of the best of a scan. ``wavefront``: aberrations of the
-main lens, tilt and defocus left out, are sought by which captures tell most of the depth of such points. The design
-must beat the camera that it starts from by its own figure; with full fields, another count of photons and other
-points; and in the spread of depths estimated from full fields with Poisson's noise, where both must keep to their
-bounds.
+main lens, tilt and defocus left out, are sought by which captures tell most of the depth of points between 232 and
+248 mm. The design must beat the camera that it starts from by its own figure; and with full fields, another count of
+photons and other points, in the spread of depths estimated from captures with Poisson's noise, where both must keep to
+their bounds.
 
 ``--half`` takes the main lens at half its size and distances, which costs a fourth. Writes ``design_accuracy_*.md``,
 ``.json`` and pictures of the spreads before (above) and after (below) to the folder that ``--output`` names; exits
@@ -40,6 +40,12 @@ FREQUENCIES = (0.3, 0.6, 0.9)
 PHOTONS, BACKGROUND = 10000.0, 1.0
 OTHER_PHOTONS, OTHER_BACKGROUND = 4000.0, 4.0
 DRAWS = 300
+SEEN = (232.0, 234.0, 236.0, 238.0, 240.0, 242.0, 244.0, 246.0, 248.0)
+UNSEEN = (233.0, 235.0, 237.0, 239.0, 241.0, 243.0, 245.0, 247.0)
+"""Distances of points by which wavefronts are sought and judged, in millimetres: many, for the figure is of all.
+
+They lie about the plane in focus, where a camera without aberrations tells depth worst.
+"""
 TERMS = range(5, 12)
 """Aberrations that vary, by Noll's numbers: astigmatism to spherical."""
 
@@ -104,7 +110,7 @@ def focal_length(case: Case, starts: int, output: Path) -> tuple[dict, bool]:
 def wavefront(case: Case, starts: int, output: Path) -> tuple[dict, bool]:
     """Seek aberrations by which depth is told best, and judge them otherwise."""
     plain = case.camera.replace(wavefront=(0.0,) * max(TERMS))
-    figure = _figure(case, case.points((220.0, 240.0, 260.0), 3), PHOTONS, BACKGROUND, "patch")
+    figure = _figure(case, case.points(SEEN, 3), PHOTONS, BACKGROUND, "patch")
     rng, bounds = np.random.default_rng(4), {f"wavefront.{term}": (-LARGEST, LARGEST) for term in TERMS}
     designs: list[Design] = []
     # No aberration at all is where the slopes vanish by symmetry: starts lie beside it.
@@ -121,7 +127,7 @@ def wavefront(case: Case, starts: int, output: Path) -> tuple[dict, bool]:
     results["own figure"] = {"before": before, "after": design.figure}
     verdict.judge("own figure, deviation after over before", float(np.exp(before - design.figure)), 1.0)
 
-    other = _figure(case, case.points((224.0, 236.0, 244.0, 256.0), 5), OTHER_PHOTONS, OTHER_BACKGROUND, "full_field")
+    other = _figure(case, case.points(UNSEEN, 5), OTHER_PHOTONS, OTHER_BACKGROUND, "full_field")
     bounds_of, spreads = {}, {}
     for name, camera in (("before", plain), ("after", design.camera)):
         bounds_of[name] = other.deviations(camera)
@@ -135,8 +141,8 @@ def wavefront(case: Case, starts: int, output: Path) -> tuple[dict, bool]:
     results["full field"] = {
         name: {"bounds": bounds_of[name].tolist(), "spreads": spreads[name].tolist()} for name in bounds_of
     }
-    pictures = [figure.expected(camera)[0] for camera in (plain, design.camera)]
-    _draw(output / "design_accuracy_wavefront.png", [list(row) for row in pictures])
+    pictures = [list(figure.expected(camera)[0])[::4] for camera in (plain, design.camera)]
+    _draw(output / "design_accuracy_wavefront.png", pictures)
     return results, verdict.kept
 
 
