@@ -47,7 +47,7 @@ def native_field(camera: PlenopticCamera) -> float:
     """
     lens = objective_of(camera)
     if lens.is_fourier:
-        return camera.mla_pitch * lens.last_focal_length / (camera.detector_distance * lens.magnification)
+        return camera.mla_pitch / lens.view_scale(camera.detector_distance)
     return camera.detector_width / lens.magnification
 
 

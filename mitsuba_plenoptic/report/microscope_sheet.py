@@ -67,16 +67,12 @@ def _fourier(camera: PlenopticCamera, lens: Objective) -> list[Line]:
         ("image of the stop", _four(lens.blur_diameter(0)), "mm", ""),
         ("lenses across it", f"{design.lenses_across_stop(camera):.3g}", "", ""),
         ("numerical aperture of a lens", _four(design.lens_aperture(camera)), "", ""),
-        ("pixel in the object", _four(1e3 * camera.pixel_size * _demagnification(camera, lens)), "um", ""),
+        ("pixel in the object", _four(1e3 * camera.bin_size(0)), "um", ""),
     ]
     if outer > 0:
         note = f"per um of depth, of a lens {_four(outer)} mm from the axis"
         rows.append(("parallax", _four(abs(design.parallax(camera, outer))), "um", note))
     return rows
-
-
-def _demagnification(camera: PlenopticCamera, lens: Objective) -> float:
-    return lens.last_focal_length / (camera.detector_distance * lens.magnification)
 
 
 def _diffraction(camera: PlenopticCamera, lens: Objective, wavelength: float) -> list[Line]:
