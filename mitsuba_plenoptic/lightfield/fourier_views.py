@@ -114,10 +114,11 @@ def decode_views(
         4.0 * math.prod(shape) * (2 * image.shape[2] + 4), f"light field of {shape[1]} x {shape[0]} views of its lenses"
     )
     values = _sampled(image, camera, views)
-    there = _sampled(np.ones((*camera.shape, 1), np.float32), camera, views)[..., 0]
-    weight = there * views.fraction[:, :, None, None]
-    if white is not None:
-        weight = _sampled(white, camera, views)[..., 0] * (views.fraction[:, :, None, None] > 0)
+    if white is None:
+        there = _sampled(np.ones((*camera.shape, 1), np.float32), camera, views)[..., 0]
+        weight = there * views.fraction[:, :, None, None]
+    else:
+        weight = _sampled(white, camera, views)[..., 0]
     weight[weight < MINIMUM_WEIGHT] = 0
     np.divide(values, weight[..., None], out=values, where=weight[..., None] > 0)
     values[weight == 0] = 0
@@ -183,18 +184,17 @@ def _sampled(image: NDArray[np.float32], camera: PlenopticCamera, views: LensVie
     channels = image.shape[2]
     half = views.half
     result = np.zeros((*views.fraction.shape, 2 * half[1] + 1, 2 * half[0] + 1, channels), np.float32)
-    padded = np.pad(image, ((1, 1), (1, 1), (0, 0)))
+    padded = np.pad(image, ((1, 1), (1, 1), (0, 0))).astype(np.float32, copy=False)
     for row, column in np.argwhere(views.fraction > 0).tolist():
-        picked = padded
+        picked: NDArray[np.float32] = padded
         for axis, centre in ((0, views.down[row]), (1, views.across[column])):
             place = centre / camera.pixel_size + camera.resolution[1 - axis] / 2 - camera.crop_offset[1 - axis] - 0.5
             low = math.floor(place)
             part = np.float32(place - low)
             index = low + np.arange(-half[1 - axis], half[1 - axis] + 2) + 1
             lines = np.take(picked, index.clip(0, padded.shape[axis] - 1), axis)
-            picked = (1 - part) * np.take(lines, range(len(index) - 1), axis) + part * np.take(
-                lines, range(1, len(index)), axis
-            )
+            first, second = (np.take(lines, np.arange(len(index) - 1) + step, axis) for step in (0, 1))
+            picked = np.asarray((1 - part) * first + part * second, np.float32)
         # Pixels rise with x and y, the coordinates of a light field fall.
         result[row, column] = picked[::-1, ::-1]
     return result

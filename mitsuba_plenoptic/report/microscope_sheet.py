@@ -85,11 +85,13 @@ def _diffraction(camera: PlenopticCamera, lens: Objective, wavelength: float) ->
         aperture = design.lens_aperture(camera)
         depth = lens.immersion * wavelength * 1e-3 / aperture**2
         rows.append(("limit of a lens", _four(2e6 * aperture / wavelength), "lp/mm", ""))
-        return [*rows, ("depth of field", _four(depth), "um", "of a lens, n times the wavelength over its NA squared")]
-    shallow = lens.immersion * width**2 / (2 * lens.magnification**2 * wavelength * 1e-6)
+        rows.append(("depth of field", _four(depth), "um", "of a lens, n times the wavelength over its NA squared"))
+        shallow, sample = 1e-3 * depth, "pixel"
+    else:
+        shallow, sample = lens.immersion * width**2 / (2 * lens.magnification**2 * wavelength * 1e-6), "lens"
     for depth in (shallow, 2 * shallow, 4 * shallow):
         limit = design.resolution_limit(camera, 1.001 * depth, wavelength)
-        told = f"at depths of {_four(1e3 * depth)} um; {limit.frequency / limit.lenses:.2g} times one sample a lens"
+        told = f"at depths of {_four(1e3 * depth)} um; {limit.frequency / limit.lenses:.2g} times one sample a {sample}"
         rows.append(("resolution, deconvolved", _four(limit.frequency), "lp/mm", told))
     return rows
 

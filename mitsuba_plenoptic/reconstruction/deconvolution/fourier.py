@@ -4,7 +4,7 @@ The array stands in the image of the stop, where a point (X, Y, d) has the field
 wave of the direction cosines :math:`M X / f_F`. All lenses together are one thin screen there, and free space behind it
 takes a tilted wave to the same intensity, moved by :math:`z M X / f_F` (Goodman, "Introduction to Fourier Optics",
 section 4.2; exact where directions are small, and behind an objective they are). So all points of a plane have one
-spread, whatever they share a lens with, and a plane's capture is a convolution (Guo, Liu, Hua, Wang, Jia 2019, "Fourier
+spread, whatever they share a lens with, and a plane's capture is a convolution (Guo, Liu, Hua, Li, Jia 2019, "Fourier
 light-field microscopy", Optics Express 27, 25573).
 
 Bins lie on a grid that is `oversample` times as fine as the pixels, in the pictures that the lenses make. Those at the
@@ -168,8 +168,8 @@ class FourierResponse:
     @property
     def _phases(self) -> list[tuple[slice, slice]]:
         """The bins at each place of a pixel."""
-        starts = range(self._oversample)
-        return [tuple(slice(start, None, self._oversample) for start in both) for both in itertools.product(starts, starts)]
+        starts = [slice(start, None, self._oversample) for start in range(self._oversample)]
+        return list(itertools.product(starts, starts))
 
     @property
     def _middle(self) -> tuple[float, float]:
@@ -205,7 +205,9 @@ class FourierResponse:
         # From the bin in the middle to the recorded pixels; the fine window has more pixels on both sides.
         windows = np.array([columns, rows]) // o
         low = [
-            -int((windows[axis] - camera.resolution[axis]) // 2 + camera.bin_count[axis] // 2 + camera.crop_offset[axis])
+            -int(
+                (windows[axis] - camera.resolution[axis]) // 2 + camera.bin_count[axis] // 2 + camera.crop_offset[axis]
+            )
             for axis in (1, 0)
         ]
         for number, phase in enumerate(self._phases):
@@ -260,7 +262,9 @@ class FourierResponse:
             largest = largest_fitting(memory, limit, self._oversample)
             return f"oversample = {largest}" if largest else None
 
-        require_memory(memory(self._oversample), f"oversample = {self._oversample}: deconvolution of {self._count} planes", fitting)
+        require_memory(
+            memory(self._oversample), f"oversample = {self._oversample}: deconvolution of {self._count} planes", fitting
+        )
 
 
 def _fine_camera(camera: PlenopticCamera, lens: Objective, wavelength: float, oversample: int) -> PlenopticCamera:

@@ -73,9 +73,7 @@ class TotalVariation:
         ]
 
 
-def _gradient(
-    differences: Differences, values: NDArray[np.float32], inside: NDArray[np.bool_]
-) -> NDArray[np.float32]:
+def _gradient(differences: Differences, values: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.float32]:
     flat, beyond = values.ravel(), (~inside.ravel()).astype(np.float32)
     # A step that touches a bin beyond is none.
     steps = [np.where(abs(matrix) @ beyond > 0, np.float32(0), matrix @ flat) for matrix in differences]
