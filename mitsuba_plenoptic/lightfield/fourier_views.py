@@ -127,8 +127,8 @@ def decode_views(
     for name, places, axis in (("u", views.across, "x"), ("v", views.down, "y")):
         coordinates[name] = (name, scale * places, {"units": "mm", "long_name": f"{axis} on the stop"})
     for name, half, axis in (("s", views.half[0], "x"), ("t", views.half[1], "y")):
-        places = -np.arange(-half, half + 1) * camera.bin_size(0)
-        coordinates[name] = (name, places, {"units": "mm", "long_name": f"{axis} in the native object plane"})
+        steps = np.arange(half, -half - 1, -1) * camera.bin_size(0)
+        coordinates[name] = (name, steps, {"units": "mm", "long_name": f"{axis} in the native object plane"})
     dims: tuple[str, ...] = DIMS
     if image.shape[2] == 3:
         dims = (*DIMS, "c")

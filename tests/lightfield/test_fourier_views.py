@@ -72,7 +72,6 @@ def test_even_lenses_have_even_views(lf):
 def test_a_hexagonal_array_leaves_places_without_a_view():
     lf = decode(capture_of(HEXAGONAL))
     there = lf.weight.values.max(axis=(2, 3)) > 0
-    row, column = np.argwhere(there)[0]
     assert not (there[:, :-1] & there[:, 1:]).any()
     assert np.allclose(np.diff(lf.u), 0.25 * TO_STOP)
     assert np.allclose(np.diff(lf.v), 0.25 * math.sqrt(3) * TO_STOP)

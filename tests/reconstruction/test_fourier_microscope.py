@@ -1,4 +1,4 @@
-"""Fourier microscopes deconvolved: against exact sums of point spreads, closed forms, and beads whose places are known."""
+"""Fourier microscopes deconvolved: against exact sums of point spreads, closed forms, and beads at known places."""
 
 from __future__ import annotations
 
@@ -211,7 +211,7 @@ def test_what_cannot_be_is_refused():
         reconstruct(capture, 0.0)
     with pytest.raises(InputError, match=r"response = ray: behind main_lens"):
         reconstruct(capture, 0.0, method="deconvolved", response="ray")
-    with pytest.raises(InputError, match="oversample = 3000: deconvolution of 1 planes|images of .* bins"):
+    with pytest.raises(InputError, match=r"images of .* bins"):
         reconstruct(capture, 0.0, method="deconvolved", oversample=3000)
     with pytest.raises(InputError, match="none of its pixels is lit"):
         reconstruct(Capture(0 * capture.image, SMALL, WAVELENGTH, "wave", {}), 0.0, method="deconvolved")

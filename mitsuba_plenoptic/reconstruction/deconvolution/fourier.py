@@ -268,9 +268,9 @@ class FourierResponse:
 
 
 def _fine_camera(camera: PlenopticCamera, lens: Objective, wavelength: float, oversample: int) -> PlenopticCamera:
-    """Return a camera with all of the detector that a bin in the middle lights, whose pixels resolve the light.
+    r"""Return a camera with all of the detector that a bin in the middle lights, whose pixels resolve the light.
 
-    The intensity behind a lens of the width w has no lines finer than :math:`w / \\lambda z`.
+    The intensity behind a lens of the width w has no lines finer than :math:`w / \lambda z`.
     """
     p, z = camera.pixel_size, camera.detector_distance
     finest = in_millimetres(wavelength) * z / (2 * camera.lattice.aperture_width)
