@@ -806,6 +806,11 @@ class PlenopticCamera:
         """Width in the object plane of one bin of a reconstruction, :math:`D_2 g / b`.
 
         Behind an objective at all depths :math:`D_2 / M`, in the Fourier arrangement that of a pixel in the object.
+
+        Parameters
+        ----------
+        distance : float
+            Object distance from the main lens in millimetres.
         """
         if self.objective is not None and self.objective.is_fourier:
             return self.pixel_size / self.objective.view_scale(self.detector_distance)

@@ -149,7 +149,7 @@ def main() -> int:
     write_volume_overview(given.output / "volume.png", Volume.of(found))
     text = (
         f"{given.planes} planes of {found[0].image.shape[1]} x {found[0].image.shape[0]} bins, {given.iterations} "
-        f"steps in {seconds:.1f} s with the point spreads; with noise stopped after {rough[0].facts['iterations']} steps.\n"
+        f"steps in {seconds:.1f} s with the point spreads; with noise stopped after {rough[0].facts['iterations']}.\n"
     )
     finish(given, {"beads": rows, "seconds": seconds}, text, markdown(COLUMNS, rows))
     return int(not verdict.kept)
