@@ -15,7 +15,6 @@ from mitsuba_plenoptic import (
     PlenopticCamera,
     point_spread_function,
     reconstruct,
-    render_capture,
 )
 from mitsuba_plenoptic.capture.point_spread import point_fields
 from mitsuba_plenoptic.optics.telecentric import TelecentricLens
@@ -191,9 +190,6 @@ def test_what_does_not_know_objectives_says_so():
         CaptureOperator(camera_with(AIR), points, wavelength=WAVELENGTH).gradient([1.0], np.ones((135, 135)))
     with pytest.raises(InputError, match=r"position = \(0, 0, -10\): .* g more than -10: before the objective"):
         CaptureOperator(camera_with(AIR), [(0.0, 0.0, -10.0)], wavelength=WAVELENGTH)
-    scene = mi.load_dict({"type": "scene", "sensor": camera_with(AIR).to_sensor(), "integrator": {"type": "path"}})
-    with pytest.raises(InputError, match="scenes are captured by rays alone behind an objective"):
-        render_capture(scene, model="wave", wavelength=WAVELENGTH)
     with pytest.raises(Exception, match="arrangement = fourier: no stop bounds its micro-images"):
         mi.load_dict(fourier_camera().to_sensor())
 
