@@ -80,6 +80,19 @@ def test_every_bin_has_its_exact_spread(name):
     assert np.linalg.norm(response.forward([values]) - expected) < 0.01 * np.linalg.norm(expected)
 
 
+def test_light_of_deep_planes_is_kept_as_far_as_it_goes():
+    """Parallax takes the pictures of the outer lenses far beyond the image of the stop."""
+    camera = SMALL.replace(detector_width=5.0, resolution=(250, 250))
+    response = response_of(camera, [0.5])
+    values = np.zeros(response.shapes[0], np.float32)
+    values[12, 12] = 1
+    expected = exact(camera, 1, 12, 12, 0.5, parts=2)
+    found = response.forward([values])
+    assert found.sum() == pytest.approx(expected.sum(), rel=2e-3)
+    # Four places of the bin do not tell the fringes of several lenses' light evenly.
+    assert np.linalg.norm(found - expected) < 0.06 * np.linalg.norm(expected)
+
+
 @pytest.mark.parametrize("name", CAMERAS)
 def test_the_adjoint_of_a_volume_is_the_transpose(name):
     camera, oversample = CAMERAS[name]

@@ -87,7 +87,9 @@ class FourierResponse:
         self._folder = None
         if len(distances) > 1 and self._spectra_memory(oversample) > _MEMORY:
             self._folder = tempfile.TemporaryDirectory(prefix="deconvolution-")
-        fine = _fine_camera(camera, camera.objective, wavelength, oversample)
+        self._planes = f"{len(distances)} planes" if len(distances) > 1 else f"the plane at {distances[0]:g}"
+        deepest = max(abs(distance) for distance in distances)
+        fine = _fine_camera(camera, camera.objective, wavelength, oversample, deepest)
         self._require_memory(fine)
         self._spectra = self._empty_spectra()
         points = np.array([[*self._middle, depth] for depth in distances])
@@ -263,11 +265,13 @@ class FourierResponse:
             return f"oversample = {largest}" if largest else None
 
         require_memory(
-            memory(self._oversample), f"oversample = {self._oversample}: deconvolution of {self._count} planes", fitting
+            memory(self._oversample), f"oversample = {self._oversample}: deconvolution of {self._planes}", fitting
         )
 
 
-def _fine_camera(camera: PlenopticCamera, lens: Objective, wavelength: float, oversample: int) -> PlenopticCamera:
+def _fine_camera(
+    camera: PlenopticCamera, lens: Objective, wavelength: float, oversample: int, deepest: float
+) -> PlenopticCamera:
     r"""Return a camera with all of the detector that a bin in the middle lights, whose pixels resolve the light.
 
     The intensity behind a lens of the width w has no lines finer than :math:`w / \lambda z`.
@@ -275,7 +279,8 @@ def _fine_camera(camera: PlenopticCamera, lens: Objective, wavelength: float, ov
     p, z = camera.pixel_size, camera.detector_distance
     finest = in_millimetres(wavelength) * z / (2 * camera.lattice.aperture_width)
     per_bin = max(1, math.ceil(p / oversample / finest))
-    lit = math.ceil((lens.blur_diameter(0) + 2 * _DARK * max(camera.mla_pitches)) / p)
+    moved = lens.view_scale(z) * deepest * math.tan(lens.half_angle)
+    lit = math.ceil((lens.blur_diameter(0) + 2 * _DARK * max(camera.mla_pitches) + 2 * moved) / p)
     # As many pixels more on one side as on the other.
     window = [
         min(size + 2 * bins, lit + (lit - size) % 2)
