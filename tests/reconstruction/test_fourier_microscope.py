@@ -83,10 +83,10 @@ def test_every_bin_has_its_exact_spread(name):
 def test_light_of_deep_planes_is_kept_as_far_as_it_goes():
     """Parallax takes the pictures of the outer lenses far beyond the image of the stop."""
     camera = SMALL.replace(detector_width=5.0, resolution=(250, 250))
-    response = response_of(camera, [0.5])
+    response = response_of(camera, [-0.9])
     values = np.zeros(response.shapes[0], np.float32)
     values[12, 12] = 1
-    expected = exact(camera, 1, 12, 12, 0.5, parts=2)
+    expected = exact(camera, 1, 12, 12, -0.9, parts=2)
     found = response.forward([values])
     assert found.sum() == pytest.approx(expected.sum(), rel=2e-3)
     # Four places of the bin do not tell the fringes of several lenses' light evenly.
