@@ -20,6 +20,7 @@ from mitsuba_plenoptic.capture.point_spread import point_fields
 from mitsuba_plenoptic.optics.telecentric import TelecentricLens
 
 AIR, OIL = Objective(20, 0.5), Objective(40, 1.3, 1.515, tube_focal_length=180)
+WATER = Objective(25, 1.0, 1.33, tube_focal_length=180)
 FOURIER = Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50)
 WAVELENGTH = 550.0
 
@@ -62,7 +63,8 @@ def debye(objective, radius, depth):
 
 
 @pytest.mark.parametrize(
-    ("objective", "depth"), [(AIR, 0.0), (AIR, 0.01), (AIR, -0.03), (OIL, 0.0), (OIL, 0.002), (OIL, -0.004)]
+    ("objective", "depth"),
+    [(AIR, 0.0), (AIR, 0.01), (AIR, -0.03), (WATER, -0.008), (OIL, 0.0), (OIL, 0.002), (OIL, -0.004)],
 )
 def test_the_field_before_the_lenses_is_the_debye_integral(objective, depth):
     X, Y = 0.004, -0.003

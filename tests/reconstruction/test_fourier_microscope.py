@@ -80,6 +80,7 @@ def test_every_bin_has_its_exact_spread(name):
     assert np.linalg.norm(response.forward([values]) - expected) < 0.01 * np.linalg.norm(expected)
 
 
+@pytest.mark.slow
 def test_light_of_deep_planes_is_kept_as_far_as_it_goes():
     """Parallax takes the pictures of the outer lenses far beyond the image of the stop."""
     camera = SMALL.replace(detector_width=5.0, resolution=(250, 250))
