@@ -770,12 +770,12 @@ class PlenopticCamera:
         """Bins across a reconstruction and down it: as many squares of one pitch as fit the detector.
 
         Rounded to even numbers: a corner of four bins lies on the axis, as one of four lenses of the default lattice
-        does, so that bins and lenses line up there. On any other lattice the bins are the same.
+        does, so that bins and lenses line up there. On any other lattice the bins are the same. In the Fourier
+        arrangement each lens sees the whole object: as many pixels as there are along a pitch.
         """
-        columns, rows = (
-            2 * max(1, round(width / (2 * self.mla_pitch))) for width in (self.detector_width, self.detector_height)
-        )
-        return columns, rows
+        if self.objective is not None and self.objective.is_fourier:
+            return _even_count(self.mla_pitches[0], self.pixel_size), _even_count(self.mla_pitches[1], self.pixel_size)
+        return _even_count(self.detector_width, self.mla_pitch), _even_count(self.detector_height, self.mla_pitch)
 
     @property
     def lens_count(self) -> tuple[int, int]:
@@ -783,7 +783,7 @@ class PlenopticCamera:
 
         A turned lattice has as many on the same area.
         """
-        columns, rows = self.bin_count
+        columns, rows = (_even_count(width, self.mla_pitch) for width in (self.detector_width, self.detector_height))
         if self.lattice.row_distance != self.mla_pitch:
             rows = max(1, round(self.detector_height / self.lattice.row_distance))
         return columns, rows
@@ -803,7 +803,22 @@ class PlenopticCamera:
     # -- object side ---------------------------------------------------------------------------------
 
     def bin_size(self, distance: float) -> float:
-        """Width in the object plane of one bin of a reconstruction, :math:`D_2 g / b`; at any :math:`D_2 / M`."""
+        """Width in the object plane of one bin of a reconstruction, :math:`D_2 g / b`.
+
+        Behind an objective at all depths :math:`D_2 / M`, in the Fourier arrangement that of a pixel in the object.
+
+        Parameters
+        ----------
+        distance : float
+            Object distance from the main lens in millimetres.
+        """
+        if self.objective is not None and self.objective.is_fourier:
+            return self.pixel_size / self.objective.view_scale(self.detector_distance)
         if self.objective is not None:
             return self.mla_pitch / self.objective.magnification
         return self.mla_pitch * distance / self.mla_distance
+
+
+def _even_count(width: float, step: float) -> int:
+    """Return how many steps fit a width, as the nearest even number."""
+    return 2 * max(1, round(width / (2 * step)))

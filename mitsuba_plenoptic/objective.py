@@ -126,6 +126,16 @@ class Objective:
         """Whether the array stands in the image of the stop."""
         return self.arrangement == "fourier"
 
+    def view_scale(self, detector_distance: float) -> float:
+        """Scale :math:`z M / f_F` of the picture of the object that a lens of the Fourier arrangement makes.
+
+        Parameters
+        ----------
+        detector_distance : float
+            Distance z from the array to the detector in millimetres.
+        """
+        return detector_distance * self.magnification / self.last_focal_length
+
     def blur_diameter(self, distance: float) -> float:
         r"""Diameter on the array of the light of a point on the axis, by rays.
 

@@ -124,7 +124,8 @@ def contrast(
     image: np.ndarray, camera: PlenopticCamera, distance: float, waves: Waves, number: int
 ) -> tuple[float, float]:
     """Return contrast and error of one pattern in an image of bins."""
-    size = camera.detector_width / len(image)
+    # Of an odd number of lenses a reconstruction shows one less, or one more.
+    size = camera.mla_pitch * camera.bin_count[0] / len(image)
     place = (np.arange(len(image)) - (len(image) - 1) / 2) * size
     x, y = np.meshgrid(place, place)
     half = 0.4 * camera.detector_width

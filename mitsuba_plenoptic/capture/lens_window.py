@@ -47,7 +47,9 @@ class LensWindow:
     def of(cls, camera: PlenopticCamera) -> LensWindow:
         """Find the window of a camera's recorded pixels."""
         edges = np.array([[0, 0], camera.crop_size]) + camera.crop_offset - np.array(camera.resolution) / 2
-        recorded = rays.chief_point(edges * camera.pixel_size, camera.pupil_distance, camera.detector_distance)
+        recorded = edges * camera.pixel_size
+        if camera.objective is None:
+            recorded = rays.chief_point(recorded, camera.pupil_distance, camera.detector_distance)
         pitch = max(camera.mla_pitches)
         margin = (_MARGIN + 0.5) * pitch
         # A lens of whose cell no more than the lower edge is recorded counts as well.

@@ -23,6 +23,7 @@ from ..optics.fitted_lens import lens_of_rays, lens_of_waves
 from ..optics.lens_system import LensSystem
 from ..optics.main_lens import UniformLens
 from ..optics.open_pupil import open_fraction, pupil_bound
+from ..optics.telecentric import TelecentricLens
 from ..runtime.limits import largest_fitting, require_memory
 from .chains import Optics
 from .draws import Found, channels, draw
@@ -30,7 +31,7 @@ from .entrance import Entrances, Front
 from .gloss import glossy, pupil_radiance
 from .lens_window import LensWindow
 from .places import Vertex
-from .pupil_weights import PupilWeights, slants
+from .pupil_weights import PupilWeights
 from .sight import Sight
 from .visibility import LANES, PUPIL_CELLS, sampled_fraction, visible_cells
 
@@ -171,12 +172,12 @@ def find_radiators(
         # How many shine is known as they are found; the parts and their concatenation are alive at once.
         held += 2 * sum(array.nbytes for array in found[-1])
         require_memory(held, f"{held // RADIATOR_BYTES} radiators or more in {some.stop} of {len(traced.index)} lenses")
-    P, positions, radiance, variance, curved, astigmatism, *over_pupil = (
+    P, positions, radiance, variance, curved, astigmatism, slant, bits, shiny, power = (
         np.concatenate(parts) for parts in zip(*found, strict=True)
     )
     _judge_astigmatism(camera, astigmatism, radiance)
     positions = _flatten_caustics(positions, P, radiance.mean(axis=1), curved)
-    weights = _pupil_weights(*over_pupil)
+    weights = _pupil_weights(slant, bits, shiny, power, front.even_power(pupil_bound(camera), PUPIL_CELLS))
     # Which rays land in the window is asked of the light that rays follow.
     wavelength = 1.0 if camera.prescription is None else camera.prescription.wavelength
     fraction = sampled_fraction(positions, weights, lens_of_waves(camera, positions, wavelength), window)
@@ -324,8 +325,7 @@ def _trace_lenses(
     place = found.vertex.place
     curved, astigmatism = (np.broadcast_to(part.numpy(), len(P)) for part in (place.curved, place.astigmatism))
     normals = to_world.inverse() @ mi.Normal3f(place.apparent)
-    seen = positions - np.array([0, 0, front.entrance])
-    slant = slants(np.broadcast_to(normals.numpy().T, positions.shape), seen, radius / front.magnification)
+    slant = front.slants(np.broadcast_to(normals.numpy().T, positions.shape), positions, radius)
     return through, positions, found.radiance, found.variance, curved, astigmatism, slant, bits, shiny, power
 
 
@@ -359,8 +359,10 @@ def _depth(found: Found, cosine: Any, start: Any, lens: UniformLens | LensSystem
     """Return the distances g of places; beyond some all wavefronts are flat."""
     first = mi.UInt32(found.lane)
     depth = found.vertex.place.distance * dr.gather(mi.Float, cosine, first) + dr.gather(mi.Float, start, first)
-    farthest = _INFINITY / float(lens.vergence(math.inf))
     numbers = depth.numpy().astype(np.float64)
+    if isinstance(lens, TelecentricLens):
+        return numbers
+    farthest = _INFINITY / float(lens.vergence(math.inf))
     return np.where(np.abs(numbers) < farthest, numbers, farthest)
 
 
@@ -370,17 +372,19 @@ def _over_pupil(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return bits, np.zeros(count, bool), np.empty((0, PUPIL_CELLS, PUPIL_CELLS), np.float32)
 
 
-def _pupil_weights(slant: np.ndarray, bits: np.ndarray, shiny: np.ndarray, power: np.ndarray) -> PupilWeights | None:
+def _pupil_weights(
+    slant: np.ndarray, bits: np.ndarray, shiny: np.ndarray, power: np.ndarray, even: np.ndarray | None
+) -> PupilWeights | None:
     """Gather what is visible, how slantwise and, of glossy radiators, the power over the pupil; None if all is even."""
     # Where no light path of the few has found light, all that is visible counts the same.
     lit = power.max(axis=(1, 2), initial=0) > 0
     which = np.flatnonzero(shiny)[lit]
-    if not which.size and (bits == 255).all() and (np.abs(slant) < _LEVEL).all():
+    if even is None and not which.size and (bits == 255).all() and (np.abs(slant) < _LEVEL).all():
         return None
-    masks = replace(PupilWeights.from_bits(bits, PUPIL_CELLS), slant=slant, sampled=True)
-    if not which.size:
-        return masks
-    rows = power[lit] / power[lit].max(axis=(1, 2), keepdims=True)
-    index = masks.index.copy()
-    index[which] = len(masks.table) + np.arange(len(which))
-    return PupilWeights(np.concatenate([masks.table, rows]), index, slant, sampled=True)
+    masks = PupilWeights.from_bits(bits, PUPIL_CELLS)
+    table, index = masks.table, masks.index.copy()
+    if which.size:
+        rows = power[lit] / power[lit].max(axis=(1, 2), keepdims=True)
+        index[which] = len(table) + np.arange(len(which))
+        table = np.concatenate([table, rows])
+    return PupilWeights(table if even is None else table * even, index, slant, sampled=True)

@@ -55,6 +55,25 @@ class Sight:
             )
         return cls(optics, sensor, wavelengths)
 
+    def require_surfaces(self, lens: str) -> None:
+        """Refuse what is seen through a microscope's objective by rays alone.
+
+        Parameters
+        ----------
+        lens : str
+            What messages call the objective.
+
+        Raises
+        ------
+        InputError
+            If there are mirrors, glass, cut-outs, masks or media, or an environment, which is infinitely far.
+        """
+        if not self.optics.plain or self.optics.scene.environment() is not None:
+            raise InputError(
+                f"main_lens = {lens}: behind an objective waves know scenes of surfaces without mirrors, glass, "
+                "cut-outs, masks and media, and without an environment; capture by rays"
+            )
+
     def vergences(self, lens: MainLens) -> tuple[float, float]:
         """Return the vergences of the images of the nearest and the farthest point that can be seen to shine."""
         box, to_camera = self.optics.scene.bbox(), self.sensor.world_transform().inverse()

@@ -28,3 +28,19 @@ def brightness(lattice: Any, pupil_radius: Any, detector_distance: Any, pixel_si
 def brightness_of(camera: PlenopticCamera) -> float:
     """Return `brightness` for a camera."""
     return float(brightness(camera.lattice, pupil_bound(camera), camera.detector_distance, camera.pixel_size))
+
+
+def radiance_weight(camera: PlenopticCamera, area: float) -> float:
+    r"""Return what all pixels together record of a small area of radiance 1: `brightness` times :math:`A_c / b^2`.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    area : float
+        The area :math:`A_c` of its image on the array, in square millimetres; in the Fourier arrangement that of its
+        native image, which the tube lens forms at b.
+    """
+    objective = camera.objective
+    b = objective.tube_focal_length if objective is not None and objective.is_fourier else camera.pupil_distance
+    return area / b**2 * brightness_of(camera)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..optics.main_lens import MainLens
+from ..optics.telecentric import TelecentricLens
 from ..optics.thin import ThinLens
 from .chains import Optics, leads_to
 from .entrance import Entrances
@@ -124,7 +125,9 @@ def sampled_fraction(
     centre = lens.images(positions)
     # More than any ray's: aberrations are small against half of a lens and a tenth of the blur.
     blur = radius * np.abs(1 - lens.pupil_distance * lens.convergence(positions[:, 2]))[:, None]
-    if not isinstance(lens, ThinLens):
+    if isinstance(lens, TelecentricLens):
+        blur = np.array([[lens.objective.blur_diameter(depth) / 2] for depth in positions[:, 2].tolist()])
+    elif not isinstance(lens, ThinLens):
         blur = 1.1 * blur + np.hypot(*window.lattice.basis[0]) / 2
     fraction = np.ones(len(positions))
     # Only where the blur leaves the sampled lenses is there anything to count.

@@ -27,7 +27,7 @@ from .operator import CaptureOperator
 from .patch_plan import Cost
 from .radiators import Radiators, find_radiators, sample_pairs
 from .sight import Sight
-from .units import brightness_of
+from .units import radiance_weight
 
 _log = logging.getLogger(__name__)
 
@@ -261,8 +261,7 @@ class WaveCapture:
         """Return the weights (n, 1) of radiators of radiance 1."""
         camera = self.camera
         cell = camera.lattice.cell_area / (self.radiators_per_lens**2 * self.passes)
-        whole = cell / camera.pupil_distance**2 * brightness_of(camera)
-        return np.asarray(whole / radiators.fraction[:, None])
+        return np.asarray(radiance_weight(camera, cell) / radiators.fraction[:, None])
 
 
 def _task(work: LensRaySum, runs: int) -> Task:

@@ -12,6 +12,12 @@ microscope", Optics Express 21, 25418, equation 17), the second :math:`1 / (2 (b
 
 Near focus all lenses see the same, and the lens pitch decides; Broxton's formula holds from
 :math:`d = w^2 / 2 M^2 \lambda` on.
+
+In the Fourier arrangement each lens sees the whole object, through its own part of the stop of the width :math:`M w /
+f_F`, which is twice its numerical aperture. It lets lines up to :math:`\nu_c = M w / f_F \lambda` through, and at the
+depth d those up to the first that its own defocus, a blur of the width :math:`\beta = M w |d| / n f_F`, puts out: of an
+aperture with straight edges :math:`\beta \nu (1 - \nu / \nu_c) = 1` there (Goodman, "Introduction to Fourier Optics",
+section 6.4.4). A pixel is as wide in the object at all depths.
 """
 
 from __future__ import annotations
@@ -21,7 +27,7 @@ from dataclasses import dataclass
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_number
+from ..errors import require_number
 from ..objective import Objective
 from ..optics.phase import in_millimetres
 from ..thin_lens import image_distance
@@ -42,7 +48,8 @@ class ResolutionLimit:
     pixels : float
         By the pixels; infinite in focus.
     lenses : float
-        By one sample a lens, which is what reconstructions without deconvolution give.
+        By one sample a lens, which is what reconstructions without deconvolution give; in the Fourier arrangement,
+        where each lens makes a picture, by one sample a pixel.
     in_focus : bool
         Whether the plane is so near focus that lenses see the same: the pitch of the lenses decides.
     frequency : float
@@ -80,11 +87,11 @@ def resolution_limit(camera: PlenopticCamera, distance: float, wavelength: float
     Raises
     ------
     InputError
-        If the distance is not beyond the focal length, the wavelength is out of range, or an array stands in the image
-        of an objective's stop.
+        If the distance is not beyond the focal length, or the wavelength is out of range.
     """
     if camera.objective is not None:
-        return _behind_objective(camera, camera.objective, require_number("distance", distance), wavelength)
+        behind = _in_the_stops_image if camera.objective.is_fourier else _behind_objective
+        return behind(camera, camera.objective, require_number("distance", distance), wavelength)
     image_distance(camera.focal_length, require_number("distance", distance, finite=False))
     b, defocus = camera.mla_distance, abs(camera.defocus(distance))
     # From the MLA, seen from the main lens's centre, to the object plane.
@@ -109,8 +116,6 @@ def _behind_objective(
     camera: PlenopticCamera, lens: Objective, depth: float, wavelength: float | None
 ) -> ResolutionLimit:
     r"""Return the same for a microscope: :math:`n w / 0.94 \lambda M d` and :math:`n z / 2 M p d`; 2 NA bounds them."""
-    if lens.is_fourier:
-        raise InputError("main_lens: arrangement = fourier: the limit is that of the lenses; see design.lens_aperture")
     M, n, d = lens.magnification, lens.immersion, abs(depth)
     width = camera.lattice.aperture_width
     pixels = n * camera.detector_distance / (2 * M * camera.pixel_size * d) if d > 0 else math.inf
@@ -120,3 +125,19 @@ def _behind_objective(
         waves = min(n * width / (_SPARROW * lam * M * d) if d > 0 else math.inf, 2 * lens.numerical_aperture / lam)
         in_focus = d < n * width**2 / (2 * M * M * lam)
     return ResolutionLimit(waves, pixels, M / (2 * max(camera.mla_pitches)), in_focus)
+
+
+def _in_the_stops_image(
+    camera: PlenopticCamera, lens: Objective, depth: float, wavelength: float | None
+) -> ResolutionLimit:
+    """Return the same for the Fourier arrangement, where no plane is like the one in focus of other cameras."""
+    pixels, waves = 1 / (2 * camera.bin_size(depth)), math.inf
+    aperture = lens.magnification * camera.lattice.aperture_width / lens.last_focal_length
+    blur = aperture * abs(depth) / lens.immersion
+    if wavelength is not None:
+        cutoff = aperture / in_millimetres(require_wavelength(wavelength))
+        kept = 1 - 4 / (blur * cutoff) if blur > 0 else -1.0
+        waves = cutoff if kept < 0 else 2 / blur / (1 + math.sqrt(kept))
+    elif blur > 0:
+        waves = 1 / blur
+    return ResolutionLimit(waves, pixels, pixels, False)

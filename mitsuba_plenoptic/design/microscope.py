@@ -2,7 +2,7 @@ r"""What follows from the numbers of a light-field microscope, a camera whose ma
 
 Lengths in the object are those in the native image plane over the magnification M. In the Fourier arrangement each lens
 of the width w sees the object through its part of the stop, :math:`NA_l = M w / 2 f_F`, from a direction of its own
-(Guo, Liu, Li and Jia 2019, "Fourier light-field microscopy", Optics Express 27, 25573).
+(Guo, Liu, Hua, Li and Jia 2019, "Fourier light-field microscopy", Optics Express 27, 25573).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def native_field(camera: PlenopticCamera) -> float:
     """
     lens = objective_of(camera)
     if lens.is_fourier:
-        return camera.mla_pitch * lens.last_focal_length / (camera.detector_distance * lens.magnification)
+        return camera.mla_pitch / lens.view_scale(camera.detector_distance)
     return camera.detector_width / lens.magnification
 
 

@@ -14,6 +14,7 @@ from ..io.captures import Capture, as_array, require_pixels
 from ..io.ground_truth import COORDINATES, GroundTruth, channel_planes
 from ..mosaic import require_demosaiced
 from ..runtime.limits import require_memory
+from .fourier_views import decode_views
 from .geometry import DIMS, light_field
 from .grid import LensGrid, bin_grid, lens_grid
 from .white import white_image
@@ -36,6 +37,10 @@ def decode(
     interpolation, which for a step of one pixel is the mean over a pixel-sized square, so that no light is lost. The
     capture and the white image are sampled alike and then divided. A lattice that is not upright and square is
     resampled to one that is, linearly along its rows and between them.
+
+    A lens of a Fourier light-field microscope makes a picture of the whole object instead: each is a view, with one
+    sample a pixel across the field. Light fields of a microscope with the array in the native image plane are not
+    decoded.
 
     Parameters
     ----------
@@ -80,14 +85,18 @@ def decode(
         )
     if camera is not None and image.shape[:2] != camera.shape:
         raise InputError(f"capture of shape {image.shape[:2]}: the camera records {camera.shape}")
+    if camera is not None and camera.objective is not None and camera.objective.is_fourier:
+        for name, given in (("grid", grid), ("truth", truth)):
+            if given is not None:
+                raise InputError(f"{name}: a Fourier microscope, each of whose lenses makes a view, is decoded without")
+        reference = None if white is None else _white(white, image)
+        return decode_views(image, camera, camera.objective, reference)
     if white is None:
         if camera is None:
             raise InputError("white = None: without a camera the pupil is known from a white image only")
         reference = white_image(camera, grid)[..., None]
     else:
-        reference = _image("white", white.image if isinstance(white, Capture) else white).mean(axis=2, keepdims=True)
-        if reference.shape[:2] != image.shape[:2]:
-            raise InputError(f"white of shape {reference.shape[:2]}: the capture has the shape {image.shape[:2]}")
+        reference = _white(white, image)
     if camera is not None:
         lenses, bins = grid or lens_grid(camera), bin_grid(camera)
     elif grid is not None:
@@ -136,6 +145,14 @@ def _image(name: str, values: np.ndarray) -> np.ndarray:
         raise InputError(f"{name} of shape {image.shape}: it must be an image of 1 or 3 channels")
     require_pixels(name, image)
     return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False)
+
+
+def _white(white: Capture | np.ndarray, image: np.ndarray) -> np.ndarray:
+    """Return a white capture in one channel, of the image's size."""
+    reference = _image("white", white.image if isinstance(white, Capture) else white).mean(axis=2, keepdims=True)
+    if reference.shape[:2] != image.shape[:2]:
+        raise InputError(f"white of shape {reference.shape[:2]}: the capture has the shape {image.shape[:2]}")
+    return np.asarray(reference)
 
 
 def _brightness(middle: np.ndarray) -> np.float32:

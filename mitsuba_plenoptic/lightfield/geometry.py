@@ -181,7 +181,14 @@ def require_light_field(lf: Any) -> xr.DataArray:
 def view_steps(lf: xr.DataArray, axis: str) -> np.ndarray:
     """Return the place of each view along ``u`` or ``v`` in views from the pupil's centre, rising with the index."""
     coordinate = np.asarray(lf[axis].values, dtype=np.float64)
-    return -coordinate / camera_of(lf).pupil_step if lf.attrs.get("camera") else coordinate
+    return -coordinate / _camera_behind_a_lens(lf).pupil_step if lf.attrs.get("camera") else coordinate
+
+
+def _camera_behind_a_lens(lf: xr.DataArray) -> PlenopticCamera:
+    """Return the camera of a light field, or refuse one whose points do not move evenly from view to view."""
+    camera = camera_of(lf)
+    camera.require_lens("an even parallax between views")
+    return camera
 
 
 def channel_planes(lf: xr.DataArray) -> list[np.ndarray]:
@@ -225,7 +232,7 @@ def disparity(lf: xr.DataArray, distance: float) -> float:
     InputError
         If the light field has no camera, or the distance is within the focal length.
     """
-    camera = camera_of(lf)
+    camera = _camera_behind_a_lens(lf)
     distance = require_number("distance", distance, finite=False)
     image_distance(camera.focal_length, distance)
     return -camera.defocus(distance) * camera.pupil_step / camera.mla_pitch
@@ -245,7 +252,7 @@ def distance_of(lf: xr.DataArray, disparity: Any) -> Any:
     -------
     float64 array of the same shape
     """
-    camera = camera_of(lf)
+    camera = _camera_behind_a_lens(lf)
     s = -np.asarray(disparity, dtype=np.float64) * camera.mla_pitch / camera.pupil_step
     power = s - 1 + camera.mla_distance / camera.focal_length
     with np.errstate(divide="ignore"):

@@ -258,19 +258,19 @@ def make_class() -> type:
         def _capture(self, scene: Any, sensor: Any) -> WaveCapture | SpectralCapture:
             camera = PlenopticCamera.from_sensor(sensor)
             require_ideal(camera)
-            if camera.objective is not None:
-                raise InputError(
-                    f"main_lens = {camera.objective.name}: scenes are captured by rays alone behind an objective; use "
-                    "a CaptureOperator for points by waves"
-                )
+            if camera.objective is not None and self.method == "bank":
+                raise InputError(f"method = bank: it does not know main_lens = {camera.objective.name}; use patch")
             if self.method == "bank":
                 require_round(camera)
                 require_no_glass(camera, "method bank takes the same focal lengths for all wavelengths; use patch, or")
             spectrum = self.spectrum_of(sensor)
             wavelengths = self.wavelengths if spectrum is None else spectrum.wavelengths
+            sight = Sight.of(scene, sensor, self.child, wavelengths if mi.is_spectral else None)
+            if camera.objective is not None:
+                sight.require_surfaces(camera.objective.name)
             capture = WaveCapture(
                 camera=camera,
-                sight=Sight.of(scene, sensor, self.child, wavelengths if mi.is_spectral else None),
+                sight=sight,
                 wavelengths=self.wavelengths,
                 radiators_per_lens=self.radiators_per_lens,
                 passes=self.passes,

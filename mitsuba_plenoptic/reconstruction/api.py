@@ -188,10 +188,10 @@ def reconstruct(
     camera = capture.camera
     if not isinstance(method, str) or method not in METHODS:
         raise InputError(f"method = {shown(method)}: it must be one of {', '.join(METHODS)}")
-    if camera.objective is not None and (method != "deconvolved" or camera.objective.is_fourier):
+    if camera.objective is not None and method != "deconvolved":
         raise InputError(
-            f"method = {method}: behind main_lens = {camera.objective.name} captures are deconvolved alone, those with "
-            "the array in the native image plane; CaptureOperator and its adjoint serve others"
+            f"method = {method}: behind main_lens = {camera.objective.name} captures are deconvolved alone; use method "
+            "deconvolved"
         )
     chosen = METHODS[method]
     if camera.prescription is not None and method != "ray":

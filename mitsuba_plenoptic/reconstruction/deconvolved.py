@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera import PlenopticCamera
 from ..design import resolution_limit
 from ..errors import InputError
 from ..io.checkpoints import digest
 from ..runtime.jobs import Job
+from .deconvolution.fourier import FourierResponse
 from .deconvolution.kept import Kept, Solved
 from .deconvolution.noise import Noise
 from .deconvolution.response import Response
 from .deconvolution.solver import richardson_lucy
-from .deconvolution.to_bins import to_bins
-from .deconvolution.variation import TotalVariation
 from .methods import Found, Task, method
 
 DEFAULT_ITERATIONS, MOST_ITERATIONS = 30, 100
@@ -80,7 +80,7 @@ def _solve(
     """Yield what is found of each plane, from one channel."""
     image = np.ascontiguousarray(task.image[..., channel])
     iterations, variation = options["iterations"], options["variation"]
-    with Response(
+    with _response(task.camera)(
         task.camera,
         distances,
         wavelength=None if options["response"] == "ray" else task.wavelengths[channel],
@@ -88,7 +88,6 @@ def _solve(
         job=Job(progress=lambda done, total: report(_PLANNING * done / total), batch_map=task.batch_map),
     ) as made:
         known = iterations is None and noise is not None
-        lit = [plane.lit for plane in made.planes]
         solution = richardson_lucy(
             made,
             image,
@@ -96,15 +95,21 @@ def _solve(
             accelerate=options["accelerate"],
             misfit=noise.misfit if known and noise else None,
             shift=noise.shift if noise else 0.0,
-            penalty=(TotalVariation(made.cells, lit), variation) if variation else None,
-            state=kept.state([plane.shape for plane in made.planes]),
+            penalty=(made.variation(), variation) if variation else None,
+            state=kept.state(made.shapes),
             keep=kept.keep,
             progress=lambda done: report(_PLANNING + (1 - _PLANNING) * done),
         )
-    for cells, values, seen in zip(lit, solution.values, solution.seen, strict=True):
-        radiance, light = (to_bins(part, made.cells, cells, task.camera, task.oversample) for part in (values, seen))
+    for plane, parts in enumerate(zip(solution.values, solution.seen, strict=True)):
+        radiance, light = (made.to_image(part, plane) for part in parts)
         visible = np.where(light >= _LEAST_SEEN, radiance, np.float32(np.nan))
         yield Solved(visible, solution.iterations, solution.residual, solution.stopped)
+
+
+def _response(camera: PlenopticCamera) -> type[Response] | type[FourierResponse]:
+    """Return the response that a camera has."""
+    fourier = camera.objective is not None and camera.objective.is_fourier
+    return FourierResponse if fourier else Response
 
 
 def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str, Any]:

@@ -67,16 +67,12 @@ def _fourier(camera: PlenopticCamera, lens: Objective) -> list[Line]:
         ("image of the stop", _four(lens.blur_diameter(0)), "mm", ""),
         ("lenses across it", f"{design.lenses_across_stop(camera):.3g}", "", ""),
         ("numerical aperture of a lens", _four(design.lens_aperture(camera)), "", ""),
-        ("pixel in the object", _four(1e3 * camera.pixel_size * _demagnification(camera, lens)), "um", ""),
+        ("pixel in the object", _four(1e3 * camera.bin_size(0)), "um", ""),
     ]
     if outer > 0:
         note = f"per um of depth, of a lens {_four(outer)} mm from the axis"
         rows.append(("parallax", _four(abs(design.parallax(camera, outer))), "um", note))
     return rows
-
-
-def _demagnification(camera: PlenopticCamera, lens: Objective) -> float:
-    return lens.last_focal_length / (camera.detector_distance * lens.magnification)
 
 
 def _diffraction(camera: PlenopticCamera, lens: Objective, wavelength: float) -> list[Line]:
@@ -89,11 +85,13 @@ def _diffraction(camera: PlenopticCamera, lens: Objective, wavelength: float) ->
         aperture = design.lens_aperture(camera)
         depth = lens.immersion * wavelength * 1e-3 / aperture**2
         rows.append(("limit of a lens", _four(2e6 * aperture / wavelength), "lp/mm", ""))
-        return [*rows, ("depth of field", _four(depth), "um", "of a lens, n times the wavelength over its NA squared")]
-    shallow = lens.immersion * width**2 / (2 * lens.magnification**2 * wavelength * 1e-6)
+        rows.append(("depth of field", _four(depth), "um", "of a lens, n times the wavelength over its NA squared"))
+        shallow, sample = 1e-3 * depth, "pixel"
+    else:
+        shallow, sample = lens.immersion * width**2 / (2 * lens.magnification**2 * wavelength * 1e-6), "lens"
     for depth in (shallow, 2 * shallow, 4 * shallow):
         limit = design.resolution_limit(camera, 1.001 * depth, wavelength)
-        told = f"at depths of {_four(1e3 * depth)} um; {limit.frequency / limit.lenses:.2g} times one sample a lens"
+        told = f"at depths of {_four(1e3 * depth)} um; {limit.frequency / limit.lenses:.2g} times one sample a {sample}"
         rows.append(("resolution, deconvolved", _four(limit.frequency), "lp/mm", told))
     return rows
 

@@ -34,7 +34,7 @@ def test_variation_is_that_of_an_even_slope(name):
     """The sum of lengths of a plane's gradient, in closed form; and its derivatives by finite differences."""
     response = planned(CAMERAS[name])
     cells, plane = response.cells, response.planes[0]
-    variation = TotalVariation(cells, [plane.lit])
+    variation = TotalVariation.of_cells(cells, [plane.lit])
     places = np.stack([cells.bin_places(cell)[:, 0] for cell in plane.lit.index])
     slope, shortest = (3.0, -2.0), min(cells.bin_sizes)
     values = (5 + places @ np.array(slope)).astype(np.float32)
@@ -70,7 +70,7 @@ def test_variation_lowers_the_error_of_an_even_and_noisy_target():
     middle = np.abs(places).max(-1) < 0.16
 
     def error(weight, **options):
-        penalty = (TotalVariation(response.cells, [response.planes[0].lit]), weight) if weight else None
+        penalty = (TotalVariation.of_cells(response.cells, [response.planes[0].lit]), weight) if weight else None
         found = richardson_lucy(response, noisy, penalty=penalty, **options).values[0]
         return np.linalg.norm((found - truth)[middle]) / np.linalg.norm(truth[middle])
 

@@ -19,6 +19,8 @@ from .cells import Cells
 from .kernels import Kernel, make_kernel, on_disk
 from .plane import PlaneResponse, Zone, zones
 from .ray_spreads import ray_batches, ray_grid
+from .to_bins import to_bins
+from .variation import TotalVariation
 from .wave_spreads import wave_batches, wave_grid
 
 Batches = Callable[[Cells, float, NDArray[np.int64]], Sequence[Sequence[Any]]]
@@ -80,7 +82,7 @@ class Response:
         job = job or Job()
         grid = ray_grid(camera) if wavelength is None else wave_grid(camera, distances, wavelength)
         self._batches: Batches = ray_batches if wavelength is None else wave_batches
-        self.cells = Cells(grid, oversample)
+        self.cells, self._camera = Cells(grid, oversample), camera
         all_pixels = np.full((1, 2), -_EVERYWHERE), np.full((1, 2), _EVERYWHERE)
         self._recorder = Recorder(camera, grid, *all_pixels)
         self._sampled = self.cells.holding(self._recorder.box)
@@ -153,6 +155,19 @@ class Response:
 
         planes = f"{len(distances)} planes" if len(distances) > 1 else f"the plane at {distances[0]:g}"
         require_memory(memory(oversample), f"oversample = {oversample}: deconvolution of {planes}", fitting)
+
+    @property
+    def shapes(self) -> list[tuple[int, int]]:
+        """Cells and their bins, of each plane."""
+        return [plane.shape for plane in self.planes]
+
+    def variation(self) -> TotalVariation:
+        """Return the total variation of its planes."""
+        return TotalVariation.of_cells(self.cells, [plane.lit for plane in self.planes])
+
+    def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
+        """Return numbers of a plane's bins, (cells, bins), as those of the upright bins of a reconstruction."""
+        return to_bins(values, self.cells, self.planes[plane].lit, self._camera, self.cells.oversample)
 
     def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
         """Record planes.

@@ -25,19 +25,32 @@ _SMOOTH = 1e-3
 """What counts as even: the step between bins, over their mean."""
 
 
+Differences = tuple[sparse.csr_matrix, sparse.csr_matrix]
+"""The steps to the next bin along a row and across the rows, as matrices over all bins of a plane."""
+
+
 class TotalVariation:
     """The variation of some planes.
 
     Parameters
     ----------
-    cells : Cells
-        How bins are gathered.
-    lit : sequence of CellSet
-        The cells of each plane.
+    differences : sequence of Differences
+        Those of each plane.
     """
 
-    def __init__(self, cells: Cells, lit: Sequence[CellSet]) -> None:
-        self._differences = [_differences(cells, some) for some in lit]
+    def __init__(self, differences: Sequence[Differences]) -> None:
+        self._differences = differences
+
+    @classmethod
+    def of_cells(cls, cells: Cells, lit: Sequence[CellSet]) -> TotalVariation:
+        """Return that of bins that are gathered in cells, the cells of each plane."""
+        return cls([_differences(cells, some) for some in lit])
+
+    @classmethod
+    def of_grids(cls, shapes: Sequence[tuple[int, int]]) -> TotalVariation:
+        """Return that of planes of upright square bins, (rows, columns)."""
+        known = {shape: _grid_differences(shape) for shape in set(shapes)}
+        return cls([known[shape] for shape in shapes])
 
     def gradient(
         self, values: Sequence[NDArray[np.float32]], inside: Sequence[NDArray[np.bool_]]
@@ -60,9 +73,7 @@ class TotalVariation:
         ]
 
 
-def _gradient(
-    differences: Sequence[sparse.csr_matrix], values: NDArray[np.float32], inside: NDArray[np.bool_]
-) -> NDArray[np.float32]:
+def _gradient(differences: Differences, values: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.float32]:
     flat, beyond = values.ravel(), (~inside.ravel()).astype(np.float32)
     # A step that touches a bin beyond is none.
     steps = [np.where(abs(matrix) @ beyond > 0, np.float32(0), matrix @ flat) for matrix in differences]
@@ -72,8 +83,18 @@ def _gradient(
     return np.asarray(found, np.float32).reshape(values.shape)
 
 
-def _differences(cells: Cells, lit: CellSet) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
-    """Return the steps to the next bin along a row and across the rows, as matrices over all bins of a plane."""
+def _grid_differences(shape: tuple[int, int]) -> Differences:
+    """Return the differences of upright square bins."""
+    rows, columns = shape
+    number = np.arange(rows * columns).reshape(shape)
+    right, below = np.full(shape, -1), np.full(shape, -1)
+    right[:, :-1], below[:-1] = number[:, 1:], number[1:]
+    whole = np.ones(rows * columns)
+    return _steps([(right.ravel(), whole)], 1.0), _steps([(below.ravel(), whole)], 1.0)
+
+
+def _differences(cells: Cells, lit: CellSet) -> Differences:
+    """Return the differences of bins in cells."""
     across, down = cells.bins
     width, height = cells.bin_sizes
     index = lit.index

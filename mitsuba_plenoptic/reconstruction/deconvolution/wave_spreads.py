@@ -13,6 +13,7 @@ from ...capture.accuracy import band_for
 from ...capture.grid import Grid, place
 from ...capture.patch_batches import Fields, Scatter
 from ...capture.tile import Copies
+from ...capture.units import radiance_weight
 from ...design import resolution_limit
 from ...optics.main_lens import main_lens
 from .cells import Cells
@@ -87,15 +88,8 @@ def _radiators(cells: Cells, distance: float) -> int:
 
 
 def bin_weight(cells: Cells) -> float:
-    r"""Return what all pixels together record of a bin of radiance 1, where no light is lost.
-
-    :math:`A_{bin} A_{pupil} z^2 / (b^2 A_{lens} A_{pixel})`, by which the wave capture weighs its radiators.
-    """
-    camera = cells.camera
-    b, z = camera.mla_distance, camera.detector_distance
-    pupil = math.pi * main_lens(camera).pupil_radius ** 2
-    area = cells.bin_sizes[0] * cells.bin_sizes[1]
-    return float(area * pupil * z**2 / (b**2 * camera.lattice.lens_area * camera.pixel_size**2))
+    """Return what all pixels together record of a bin of radiance 1, where no light is lost."""
+    return radiance_weight(cells.camera, cells.bin_sizes[0] * cells.bin_sizes[1])
 
 
 def finite_distance(camera: PlenopticCamera, distance: float) -> float:

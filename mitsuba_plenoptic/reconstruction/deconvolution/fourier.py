@@ -1,0 +1,311 @@
+r"""The response of a Fourier light-field microscope to the bins of object planes: convolutions of the detector.
+
+The array stands in the image of the stop, where a point (X, Y, d) has the field of the point (0, 0, d) times a plane
+wave of the direction cosines :math:`M X / f_F`. All lenses together are one thin screen there, and free space behind it
+takes a tilted wave to the same intensity, moved by :math:`z M X / f_F` (Goodman, "Introduction to Fourier Optics",
+section 4.2; exact where directions are small, and behind an objective they are). So all points of a plane have one
+spread, whatever they share a lens with, and a plane's capture is a convolution (Guo, Liu, Hua, Li, Jia 2019, "Fourier
+light-field microscopy", Optics Express 27, 25573).
+
+Bins lie on a grid that is `oversample` times as fine as the pixels, in the pictures that the lenses make. Those at the
+same place of a pixel light the pixels by one kernel, so that a plane has as many kernels as bins lie on a pixel.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...capture.full_field_plan import FullFieldPlan
+from ...capture.units import radiance_weight
+from ...errors import InputError
+from ...objective import Objective
+from ...optics.phase import in_millimetres
+from ...optics.sampling import fast_length
+from ...runtime.backend import backend
+from ...runtime.fft import fft, irfft, resting_drjit, rfft
+from ...runtime.jobs import Job
+from ...runtime.limits import largest_fitting, require_memory
+from .variation import TotalVariation
+
+_MEMORY = 2 * 2**30
+"""Bytes of the kernels' spectra beyond which they are kept on disk."""
+
+_DARK = 2
+"""Lens pitches beyond the image of the stop where light of the outermost lenses still goes."""
+
+
+class FourierResponse:
+    r"""The capture of object planes made of bins of even radiance: :math:`I = \sum_k A_k x_k`.
+
+    Bins fill the picture of one lens, `PlenopticCamera.bin_count` of them times `oversample`. What lies beyond that is
+    taken for dark: behind a real microscope a field stop hides it.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A microscope in the Fourier arrangement; its recorded window may be a crop.
+    distances : sequence of float
+        Depths of the planes.
+    wavelength : float
+        Wavelength in nanometres.
+    oversample : int
+        Bins along a pixel of a lens's picture.
+    job : Job, optional
+        Who computes the point spreads, one a plane, and who is told of the progress.
+
+    Kernels of many planes are kept in a temporary folder; as a context it removes the folder when it is left, else that
+    is done when nothing refers to it any more.
+
+    Raises
+    ------
+    InputError
+        If it would need too much memory.
+    """
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        distances: Sequence[float],
+        *,
+        wavelength: float | None,
+        oversample: int,
+        job: Job | None = None,
+    ) -> None:
+        assert camera.objective is not None and wavelength is not None
+        self._camera, self._oversample, self._count = camera, oversample, len(distances)
+        bins, pixels = np.array(camera.bin_count), np.array(camera.crop_size)
+        self._size = tuple(fast_length(float(number)) for number in reversed((pixels + bins - 1).tolist()))
+        self._folder = None
+        if len(distances) > 1 and self._spectra_memory(oversample) > _MEMORY:
+            self._folder = tempfile.TemporaryDirectory(prefix="deconvolution-")
+        self._planes = f"{len(distances)} planes" if len(distances) > 1 else f"the plane at {distances[0]:g}"
+        deepest = max(abs(distance) for distance in distances)
+        fine = _fine_camera(camera, camera.objective, wavelength, oversample, deepest)
+        self._require_memory(fine)
+        self._spectra = self._empty_spectra()
+        points = np.array([[*self._middle, depth] for depth in distances])
+        plan = FullFieldPlan(fine.at_wavelength(wavelength), points, None, wavelength, 0.0)
+        one = np.ones(1, np.float32)
+        batches = [plan.batch(plane, one) for plane in range(len(distances))]
+        for plane, part in enumerate((job or Job()).each(batches, [1] * len(batches), 0, len(batches))):
+            self._keep(plane, np.asarray(part.sums[0]), fine)
+
+    def __enter__(self) -> FourierResponse:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._folder:
+            self._folder.cleanup()
+
+    @property
+    def shapes(self) -> list[tuple[int, int]]:
+        """Rows and columns of the bins of each plane."""
+        columns, rows = (self._oversample * count for count in self._camera.bin_count)
+        return [(rows, columns)] * self._count
+
+    def variation(self) -> TotalVariation:
+        """Return the total variation of its planes."""
+        return TotalVariation.of_grids(self.shapes)
+
+    def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
+        """Return numbers of a plane's bins, which lie as in a lens's picture, upright, as in a reconstruction."""
+        return np.ascontiguousarray(values[::-1, ::-1])
+
+    def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """Record planes.
+
+        Parameters
+        ----------
+        values : sequence of float32 arrays (rows, columns)
+            Radiance of the bins of each plane, as they lie in a lens's picture.
+
+        Returns
+        -------
+        float32 array (rows, columns)
+        """
+        libraries, (rows, columns) = backend(), self._size
+        total = libraries.arrays.zeros((rows, columns // 2 + 1), np.complex64)
+        with resting_drjit():
+            for radiance, spectra in zip(values, self._spectra, strict=True):
+                for phase, spectrum in zip(self._phases, spectra, strict=True):
+                    total += self._spectrum(radiance[phase]) * libraries.arrays.asarray(spectrum)
+            height, width = self._camera.shape
+            found = fft(total, axis=0, inverse=True)[:height]
+            return np.ascontiguousarray(libraries.to_host(irfft(found, columns, axis=1)[:, :width]))
+
+    def adjoint(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+        """Apply the transpose of `forward`.
+
+        Parameters
+        ----------
+        image : float32 array (rows, columns)
+            Of the recorded pixels.
+
+        Returns
+        -------
+        list of float32 arrays (rows, columns)
+        """
+        libraries, columns, result = backend(), self._size[1], []
+        width, height = self._camera.bin_count
+        with resting_drjit():
+            given = self._spectrum(image)
+            for shape, spectra in zip(self.shapes, self._spectra, strict=True):
+                plane = np.empty(shape, np.float32)
+                for phase, spectrum in zip(self._phases, spectra, strict=True):
+                    back = given * libraries.arrays.asarray(spectrum).conj()
+                    back = fft(back, axis=0, inverse=True)[:height]
+                    plane[phase] = libraries.to_host(irfft(back, columns, axis=1)[:, :width])
+                result.append(plane)
+        return result
+
+    @property
+    def _phases(self) -> list[tuple[slice, slice]]:
+        """The bins at each place of a pixel."""
+        starts = [slice(start, None, self._oversample) for start in range(self._oversample)]
+        return list(itertools.product(starts, starts))
+
+    @property
+    def _middle(self) -> tuple[float, float]:
+        """Place in the object of the first bin on the pixel in the middle of a lens's picture."""
+        size = self._camera.bin_size(0) / self._oversample
+        x, y = (
+            (self._oversample * (count // 2) + 0.5 - self._oversample * count / 2) * size
+            for count in self._camera.bin_count
+        )
+        return x, y
+
+    def _spectrum(self, samples: NDArray[np.float32]) -> Any:
+        """Return the spectrum of samples, which lie in the first corner of the convolutions' period."""
+        arrays, (rows, columns) = backend().arrays, self._size
+        wide = arrays.zeros((len(samples), columns), np.float32)
+        wide[:, : samples.shape[1]] = arrays.asarray(samples)
+        spectrum = arrays.zeros((rows, columns // 2 + 1), np.complex64)
+        spectrum[: len(samples)] = rfft(wide, axis=1)
+        return fft(spectrum, axis=0)
+
+    def _keep(self, plane: int, spread: NDArray[np.float32], fine: PlenopticCamera) -> None:
+        """Take the kernels of a plane from the spread of the bin in the middle, on the fine camera's pixels."""
+        o, camera = self._oversample, self._camera
+        per_bin = round(camera.pixel_size / fine.pixel_size / o)
+        for axis in (0, 1):
+            spread = _over_bins(spread, per_bin, axis)
+        # Sums over as much of a pixel as a bin is wide.
+        rows, columns = (length // per_bin for length in spread.shape)
+        parts = spread.reshape(rows, per_bin, columns, per_bin).sum(axis=(1, 3))
+        np.maximum(parts, 0, out=parts)  # what interpolation leaves below zero is not light
+        area = (camera.pixel_size / o * camera.mla_distance / camera.detector_distance) ** 2
+        parts *= np.float32(radiance_weight(camera, area))
+        # From the bin in the middle to the recorded pixels; the fine window has more pixels on both sides.
+        windows = np.array([columns, rows]) // o
+        low = [
+            -int(
+                (windows[axis] - camera.resolution[axis]) // 2 + camera.bin_count[axis] // 2 + camera.crop_offset[axis]
+            )
+            for axis in (1, 0)
+        ]
+        for number, phase in enumerate(self._phases):
+            kernel = parts
+            for axis, part in enumerate(phase):
+                kernel = _over_pixels(kernel, o, int(part.start), axis)
+            self._spectra[plane, number] = backend().to_host(self._spectrum(self._wrapped(kernel, low)))
+
+    def _wrapped(self, kernel: NDArray[np.float32], low: Sequence[int]) -> NDArray[np.float32]:
+        """Lay a kernel, whose first sample belongs to these steps, around the first corner of the period."""
+        places, kept = [], []
+        for axis, first in enumerate(low):
+            steps = np.arange(kernel.shape[axis]) + first
+            inside = (steps > -self._camera.bin_count[1 - axis]) & (steps < self._camera.shape[axis])
+            places.append(steps[inside] % self._size[axis])
+            kept.append(inside)
+        result = np.zeros(self._size, np.float32)
+        result[np.ix_(*places)] = kernel[np.ix_(*kept)]
+        return result
+
+    def _empty_spectra(self) -> Any:
+        """Return room for the spectra, (planes, kernels, rows, columns)."""
+        shape = self._count, self._oversample**2, self._size[0], self._size[1] // 2 + 1
+        if self._folder is None:
+            return np.empty(shape, np.complex64)
+        path = Path(self._folder.name) / "spectra"
+        try:
+            with path.open("wb") as file:
+                # Written, so that a full disk is found now.
+                for _ in range(shape[0]):
+                    file.write(np.zeros(shape[1:], np.complex64).data)
+        except OSError as error:
+            raise InputError(
+                f"{path.parent}: the response needs room there: {error.strerror}; TMPDIR names another folder"
+            ) from None
+        return np.memmap(path, np.complex64, "r+", shape=shape)
+
+    def _spectra_memory(self, oversample: int) -> float:
+        """Return the bytes of all kernels' spectra."""
+        return 4.0 * self._count * oversample**2 * math.prod(self._size)
+
+    def _require_memory(self, fine: PlenopticCamera) -> None:
+        """Refuse what does not fit, before anything is allocated."""
+
+        def memory(oversample: int) -> float:
+            spectra = self._spectra_memory(oversample) / (self._count if self._folder else 1)
+            bins = 4.0 * self._count * oversample**2 * math.prod(self._camera.bin_count)
+            spread = 4.0 * math.prod(fine.resolution) * (oversample / self._oversample) ** 2
+            return spectra + 12 * bins + 6 * spread + 24.0 * math.prod(self._size)
+
+        def fitting(limit: float) -> str | None:
+            largest = largest_fitting(memory, limit, self._oversample)
+            return f"oversample = {largest}" if largest else None
+
+        require_memory(
+            memory(self._oversample), f"oversample = {self._oversample}: deconvolution of {self._planes}", fitting
+        )
+
+
+def _fine_camera(
+    camera: PlenopticCamera, lens: Objective, wavelength: float, oversample: int, deepest: float
+) -> PlenopticCamera:
+    r"""Return a camera with all of the detector that a bin in the middle lights, whose pixels resolve the light.
+
+    The intensity behind a lens of the width w has no lines finer than :math:`w / \lambda z`.
+    """
+    p, z = camera.pixel_size, camera.detector_distance
+    finest = in_millimetres(wavelength) * z / (2 * camera.lattice.aperture_width)
+    per_bin = max(1, math.ceil(p / oversample / finest))
+    moved = lens.view_scale(z) * deepest * math.tan(lens.half_angle)
+    lit = math.ceil((lens.blur_diameter(0) + 2 * _DARK * max(camera.mla_pitches) + 2 * moved) / p)
+    # As many pixels more on one side as on the other.
+    window = [
+        min(size + 2 * bins, lit + (lit - size) % 2)
+        for size, bins in zip(camera.resolution, camera.bin_count, strict=True)
+    ]
+    columns, rows = (per_bin * oversample * size for size in window)
+    return camera.replace(
+        resolution=(columns, rows), detector_width=window[0] * p, crop_offset=(0, 0), crop_size=(columns, rows)
+    )
+
+
+def _over_bins(spread: NDArray[np.float32], width: int, axis: int) -> NDArray[np.float32]:
+    """Return the mean of a point's spread over the places of the point in a bin, `width` samples wide."""
+    length = spread.shape[axis]
+    spectrum = np.fft.rfft(spread, axis=axis).astype(np.complex64)
+    factor = np.sinc(np.fft.rfftfreq(length) * width).astype(np.float32)
+    spectrum *= factor[:, None] if axis == 0 else factor
+    return np.asarray(np.fft.irfft(spectrum, length, axis=axis), np.float32)
+
+
+def _over_pixels(parts: NDArray[np.float32], count: int, start: int, axis: int) -> NDArray[np.float32]:
+    """Sum parts of pixels to the pixels, for a bin that lies `start` parts farther; one pixel more than there are."""
+    before = [(0, 0), (0, 0)]
+    before[axis] = (start, count - start)
+    padded = np.pad(parts, before)
+    shape = list(padded.shape)
+    shape[axis : axis + 1] = [shape[axis] // count, count]
+    return np.asarray(padded.reshape(shape).sum(axis=axis + 1))

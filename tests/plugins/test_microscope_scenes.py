@@ -1,0 +1,99 @@
+"""Scenes by waves behind an objective: against sums of points, of which each part of the stop gets its light."""
+
+import math
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import CaptureOperator, InputError, Objective, PlenopticCamera, render_capture
+from mitsuba_plenoptic.capture.units import radiance_weight
+
+CAMERA = PlenopticCamera(
+    main_lens=Objective(20, 0.5),
+    mla_pitch=0.15,
+    mla_focal_length=3,
+    mla_offset=(0.075, 0.075),
+    detector_width=1.05,
+    resolution=(105, 105),
+)
+PLACE, RADIUS = (0.006, -0.004), 0.006
+CELLS = 48
+AXIS = (np.arange(CELLS) + 0.5) * 2 / CELLS - 1
+
+
+def disc(depth, tilt=0.0):
+    """An even light, turned about y by some degrees from facing the objective."""
+    turned = mi.ScalarTransform4f().translate([*PLACE, depth]).rotate([0, 1, 0], 180 - tilt).scale(RADIUS)
+    return {"type": "disk", "to_world": turned, "emitter": {"type": "area", "radiance": 1.0}}
+
+
+def wave_capture(objects, **options):
+    scene = {"type": "scene", "sensor": CAMERA.to_sensor(), "integrator": {"type": "path"}}
+    return render_capture(mi.load_dict(scene | objects), model="wave", wavelength=550, **options)
+
+
+def lambert(tilt):
+    """Power over the stop that a point of the disc sends, over that of a point which radiates evenly."""
+    sx, sy = 0.5 * AXIS, 0.5 * AXIS[:, None]
+    cosine = np.sqrt(1 - np.minimum(sx**2 + sy**2, 0.25))
+    return np.maximum(math.cos(tilt) * cosine + math.sin(tilt) * sx, 0)
+
+
+def points_of(depth, tilt, step=3e-4):
+    u = np.arange(-RADIUS + step / 2, RADIUS, step)
+    x, y = (values[np.hypot(*grid) < RADIUS] for grid in [np.meshgrid(u, u)] for values in grid)
+    points = np.column_stack([PLACE[0] + x * math.cos(tilt), PLACE[1] + y, np.full(len(x), depth) + x * math.sin(tilt)])
+    area = math.pi * (20 * RADIUS) ** 2 * math.cos(tilt) / len(points)
+    return points, np.full(len(points), radiance_weight(CAMERA, area))
+
+
+def exact(points, weights, over_stop):
+    table = np.broadcast_to(over_stop, (len(points), CELLS, CELLS))
+    return CaptureOperator(CAMERA, points, wavelength=550, pupil_weights=table).forward(weights)
+
+
+@pytest.mark.parametrize(("depth", "tilt", "limit"), [(0.02, 0, 0.02), (0.01, 40, 0.03)])
+def test_a_disc_is_the_sum_of_its_points(depth, tilt, limit):
+    """Facing the objective, and turned by an angle at which Lambert's law matters."""
+    expected = exact(*points_of(depth, math.radians(tilt)), lambert(math.radians(tilt)))
+    found = wave_capture({"light": disc(depth, tilt)}, radiators_per_lens=32).image
+    assert np.linalg.norm(found - expected) < limit * np.linalg.norm(expected)
+    assert found.sum() == pytest.approx(expected.sum(), rel=0.01)
+
+
+def test_a_card_hides_half_of_the_stop():
+    """What is between a light and the objective takes the directions that it stands in."""
+    depth, card = 0.01, -0.2
+    hides = mi.ScalarTransform4f().translate([PLACE[0] + 1, 0, card]).rotate([0, 1, 0], 180)
+    black = {"type": "rectangle", "to_world": hides, "bsdf": {"type": "diffuse", "reflectance": 0.0}}
+    found = wave_capture({"light": disc(depth), "card": black}, radiators_per_lens=16).image
+    points, weights = points_of(depth, 0.0)
+    # Light that reaches the stop at P goes by the card's edge, or not.
+    aside = 0.5 * AXIS / lambert(0.0) * (depth - card)
+    seen = (points[:, 0, None, None] + aside < PLACE[0]) * lambert(0.0)
+    inside = np.hypot(AXIS, AXIS[:, None]) < 1
+    share = ((seen > 0) & inside).sum((1, 2)) / inside.sum()
+    whole = wave_capture({"light": disc(depth)}, radiators_per_lens=16).image
+    assert found.sum() / whole.sum() == pytest.approx(share.mean(), rel=0.03)
+    operator = CaptureOperator(CAMERA, points, wavelength=550, pupil_weights=seen)
+    expected = operator.forward(weights * share)
+    # Shadow rays tell 16 cells across the stop apart.
+    assert np.linalg.norm(found - expected) < 0.12 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize(
+    ("objects", "options"),
+    [
+        ({"sky": {"type": "constant"}}, {}),
+        ({"mirror": {"type": "rectangle", "bsdf": {"type": "conductor"}}}, {}),
+    ],
+)
+def test_what_rays_alone_know_is_refused(objects, options):
+    with pytest.raises(InputError, match="behind an objective waves know scenes of surfaces"):
+        wave_capture({"light": disc(0.0)} | objects, **options)
+
+
+def test_the_bank_is_refused():
+    with pytest.raises(InputError, match=r"method = bank: it does not know main_lens = 20x/0\.5 objective"):
+        wave_capture({"light": disc(0.0)}, method="bank")
