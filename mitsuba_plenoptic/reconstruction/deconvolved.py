@@ -101,8 +101,10 @@ def _solve(
             keep=kept.keep,
             progress=lambda done: report(_PLANNING + (1 - _PLANNING) * done),
         )
-    for cells, values, seen in zip(lit, solution.values, solution.seen, strict=True):
-        radiance, light = (to_bins(part, made.cells, cells, task.camera, task.oversample) for part in (values, seen))
+    for distance, cells, values, seen in zip(distances, lit, solution.values, solution.seen, strict=True):
+        radiance, light = (
+            to_bins(part, made.cells, cells, task.camera, distance, task.oversample) for part in (values, seen)
+        )
         visible = np.where(light >= _LEAST_SEEN, radiance, np.float32(np.nan))
         yield Solved(visible, solution.iterations, solution.residual, solution.stopped)
 

@@ -17,6 +17,7 @@ from ..optics.pupil import PupilFraction
 from ..optics.sampling import check_memory
 from ..runtime.backend import backend
 from ..runtime.convolve import convolve
+from .conjugates import behind_thin_lens
 from .lens_by_lens import object_patches, on_bins, pupil_fields
 from .lens_sets import AlignedLenses, LensSet, lens_set
 from .lens_tiles import Tile, tile_lenses
@@ -55,6 +56,10 @@ def white_light(
     -------
     (rows, columns) float64 array
     """
+    if camera.prescription is not None:
+        # Near the axis; what the rims of micro-images lose that the lens cuts off is nearly the same.
+        pupil = behind_thin_lens(camera, wavelength, camera.pupil_radius)
+        return _white_rays(camera, distance, oversample, fine) * white_throughput(pupil, wavelength, relay=relay)
     if camera.lenses_are_bins and focus_type(camera) != "unfocused":
         return white_power(camera, wavelength, distance, relay=relay, oversample=oversample)
     return _white_rays(camera, distance, oversample, fine) * white_throughput(camera, wavelength, relay=relay)
@@ -66,7 +71,7 @@ def _white_rays(camera: PlenopticCamera, distance: float, oversample: int, fine:
 
     A ray must pass the pupil, by half a pixel: a smooth wave goes back through the lens's centre alone.
     """
-    if camera.lenses_like_bins or focus_type(camera) != "unfocused":
+    if camera.prescription is not None or camera.lenses_like_bins or focus_type(camera) != "unfocused":
         return white_sums(camera, distance, camera.lit_radius, "lens", oversample)
     # Rays go to points, where waves go to spots: the grid on which they are counted must not show.
     bins = math.prod(camera.bin_count) * (oversample * fine) ** 2
