@@ -158,6 +158,12 @@ def object_patches(
     return sums[:, ::-1, ::-1] * np.float32(scale**2)
 
 
+def passing_power(fields: Field, tile: Tile, batch: LensBatch, distance: float, conjugates: Conjugates) -> float:
+    """Return the power of lenses' fields that the pupil lets through, in pixel values times areas."""
+    aimed = _aim(fields, tile, batch, distance, conjugates)
+    return float((abs(aimed) ** 2).sum(dtype=np.float64)) * tile.pupil_pitch**2
+
+
 def _aim(fields: Field, tile: Tile, batch: LensBatch, distance: float, conjugates: Conjugates) -> Field:
     """Multiply pupil fields by the way from the lens's centre to its image's, the main lens, and the pupil."""
     types = backend().types
