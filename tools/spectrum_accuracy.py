@@ -114,7 +114,8 @@ def letters(verdict: Verdict, resolution: int, glass: dict[str, float] | None, a
     for index, wavelength in enumerate(wavelengths):
         own = operator(wavelength=float(wavelength)).forward(columns[:, index])
         expected += own[..., None] * responses[:, index].astype(np.float32)
-    name = f"letters at {resolution} pixels, {'crown' if glass else 'no glass'}, accuracy {accuracy:g}{', one spectrum' if shared else ''}"
+    name = f"letters at {resolution} pixels, {'crown' if glass else 'no glass'}, accuracy {accuracy:g}"
+    name += ", one spectrum" if shared else ""
     print(f"{name}: {len(weights)} radiators, {len(chosen.nodes or wavelengths)} nodes, "
           f"one wavelength {one:.2f} s, 31 in {seconds:.2f} s of which {probed:.2f} s find the nodes")  # fmt: skip
     worst = max(relative(found[..., i], expected[..., i]) for i in range(3))
