@@ -37,10 +37,12 @@ from .capture.scene import load_scene, scene_path
 from .capture.volumes import volume_points
 from .detector import Detector, expose
 from .errors import InputError
+from .focusing import focus_by_group
 from .io.captures import Capture, read_capture, write_capture
 from .io.checkpoints import Checkpoint
 from .io.ground_truth import GroundTruth, read_ground_truth, write_ground_truth
 from .io.lens_file import read_prescription
+from .io.raw import read_raw, write_raw
 from .objective import Objective
 from .optics.guards import PhysicsError, PhysicsWarning
 from .optics.lens_system import LensSystem
@@ -94,6 +96,7 @@ __all__ = [
     "estimate_capture",
     "expose",
     "fit",
+    "focus_by_group",
     "ground_truth",
     "load_scene",
     "point_spread_function",
@@ -101,6 +104,7 @@ __all__ = [
     "read_capture",
     "read_ground_truth",
     "read_prescription",
+    "read_raw",
     "reconstruct",
     "render_capture",
     "scene_path",
@@ -108,6 +112,7 @@ __all__ = [
     "with_camera",
     "write_capture",
     "write_ground_truth",
+    "write_raw",
 ]
 
 

@@ -329,7 +329,7 @@ class PlenopticCamera:
 
         Parameters
         ----------
-        name : {"paper", "lytro", "raytrix", "lfm", "lfm_water"}
+        name : {"paper", "lytro", "raytrix", "paper_double_gauss", "raytrix_double_gauss", "lfm", "lfm_water"}
             The camera.
 
         Raises

@@ -20,6 +20,11 @@
     and 0.561 mm; 0.3371 mm from lenses to pixels; main lens of 49.885 mm at f/4, 56.86 mm from the MLA. Ours: one lens
     on the axis, no turn (theirs is 0.002 degrees) and no distortion; thin lenses; no filter mosaic.
 
+``paper_double_gauss``, ``raytrix_double_gauss``
+    The cameras ``paper`` and ``raytrix`` behind a real lens: the bundled double Gauss, scaled to their focal lengths
+    and closed to their apertures, as far from the MLA by its rear principal plane. So the same planes are in
+    focus. Ours: the pairing; neither camera has this lens.
+
 ``lfm``
     A light-field microscope, a dry 20x/0.5 objective before square lenses of f/20, which is M / 2 NA, so that
     micro-images touch: the rule of Levoy, Ng, Adams, Footer and Horowitz 2006, "Light field microscopy". Ours: lenses
@@ -38,6 +43,18 @@ from __future__ import annotations
 
 from typing import Any
 
+_RAYTRIX: dict[str, Any] = {
+    "focal_length": 49.885,
+    "aperture_radius": 6.2356,
+    "mla_distance": 56.86,
+    "mla_focal_length": (0.583, 0.524, 0.561),
+    "mla_pitch": 0.12744,
+    "mla_lattice": "hexagonal",
+    "detector_distance": 0.3371,
+    "detector_width": 22.44,
+    "resolution": (4080, 3068),
+}
+
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {},
     "lytro": {
@@ -52,17 +69,14 @@ PRESETS: dict[str, dict[str, Any]] = {
         "detector_width": 4.592,
         "resolution": (3280, 3280),
     },
-    "raytrix": {
-        "focal_length": 49.885,
-        "aperture_radius": 6.2356,
-        "mla_distance": 56.86,
-        "mla_focal_length": (0.583, 0.524, 0.561),
-        "mla_pitch": 0.12744,
-        "mla_lattice": "hexagonal",
-        "detector_distance": 0.3371,
-        "detector_width": 22.44,
-        "resolution": (4080, 3068),
+    "raytrix": _RAYTRIX,
+    "paper_double_gauss": {
+        "main_lens": "double_gauss",
+        "focal_length": 80.0,
+        "aperture_radius": 5.0,
+        "mla_distance": 120.0,
     },
+    "raytrix_double_gauss": {"main_lens": "double_gauss", **_RAYTRIX},
     "lfm": {
         "main_lens": {"magnification": 20.0, "numerical_aperture": 0.5},
         "mla_focal_length": 3.0,

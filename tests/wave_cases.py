@@ -4,6 +4,10 @@ import numpy as np
 
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.capture.operator import CaptureOperator
+from mitsuba_plenoptic.optics.fitted_lens import FittedLens
+from mitsuba_plenoptic.optics.pupil_fit import Pupils, fit_pupil
+from mitsuba_plenoptic.optics.pupil_rays import PupilRays
+from mitsuba_plenoptic.optics.thin import ThinLens
 
 WAVELENGTH = 633.0
 
@@ -67,3 +71,22 @@ def capture(camera, points, weights, *, wavelength=WAVELENGTH, job=None, **optio
 def error(image, reference):
     """Return the relative difference, in the L2 norm."""
     return np.linalg.norm(image - reference) / np.linalg.norm(reference)
+
+
+def thin_as_real(camera, field, nearness):
+    """Return the thin main lens of a camera, fitted over its pupil as a real one is."""
+    thin = ThinLens(camera.focal_length, camera.aperture_radius, camera.mla_distance)
+
+    def rays(field, nearness, entrance):
+        distance = 1 / nearness
+        point = (np.zeros_like(field), field * distance, distance)
+        pupil = tuple(entrance)
+        path = thin.path(pupil, point, WAVELENGTH) * WAVELENGTH * 1e-6
+        amplitude = thin.amplitude(pupil, point) * distance
+        stops = (entrance**2).sum(0)[None] / thin.pupil_radius**2
+        return PupilRays(field, nearness, entrance, entrance, path, amplitude, stops)
+
+    pupils = Pupils(0.0, 1.0, 1 / camera.focal_length)
+    fitted = fit_pupil(rays, pupils, camera.aperture_radius, field, nearness, WAVELENGTH, good=1e-8)
+    assert fitted.error < 1e-7
+    return FittedLens(thin, camera.aperture_radius, fitted)

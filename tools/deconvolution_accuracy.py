@@ -173,7 +173,9 @@ class Plane:
     def solved(self, response: Response, image: np.ndarray, **options: Any) -> tuple[np.ndarray, Solution]:
         """Return the upright bins that explain an image, and the solution that they are of."""
         found = richardson_lucy(response, np.ascontiguousarray(image, np.float32), **options)
-        return to_bins(found.values[0], response.cells, response.planes[0].lit, self.camera, self.oversample), found
+        return to_bins(
+            found.values[0], response.cells, response.planes[0].lit, self.camera, self.distance, self.oversample
+        ), found
 
     def rows(self, iterations: int) -> Iterator[accuracy.Row]:
         """Yield contrasts and errors at each frequency."""

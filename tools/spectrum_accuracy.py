@@ -76,7 +76,7 @@ def bands(verdict: Verdict) -> None:
             verdict.judge(f"{what}, against 64", worst, ERROR)
 
 
-def letters(verdict: Verdict, resolution: int, glass: dict[str, float] | None, accuracy: float) -> None:
+def letters(verdict: Verdict, resolution: int, glass: dict[str, float] | None, accuracy: float, shared: bool) -> None:
     """Compare 31 wavelengths of the letters at once with 31 captures, in error and in time."""
     part = resolution / 4096
     values = {"resolution": str(resolution), "detector_width": str(8.192 * part), "letter_scale": str(part)}
@@ -88,8 +88,8 @@ def letters(verdict: Verdict, resolution: int, glass: dict[str, float] | None, a
     camera = capture.camera.replace(glass=glass)
     wavelengths = np.linspace(LOW, HIGH, COUNT)
     responses = np.stack([np.exp(-(((wavelengths - middle) / 40) ** 2)) for middle in (610, 540, 460)])
-    # The light of each radiator changes with the wavelength.
-    light = 1 + np.sin(wavelengths / 23 + np.arange(len(weights))[:, None])
+    # The light of each radiator changes with the wavelength, in its own way or as that of all.
+    light = 1 + np.sin(wavelengths / 23 + np.arange(len(weights))[:, None] * (not shared))
     columns = weights[:, None] * light
 
     def operator(**options: object) -> CaptureOperator:
@@ -115,6 +115,7 @@ def letters(verdict: Verdict, resolution: int, glass: dict[str, float] | None, a
         own = operator(wavelength=float(wavelength)).forward(columns[:, index])
         expected += own[..., None] * responses[:, index].astype(np.float32)
     name = f"letters at {resolution} pixels, {'crown' if glass else 'no glass'}, accuracy {accuracy:g}"
+    name += ", one spectrum" if shared else ""
     print(f"{name}: {len(weights)} radiators, {len(chosen.nodes or wavelengths)} nodes, "
           f"one wavelength {one:.2f} s, 31 in {seconds:.2f} s of which {probed:.2f} s find the nodes")  # fmt: skip
     worst = max(relative(found[..., i], expected[..., i]) for i in range(3))
@@ -128,6 +129,7 @@ def main() -> None:
     parser.add_argument("--resolution", type=int, default=512, help="columns of the letters' detector, of 4096")
     parser.add_argument("--accuracy", type=float, default=0.01, help="of the captures")
     parser.add_argument("--glass", action="store_true", help="also the letters through thin lenses of crown")
+    parser.add_argument("--one-spectrum", action="store_true", help="all radiators of the letters have the same one")
     parser.add_argument("--only", choices=("bands", "letters"), help="measure one of the two alone")
     arguments = parser.parse_args()
     mi.set_variant("llvm_ad_mono")
@@ -138,7 +140,7 @@ def main() -> None:
     if arguments.only == "bands":
         sys.exit(0 if verdict.kept else 1)
     for glass in (None, CROWN)[: 1 + arguments.glass]:
-        letters(verdict, arguments.resolution, glass, arguments.accuracy)
+        letters(verdict, arguments.resolution, glass, arguments.accuracy, arguments.one_spectrum)
     sys.exit(0 if verdict.kept else 1)
 
 

@@ -29,6 +29,29 @@ class SpectralSum:
     before: NDArray[np.float64]
     after: NDArray[np.float32]
 
+    def reduced(self, weights: NDArray[np.float64], errors: NDArray[np.float64]) -> SpectralSum:
+        """Return it with as few columns as tell the weights of some points: one where all have the same spectrum.
+
+        Spectra that change little between nodes give channels nearly the same weights but for a factor, and every
+        column is added to the image copy by copy.
+
+        Parameters
+        ----------
+        weights : float64 array (n, columns)
+            Of the points.
+        errors : float64 array (channels,)
+            Root sum square of the weights in each channel of the image that may be left out.
+        """
+        given = weights @ self.before
+        # In a fixed order: what is kept half done in a checkpoint is of these very columns.
+        powers, vectors = np.linalg.eigh(np.einsum("ni,nj->ij", given, given))
+        left = np.cumsum(np.maximum(powers, 0) * (self.after.astype(np.float64) @ vectors) ** 2, axis=1)
+        dropped = int(np.argmin(np.append(np.all(np.sqrt(left) <= errors[:, None], axis=0), False)))
+        kept = vectors[:, min(dropped, len(vectors) - 1) :]
+        if kept.shape[1] == len(vectors):
+            return self
+        return SpectralSum(self.wavelength, self.before @ kept, (self.after @ kept).astype(np.float32))
+
 
 def spectral_sums(
     wavelengths: tuple[float, ...], matrix: NDArray[np.float32], spectrum: Spectrum | None

@@ -54,6 +54,9 @@ PLANS: dict[str, type] = {"patch": PatchPlan, "full_field": FullFieldPlan, "bank
 
 METHODS = tuple(PLANS)
 
+_LEFT_OUT, _ROUNDING = 0.1, 1e-6
+"""Part of the accuracy that spectra may be simplified for, and relative error that single precision makes anyway."""
+
 
 @dataclass(frozen=True)
 class Portion:
@@ -379,6 +382,8 @@ class CaptureOperator:
     def tasks(self, weights: NDArray[np.float64], job: Job) -> Iterator[Task]:
         """Yield the sum at each distinct wavelength, for weights (n, channels or wavelengths)."""
         for part in self._sums(weights.shape[1]):
+            if self._spectrum is not None and self._spectrum.nodes:
+                part = part.reduced(weights, self._left_out(weights))
             for portion in self._portions:
 
                 def plan(part: SpectralSum = part, portion: Portion = portion) -> LongSum:
@@ -389,6 +394,12 @@ class CaptureOperator:
                     return mix(sums, after)
 
                 yield Task(len(portion.points), plan, combine)
+
+    def _left_out(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return by how much, root sum square, the weights in each channel may be wrong at a node."""
+        _, matrix = self._mixing(weights.shape[1])
+        whole = np.sqrt(np.square(weights @ matrix.T.astype(np.float64)).sum(0))
+        return np.asarray(max(_LEFT_OUT * self._accuracy, _ROUNDING) / self.sums * whole)
 
     def _sums(self, columns: int) -> Iterator[SpectralSum]:
         """Yield the sums that make an image of so many columns of weights, or channels where there is no spectrum."""

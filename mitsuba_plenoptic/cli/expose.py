@@ -9,14 +9,15 @@ import typer
 from ..detector import Detector
 from ..detector import expose as record
 from ..io.captures import read_capture, write_capture
+from ..io.raw import RAW_SUFFIXES, write_raw
 from ..mosaic import MOSAICS
 from .inputs import require_capture_output
-from .options import CaptureFile, CaptureOutput, number
+from .options import CaptureFile, RawOutput, number
 
 
 def expose(
     capture: CaptureFile,
-    output: CaptureOutput,
+    output: RawOutput,
     photons: Annotated[float, number("Photons that hit a pixel of value 1 during the exposure.")],
     quantum_efficiency: Annotated[
         float, number("Electrons per photon, up to 1.", unit="FRACTION")
@@ -44,15 +45,19 @@ def expose(
     """Add what a real detector does: photon and read noise, saturation, digital numbers.
 
     The sensor is linear after EMVA Standard 1288. The result is a capture in
-    the units of the first, so that every command takes it.
+    the units of the first, so that every command takes it. A name that ends
+    in .png or .tiff keeps the digital numbers instead, in 16 bits, for other
+    programs and for 'demosaic'.
 
     [bold]Examples:[/bold]
 
       mitsuba-plenoptic expose raw.exr -o noisy.exr --photons 2000
 
       mitsuba-plenoptic expose colours.exr -o bayer.exr --photons 2000 --mosaic RGGB
+
+      mitsuba-plenoptic expose colours.exr -o bayer.tiff --photons 2000 --mosaic RGGB
     """
-    require_capture_output(output)
+    require_capture_output(output, RAW_SUFFIXES)
     detector = Detector(
         quantum_efficiency=quantum_efficiency,
         full_well=full_well,
@@ -63,6 +68,7 @@ def expose(
         black_level=black_level,
         mosaic=mosaic,
     )
-    write_capture(output, record(read_capture(capture), detector, photons=photons, seed=seed))
+    exposed = record(read_capture(capture), detector, photons=photons, seed=seed)
+    (write_raw if output.suffix.lower() in RAW_SUFFIXES else write_capture)(output, exposed)
     electrons = detector.quantum_efficiency * photons
     typer.echo(f"{output}: {electrons:.4g} electrons in a pixel of value 1; a full well is {full_well:g}")

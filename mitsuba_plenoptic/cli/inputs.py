@@ -18,6 +18,7 @@ from ..design import design_warnings
 from ..errors import InputError
 from ..io.captures import Capture, read_capture
 from ..io.files import require_writable
+from ..io.raw import RAW_SUFFIXES, read_raw, scaled_from, tells_detector
 from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
 from ..runtime.batches import BatchMap
@@ -33,9 +34,12 @@ _COLOURS = "llvm_ad_rgb"
 _log = logging.getLogger(__name__)
 
 
-def require_capture_output(path: Path) -> None:
-    """Check, before a long computation, that a capture can be written to a file, whose name ends in ``.exr``."""
-    if path.suffix.lower() != ".exr":
+def require_capture_output(path: Path, others: tuple[str, ...] = ()) -> None:
+    """Check, before a long computation, that a capture can be written to a file, whose name ends in ``.exr``.
+
+    Or in one of `others`.
+    """
+    if path.suffix.lower() not in (".exr", *others):
         raise InputError(f"{path}: a capture is written as OpenEXR; give a name that ends in .exr")
     require_writable(path)
 
@@ -61,15 +65,19 @@ def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamer
     return PlenopticCamera.from_sensor(sensors[0]), None
 
 
-def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool) -> Capture:
-    """Read a capture, or a raw picture of a known camera; the camera that is given takes the place of a capture's."""
-    if path.suffix.lower() in (".png", ".tif", ".tiff"):
-        if camera is None:
-            raise InputError(f"{path}: a raw picture needs its --camera")
+def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, black_level: float = 0) -> Capture:
+    """Read a capture, or a raw picture of a known camera; the camera that is given takes the place of a capture's.
+
+    Of a raw picture that tells its camera and detector, as `write_raw` writes it, nothing else is needed.
+    """
+    if path.suffix.lower() in RAW_SUFFIXES:
+        if camera is None or tells_detector(path):
+            found = read_raw(path)
+            return found if camera is None else dataclasses.replace(found, camera=camera)
         # Brings libraries that take a while to load.
         from ..lightfield.exchange import read_picture
 
-        return Capture(read_picture(path, linear=linear), camera, None, "ray", {})
+        return scaled_from(Capture(read_picture(path, linear=linear), camera, None, "ray", {}), black_level)
     found = read_capture(path)
     return found if camera is None else dataclasses.replace(found, camera=camera)
 

@@ -26,6 +26,8 @@ CaptureFile = Annotated[Path, typer.Argument(metavar="CAPTURE.exr", help="A file
 OutputFolder = Annotated[Path, output_option("DIR", "Folder to write into; made if it is not there.")]
 CaptureOutput = Annotated[Path, output_option("FILE.exr", "File to write.")]
 
+RawOutput = Annotated[Path, output_option("FILE", "File to write: .exr, or .png or .tiff for digital numbers.")]
+
 Definitions = Annotated[
     list[str] | None,
     typer.Option(

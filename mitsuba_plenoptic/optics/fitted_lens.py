@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,6 +40,12 @@ _FIELD_STEP, _NEARNESS_STEP = 1.1, 0.02
 _NARROWEST = 0.1
 """Range of fields that is fitted at least, over that of the detector."""
 
+FAR = 1e13
+"""Distance in millimetres at which light counts as collimated."""
+
+WITHIN = 0.999
+"""Part of the fitted field that is asked for: the last digits of a place may lie beyond."""
+
 _INVERSIONS = 12
 """Steps by which scene points of given images are found: each takes away the error but for the distortion's part."""
 
@@ -53,6 +60,9 @@ _AS_TOLD = 2.0
 
 With the closed form of the thin lens the bounds of sharing have been chosen, and it tells as much more than its path.
 """
+
+_WIDER = 1.1
+"""Field that is asked for over that of the detector's corner: the lens may distort, and light is blurred."""
 
 _NEAR_EDGE = 0.15
 """Distance, over the pupil's radius, up to which places feel by how much an edge moves."""
@@ -150,6 +160,21 @@ class FittedLens(FinitePupil):
             field = field * np.where(far, (found * images).sum(1) / np.where(far, square, 1), 1)[:, None]
         return np.column_stack([field * distance[:, None], depth])
 
+    def within(self, images: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return places on the MLA (..., 2), those to which no light comes moved towards the axis to where it does."""
+        away = np.hypot(images[..., 0], images[..., 1])[..., None]
+        return np.asarray(images * np.minimum(1, self._covered / np.maximum(away, 1e-12)))
+
+    @functools.cached_property
+    def _covered(self) -> float:
+        """Distance from the axis up to which light comes to the array, whatever the distance of its points."""
+        scales, entrance = self.fitted.aberration.scales, self.fitted.pupils.entrance
+        distances = [
+            min(1 / max(near, 1e-300), FAR) for near in (scales.middle - scales.half, scales.middle + scales.half)
+        ]
+        ends = [[0.0, scales.field * distance, distance + entrance] for distance in distances]
+        return WITHIN * float(np.hypot(*self.images(np.array(ends)).T).min())
+
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
         """Return by how many waves wavefronts differ whose images lie a step apart, as `MainLens.path_change` does.
 
@@ -222,17 +247,66 @@ def lens_of_waves(camera: PlenopticCamera, points: NDArray[np.float64], waveleng
         )
     field, nearness = Pupils.of(system).field(points) if len(points) else (np.zeros((1, 2)), np.zeros(1))
     largest = np.hypot(*field.T)
-    least = _NARROWEST * math.hypot(camera.detector_width, camera.detector_height) / (2 * camera.mla_distance)
-    steps = math.ceil(math.log(max(1, largest.max() / least)) / math.log(_FIELD_STEP))
-    power = _NEARNESS_STEP / camera.focal_length
-    low, high = math.floor(nearness.min() / power), math.ceil(nearness.max() / power)
-    lens = _fitted(camera, wavelength, least * _FIELD_STEP**steps, low * power, max(high, low + 1) * power)
+    lens = lens_over_field(camera, wavelength, float(largest.max()), (float(nearness.min()), float(nearness.max())))
     beyond = largest > lens.fitted.aberration.scales.field
     if beyond.any():
         place = ", ".join(f"{c:g}" for c in points[beyond][0])
         raise InputError(f"position = ({place}): no light of it passes the main_lens")
+    return lens
+
+
+def lens_over_field(
+    camera: PlenopticCamera, wavelength: float, field: float, nearness: tuple[float, float]
+) -> FittedLens:
+    """Return a camera's real main lens, fitted up to a field or as far as it lets light through.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    field : float
+        Slope, from the middle of the entrance pupil, of the scene points farthest from the axis.
+    nearness : (float, float)
+        Least and largest reciprocal of the distances of scene points from the entrance pupil, in 1/mm.
+
+    Raises
+    ------
+    InputError
+        If no light passes it.
+    PhysicsError
+        If the path cannot be fitted.
+    """
+    least = _NARROWEST * math.hypot(camera.detector_width, camera.detector_height) / (2 * camera.mla_distance)
+    steps = math.ceil(math.log(max(1, field / least)) / math.log(_FIELD_STEP))
+    power = _NEARNESS_STEP / camera.focal_length
+    low, high = math.floor(nearness[0] / power), math.ceil(nearness[1] / power)
+    lens = _fitted(camera, wavelength, least * _FIELD_STEP**steps, low * power, max(high, low + 1) * power)
     guards.judge(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * lens.fitted.error) ** 2)))
     return lens
+
+
+def farthest_points(camera: PlenopticCamera, wavelength: float, distances: Sequence[float]) -> NDArray[np.float64]:
+    """Return points as far from the axis as a detector sees through a real main lens, one at each distance; (n, 3).
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    distances : sequence of float
+        Finite distances in millimetres.
+    """
+    entrance = Pupils.of(LensSystem.of(camera, wavelength)).entrance
+    depths = np.array(distances)
+    near = 1 / (depths - entrance)
+    corner = _WIDER * math.hypot(camera.detector_width, camera.detector_height) / (2 * camera.mla_distance)
+    field = corner * depths * near
+    lens = lens_over_field(camera, wavelength, float(field.max()), (float(near.min()), float(near.max())))
+    field = np.minimum(field, WITHIN * lens.fitted.aberration.scales.field)
+    return np.column_stack([0 * depths, field / near, depths])
 
 
 @functools.lru_cache(maxsize=16)

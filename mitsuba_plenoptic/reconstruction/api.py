@@ -194,8 +194,6 @@ def reconstruct(
             "deconvolved"
         )
     chosen = METHODS[method]
-    if camera.prescription is not None and method != "ray":
-        camera.require_thin(f"captures are reconstructed by method {method}", "use method ray")
     require_upright(camera)
     if footprint not in FOOTPRINTS:
         raise InputError(f"footprint = {shown(footprint)}: it must be one of {', '.join(FOOTPRINTS)}")
@@ -210,8 +208,10 @@ def reconstruct(
         "volume": bool(volume),
         "variation": require_number("variation", variation, minimum=0, maximum=MOST_VARIATION),
     }
-    if camera.objective is not None and given["response"] == "ray":
-        raise InputError(f"response = ray: behind main_lens = {camera.objective.name} it must be wave")
+    if camera.main_lens is not None and method == "deconvolved" and given["response"] == "ray":
+        raise InputError(
+            f"response = ray: behind main_lens = {camera.main_lens.name or 'prescription'} it must be wave"
+        )
     for name, value in (("checkpoint", checkpoint), ("batch_map", batch_map)):
         if value is not None and not chosen.long:
             raise InputError(f"{name}: method {method} is too quick to need one; leave it out")

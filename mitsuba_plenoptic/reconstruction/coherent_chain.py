@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..optics import guards
-from ..optics.main_lens import main_lens
 from ..optics.power import power
 from ..runtime.backend import backend
 from ..runtime.fft import Field, resting_drjit
 from ..runtime.limits import require_memory
 from .bin_sums import BinSums
+from .conjugates import ThinConjugates
 from .elements import converging, microlenses, to_object
 from .grids import Strip
 from .passages import Passage, Spectrum
@@ -73,7 +73,8 @@ class AmplitudeFields:
         inside = np.hypot(across.x.destination, across.y.destination[:, None]) <= camera.aperture_radius
         self._sample_area = across.sample_area / camera.pixel_size**2
         self._pupil = backend().arrays.asarray(inside)
-        self._to_object = Spectrum(to_object(self.step, main_lens(camera), distance, wavelength), self.step)
+        (whole,) = ThinConjugates(camera, wavelength).zones(distance)
+        self._to_object = Spectrum(to_object(self.step, whole), self.step)
         self._subsets = range(interleave**2)
 
     def forward(self, amplitude: NDArray[np.float32], *, judged: bool = False) -> list[Field]:

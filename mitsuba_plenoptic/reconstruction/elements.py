@@ -10,12 +10,12 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..optics import rays
-from ..optics.main_lens import UniformLens
 from ..optics.microlenses import is_separable, transmission, transmission_along
-from ..optics.phase import parabola, phasor
+from ..optics.phase import parabola, phasor, soft_edge
 from ..runtime.backend import array_module, backend
 from ..runtime.fft import Field, as_field, pack
 from ..runtime.indexing import split
+from .conjugates import Zone
 from .grids import AxisStep, Directions, Step
 from .steps import Element
 
@@ -85,9 +85,16 @@ class _Plane:
         backend().arrays.multiply(samples, factor, out=out)
 
 
-def to_object(step: Directions, main: UniformLens, distance: float, wavelength: float) -> Element:
-    """Return the main lens, less the path to the object plane's point on the axis."""
-    return _Plane(step, lambda x, y: phasor(main.path((x, y), (0.0, 0.0, distance), wavelength)))
+def to_object(step: Directions, zone: Zone) -> Element:
+    """Return the main lens, less the path to the point of the object plane in the middle of a zone of the field."""
+    light, pitch = zone.light, min(step.x.pitch, step.y.pitch)
+    if not zone.is_cut:
+        return _Plane(step, lambda x, y: phasor(light.path((x, y))))
+
+    def lens(x: Any, y: Any) -> Any:
+        return phasor(light.path((x, y))) * soft_edge(array_module().Float(light.inside((x, y)) / pitch))
+
+    return _Plane(step, lens)
 
 
 def microlenses(

@@ -8,11 +8,11 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..optics import guards
-from ..optics.main_lens import main_lens
 from ..optics.power import fraction, power
 from ..optics.sampling import check_memory
 from ..runtime.backend import backend
 from ..runtime.fft import Field, resting_drjit
+from .conjugates import Conjugates, ThinConjugates
 from .direction_bins import power_in_bins
 from .elements import NOTHING, converging, microlenses, to_object
 from .grids import Directions, Plan, Strip
@@ -32,11 +32,13 @@ def reconstruct_subsets(
     oversample: int = 1,
     judged: bool = True,
     progress: Progress = lambda done: None,
+    conjugates: Conjugates | None = None,
 ) -> list[np.ndarray]:
     """Propagate interleaved subsets of lenses coherently and add their intensities.
 
     See `waves.Power`; `interleave` is the period K of a subset along each axis, 1 is one coherent field.
     """
+    conjugates = conjugates or ThinConjugates(camera, wavelength)
     columns, rows = (count * oversample for count in camera.bin_count)
     check_memory(8.0 * rows * columns * (len(distances) + 1), f"wave reconstruction on {columns} x {rows} bins")
     libraries = backend()
@@ -52,7 +54,7 @@ def reconstruct_subsets(
                 field = fields.at_main_lens(subset[::-1])
                 passed += fields.power(field)
                 for total, distance, step in zip(totals, distances, grids.to_objects, strict=True):
-                    total += fields.in_bins(field, distance, step, oversample)
+                    total += fields.in_bins(field, conjugates, distance, step, oversample)
             progress((done + 1) / interleave**2)
         if judged:
             guards.judge(guards.PUPIL, 1 - passed / float(image.sum(dtype=np.float64)))
@@ -187,9 +189,22 @@ class FullFields:
         """Power that passes the pupil, in pixel values times pixels."""
         return power(field) * self._grids.main_lens.sample_area / self._camera.pixel_size**2
 
-    def in_bins(self, field: Field, distance: float, step: Directions, oversample: int) -> np.ndarray:
+    def in_bins(
+        self, field: Field, conjugates: Conjugates, distance: float, step: Directions, oversample: int
+    ) -> np.ndarray:
         """Power in each bin of an object plane, of a field just before the main lens; (rows, columns) float32 array."""
         camera, workspace = self._camera, self._workspace
-        lens = to_object(step, main_lens(camera), distance, self._wavelength)
-        spectrum = to_directions(workspace.blocks(field), lens, step, workspace)
-        return power_in_bins(spectrum, step, camera, oversample) / camera.pixel_size**2
+        result = None
+        for zone in conjugates.zones(distance):
+            spectrum = to_directions(workspace.blocks(field), to_object(step, zone), step, workspace)
+            power = power_in_bins(spectrum, step, camera, oversample) / camera.pixel_size**2
+            if zone.bounds is None:
+                return power
+            result = power if result is None else result
+            across, down = (
+                slice(*(round(end * size) for end in ends))
+                for ends, size in zip(zone.bounds, power.shape[::-1], strict=True)
+            )
+            result[down, across] = power[down, across]
+        assert result is not None
+        return result

@@ -23,19 +23,16 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..optics import guards
-from ..optics.main_lens import main_lens
 from ..optics.phase import in_millimetres, parabola, phasor, soft_edge
 from ..optics.power import fraction
 from ..optics.sampling import check_memory
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, unpack
 from ..runtime.indexing import split
+from .conjugates import Conjugates, ThinConjugates
 from .lens_sets import LensBatch, LensSet, lens_set
 from .lens_tiles import Tile, tile_lenses
 from .methods import Progress
-
-_INFINITY = 1e13
-"""Millimetres."""
 
 
 def reconstruct_lens_by_lens(
@@ -48,6 +45,7 @@ def reconstruct_lens_by_lens(
     oversample: int = 1,
     judged: bool = True,
     progress: Progress = lambda done: None,
+    conjugates: Conjugates | None = None,
 ) -> list[np.ndarray]:
     """Propagate every lens alone and add the intensities: the limit of `reconstruct_subsets` for large periods.
 
@@ -67,7 +65,7 @@ def reconstruct_lens_by_lens(
         batch = lenses.batch(lit[place : place + tile.batch])
         fields = pupil_fields(amplitude, tile, batch, relay=relay)
         for index, (total, distance) in enumerate(zip(totals, distances, strict=True)):
-            patches = object_patches(fields, tile, batch, distance)
+            patches = object_patches(fields, tile, batch, distance, conjugates)
             inner = patches[:, oversample:-oversample, oversample:-oversample]
             in_rim[index] += float(patches.sum(dtype=np.float64) - inner.sum(dtype=np.float64))
             for column, row, patch in zip(*batch.bin.T, patches, strict=True):
@@ -137,10 +135,12 @@ def _product_without_blas(fields: Field, matrix: Field) -> Field:
     return backend().arrays.einsum("nij,pi->njp", fields, matrix)
 
 
-def object_patches(fields: Field, tile: Tile, batch: LensBatch, distance: float) -> np.ndarray:
+def object_patches(
+    fields: Field, tile: Tile, batch: LensBatch, distance: float, conjugates: Conjugates | None = None
+) -> np.ndarray:
     """Return the power of each lens in the bins around its own, upright; float32 (n, bins, bins)."""
     camera = tile.camera
-    focused = _aim(fields, tile, batch, distance)
+    focused = _aim(fields, tile, batch, distance, conjugates or ThinConjugates(camera, tile.wavelength))
     count, size = tile.pupil.size, tile.object_samples
     arrays = backend().arrays
     padded = arrays.zeros((len(fields), size, size), np.complex64)
@@ -158,25 +158,31 @@ def object_patches(fields: Field, tile: Tile, batch: LensBatch, distance: float)
     return sums[:, ::-1, ::-1] * np.float32(scale**2)
 
 
-def _aim(fields: Field, tile: Tile, batch: LensBatch, distance: float) -> Field:
+def passing_power(fields: Field, tile: Tile, batch: LensBatch, distance: float, conjugates: Conjugates) -> float:
+    """Return the power of lenses' fields that the pupil lets through, in pixel values times areas."""
+    aimed = _aim(fields, tile, batch, distance, conjugates)
+    return float((abs(aimed) ** 2).sum(dtype=np.float64)) * tile.pupil_pitch**2
+
+
+def _aim(fields: Field, tile: Tile, batch: LensBatch, distance: float, conjugates: Conjugates) -> Field:
     """Multiply pupil fields by the way from the lens's centre to its image's, the main lens, and the pupil."""
     types = backend().types
-    camera, main, wave = tile.camera, main_lens(tile.camera), in_millimetres(tile.wavelength)
+    camera, wave = tile.camera, in_millimetres(tile.wavelength)
     n, count = len(fields), tile.pupil.size
     index = dr.arange(types.UInt32, n * count * count)
     lens, row, column = split(types, index, count, count)
     P = types.Float64(tile.pupil)
     u, v = dr.gather(types.Float64, P, column), dr.gather(types.Float64, P, row)
     x, y = (dr.gather(types.Float64, types.Float64(np.ascontiguousarray(c)), lens) for c in batch.centre.T)
-    # Infinity is so far that nothing changes with the distance.
-    b, g = (dr.opaque(types.Float64, length) for length in (camera.mla_distance, min(distance, _INFINITY)))
+    b = dr.opaque(types.Float64, camera.mla_distance)
+    conjugate = conjugates.at(x, y, batch.centre, lens, distance)
     # Directions change more slowly with P off the axis, on both sides alike: that only stretches the pupil's grid.
     sideways = x * x + y * y + b * b
     chief = dr.sqrt(sideways)
     Px, Py = (w * chief / b / (1 - c * c / sideways) for w, c in ((u, x), (v, y)))
     along = Px * Px + Py * Py - 2 * (Px * x + Py * y)
     from_mla = along / (dr.sqrt(sideways + along) + chief) / wave
-    to_object = main.path((Px, Py), (-x * g / b, -y * g / b, g), tile.wavelength)
+    to_object = conjugate.path((Px, Py))
     # The first object sample is half a patch from the centre.
     half = (tile.object_samples - 1) / 2 / tile.object_samples / tile.pupil_pitch
     waves = from_mla + to_object + (u + v) * half
@@ -184,7 +190,7 @@ def _aim(fields: Field, tile: Tile, batch: LensBatch, distance: float) -> Field:
         # The patch is centred on a bin, not on the lens's image.
         ax, ay = (dr.gather(types.Float64, types.Float64(np.ascontiguousarray(a)), lens) for a in batch.aside.T)
         waves -= (u * ax + v * ay) * dr.opaque(types.Float64, 1 / (tile.lenses * tile.pupil_pitch))
-    inside = soft_edge(types.Float(main.inside((Px, Py)) / tile.pupil_pitch))
+    inside = soft_edge(types.Float(conjugate.inside((Px, Py)) / tile.pupil_pitch))
     aimed = unpack(types.UInt64(as_words(fields))) * phasor(waves) * inside
     return as_field(pack(aimed), fields.shape)
 

@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from ..camera import PlenopticCamera
+from .conjugates import Conjugates, RealConjugates, behind_thin_lens, undistorted
 from .lens_tiles import Tile
 from .methods import Progress, Task
 from .radiance import to_radiance
@@ -30,6 +31,7 @@ class Power(Protocol):
         oversample: int,
         judged: bool,
         progress: Progress,
+        conjugates: Conjugates | None,
     ) -> list[np.ndarray]:
         """Return the power in each bin of the object planes.
 
@@ -51,6 +53,8 @@ class Power(Protocol):
             Whether guards are told of the light that is lost.
         progress : callable
             Called with the fraction of the work that is done.
+        conjugates : Conjugates, optional
+            The main lens. Default: the camera's, which is thin.
 
         Returns
         -------
@@ -127,17 +131,28 @@ def _of_amplitudes(
 ) -> list[np.ndarray]:
     """Return the power in bins of pixels that are not negative."""
     camera, oversample = task.camera, task.oversample
+    conjugates, seen, distances = None, camera, task.distances
+    if camera.prescription is not None:
+        conjugates = RealConjugates.of(camera, list(distances), wavelength, oversample)
+        seen, distances = conjugates.camera, [conjugates.distance(distance) for distance in distances]
     fine = fine_bins(camera, wavelength, oversample)
     totals = power(
         image,
-        camera,
-        task.distances,
+        seen,
+        distances,
         wavelength,
         relay=relay,
         oversample=oversample * fine,
         judged=judged,
         progress=progress,
+        conjugates=conjugates,
     )
+    if conjugates is not None:
+        found = []
+        for total, distance in zip(totals, task.distances, strict=True):
+            moved, scale = undistorted(total, conjugates, camera, distance, oversample * fine)
+            found.append(over_lenses(moved, camera, oversample, fine, scale * lens_scale(camera, distance)))
+        return found
     if fine == 1:
         return totals
     return [
@@ -148,4 +163,8 @@ def _of_amplitudes(
 
 def fine_bins(camera: PlenopticCamera, wavelength: float, oversample: int) -> int:
     """Return how many fine bins across a bin power is summed in, before it is spread over lenses."""
-    return 1 if camera.lenses_are_bins else Tile(camera, wavelength, 1, oversample).samples // oversample
+    if camera.prescription is not None:
+        camera = behind_thin_lens(camera, wavelength)
+    elif camera.lenses_are_bins:
+        return 1
+    return Tile(camera, wavelength, 1, oversample).samples // oversample

@@ -17,13 +17,20 @@ from ..optics.pupil import PupilFraction
 from ..optics.sampling import check_memory
 from ..runtime.backend import backend
 from ..runtime.convolve import convolve
-from .lens_by_lens import object_patches, on_bins, pupil_fields
+from .conjugates import RealConjugates
+from .lens_by_lens import object_patches, on_bins, passing_power, pupil_fields
 from .lens_sets import AlignedLenses, LensSet, lens_set
 from .lens_tiles import Tile, tile_lenses
 from .ray_sums import ray_sums, white_pixels, white_sums
 from .spread import lens_scale, over_lenses
 
 _THROUGHPUT_LENSES = 25
+
+_HEIGHTS, _TOGETHER = 17, 512
+"""Lenses behind a real main lens of which the throughput is found, and how many places of lenses are found at once."""
+
+_WHOLE = 0.2
+"""Light of such a lens over that of the brightest, at least."""
 
 _RAY_BINS = 36
 """Fine bins across a lens in which the rays of a white scene are counted, where they are not too many."""
@@ -55,6 +62,14 @@ def white_light(
     -------
     (rows, columns) float64 array
     """
+    if camera.prescription is not None:
+        places, throughput = _traced_throughput(camera, wavelength, distance, relay)
+        x, y = (
+            (np.arange(count * oversample) - (count * oversample - 1) / 2) * (camera.mla_pitch / oversample)
+            for count in camera.bin_count
+        )
+        share = np.interp(np.hypot(x, y[:, None]), places, throughput)
+        return _white_rays(camera, distance, oversample, fine) * share
     if camera.lenses_are_bins and focus_type(camera) != "unfocused":
         return white_power(camera, wavelength, distance, relay=relay, oversample=oversample)
     return _white_rays(camera, distance, oversample, fine) * white_throughput(camera, wavelength, relay=relay)
@@ -66,7 +81,7 @@ def _white_rays(camera: PlenopticCamera, distance: float, oversample: int, fine:
 
     A ray must pass the pupil, by half a pixel: a smooth wave goes back through the lens's centre alone.
     """
-    if camera.lenses_like_bins or focus_type(camera) != "unfocused":
+    if camera.prescription is not None or camera.lenses_like_bins or focus_type(camera) != "unfocused":
         return white_sums(camera, distance, camera.lit_radius, "lens", oversample)
     # Rays go to points, where waves go to spots: the grid on which they are counted must not show.
     bins = math.prod(camera.bin_count) * (oversample * fine) ** 2
@@ -95,6 +110,38 @@ def white_throughput(camera: PlenopticCamera, wavelength: float, *, relay: bool 
             "waves cannot tell what is white"
         )
     return back / sent
+
+
+@functools.lru_cache(maxsize=16)
+def _traced_throughput(
+    camera: PlenopticCamera, wavelength: float, distance: float, relay: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what `white_throughput` does, of some lenses behind a real main lens, by their distance from the axis.
+
+    Micro-images that the lens cuts have more edge for their area, and lose more.
+    """
+    conjugates = RealConjugates.of(camera, [distance], wavelength, 1)
+    tile = Tile(conjugates.camera, wavelength, _THROUGHPUT_LENSES, 1)
+    check_memory(tile.memory, "wave reconstruction of white micro-images")
+    white, lenses, libraries = white_pixels(camera), lens_set(tile), backend()
+    lit = lenses.lit(white)
+    centres = np.concatenate([lenses.batch(part).centre for part in np.array_split(lit, -(-len(lit) // _TOGETHER))])
+    order = np.argsort(np.hypot(*centres.T), kind="stable")
+    chosen = order[np.unique(np.linspace(0, len(order) - 1, _HEIGHTS).round().astype(int))]
+    amplitude = libraries.arrays.asarray(np.sqrt(white))
+    found = []
+    for number in chosen:
+        batch = lenses.batch(lit[number : number + 1])
+        fields = pupil_fields(amplitude, tile, batch, relay=relay)
+        own = np.logical_and.reduce(np.broadcast_arrays(*(factor != 0 for factor in batch.source)))
+        sent = float((white[batch.row, batch.column] * own).sum(dtype=np.float64)) / tile.subsamples**2
+        passed = passing_power(fields, tile, batch, conjugates.distance(distance), conjugates)
+        if sent > 0:
+            found.append((float(np.hypot(*batch.centre[0])), passed / (sent * camera.pixel_size**2), sent))
+    places, shares, light = np.array(found).T
+    # Lenses whose micro-images are recorded in small part only tell little.
+    whole = light > _WHOLE * light.max()
+    return places[whole], shares[whole]
 
 
 def _aligned_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> tuple[float, float]:

@@ -6,6 +6,7 @@ import pytest
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, Spectrum, render_capture
 from mitsuba_plenoptic.capture import colour
+from mitsuba_plenoptic.capture.mixing import SpectralSum, spectral_sums
 from mitsuba_plenoptic.capture.spectral import with_enough_nodes
 
 CAMERA = PlenopticCamera(
@@ -44,6 +45,34 @@ def test_nodes_against_every_wavelength_by_itself():
     # One node is not enough, and the function must have seen it.
     coarse = CaptureOperator(CAMERA, POINTS, spectrum=spectrum.interpolated(1), accuracy=0).forward(weights)
     assert relative(coarse[..., 0], expected[..., 0]) > 0.008
+
+
+def test_columns_are_as_few_as_the_spectra_need(monkeypatch):
+    """One for points of one spectrum; with others as many as keep what is told within the error."""
+    wavelengths = np.linspace(450, 650, 16)
+    responses = np.stack([np.exp(-(((wavelengths - middle) / 40) ** 2)) for middle in (600, 540, 480)])
+    spectrum = Spectrum(tuple(wavelengths.tolist()), tuple(map(tuple, responses.tolist()))).interpolated(6)
+    rng = np.random.default_rng(3)
+    same = rng.random((40, 1)) * (1 + np.sin(wavelengths / 17))
+    smooth = rng.random((40, 1)) * (1 + 0.3 * np.sin(wavelengths / 90 + 6 * rng.random((40, 1))))
+    rough = rng.random((40, 16))
+    counts = {}
+    for name, weights in (("same", same), ("smooth", smooth), ("rough", rough)):
+        whole = np.sqrt(np.square(weights @ responses.T).sum(0))
+        for part in spectral_sums(spectrum.wavelengths, spectrum.matrix(), spectrum):
+            made = part.reduced(weights, 1e-3 * whole)
+            error = (weights @ made.before) @ made.after.T - (weights @ part.before) @ part.after.T
+            assert np.all(np.sqrt(np.square(error).sum(0)) <= 1.01e-3 * whole)
+            counts.setdefault(name, []).append(made.before.shape[1])
+    assert max(counts["same"]) == 1
+    assert sum(counts["smooth"]) < 3 * 6
+    assert max(counts["rough"]) == 3
+    # And the image is the same.
+    light = rng.random((3, 1)) * (1 + np.sin(wavelengths / 17))
+    images = [CaptureOperator(CAMERA, POINTS, spectrum=spectrum, accuracy=0).forward(light)]
+    monkeypatch.setattr(SpectralSum, "reduced", lambda part, *_: part)
+    images += [CaptureOperator(CAMERA, POINTS, spectrum=spectrum, accuracy=0).forward(light)]
+    assert 0 < relative(*images) < 1e-5
 
 
 @pytest.mark.slow

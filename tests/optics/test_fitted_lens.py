@@ -5,6 +5,7 @@ from dataclasses import replace
 import mitsuba as mi
 import numpy as np
 import pytest
+from wave_cases import thin_as_real
 
 from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.capture.accuracy import band_for
@@ -12,10 +13,8 @@ from mitsuba_plenoptic.capture.grid import Grid, place
 from mitsuba_plenoptic.capture.patch import PatchBatch
 from mitsuba_plenoptic.capture.tile import Copies, Tile
 from mitsuba_plenoptic.optics.exit_pupil import ExitPupil
-from mitsuba_plenoptic.optics.fitted_lens import FittedLens, lens_of_waves
+from mitsuba_plenoptic.optics.fitted_lens import lens_of_waves
 from mitsuba_plenoptic.optics.lens_system import LensSystem
-from mitsuba_plenoptic.optics.pupil_fit import Pupils, fit_pupil
-from mitsuba_plenoptic.optics.pupil_rays import PupilRays
 from mitsuba_plenoptic.optics.thin import ThinLens
 
 WAVELENGTH = 633.0
@@ -83,22 +82,9 @@ def test_points_it_cannot_see_are_refused(camera):
 THIN = ThinLens(80.0, 5.0, 120.0)
 
 
-def thin_rays(field, nearness, entrance):
-    """Rays of the thin lens of the paper, by its closed form."""
-    distance = 1 / nearness
-    point = (np.zeros_like(field), field * distance, distance)
-    pupil = tuple(entrance)
-    path = THIN.path(pupil, point, WAVELENGTH) * WAVELENGTH * 1e-6
-    amplitude = THIN.amplitude(pupil, point) * distance
-    stops = (entrance**2).sum(0)[None] / THIN.pupil_radius**2
-    return PupilRays(field, nearness, entrance, entrance, path, amplitude, stops)
-
-
 @pytest.fixture(scope="module")
 def fitted_thin_lens():
-    fitted = fit_pupil(thin_rays, Pupils(0.0, 1.0, 1 / 80), 5.0, 0.06, (1 / 290, 1 / 205), WAVELENGTH, good=1e-8)
-    assert fitted.error < 1e-7
-    return FittedLens(THIN, 5.0, fitted)
+    return thin_as_real(PlenopticCamera(), 0.06, (1 / 290, 1 / 205))
 
 
 def test_the_thin_lens_by_the_way_of_real_ones_is_the_thin_lens(fitted_thin_lens):

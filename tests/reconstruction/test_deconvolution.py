@@ -106,7 +106,7 @@ def test_bins_are_upright_whatever_the_lattice(name):
     places = np.stack([cells.bin_places(cell)[:, 0] for cell in lit.index])
     x, y = turn(places[..., 0], places[..., 1], camera.mla_rotation)
     plane = (3 + 5 * x - 2 * y).astype(np.float32)
-    found = to_bins(plane, cells, lit, camera, oversample)
+    found = to_bins(plane, cells, lit, camera, 240.0, oversample)
     size = camera.mla_pitch / oversample
     rows, columns = found.shape
     assert (columns, rows) == tuple(oversample * count for count in camera.bin_count)

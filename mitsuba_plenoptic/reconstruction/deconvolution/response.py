@@ -82,7 +82,7 @@ class Response:
         job = job or Job()
         grid = ray_grid(camera) if wavelength is None else wave_grid(camera, distances, wavelength)
         self._batches: Batches = ray_batches if wavelength is None else wave_batches
-        self.cells, self._camera = Cells(grid, oversample), camera
+        self.cells, self._camera, self._distances = Cells(grid, oversample), camera, tuple(distances)
         all_pixels = np.full((1, 2), -_EVERYWHERE), np.full((1, 2), _EVERYWHERE)
         self._recorder = Recorder(camera, grid, *all_pixels)
         self._sampled = self.cells.holding(self._recorder.box)
@@ -167,7 +167,8 @@ class Response:
 
     def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
         """Return numbers of a plane's bins, (cells, bins), as those of the upright bins of a reconstruction."""
-        return to_bins(values, self.cells, self.planes[plane].lit, self._camera, self.cells.oversample)
+        lit, distance = self.planes[plane].lit, self._distances[plane]
+        return to_bins(values, self.cells, lit, self._camera, distance, self.cells.oversample)
 
     def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
         """Record planes.

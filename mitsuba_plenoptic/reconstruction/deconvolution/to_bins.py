@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...lattice import turn
+from ...optics.fitted_lens import FittedLens
+from ...optics.image_stretch import image_stretch
 from .cells import Cells, CellSet
 
 _ALIGNED = 1e-6
@@ -14,9 +16,11 @@ _ALIGNED = 1e-6
 
 
 def to_bins(
-    values: NDArray[np.float32], cells: Cells, lit: CellSet, camera: PlenopticCamera, oversample: int
+    values: NDArray[np.float32], cells: Cells, lit: CellSet, camera: PlenopticCamera, distance: float, oversample: int
 ) -> NDArray[np.float32]:
     """Interpolate between the centres of bins; where the two grids are one, nothing changes.
+
+    Behind a real main lens cells are places of chief rays on the array, and its distortion is undone.
 
     Parameters
     ----------
@@ -28,6 +32,8 @@ def to_bins(
         The cells.
     camera : PlenopticCamera
         The camera in its own frame.
+    distance : float
+        Of the object plane; may be infinite.
     oversample : int
         Bins of the reconstruction per lens pitch.
 
@@ -38,6 +44,10 @@ def to_bins(
     pitch = camera.mla_pitch / oversample
     x, y = ((np.arange(count * oversample) - (count * oversample - 1) / 2) * pitch for count in camera.bin_count)
     x, y = np.broadcast_arrays(x, y[:, None])
+    if isinstance(cells.grid.lens, FittedLens):
+        stretch = image_stretch(camera, cells.grid.lens, distance)
+        ratio = np.interp(np.hypot(x, y), stretch.places, stretch.ratio)
+        x, y = x * ratio, y * ratio
     u, v = turn(x, y, -camera.mla_rotation)
     across, down = cells.bins
     width, height = cells.bin_sizes

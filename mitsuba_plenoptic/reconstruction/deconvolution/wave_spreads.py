@@ -15,7 +15,8 @@ from ...capture.patch_batches import Fields, Scatter
 from ...capture.tile import Copies
 from ...capture.units import radiance_weight
 from ...design import resolution_limit
-from ...optics.main_lens import main_lens
+from ...optics.fitted_lens import FittedLens, farthest_points
+from ...optics.open_pupil import open_fraction
 from .cells import Cells
 
 _ACCURACY = 0.01
@@ -35,7 +36,10 @@ _INFINITY = 1e6
 
 def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: float) -> Grid:
     """Lay the grid that holds the light of planes at some distances."""
-    points = np.array([[0.0, 0.0, finite_distance(camera, distance)] for distance in distances])
+    depths = [finite_distance(camera, distance) for distance in distances]
+    points = np.array([[0.0, 0.0, depth] for depth in depths])
+    if camera.prescription is not None:
+        points = np.concatenate([points, farthest_points(camera, wavelength, depths)])
     return Grid.of(camera, wavelength, band_for(_ACCURACY, _MANY), points)
 
 
@@ -58,10 +62,13 @@ def wave_batches(cells: Cells, distance: float, cell: NDArray[np.int64]) -> list
     """
     grid = cells.grid
     depth = finite_distance(cells.camera, distance)
-    lens = main_lens(cells.camera)
+    lens = grid.lens
     nearness = float(lens.nearness(np.array([[0.0, 0.0, depth]]))[0])
     places = cells.bin_places(cell, math.ceil(_radiators(cells, distance) / cells.oversample))
     weight = bin_weight(cells) / places.shape[1]
+    if isinstance(lens, FittedLens):
+        weight *= float(open_fraction(cells.camera, *places.mean((0, 1))[:, None])[0])
+        places = lens.within(places)
     batches = []
     for points in places:
         positions = lens.points(points, np.full(len(points), nearness))

@@ -1,0 +1,66 @@
+"""Raw captures as 16-bit pictures: what is read back is what the detector gave."""
+
+import json
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+from mitsuba_plenoptic import Capture, Detector, InputError, PlenopticCamera, demosaic, expose, read_raw, write_raw
+from mitsuba_plenoptic.cli.inputs import read_recorded
+
+
+def capture_of(channels=3):
+    camera = PlenopticCamera(detector_width=0.128, resolution=(64, 64), crop_offset=(3, 2), crop_size=(40, 33))
+    return Capture(np.random.default_rng(0).random((33, 40, channels)).astype(np.float32).squeeze(), camera)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".tiff"])
+def test_a_mosaic_comes_back_as_it_was(tmp_path, suffix):
+    """Also its demosaicking, and the numbers are those that other programs see: 12 bits, black where it is dark."""
+    raw = expose(capture_of(), Detector(mosaic="GBRG", bits=12, dark_electrons=3.0), photons=9000, seed=2)
+    path = tmp_path / f"raw{suffix}"
+    write_raw(path, raw)
+    back = read_raw(path)
+    np.testing.assert_allclose(back.image, raw.image, atol=1e-6)
+    assert back.camera == raw.camera and back.metadata == json.loads(json.dumps(raw.metadata))
+    np.testing.assert_allclose(demosaic(back).image, demosaic(raw).image, atol=1e-5)
+    seen = np.asarray(Image.open(path)) if suffix == ".png" else tifffile.imread(path)
+    assert seen.dtype == np.uint16 and seen.shape == (33, 40)
+    assert 40 < seen.max() <= 4095
+    assert (read_recorded(path, None, False).image == back.image).all()
+
+
+def test_three_channels_go_to_tiff(tmp_path):
+    raw = expose(capture_of(), Detector(), photons=2000)
+    write_raw(tmp_path / "raw.tiff", raw)
+    np.testing.assert_allclose(read_raw(tmp_path / "raw.tiff").image, raw.image, atol=1e-6)
+    with pytest.raises(InputError, match=r"raw pictures of three channels are written as .tiff"):
+        write_raw(tmp_path / "raw.png", raw)
+
+
+def test_pictures_of_other_programs_need_a_camera_and_their_black_level(tmp_path):
+    camera = capture_of().camera
+    tifffile.imwrite(tmp_path / "other.tiff", np.full((33, 40), 1064, np.uint16))
+    with pytest.raises(InputError, match=r"other.tiff: it tells no camera and detector; a raw picture needs"):
+        read_recorded(tmp_path / "other.tiff", None, True)
+    found = read_recorded(tmp_path / "other.tiff", camera, True, black_level=64)
+    np.testing.assert_allclose(found.image, 1000 / (65535 - 64), rtol=1e-4)
+
+
+def test_what_is_no_raw_capture_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"capture: no detector has recorded it; expose it first"):
+        write_raw(tmp_path / "raw.tiff", capture_of())
+    raw = expose(capture_of(), Detector(mosaic="RGGB"), photons=2000)
+    with pytest.raises(InputError, match=r"capture: its values are no digital numbers of its detector"):
+        write_raw(tmp_path / "raw.tiff", Capture(raw.image * 1.03, raw.camera, metadata=raw.metadata))
+    with pytest.raises(InputError, match=r"raw pictures end in .png, .tif, .tiff"):
+        write_raw(tmp_path / "raw.jpg", raw)
+    (tmp_path / "broken.png").write_bytes(b"\x89PNG\r\n\x1a\nnothing")
+    with pytest.raises(InputError, match=r"broken.png: it cannot be read as a picture"):
+        read_raw(tmp_path / "broken.png")
+    for text in ('{"mitsuba_plenoptic": {"camera": {}, "metadata": {"exposure": {}}}}', "[]", "{" * 9):
+        tifffile.imwrite(tmp_path / "lies.tiff", np.zeros((3, 3), np.uint16), description=text, metadata=None)
+        with pytest.raises(InputError, match=r"lies.tiff: "):
+            read_raw(tmp_path / "lies.tiff")

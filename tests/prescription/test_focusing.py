@@ -1,0 +1,74 @@
+"""Focusing by a group of elements: traced rays meet the axis at the distance that shall be in focus."""
+
+import math
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera, focus_by_group
+from mitsuba_plenoptic.prescription import paraxial
+
+
+def of(name, **numbers):
+    return PlenopticCamera(main_lens=name, **({"focus_distance": math.inf} | numbers))
+
+
+def from_first_vertex(camera):
+    """Distance from the first vertex to the array in millimetres."""
+    numbers = paraxial(camera.main_lens)
+    scale = camera.focal_length / numbers.focal_length
+    return scale * (numbers.length + numbers.rear_principal) + camera.mla_distance
+
+
+@pytest.mark.parametrize(
+    ("name", "group"), [("cooke_triplet", (1, 2)), ("cooke_triplet", (3, 6)), ("tessar", (1, 2)), ("tessar", (3, 4))]
+)
+def test_rays_near_the_axis_meet_where_it_is_in_focus(name, group):
+    camera, distance = of(name, focal_length=80, aperture_radius=4), 3000.0
+    found = focus_by_group(camera, group, distance)
+    slope = 1e-5
+    point, towards, is_open = LensSystem.of(found).trace((0.0, 0.0), (slope, 0.0))
+    assert is_open
+    assert point[2] - point[0] / towards[0] == pytest.approx(distance, rel=1e-6)
+    # The array stays, before the surfaces that stay.
+    shift = from_first_vertex(found) - from_first_vertex(camera)
+    assert (abs(shift) > 1e-3) == (group[0] == 1)
+    before, after = (camera.main_lens.surfaces, found.main_lens.surfaces)
+    kept = [number for number in range(len(before) - 1) if number not in (group[0] - 2, group[1] - 1)]
+    assert all(before[number].thickness == after[number].thickness for number in kept)
+    assert any(a.thickness != b.thickness for a, b in zip(before, after, strict=True))
+    # The stop's opening stays, over that of the prescription.
+    open_before, open_after = (
+        each.aperture_radius * paraxial(each.main_lens).focal_length / each.focal_length
+        / paraxial(each.main_lens).entrance_radius
+        for each in (camera, found)
+    )  # fmt: skip
+    assert open_after == pytest.approx(open_before, rel=1e-9)
+    assert PlenopticCamera.from_json(found.to_json()) == found
+
+
+def test_what_is_in_focus_needs_no_move():
+    camera = of("tessar", focus_distance=2000.0)
+    found = focus_by_group(camera, (1, 2), 2000.0)
+    np.testing.assert_allclose(
+        [s.thickness for s in found.main_lens.surfaces], [s.thickness for s in camera.main_lens.surfaces], atol=1e-8
+    )
+    assert found.focal_length == pytest.approx(camera.focal_length, rel=1e-9)
+
+
+def test_groups_that_are_none_are_refused():
+    camera = of("cooke_triplet")
+    for group, message in (
+        ((1, 6), r"group = \(1, 6\): it is the whole lens"),
+        ((2, 3), r"group = \(2, 3\): glass follows surface 1"),
+        ((4, 3), r"the first surface must not follow the last"),
+        (3, r"group = 3: it must be the numbers"),
+        ((0, 2), r"group = 0"),
+        ((1, 7), r"group = 7"),
+    ):
+        with pytest.raises(InputError, match=message):
+            focus_by_group(camera, group, 1000.0)
+    with pytest.raises(InputError, match=r"distance = 51: no place of the group of surfaces 1 to 2"):
+        focus_by_group(camera, (1, 2), 51.0)
+    with pytest.raises(InputError, match=r"main_lens: a group of it is moved to focus"):
+        focus_by_group(PlenopticCamera(), (1, 2), 1000.0)
