@@ -9,9 +9,18 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from .adjustment import Problem, Solution, adjust, adjust_poses, information
+from .blur import Blur, fit_blur
 from .model import AT, NAMES, Observations
 from .numbers import camera_of, numbers_of, on_pixel_grid
-from .observations import Board, LensIndex, Table, find_lens_index, observations, require_on_detector
+from .observations import (
+    BLUR_COLUMN,
+    Board,
+    LensIndex,
+    Table,
+    find_lens_index,
+    observations,
+    require_on_detector,
+)
 from .start import board_images, start_values, upright_poses
 
 # Residuals beyond so many deviations count by their size instead of its square while fitting (Huber), and are named.
@@ -84,6 +93,8 @@ class Calibration:
         Of the centres that were fitted jointly.
     steps : int
         How often the linear system was solved.
+    blur : Blur, optional
+        What blur radii tell of the microlenses' focal lengths, where the corners have them.
     """
 
     camera: PlenopticCamera
@@ -94,6 +105,7 @@ class Calibration:
     correlation: np.ndarray
     centre_residuals: np.ndarray
     steps: int
+    blur: Blur | None = None
 
     @property
     def centre_error(self) -> float | None:
@@ -134,7 +146,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     Parameters
     ----------
     corners : Table
-        As `read_corners` gives them.
+        As `read_corners` gives them. A column ``rho`` of blur radii tells the microlenses' focal lengths.
     board : Board
         The board.
     start : PlenopticCamera
@@ -177,6 +189,11 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         camera = camera_of(final.numbers, start)
     except InputError as error:
         raise InputError(f"corners: the numbers that fit them best are no camera; cover more of it: {error}") from None
+    blur = None
+    if BLUR_COLUMN in corners.columns:
+        types = len(start.mla_focal_lengths)
+        blur = fit_blur(corners[BLUR_COLUMN], seen, final.numbers, final.poses, camera.lattice, types)
+        camera = camera.replace(mla_focal_length=blur.focal_lengths)
     return Calibration(
         camera,
         index,
@@ -186,6 +203,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         correlation,
         problem.centre_residuals(final.numbers),
         found.steps + first.steps + final.steps,
+        blur,
     )
 
 
