@@ -13,6 +13,7 @@ sign; the slope of the line tells both, and its place where z/a = 0, over the sl
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,8 +23,12 @@ from ..errors import InputError
 from ..lattice.base import Lattice
 from .model import AT, Observations
 
-# The part of the radii's variance that may be left, and the least that z/a must vary by.
+# The part of the radii's variance that may be left, and the least part of that which curves in place of lines must leave:
+# radii without a sign are bent where they are in focus.
 _LEFT = 0.1
+_STRAIGHT = 0.5
+
+# The least that z/a must vary by.
 _LEAST_SPREAD = 0.01
 
 
@@ -83,9 +88,13 @@ def fit_blur(
     matrix = np.column_stack([*np.eye(types)[kind].T, ratio])
     line = np.linalg.lstsq(matrix, radius)[0]
     left = radius - matrix @ line
-    if not np.mean(left**2) < _LEFT * np.var(radius):
+    square = float(np.mean(left**2))
+    curves = np.column_stack([matrix, *(matrix[:, :-1] * ratio[:, None]).T, *(matrix[:, :-1] * ratio[:, None] ** 2).T])
+    bent = float(np.mean((radius - curves @ np.linalg.lstsq(curves, radius)[0]) ** 2))
+    rounding = 1e-12 * float(np.var(radius))
+    if not (square < _LEFT * np.var(radius) and bent + rounding > _STRAIGHT * square):
         raise InputError(
-            f"corners: rho: {np.sqrt(np.mean(left**2)):.3g} of {np.std(radius):.3g} pixels of the blur radii are not "
+            f"corners: rho: {math.sqrt(square):.3g} of {np.std(radius):.3g} pixels of the blur radii are not "
             "explained by lenses of one focal length each: they must have a sign, other in front of focus than behind "
             "it; leave the column out if they have none"
         )
@@ -104,7 +113,7 @@ def fit_blur(
         slope = np.zeros(types + 1)
         slope[number], slope[-1] = -1 / scale, line[number] / scale**2
         deviations.append(float(np.sqrt(slope @ covariance @ slope) * z / over[number] ** 2))
-    return Blur(tuple((z / over).tolist()), tuple(deviations), abs(float(scale)), float(np.sqrt(np.mean(left**2))))
+    return Blur(tuple((z / over).tolist()), tuple(deviations), abs(float(scale)), math.sqrt(square))
 
 
 def image_ratios(seen: Observations, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
