@@ -23,7 +23,7 @@ from ..errors import InputError
 from ..lattice.base import Lattice
 from .model import AT, Observations
 
-# The part of the radii's variance that may be left, and the least part of that which curves in place of lines must leave:
+# The part of the radii's variance that may be left, and the least part of that which curves in place of lines leave:
 # radii without a sign are bent where they are in focus.
 _LEFT = 0.1
 _STRAIGHT = 0.5

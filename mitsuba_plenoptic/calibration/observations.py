@@ -3,8 +3,8 @@
 Files are CSV tables with a header. Corners have the columns ``k, l`` (indices of the lens along its row and of the
 row), ``u, v`` (column and row of the corner in pixels; the centre of the first pixel is 0), ``cluster`` (number of the
 corner, row by row along the board's columns, from 0) and ``frame`` (number of the picture, one for each pose of the
-board). They may have the column ``rho``: the radius of the corner's blur in pixels, of one sign in front of focus and of
-the other behind it. Centres have ``k, l, u, v``. Other columns are ignored.
+board). They may have the column ``rho``: the radius of the corner's blur in pixels, of one sign in front of focus and
+of the other behind it. Centres have ``k, l, u, v``. Other columns are ignored.
 """
 
 from __future__ import annotations
@@ -27,6 +27,9 @@ CENTRE_COLUMNS = ("k", "l", "u", "v")
 
 _WHOLE = {"k", "l", "cluster", "frame"}
 _LARGEST = 2**20
+
+# Lenses of fewer pixels show no corner, nor do their centres tell anything.
+_CLOSEST = 2
 
 
 @dataclass(frozen=True)
@@ -283,6 +286,11 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
         raise InputError(
             f"{table.name}: pixels lie {error:.3g} from a regular grid of lenses {np.hypot(*grid[1]):.3g} apart: k "
             "must count the lenses of a row and l the rows"
+        )
+    if np.hypot(*grid[1]) < _CLOSEST:
+        raise InputError(
+            f"{table.name}: its lenses are {np.hypot(*grid[1]):.3g} pixels apart, where {_CLOSEST} are needed at "
+            "least: u and v must be in pixels"
         )
     along, j = np.linalg.solve(grid[1:].T, middle - grid[0])
     j = np.round(j)

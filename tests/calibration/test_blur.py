@@ -71,11 +71,11 @@ def test_radii_that_say_nothing_of_focus_are_refused(seen):
     signed = radii_of(seen, (0.355, 0.361, 0.367))
     assert np.quantile(signed, 0.2) < 0 < np.quantile(signed, 0.8)
     np.testing.assert_allclose(fitted(signed, seen).focal_lengths, (0.355, 0.361, 0.367), rtol=1e-9)
-    with pytest.raises(InputError, match="rho: .* must have a sign"):
+    with pytest.raises(InputError, match=r"rho: .* must have a sign"):
         fitted(np.abs(signed), seen)
     with pytest.raises(InputError, match="rho"):
         fitted(np.random.default_rng(0).normal(size=len(seen)), seen)
-    with pytest.raises(InputError, match="rho: .* too few lenses or all at one depth"):
+    with pytest.raises(InputError, match=r"rho: .* too few lenses or all at one depth"):
         fit_blur(
             signed[:2],
             Observations(*(rows[:2] for rows in (seen.lens, seen.pixel, seen.board, seen.pose))),

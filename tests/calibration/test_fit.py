@@ -121,6 +121,7 @@ def mirrored(table):
         (lambda table: table.keep(table["cluster"] < 5).columns, "corners of the board are seen"),
         (lambda table: {**table.columns, "u": table["u"] * 5.5}, "detector has 2000 x 1500 pixels"),
         (lambda table: {**table.columns, "u": table["u"] * 0.0055, "v": table["v"] * 0.3}, "corners|frame"),
+        (lambda table: {**table.columns, "u": table["u"] * 0.0055, "v": table["v"] * 0.0055}, "must be in pixels"),
         (lambda table: {**table.columns, "k": table["l"], "l": table["k"] * 0}, "one line"),
         (lambda table: {**table.columns, "k": table["k"][::-1]}, "regular grid"),
     ],
