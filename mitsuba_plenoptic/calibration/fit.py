@@ -30,6 +30,10 @@ _OUTLIER = 6.0
 # Detected centres err together over about so many lenses along each axis, so that they tell less than their number.
 _CORRELATED = 16
 
+# Pitches of a hexagonal lattice along and across rows that differ by a greater factor: turned by 30 degrees it can be
+# counted in shifted rows, too, but these have cells and types of lenses that it does not have.
+_MOST_UNLIKE = 1.1
+
 # Focal lengths whose deviation is a greater part of them are open.
 _OPEN = 0.5
 
@@ -166,6 +170,13 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         require_on_detector(table, start.crop_size)
     middle = (size - 1) / 2
     index, grid = find_lens_index(centres or corners, start.lattice.stagger == 2, middle)
+    along, across = np.hypot(*grid[1:].T) / [1, start.lattice.row_ratio]
+    if start.lattice.stagger == 2 and not 1 / _MOST_UNLIKE < across / along < _MOST_UNLIKE:
+        raise InputError(
+            f"{(centres or corners).name}: a {start.mla_lattice} lattice would have pitches of {along:.4g} pixels along "
+            f"its rows and {across:.4g} across them: rows must run along nearest neighbours; turn pictures of a "
+            "hexagonal lattice by 90 degrees if its columns do"
+        )
     seen, frames = observations(corners, board, index)
     problem = Problem(seen, start.pixel_size, start.lattice.row_ratio)
     numbers, poses = start_values(problem, frames, grid, middle)

@@ -131,6 +131,14 @@ def test_mistakes_get_one_line(table, change, words):
         calibrate(Table("corners.csv", change(table)), cases.BOARD, START)
 
 
+def test_rows_of_a_hexagonal_lattice_that_run_along_its_columns_are_refused(table):
+    # The same lenses, counted along what was their columns: shifted rows half a pitch apart.
+    x, y = (cases.INDEX.unit(table["k"], table["l"]) * [2, 1]).round().astype(int).T
+    turned = {**table.columns, "k": y // 2, "l": x}
+    with pytest.raises(InputError, match="turn pictures of a hexagonal lattice by 90 degrees"):
+        calibrate(Table("corners.csv", turned), cases.BOARD, START)
+
+
 def test_boards_at_one_distance_tell_too_little():
     poses = np.tile([0.0, 0.0, 3.1, 14, 9, 300], (4, 1)) + [[0, 0, 0, shift, shift, 0] for shift in range(4)]
     with pytest.raises(InputError, match="same distance"):
