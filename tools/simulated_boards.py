@@ -62,8 +62,8 @@ def round_trip(verdict: Verdict, seeds: int = 100) -> None:
     """Render boards by a tilted camera that distorts, add photon noise, detect, calibrate, and judge the errors.
 
     Each pose is rendered once, with so many samples that its noise is some twentieth of the photons' variance; each
-    seed draws all photons anew, detects all corners and calibrates. An error that all seeds share (of the detection, or left
-    by the rendering) counts as much as one that they do not, and is printed beside.
+    seed draws all photons anew, detects all corners and calibrates. An error that all seeds share (of the detection, or
+    left by the rendering) counts as much as one that they do not, and is printed beside.
 
     The error of a combination of numbers is taken by what it changes of the corners' pixels: corners alone leave some
     combinations so open that the others are not linear in the numbers over them.
