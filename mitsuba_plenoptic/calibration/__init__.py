@@ -1,5 +1,6 @@
 """Calibration of a real camera: its numbers from corners of a board, its micro-images' centres from white images."""
 
+from .blur import Blur
 from .board_scene import board_scene
 from .detect import camera_centres, detect_corners, write_corners
 from .files import read_camera, write_calibration
@@ -8,6 +9,7 @@ from .observations import Board, LensIndex, Table, joined, read_centres, read_co
 from .white import Centres, find_centres, write_centres
 
 __all__ = [
+    "Blur",
     "Board",
     "Calibration",
     "Centres",

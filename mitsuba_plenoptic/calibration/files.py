@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,7 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
             name: {"value": value, "deviation": calibration.deviations[name]}
             for name, value in calibration.numbers.items()
         },
+        "blur": None if calibration.blur is None else asdict(calibration.blur),
         "weak_directions": [
             {"weakness": weakness, "numbers": parts} for weakness, parts in calibration.weak_directions()
         ],

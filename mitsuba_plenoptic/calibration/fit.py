@@ -9,9 +9,18 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from .adjustment import Problem, Solution, adjust, adjust_poses, information
+from .blur import Blur, fit_blur
 from .model import AT, NAMES, Observations
 from .numbers import camera_of, numbers_of, on_pixel_grid
-from .observations import Board, LensIndex, Table, find_lens_index, observations, require_on_detector
+from .observations import (
+    BLUR_COLUMN,
+    Board,
+    LensIndex,
+    Table,
+    find_lens_index,
+    observations,
+    require_on_detector,
+)
 from .start import board_images, start_values, upright_poses
 
 # Residuals beyond so many deviations count by their size instead of its square while fitting (Huber), and are named.
@@ -20,6 +29,10 @@ _OUTLIER = 6.0
 
 # Detected centres err together over about so many lenses along each axis, so that they tell less than their number.
 _CORRELATED = 16
+
+# Pitches of a hexagonal lattice along and across rows that differ by a greater factor: turned by 30 degrees it can be
+# counted in shifted rows, too, but these have cells and types of lenses that it does not have.
+_MOST_UNLIKE = 1.1
 
 # Focal lengths whose deviation is a greater part of them are open.
 _OPEN = 0.5
@@ -84,6 +97,8 @@ class Calibration:
         Of the centres that were fitted jointly.
     steps : int
         How often the linear system was solved.
+    blur : Blur, optional
+        What blur radii tell of the microlenses' focal lengths, where the corners have them.
     """
 
     camera: PlenopticCamera
@@ -94,6 +109,7 @@ class Calibration:
     correlation: np.ndarray
     centre_residuals: np.ndarray
     steps: int
+    blur: Blur | None = None
 
     @property
     def centre_error(self) -> float | None:
@@ -134,7 +150,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     Parameters
     ----------
     corners : Table
-        As `read_corners` gives them.
+        As `read_corners` gives them. A column ``rho`` of blur radii tells the microlenses' focal lengths.
     board : Board
         The board.
     start : PlenopticCamera
@@ -154,6 +170,13 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         require_on_detector(table, start.crop_size)
     middle = (size - 1) / 2
     index, grid = find_lens_index(centres or corners, start.lattice.stagger == 2, middle)
+    along, across = np.hypot(*grid[1:].T) / [1, start.lattice.row_ratio]
+    if start.lattice.stagger == 2 and not 1 / _MOST_UNLIKE < across / along < _MOST_UNLIKE:
+        raise InputError(
+            f"{(centres or corners).name}: a {start.mla_lattice} lattice would have pitches of {along:.4g} pixels "
+            f"along its rows and {across:.4g} across them: rows must run along nearest neighbours; turn pictures of a "
+            "hexagonal lattice by 90 degrees if its columns do"
+        )
     seen, frames = observations(corners, board, index)
     problem = Problem(seen, start.pixel_size, start.lattice.row_ratio)
     numbers, poses = start_values(problem, frames, grid, middle)
@@ -177,6 +200,11 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         camera = camera_of(final.numbers, start)
     except InputError as error:
         raise InputError(f"corners: the numbers that fit them best are no camera; cover more of it: {error}") from None
+    blur = None
+    if BLUR_COLUMN in corners.columns:
+        types = len(start.mla_focal_lengths)
+        blur = fit_blur(corners[BLUR_COLUMN], seen, final.numbers, final.poses, camera.lattice, types)
+        camera = camera.replace(mla_focal_length=blur.focal_lengths)
     return Calibration(
         camera,
         index,
@@ -186,6 +214,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         correlation,
         problem.centre_residuals(final.numbers),
         found.steps + first.steps + final.steps,
+        blur,
     )
 
 

@@ -3,7 +3,8 @@
 Files are CSV tables with a header. Corners have the columns ``k, l`` (indices of the lens along its row and of the
 row), ``u, v`` (column and row of the corner in pixels; the centre of the first pixel is 0), ``cluster`` (number of the
 corner, row by row along the board's columns, from 0) and ``frame`` (number of the picture, one for each pose of the
-board). Centres have ``k, l, u, v``. Other columns are ignored.
+board). They may have the column ``rho``: the radius of the corner's blur in pixels, of one sign in front of focus and
+of the other behind it. Centres have ``k, l, u, v``. Other columns are ignored.
 """
 
 from __future__ import annotations
@@ -21,10 +22,14 @@ from .foreign_centres import read_foreign_centres
 from .model import Observations
 
 CORNER_COLUMNS = ("k", "l", "u", "v", "cluster", "frame")
+BLUR_COLUMN = "rho"
 CENTRE_COLUMNS = ("k", "l", "u", "v")
 
 _WHOLE = {"k", "l", "cluster", "frame"}
 _LARGEST = 2**20
+
+# Lenses of fewer pixels show no corner, nor do their centres tell anything.
+_CLOSEST = 2
 
 
 @dataclass(frozen=True)
@@ -123,8 +128,8 @@ def joined(tables: Sequence[Table]) -> Table:
     return Table(first.name, {name: np.concatenate([table[name] for table in tables]) for name in first.columns})
 
 
-def read_table(path: str | Path, names: tuple[str, ...]) -> Table:
-    """Read columns of a CSV file.
+def read_table(path: str | Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> Table:
+    """Read columns of a CSV file, and those of the optional ones that it has.
 
     Raises
     ------
@@ -138,6 +143,7 @@ def read_table(path: str | Path, names: tuple[str, ...]) -> Table:
             missing = [name for name in names if name not in header]
             if missing:
                 raise InputError(f"{path}: it has no column {missing[0]}; it needs {', '.join(names)}")
+            names += tuple(name for name in optional if name in header)
             lines = [line for line in file if line.strip()]
         if not lines:
             raise InputError(f"{path}: it has no rows")
@@ -183,7 +189,10 @@ def read_corners(path: str | Path, board: Board, size: tuple[int, int]) -> Table
     InputError
         If the table is wrong, a corner is not on the board, or a pixel is far off the detector.
     """
-    table = read_table(path, CORNER_COLUMNS)
+    table = read_table(path, CORNER_COLUMNS, (BLUR_COLUMN,))
+    if BLUR_COLUMN in table.columns and not np.ptp(table[BLUR_COLUMN]) > 0:
+        # The programs that write the column fill it with one value where they did not look for blur.
+        del table.columns[BLUR_COLUMN]
     count = board.columns * board.rows
     wrong = np.flatnonzero((table["cluster"] < 0) | (table["cluster"] >= count))
     if wrong.size:
@@ -277,6 +286,11 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
         raise InputError(
             f"{table.name}: pixels lie {error:.3g} from a regular grid of lenses {np.hypot(*grid[1]):.3g} apart: k "
             "must count the lenses of a row and l the rows"
+        )
+    if np.hypot(*grid[1]) < _CLOSEST:
+        raise InputError(
+            f"{table.name}: its lenses are {np.hypot(*grid[1]):.3g} pixels apart, where {_CLOSEST} are needed at "
+            "least: u and v must be in pixels"
         )
     along, j = np.linalg.solve(grid[1:].T, middle - grid[0])
     j = np.round(j)

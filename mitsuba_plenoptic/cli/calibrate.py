@@ -210,6 +210,10 @@ def _calibrate(
         write_calibration_report(report, found, size, corners, middles)
     for name, value in found.numbers.items():
         typer.echo(f"{name:>18} {value:14.7g} +- {found.deviations[name]:.2g} {calibration.model.UNITS[name]}".rstrip())
+    if found.blur is not None:
+        for value, deviation in zip(found.blur.focal_lengths, found.blur.deviations, strict=True):
+            typer.echo(f"{'mla_focal_length':>18} {value:14.7g} +- {deviation:.2g} mm")
+        typer.echo(f"blur radii {found.blur.error:.4f} px RMS, {found.blur.scale:.4g} px for the whole lens")
     for weakness, parts in found.weak_directions():
         terms = ", ".join(f"{name} {part:+.2f}" for name, part in parts.items())
         typer.echo(f"told badly, {weakness:.1f} times the deviations: {terms}")

@@ -121,6 +121,7 @@ def mirrored(table):
         (lambda table: table.keep(table["cluster"] < 5).columns, "corners of the board are seen"),
         (lambda table: {**table.columns, "u": table["u"] * 5.5}, "detector has 2000 x 1500 pixels"),
         (lambda table: {**table.columns, "u": table["u"] * 0.0055, "v": table["v"] * 0.3}, "corners|frame"),
+        (lambda table: {**table.columns, "u": table["u"] * 0.0055, "v": table["v"] * 0.0055}, "must be in pixels"),
         (lambda table: {**table.columns, "k": table["l"], "l": table["k"] * 0}, "one line"),
         (lambda table: {**table.columns, "k": table["k"][::-1]}, "regular grid"),
     ],
@@ -128,6 +129,14 @@ def mirrored(table):
 def test_mistakes_get_one_line(table, change, words):
     with pytest.raises(InputError, match=words):
         calibrate(Table("corners.csv", change(table)), cases.BOARD, START)
+
+
+def test_rows_of_a_hexagonal_lattice_that_run_along_its_columns_are_refused(table):
+    # The same lenses, counted along what was their columns: shifted rows half a pitch apart.
+    x, y = (cases.INDEX.unit(table["k"], table["l"]) * [2, 1]).round().astype(int).T
+    turned = {**table.columns, "k": y // 2, "l": x}
+    with pytest.raises(InputError, match="turn pictures of a hexagonal lattice by 90 degrees"):
+        calibrate(Table("corners.csv", turned), cases.BOARD, START)
 
 
 def test_boards_at_one_distance_tell_too_little():

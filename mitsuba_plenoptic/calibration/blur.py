@@ -1,0 +1,128 @@
+r"""Focal lengths of microlenses from the blur of the corners that they show.
+
+A point whose image by the main lens lies the distance a before the microlens array (negative: behind it) is spread on
+the detector, the distance z behind the array, by a lens of the focal length f and the diameter D, over a disc of the
+radius
+
+.. math:: \rho = \frac{D}{2} \left(1 - \frac{z}{f} + \frac{z}{a}\right)
+
+in the plane of the detector, which changes its sign where the point is in focus. With z/a known from a calibration, the
+radii of the lenses of one type lie on a line. What programs call the radius of a blur differs by a factor, and in its
+sign; the slope of the line tells both, and its place where z/a = 0, over the slope, tells z/f.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..errors import InputError
+from ..lattice.base import Lattice
+from .model import AT, Observations
+
+# The part of the radii's variance that may be left, and the least part of that which curves in place of lines leave:
+# radii without a sign are bent where they are in focus.
+_LEFT = 0.1
+_STRAIGHT = 0.5
+
+# The least that z/a must vary by.
+_LEAST_SPREAD = 0.01
+
+
+@dataclass(frozen=True)
+class Blur:
+    """What blur radii tell of a camera's microlenses.
+
+    Attributes
+    ----------
+    focal_lengths, deviations : tuple of float
+        Of each type of lenses in mm, and their standard deviations.
+    scale : float
+        Radius in pixels, in the terms of the data, for each unit of :math:`1 - z/f + z/a`: half of a lens's diameter if
+        they mean the whole disc.
+    error : float
+        RMS of what is left of the radii in pixels.
+    """
+
+    focal_lengths: tuple[float, ...]
+    deviations: tuple[float, ...]
+    scale: float
+    error: float
+
+
+def fit_blur(
+    radius: np.ndarray, seen: Observations, numbers: np.ndarray, poses: np.ndarray, lattice: Lattice, types: int
+) -> Blur:
+    """Fit the focal lengths of the microlenses to signed blur radii.
+
+    Parameters
+    ----------
+    radius : (n,) array
+        Blur radius of each observation in pixels, of one sign on one side of focus.
+    seen : Observations
+        Corners seen through lenses.
+    numbers, poses : (17,) and (poses, 6) array
+        The camera and the poses of the board, as `model.predict` takes them.
+    lattice : Lattice
+        Tells which lens is of which type.
+    types : int
+        Number of interleaved types.
+
+    Raises
+    ------
+    InputError
+        If the radii are not explained by such lenses, as those without a sign are not.
+    """
+    ratio, z = image_ratios(seen, numbers, poses), float(numbers[AT["detector_distance"]])
+    row = np.round(seen.lens[:, 1])
+    kind = np.zeros(len(row), dtype=int)
+    if types > 1:
+        column, _ = lattice.unit_centre(0.0, row)
+        kind = np.asarray(lattice.lens_type(np.round(seen.lens[:, 0] - column), row), dtype=int)
+    counts = np.bincount(kind, minlength=types)
+    if (counts < 2).any() or np.ptp(ratio) < _LEAST_SPREAD:
+        raise InputError("corners: rho: blur radii are given, but of too few lenses or all at one depth to tell focus")
+    matrix = np.column_stack([*np.eye(types)[kind].T, ratio])
+    line = np.linalg.lstsq(matrix, radius)[0]
+    left = radius - matrix @ line
+    square = float(np.mean(left**2))
+    curves = np.column_stack([matrix, *(matrix[:, :-1] * ratio[:, None]).T, *(matrix[:, :-1] * ratio[:, None] ** 2).T])
+    bent = float(np.mean((radius - curves @ np.linalg.lstsq(curves, radius)[0]) ** 2))
+    rounding = 1e-12 * float(np.var(radius))
+    if not (square < _LEFT * np.var(radius) and bent + rounding > _STRAIGHT * square):
+        raise InputError(
+            f"corners: rho: {math.sqrt(square):.3g} of {np.std(radius):.3g} pixels of the blur radii are not "
+            "explained by lenses of one focal length each: they must have a sign, other in front of focus than behind "
+            "it; leave the column out if they have none"
+        )
+    scale = line[-1]
+    over = 1 - line[:-1] / scale
+    if not (over > 0).all():
+        raise InputError("corners: rho: the focal lengths that fit the blur radii best are not positive")
+    # Observations of one corner of one picture err together, as such radii are mostly found from its depth.
+    group = np.unique(np.column_stack([seen.pose, seen.board]), axis=0, return_inverse=True)[1].ravel()
+    inverse = np.linalg.inv(matrix.T @ matrix)
+    scores = np.stack([np.bincount(group, left * column) for column in matrix.T], axis=-1) @ inverse
+    covariance = scores.T @ scores
+    deviations = []
+    for number in range(types):
+        # Of z/f = 1 - place / slope.
+        slope = np.zeros(types + 1)
+        slope[number], slope[-1] = -1 / scale, line[number] / scale**2
+        deviations.append(float(np.sqrt(slope @ covariance @ slope) * z / over[number] ** 2))
+    return Blur(tuple((z / over).tolist()), tuple(deviations), abs(float(scale)), math.sqrt(square))
+
+
+def image_ratios(seen: Observations, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Return z/a of each observation: the detector's distance over that of the corner's image before the array."""
+    f, b, z = numbers[:3]
+    corner = np.concatenate([seen.board, np.zeros((len(seen), 1))], axis=1)
+    distance = np.empty(len(seen))
+    for index, pose in enumerate(poses):
+        mine = seen.pose == index
+        distance[mine] = Rotation.from_rotvec(pose[:3]).apply(corner[mine])[:, 2] + pose[5]
+    ratios: np.ndarray = z / (b - distance * f / (distance - f))
+    return ratios
