@@ -31,7 +31,7 @@ from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, unpack
 from ..runtime.indexing import split
 from .lens_sets import LensBatch, LensSet, lens_set
-from .lens_tiles import Tile, tile_lenses
+from .lens_tiles import Tile, reconstruction_tile
 from .methods import Progress
 
 _INFINITY = 1e13
@@ -53,7 +53,7 @@ def reconstruct_lens_by_lens(
 
     See `waves.Power`.
     """
-    tile = Tile(camera, wavelength, tile_lenses(camera, distances), oversample)
+    tile = reconstruction_tile(camera, wavelength, distances, oversample)
     check_memory(tile.memory, "wave reconstruction lens by lens")
     lenses = lens_set(tile)
     lit = lenses.lit(image)
