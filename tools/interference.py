@@ -20,33 +20,21 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from diffraction import filtered, intensity_transfer, lens_transfer
 
 from mitsuba_plenoptic import PlenopticCamera
-
-_SAMPLES = 768
 
 
 def shift(camera: PlenopticCamera, distance: float, wavelength: float, model: str) -> float:
     """RMS of the shift over the square root of 2, along x, in units of half the field, for a capture by this model."""
-    radius, b = camera.aperture_radius, camera.mla_distance
-    pitch = 8 * radius / _SAMPLES
-    P = (np.arange(_SAMPLES) - (_SAMPLES - 1) / 2) * pitch
+    radius = camera.aperture_radius
+    P, amplitude = lens_transfer(camera, wavelength)
     inside = np.hypot(P, P[:, None]) <= radius
-    # A frequency over the pupil is a place in the lens.
-    lens = camera.lattice.aperture_image(wavelength * 1e-6 * b / (_SAMPLES * pitch), 1.0)
-    amplitude = np.zeros((_SAMPLES, _SAMPLES))
-    amplitude[: len(lens), : len(lens)] = lens / lens.max()
-    amplitude = np.roll(amplitude, (-(len(lens) // 2),) * 2, (0, 1))
     light, slope = inside * 1.0, inside * P
     if model == "wave":
-        intensity = np.fft.fft2(np.abs(np.fft.ifft2(amplitude)) ** 2)
-        light, slope = (_filtered(pupil, intensity / intensity[0, 0]) for pupil in (light, slope))
+        light, slope = (filtered(pupil, intensity_transfer(amplitude)) for pupil in (light, slope))
     root = np.sqrt(light.clip(1e-6))
-    field, change = (_filtered(values, amplitude) for values in (root, slope / (2 * root)))
+    field, change = (filtered(values, amplitude) for values in (root, slope / (2 * root)))
     d, power = (2 * change / field - P)[inside], field[inside] ** 2
     to_half_fields = camera.blur_diameter(distance) / radius / (camera.bin_count[0] * camera.mla_pitch)
     return math.sqrt((power * d**2).sum() / power.sum() / 2) * to_half_fields
-
-
-def _filtered(values: np.ndarray, transfer: np.ndarray) -> np.ndarray:
-    return np.fft.ifft2(np.fft.fft2(values) * transfer).real

@@ -5,17 +5,21 @@ writes two tables and a picture.
 
 Agreement: correlation and PSNR with a `thinlens` render of one pixel a bin, one scale factor per method. Beside the
 PSNR stands the highest that any picture of that correlation can have, with a scale and an offset of its own:
--10 log10(v (1 - c^2)), v the reference's variance over its squared peak.
+-10 log10(v (1 - c^2)), v the reference's variance over its squared peak. Each correlation that has a limit must reach
+it, to three decimals; exits with 1 if one does not.
 
 Interference: RMS distance from the image in which every lens is propagated alone, over the mean, in the letters out of
-focus; that limit is made with full fields at a period at which no two lenses of a subset overlap.
+focus; that limit is made with full fields at a period at which no two lenses of a subset overlap. Left out where
+`--periods` names none.
 
     python tools/wave_reconstruction_accuracy.py --output out [--capture wave.exr] [--ray-capture ray.exr]
+        [--periods]
 """
 
 from __future__ import annotations
 
 import math
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -40,6 +44,14 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "auto of wave capture": ("wave", {"method": "partial", "interleave": "auto"}),
     "K = 2 without relay": ("wave", {"method": "partial", "interleave": 2, "relay": False}),
 }
+LIMITS = {
+    "rays of ray capture": (0.998, 1.000, 0.998),
+    "rays of wave capture": (0.994, 1.000, 0.993),
+    "coherent of wave capture": (0.993, 0.999, 0.991),
+    "K = 2 of wave capture": (0.994, 1.000, 0.993),
+}
+"""Least correlations at the distances, to three decimals."""
+
 COLUMNS = {
     "method": "{method}",
     "g (mm)": "{distance:g}",
@@ -49,11 +61,13 @@ COLUMNS = {
     "scale": "{scale:.3f}",
     "best shift": "{best_shift}",
     "s, all distances": "{seconds_for_all_distances:.1f}",
+    "correlation at least": "{limit}",
+    "verdict": "{verdict}",
 }
 
 
-def main() -> None:
-    """Refocus, compare, and write the tables as Markdown and JSON with the picture beside them."""
+def main() -> int:
+    """Refocus, compare, and write tables and picture; 1 if a correlation is below its limit."""
     parser = accuracy.options("wave_reconstruction_accuracy", __doc__, reference_spp=4096)
     parser.add_argument("--capture", type=Path, help="a wave capture of the letters")
     parser.add_argument("--ray-capture", type=Path, help="a ray capture of the letters")
@@ -69,16 +83,15 @@ def main() -> None:
     }
     references = [thin_lens_image(scene, captures["wave"].camera, g, arguments.reference_spp) for g in DISTANCES]
     table = _agreement(captures, references, arguments.output)
-    interference = _interference(captures["wave"], arguments.periods, arguments.limit_period)
-    percent = {"K": "{interleave}", **{place: f"{{{place}:.2f}}" for place in list(interference[0])[1:]}}
-    limit = f"the limit without interference (full fields, K = {arguments.limit_period})"
-    accuracy.finish(
-        arguments,
-        {"agreement": table, "interference": interference},
-        accuracy.markdown(COLUMNS, table),
-        f"RMS distance from {limit} over the mean, in %:\n",
-        accuracy.markdown(percent, interference),
-    )
+    results, texts = {"agreement": table}, [accuracy.markdown(COLUMNS, table)]
+    if arguments.periods:
+        interference = _interference(captures["wave"], arguments.periods, arguments.limit_period)
+        percent = {"K": "{interleave}", **{place: f"{{{place}:.2f}}" for place in list(interference[0])[1:]}}
+        limit = f"the limit without interference (full fields, K = {arguments.limit_period})"
+        results["interference"] = interference
+        texts += [f"RMS distance from {limit} over the mean, in %:\n", accuracy.markdown(percent, interference)]
+    accuracy.finish(arguments, results, *texts)
+    return int(any(row["verdict"] == "BROKEN" for row in table))
 
 
 def _agreement(captures: dict[str, Capture], references: list[np.ndarray], output: Path) -> list[accuracy.Row]:
@@ -89,7 +102,10 @@ def _agreement(captures: dict[str, Capture], references: list[np.ndarray], outpu
         seconds = time.perf_counter() - start
         images = [result.image.astype(np.float64) for result in results]
         scale, scores = agreement(images, references)
-        for g, image, reference, (psnr, correlation) in zip(DISTANCES, images, references, scores, strict=True):
+        limits = LIMITS.get(name, (None,) * len(DISTANCES))
+        for g, image, reference, (psnr, correlation), limit in zip(
+            DISTANCES, images, references, scores, limits, strict=True
+        ):
             rows.append(
                 {
                     "method": name,
@@ -100,6 +116,8 @@ def _agreement(captures: dict[str, Capture], references: list[np.ndarray], outpu
                     "scale": round(scale, 4),
                     "best_shift": best_shift(image, reference),
                     "seconds_for_all_distances": round(seconds, 2),
+                    "limit": "" if limit is None else f"{limit:.3f}",
+                    "verdict": "" if limit is None else "kept" if round(correlation, 3) >= limit else "BROKEN",
                 }
             )
         pictures.append(scale * np.concatenate(images, 1))
@@ -146,4 +164,4 @@ def _distance(image: np.ndarray, limit: np.ndarray, bins: np.ndarray) -> float:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -12,7 +12,7 @@ import numpy as np
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_choice, require_count, require_number, shown
-from ..io.captures import Capture, as_array, require_pixels
+from ..io.captures import Capture, as_array
 from ..io.checkpoints import Checkpoint
 from ..mosaic import require_demosaiced
 from ..optics import guards
@@ -25,6 +25,7 @@ from ..thin_lens import image_distance
 from .deconvolution.variation import MOST as MOST_VARIATION
 from .methods import METHODS, Found, Task
 from .real_lens import require_upright
+from .reference import reference_white
 from .result import Reconstruction
 
 FOOTPRINTS = ("lens", "point")
@@ -136,9 +137,10 @@ def reconstruct(
         Bins per lens along each axis. A focused camera tells more than one apart:
         `mitsuba_plenoptic.design.suitable_oversample` and ``mitsuba-plenoptic info`` say how many.
     white : Capture or array, optional
-        What the same camera recorded of a scene of uniform radiance 1, in one channel or as many as the capture has. It
-        is refocused in the same way, and images are divided by it. Default: what the camera would record by rays; a
-        capture by waves, whose micro-images lose light at their edges, then reads less (0.85 for the paper's camera).
+        What the same camera recorded of a scene of uniform radiance 1, by the same wavelengths, in one channel or as
+        many as the capture has. It is refocused in the same way, and images are divided by it. Default: what the
+        camera would record by rays; a capture by waves, whose micro-images lose light at their edges, then reads less
+        (0.85 for the paper's camera).
         ``deconvolved`` takes none.
     response : {"wave", "ray"}, optional
         For ``deconvolved``: how light goes through the camera. Default: as the capture was made; by waves where a
@@ -184,6 +186,7 @@ def reconstruct(
     Wave methods refocus pixels below zero, as `expose` makes them, by their magnitude and subtract the result: noise of
     mean zero leaves no light on average.
     """
+    recorded = capture
     capture = _as_capture(capture, camera)
     camera = capture.camera
     if not isinstance(method, str) or method not in METHODS:
@@ -226,7 +229,7 @@ def reconstruct(
     if chosen.waves and not chosen.as_it_is:
         # Images are formed by the lens as it should be.
         camera = camera.replace(wavefront=())
-    reference = None if white is None else _white(white, image)
+    reference = None if white is None else reference_white(white, capture, recorded)
     _require_memory(camera, distances, oversample, image.shape)
     wavelengths = _wavelengths(capture, wavelength, image.shape[2], camera) if waves else []
 
@@ -368,15 +371,6 @@ def _distances(distance: Any, camera: PlenopticCamera) -> list[float]:
 
 def _bin_size(camera: PlenopticCamera, distance: float) -> float:
     return camera.bin_size(1.0 if math.isinf(distance) else distance)
-
-
-def _white(white: Any, image: np.ndarray) -> np.ndarray:
-    """Return a white capture as an array of the image's shape."""
-    pixels = white.image if isinstance(white, Capture) else as_array("white", white)
-    require_pixels("white", pixels)
-    if pixels.shape not in {image.shape[:2], (*image.shape[:2], 1), image.shape}:
-        raise InputError(f"white of shape {pixels.shape}: it must have the pixels of the capture, {image.shape[:2]}")
-    return np.ascontiguousarray(np.broadcast_to(np.atleast_3d(pixels), image.shape), np.float32)
 
 
 def _wavelengths(capture: Capture, wavelength: Any, channels: int, camera: PlenopticCamera) -> list[float]:

@@ -31,7 +31,7 @@ from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_dr
 from ..runtime.indexing import split
 from .conjugates import Conjugates, ThinConjugates
 from .lens_sets import LensBatch, LensSet, lens_set
-from .lens_tiles import Tile, tile_lenses
+from .lens_tiles import Tile, reconstruction_tile
 from .methods import Progress
 
 
@@ -51,7 +51,7 @@ def reconstruct_lens_by_lens(
 
     See `waves.Power`.
     """
-    tile = Tile(camera, wavelength, tile_lenses(camera, distances), oversample)
+    tile = reconstruction_tile(camera, wavelength, distances, oversample)
     check_memory(tile.memory, "wave reconstruction lens by lens")
     lenses = lens_set(tile)
     lit = lenses.lit(image)

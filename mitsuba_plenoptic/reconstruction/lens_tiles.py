@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..design import focus_type
 from ..optics.free_space import advance
 from ..optics.phase import in_millimetres, phasor
 from ..optics.sampling import fast_length
@@ -23,6 +24,9 @@ _BATCH_SAMPLES, _CUDA_BATCH_SAMPLES = 2**20, 2**25
 _FINE_GUARD = 2 * GUARD
 """What `GUARD` is for one bin per lens: several resolve the power, which has twice the frequencies of the field."""
 
+_BLURRED = 1.0
+"""Blur in lenses from which on the samples of the field suffice for sums over lenses."""
+
 _MARGIN = 4.5
 """Bins around the geometric image: more than full fields need, as the pupil's edge is softened over one sample."""
 
@@ -31,6 +35,21 @@ def tile_lenses(camera: PlenopticCamera, distances: Sequence[float]) -> int:
     """Width of an object patch in lenses, odd: the widest blur and a margin for diffraction on both sides."""
     blur = max(camera.blur_diameter(g) for g in distances) / camera.mla_pitch
     return 2 * math.ceil(blur / 2 + _MARGIN) + 1
+
+
+def reconstruction_tile(
+    camera: PlenopticCamera, wavelength: float, distances: Sequence[float], oversample: int
+) -> Tile:
+    """Return the sampling for some object distances.
+
+    Fine bins of lattices whose lenses are not bins are summed over lenses. From a blur of one lens on, the power that
+    an unfocused camera's lens sends has next to none of the frequencies beyond its field's, and such sums are within
+    2e-4 RMS of those of twice as many samples; in focus they would be 6e-3 off.
+    """
+    least = min(camera.blur_diameter(g) for g in distances) / max(camera.mla_pitches)
+    summed = not camera.lenses_are_bins and focus_type(camera) == "unfocused"
+    resolved = not summed or least < _BLURRED
+    return Tile(camera, wavelength, tile_lenses(camera, distances), oversample, resolved)
 
 
 @dataclass(frozen=True)
@@ -47,12 +66,15 @@ class Tile:
         Width of the object patch in lenses, odd.
     oversample : int
         Bins per lens.
+    resolved : bool
+        Whether bins show all that the power holds, where there are several to a lens.
     """
 
     camera: PlenopticCamera
     wavelength: float
     lenses: int
     oversample: int
+    resolved: bool = True
 
     @cached_property
     def pitch(self) -> float:
@@ -116,7 +138,7 @@ class Tile:
         """
         camera = self.camera
         needed = (
-            (GUARD if self.oversample == 1 else _FINE_GUARD)
+            (_FINE_GUARD if self.oversample > 1 and self.resolved else GUARD)
             * camera.mla_pitch
             * camera.aperture_diameter
             / (in_millimetres(self.wavelength) * camera.mla_distance)

@@ -8,6 +8,7 @@ from wave_cases import HALF, LATTICES, OTHER, WAVELENGTH, capture, error, scatte
 
 from mitsuba_plenoptic import PlenopticCamera, reconstruct
 from mitsuba_plenoptic.capture.point_spread import point_spread_function
+from mitsuba_plenoptic.reconstruction import lens_tiles
 from mitsuba_plenoptic.reconstruction.full_fields import reconstruct_subsets
 from mitsuba_plenoptic.reconstruction.lens_by_lens import reconstruct_lens_by_lens
 from mitsuba_plenoptic.reconstruction.spread import over_lenses
@@ -41,6 +42,32 @@ def test_routes_of_two_axes_and_of_one_agree():
     one, two = (reconstruct_lens_by_lens(image, c, [115.0], WAVELENGTH) for c in (SMALL, camera))
     assert error(two[0], one[0]) < 2e-3
     assert white_throughput(camera, WAVELENGTH) == pytest.approx(white_throughput(SMALL, WAVELENGTH), abs=0.01)
+
+
+@pytest.mark.parametrize("blur", [1.05, 6.0])
+def test_lenses_out_of_focus_take_half_as_many_samples(blur, monkeypatch):
+    """Sums over lenses are those of fine samples, which are taken in focus, and where bins are shown as they are."""
+    camera = SMALL.replace(mla_lattice="hexagonal")
+    nearness = 1 / camera.focal_length - 1 / camera.mla_distance
+    nearness += blur * camera.mla_pitch / camera.aperture_diameter / camera.mla_distance
+    px, py = (camera.pixel_coordinates(axis) for axis in (0, 1))
+    image = (white_capture(camera) * (1.2 + np.sin(30 * px) * np.sin(50 * py[:, None]))).astype(np.float32)
+    sums = []
+    for least in (1.0, np.inf):
+        monkeypatch.setattr(lens_tiles, "_BLURRED", least)
+        fine = reconstruct_lens_by_lens(image, camera, [1 / nearness], WAVELENGTH, oversample=9)[0]
+        sums.append(over_lenses(fine, camera, 1, 9))
+    assert 0 < error(*sums) < 5e-4
+    monkeypatch.undo()
+    blurred, sharp, shown = (
+        lens_tiles.reconstruction_tile(kind, WAVELENGTH, distances, 9).samples
+        for kind, distances in (
+            (camera, [1 / nearness]),
+            (camera, [1 / nearness, camera.focus_distance]),
+            (SMALL, [1 / nearness]),
+        )
+    )
+    assert sharp == shown > blurred
 
 
 @pytest.mark.parametrize("lattice", LATTICES.values(), ids=LATTICES)

@@ -1,0 +1,58 @@
+"""What diffraction leaves of a ramp, as the tools tell it, against a plain sum over pairs of pupil points."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import PlenopticCamera
+
+TOOLS = Path(__file__).resolve().parents[2] / "tools"
+CAMERA = PlenopticCamera(detector_width=0.768, resolution=(192, 192))
+WAVELENGTH = 633.0
+
+
+@pytest.fixture
+def tools(monkeypatch):
+    monkeypatch.syspath_prepend(str(TOOLS))
+    return importlib.import_module("diffraction"), importlib.import_module("walls")
+
+
+def by_pairs(camera, distance, column, row, radiance, count=48):
+    """One bin: all pairs of points of the pupil, a square lens's squared sinc between them."""
+    step = 2 * camera.aperture_radius / count
+    line = (np.arange(count) + 0.5) * step - camera.aperture_radius
+    x, y = (axis.ravel() for axis in np.meshgrid(line, line))
+    inside = np.hypot(x, y) <= camera.aperture_radius
+    x, y = x[inside], y[inside]
+    nearness = 0.0 if np.isinf(distance) else 1 / distance
+    kappa = 1 + camera.mla_distance * (nearness - 1 / camera.focal_length)
+    half = camera.bin_count[0] / 2
+    place = [(index + 0.5 - half) * camera.mla_pitch for index in (column, row)]
+    seen = np.maximum(*(np.abs(at + kappa * P) for at, P in zip(place, (x, y), strict=True))) <= half * camera.mla_pitch
+    width = WAVELENGTH * 1e-6 * camera.mla_distance / camera.mla_pitch
+    dx, dy = (np.subtract.outer(P[seen], P) for P in (x, y))
+    weight = np.sinc(dx / width) ** 2 * np.sinc(dy / width) ** 2
+    slope = -(place[0] + kappa * dx) / (half * camera.mla_pitch)
+    return (weight * radiance(slope)).sum() / weight.sum()
+
+
+@pytest.mark.parametrize("distance", [150.0, 1000.0, np.inf])
+def test_a_ramp_is_the_sum_over_pairs_of_pupil_points(tools, distance):
+    diffraction, walls = tools
+    image = diffraction.expected(CAMERA, distance, WAVELENGTH, "ramp")
+    known = walls.known_radiance(CAMERA, "ramp")
+    for column, row in ((0, 0), (1, 6), (11, 3)):
+        value = by_pairs(CAMERA, distance, column, row, lambda slope: walls.radiance(slope, "ramp"))
+        assert image[row, column] == pytest.approx(value, abs=0.004)
+    assert np.abs(image - known).max() > 0.01
+
+
+def test_nothing_is_left_out_of_white_or_in_focus(tools):
+    diffraction, walls = tools
+    np.testing.assert_allclose(diffraction.expected(CAMERA, 1000.0, WAVELENGTH, "white"), 1, atol=1e-9)
+    sharp = diffraction.expected(CAMERA, CAMERA.focus_distance, WAVELENGTH, "ramp")
+    np.testing.assert_allclose(sharp, np.tile(walls.known_radiance(CAMERA, "ramp"), (12, 1)), atol=1e-6)
