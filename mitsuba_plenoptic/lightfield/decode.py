@@ -65,6 +65,39 @@ def decode(
     InputError
         If neither camera nor grid is known, or the images or the ground truth do not fit each other or the camera.
     """
+    image, reference, camera = checked_images(capture, camera, white, grid)
+    if camera is not None:
+        lenses, bins = grid or lens_grid(camera), bin_grid(camera)
+    elif grid is not None:
+        lenses, bins = grid, _upright(grid)
+    half, alone = view_window(camera, lenses)
+    _require_memory(image, bins, lenses, half)
+    resampling = None if lenses == bins else _between_lenses(lenses, bins)
+
+    light = _sample(image, lenses, half, resampling, bins)
+    fraction = _sample(reference, lenses, half, resampling, bins)[..., 0]
+    if camera is None:
+        fraction /= _brightness(fraction[half, half])
+    divide_by_white(light, fraction, alone[:, :, None, None])
+    values = light if light.shape[-1] == 3 else light[..., 0]
+    lf = light_field(values, np.minimum(fraction, 1), camera, bins, lenses)
+    return lf if truth is None else lf.assign_coords(_coordinates(truth, camera, lf.shape[:4]))
+
+
+def checked_images(
+    capture: Capture | np.ndarray,
+    camera: PlenopticCamera | None,
+    white: Capture | np.ndarray | None,
+    grid: LensGrid | None,
+) -> tuple[np.ndarray, np.ndarray, PlenopticCamera | None]:
+    """Return the capture's image, the white image and the camera that `decode` is given, or refuse them.
+
+    Returns
+    -------
+    image : (rows, columns, channels) float32 array
+    reference : (rows, columns, 1) float32 array
+    camera : PlenopticCamera or None
+    """
     if isinstance(capture, Capture):
         require_demosaiced(capture)
         camera = camera or capture.camera
@@ -88,24 +121,22 @@ def decode(
         reference = _image("white", white.image if isinstance(white, Capture) else white).mean(axis=2, keepdims=True)
         if reference.shape[:2] != image.shape[:2]:
             raise InputError(f"white of shape {reference.shape[:2]}: the capture has the shape {image.shape[:2]}")
-    if camera is not None:
-        lenses, bins = grid or lens_grid(camera), bin_grid(camera)
-    elif grid is not None:
-        lenses, bins = grid, _upright(grid)
-    half, alone = view_window(camera, lenses)
-    _require_memory(image, bins, lenses, half)
-    resampling = None if lenses == bins else _between_lenses(lenses, bins)
+    return image, reference, camera
 
-    light = _sample(image, lenses, half, resampling, bins)
-    fraction = _sample(reference, lenses, half, resampling, bins)[..., 0]
-    if camera is None:
-        fraction /= _brightness(fraction[half, half])
-    fraction[(fraction < MINIMUM_WEIGHT) | ~alone[:, :, None, None]] = 0
+
+def divide_by_white(light: np.ndarray, fraction: np.ndarray, alone: np.ndarray) -> None:
+    """Divide samples by the fraction of the pupil that they see, in place; both become 0 where it is too little.
+
+    Parameters
+    ----------
+    light : (..., channels) array
+    fraction : (...) array
+    alone : bool array
+        Which samples are of one lens alone; broadcast against `fraction`.
+    """
+    fraction[(fraction < MINIMUM_WEIGHT) | ~alone] = 0
     np.divide(light, fraction[..., None], out=light, where=fraction[..., None] > 0)
     light[fraction == 0] = 0
-    values = light if light.shape[-1] == 3 else light[..., 0]
-    lf = light_field(values, np.minimum(fraction, 1), camera, bins, lenses)
-    return lf if truth is None else lf.assign_coords(_coordinates(truth, camera, lf.shape[:4]))
 
 
 def _coordinates(
@@ -204,12 +235,28 @@ def _between_lenses(lenses: LensGrid, bins: LensGrid) -> scipy.sparse.csr_array:
 def _sample(
     image: np.ndarray, lenses: LensGrid, half: int, resampling: scipy.sparse.csr_array | None, bins: LensGrid
 ) -> np.ndarray:
-    """Sample an image at whole-pixel steps about each micro-image centre.
+    """Sample the lenses of an image, and interpolate between them.
 
     Returns
     -------
     (2 half + 1, 2 half + 1, rows, columns, channels) float32 array
         What lies outside the image counts as 0.
+    """
+    samples = sample_lenses(image, lenses, half)
+    if resampling is not None:
+        samples = (resampling @ samples.reshape(len(samples) * samples.shape[1], -1)).reshape(
+            *bins.shape, *samples.shape[2:]
+        )
+    return np.ascontiguousarray(samples.transpose(2, 3, 0, 1, 4))
+
+
+def sample_lenses(image: np.ndarray, lenses: LensGrid, half: int) -> np.ndarray:
+    """Sample an image at whole-pixel steps about each micro-image centre.
+
+    Returns
+    -------
+    (rows, columns, 2 half + 1, 2 half + 1, channels) float32 array
+        Of the grid's lenses. What lies outside the image counts as 0.
     """
     views, channels = 2 * half + 1, image.shape[2]
     height, width = image.shape[:2]
@@ -223,8 +270,4 @@ def _sample(
         fx, fy = (((row - base)[:, axis].astype(np.float32))[:, None, None, None] for axis in (0, 1))
         patch = patch[:, :-1] * (1 - fy) + patch[:, 1:] * fy
         out[...] = patch[:, :, :-1] * (1 - fx) + patch[:, :, 1:] * fx
-    if resampling is not None:
-        samples = (resampling @ samples.reshape(len(samples) * samples.shape[1], -1)).reshape(
-            *bins.shape, views, views, channels
-        )
-    return np.ascontiguousarray(samples.transpose(2, 3, 0, 1, 4))
+    return samples
