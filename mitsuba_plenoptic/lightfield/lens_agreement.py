@@ -58,7 +58,7 @@ class LensComparison:
     def __init__(self, images: MicroImages) -> None:
         self._images = images
         self._values = _smoothed(images.values, images.weight)
-        self._half = tuple((size - 1) / 2 for size in images.weight.shape[2:])
+        self._steps = tuple(np.arange(size) - (size - 1) / 2 for size in images.weight.shape[2:])
 
     def disagreement(self, slope: float) -> np.ndarray:
         """Return the variance between micro-images of neighbouring lenses, moved so that one disparity coincides.
@@ -74,7 +74,8 @@ class LensComparison:
             For the bins of the light field; NaN where neighbours see nothing in common.
         """
         shape = self._images.bins.shape
-        if slope == 0:
+        # In focus on the array, or seen in one direction alone, nothing is seen by two lenses.
+        if slope == 0 or min(self._images.weight.shape[2:]) < 3:
             return np.full(shape, np.nan, dtype=np.float32)
         values, opened = self._straightened(slope)
         squares, counts = np.zeros((2, *opened.shape), dtype=np.float32)
@@ -85,15 +86,12 @@ class LensComparison:
                 continue
             (v, next_v, fv), (u, next_u, fu) = (_overlap(views[1 - axis], move[axis]) for axis in (1, 0))
 
-            def moved(array: np.ndarray, lenses: tuple[slice, slice], v=next_v, u=next_u, fv=fv, fu=fu) -> np.ndarray:
-                part = array[(*lenses, v, u)]
-                part = part[:, :, :-1] + fv * (part[:, :, 1:] - part[:, :, :-1])
-                return np.asarray(part[:, :, :, :-1] + fu * (part[:, :, :, 1:] - part[:, :, :, :-1]))
-
             target = (*own, v, u)
-            both = (moved(opened, other) > 1 - 1e-3) * opened[target]
+            both = (_moved(opened[(*other, next_v, next_u)], fv, fu) > 1 - 1e-3) * opened[target]
             # The difference of two has twice the variance of each.
-            squares[target] += np.square(moved(values, other) - values[target]).mean(axis=4) * both / 2
+            squares[target] += (
+                np.square(_moved(values[(*other, next_v, next_u)], fv, fu) - values[target]).mean(axis=4) * both / 2
+            )
             counts[target] += both
         bins = self._bins_of(slope)
         found = [
@@ -145,8 +143,9 @@ class LensComparison:
             here = types == lens_type
             kappa = camera.pupil_shift(camera.mla_focal_lengths[lens_type])
             views = kappa / camera.pupil_step + 1 / (slope * camera.mla_pitch)
-            whole, part = [], []
-            for axis, size in enumerate(place.shape[1:]):
+            whole: list[np.ndarray] = []
+            part: list[np.ndarray] = []
+            for axis, size in enumerate(images.weight.shape[2:]):
                 at = np.clip(place[axis] + mean[axis] * views - inwards[axis], 0, size - 1)
                 whole.append(np.minimum(at.astype(np.int64), size - 2))
                 part.append((at - whole[-1]).astype(np.float32))
@@ -171,8 +170,7 @@ class LensComparison:
         place = (np.arange(_POINTS) + 0.5) / _POINTS
         point = np.stack([np.asarray(axis).ravel() for axis in _aperture_points(camera, place)])
         found = []
-        steps = [np.arange(size) - half for size, half in zip(self._images.weight.shape[2:], self._half, strict=True)]
-        v, u = (step * camera.pupil_step for step in steps)
+        v, u = (step * camera.pupil_step for step in self._steps)
         for f2 in camera.mla_focal_lengths:
             x, y = point * camera.pupil_shift(f2)
             open_ = np.hypot(x - u[None, :, None], y - v[:, None, None]) < camera.aperture_radius
@@ -185,9 +183,7 @@ class LensComparison:
         """Return the number of the bin of the central view that each sample shows; one beyond the last for none."""
         shape = self._images.bins.shape
         column, row = np.moveaxis(self._images.places, 2, 0)
-        down, across = (
-            np.arange(size) - half for size, half in zip(self._images.weight.shape[2:], self._half, strict=True)
-        )
+        down, across = self._steps
         rows = np.rint(row[:, :, None] - down * slope).astype(np.int64)[..., None]
         columns = np.rint(column[:, :, None] - across * slope).astype(np.int64)[:, :, None]
         inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
@@ -208,6 +204,12 @@ def _aperture_points(camera: PlenopticCamera, place: np.ndarray) -> tuple[np.nda
     s, t = np.meshgrid(place, place)
     x, y = camera.lattice.aperture_point(s.ravel(), t.ravel())
     return np.asarray(x), np.asarray(y)
+
+
+def _moved(part: np.ndarray, fv: np.float32, fu: np.float32) -> np.ndarray:
+    """Interpolate samples, (rows, columns, v, u, ...), by these fractions of a view: one view less along each axis."""
+    part = part[:, :, :-1] + fv * (part[:, :, 1:] - part[:, :, :-1])
+    return np.asarray(part[:, :, :, :-1] + fu * (part[:, :, :, 1:] - part[:, :, :, :-1]))
 
 
 def _overlap(views: int, move: float) -> tuple[slice, slice, np.float32]:
