@@ -5,6 +5,7 @@ import pickle
 import numpy as np
 import pytest
 import scipy
+from threadpoolctl import threadpool_limits
 from wave_cases import WAVELENGTH, capture, error, small_camera
 
 from mitsuba_plenoptic.capture.bank import Convolution, LensBank, lens_bank, near_weight
@@ -32,6 +33,17 @@ NEAR, FAR = 222.0, 262.0
 def bank_of(camera, *distances, accuracy=0.03):
     vergences = [float(main_lens(camera).vergence(g)) for g in distances]
     return LensBank.learn(camera, WAVELENGTH, accuracy, (min(vergences), max(vergences)))
+
+
+def test_bits_do_not_depend_on_threads():
+    camera = small_camera()
+    vergence = float(main_lens(camera).vergence(NEAR))
+    found = []
+    for threads in (1, 2):
+        lens_bank._learn.cache_clear()
+        with threadpool_limits(limits=threads, user_api="blas"):
+            found.append(LensBank.learn(camera, WAVELENGTH, 0.1, (vergence, vergence)).kernels.tobytes())
+    assert found[0] == found[1]
 
 
 def wall(camera, distance, lenses=2, per_lens=8):
