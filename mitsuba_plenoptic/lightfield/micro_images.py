@@ -112,7 +112,7 @@ def micro_images_of(lf: xr.DataArray) -> MicroImages:
     if (grid_of(lf) or lens_grid(camera)) != bins:
         raise InputError(
             "micro_images = None: the bins of this light field are interpolated between lenses, which a focused "
-            "camera's depth cannot be told from; give micro_images(capture)"
+            "camera's depth cannot be told from; give micro_images(capture), or the command the capture"
         )
     for axis in ("v", "u"):
         steps = view_steps(lf, axis)
