@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,8 @@ import typer
 from ..runtime.progress import progress_bar
 from .inputs import batches_on
 from .options import OutputFolder
+
+_log = logging.getLogger(__name__)
 
 
 def dataset(
@@ -43,6 +46,10 @@ def dataset(
 
     wanted = read_recipe(recipe)
     with batches_on(workers, scheduler) as batch_map, progress_bar("Samples") as progress:
-        made = make_dataset(wanted, output, batch_map=batch_map, progress=progress)
+        try:
+            made = make_dataset(wanted, output, batch_map=batch_map, progress=progress)
+        except KeyboardInterrupt:
+            _log.info("stopped at %.0f %%: the same command goes on", 100 * progress.fraction)
+            raise
     size = sum(path.stat().st_size for path in output.rglob("*") if path.is_file())
     typer.echo(f"{output}: {len(made)} samples, {size / 2**20:.0f} MiB, described in {output / 'README.md'}")

@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 
 from ..lightfield import depth_error, depth_map
-from ..lightfield.exchange import open_light_field
+from ..lightfield.depth import is_focused
+from ..lightfield.exchange import open_light_field, open_micro_images
 from ..report.brightness import Brightness
 from ..report.output_files import require_picture_path, write_depth
 from ..runtime.progress import progress_bar
@@ -68,11 +69,13 @@ def depth(
     """
     require_picture_path(output)
     brightness = Brightness(exposure, percentile)
-    lf = open_light_field(
-        source, white=white, views=view_count, linear=linear, camera=named_camera(camera), truth=truth or True
-    )
+    known = named_camera(camera)
+    lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=known, truth=truth or True)
+    images = None
+    if lf.attrs.get("camera") and is_focused(lf):
+        images = open_micro_images(source, white=white, linear=linear, camera=known)
     with progress_bar("Comparing views") as progress:
-        found = depth_map(lf, near, far, planes=planes, progress=progress)
+        found = depth_map(lf, near, far, micro_images=images, planes=planes, progress=progress)
     write_depth(output, found, brightness)
     sure = found.confidence > 0.5
     where = found.depth.where(sure)

@@ -11,6 +11,7 @@ from .geometry import camera_of, depth_range, disparity, distance_of, grid_of
 from .grid import LensGrid, lens_grid
 from .grid_estimation import estimate_lens_grid
 from .ground_truth import ground_truth
+from .micro_images import MicroImages, micro_images
 from .refocus import focal_stack, refocus, shift_and_add
 from .views import epipolar_image, lens_mosaic, pick_views, view, view_mosaic
 from .white import white_image
@@ -19,6 +20,7 @@ __all__ = [
     "DepthError",
     "FourierRefocuser",
     "LensGrid",
+    "MicroImages",
     "camera_of",
     "decode",
     "demosaic",
@@ -34,6 +36,7 @@ __all__ = [
     "ground_truth",
     "lens_grid",
     "lens_mosaic",
+    "micro_images",
     "pick_views",
     "refocus",
     "shift_and_add",

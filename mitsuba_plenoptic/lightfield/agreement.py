@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from itertools import product
-
 import numpy as np
 import scipy
 import xarray as xr
@@ -24,15 +21,6 @@ _SEEN = 0.25
 # Samples that see at least this much of the pupil take part. The others see it nearer to its middle than their
 # coordinate says, which would pull depths towards the plane in focus.
 _OPEN = 0.9
-
-# Within micro-images, those that see at least half: where a lens images the scene, the rim of the pupil takes light
-# from a sample but does not move what it sees.
-_HALF_OPEN = 0.5
-
-# Lenses to each side that a lens is compared with, and samples, weighted as the window weighs them, that must be seen
-# by both.
-_NEIGHBOURS = 2
-_FEWEST = 10.0
 
 
 def view_disagreement(lf: xr.DataArray, slope: float) -> np.ndarray:
@@ -101,62 +89,3 @@ def _sides(step: float) -> tuple[float, float]:
     """Return the fraction of a view that lies on the low and on the high side of the pupil's middle."""
     high = float(np.clip(step + 0.5, 0, 1))
     return 1 - high, high
-
-
-def lens_disagreement(lf: xr.DataArray, slope: float) -> np.ndarray:
-    r"""Return the variance between the micro-images of neighbouring lenses, moved so that one disparity coincides.
-
-    For focused cameras. Their micro-images hold detail that is finer than the pitch of the lenses, so that views, of
-    one sample a lens, are aliased. What a lens shows at the view u, its k-th neighbour shows at :math:`u + k / \delta`,
-    for the disparity :math:`\delta` in lenses per view: samples are interpolated within micro-images, never between
-    lenses (Perwass and Wietzke 2012).
-
-    Arguments and result are those of `view_disagreement`; NaN where neighbours see nothing in common.
-    """
-    opened = (lf["weight"].values >= _HALF_OPEN).astype(np.float32)
-    sums = np.zeros((2, *lf.shape[2:4]), dtype=np.float32)
-    planes = channel_planes(lf)
-    for axis, steps in product((0, 1), range(-_NEIGHBOURS, _NEIGHBOURS + 1)):
-        move = steps / slope if steps and slope else math.inf
-        if abs(move) > lf.shape[axis] - 2:
-            continue
-        both, own = _pair(opened, axis, steps, move)
-        both = (both > 1 - 1e-3) * own
-        target = sums[(slice(None), *_reached(lf.shape[2:4], axis, steps))]
-        target[1] += both.sum((0, 1))
-        for plane in planes:
-            other, own = _pair(plane, axis, steps, move)
-            # The difference of two has twice the variance of each.
-            target[0] += (np.square(other - own) * both).sum((0, 1)) / (2 * len(planes))
-    sums = scipy.ndimage.gaussian_filter(sums, (0, _WINDOW, _WINDOW), mode="nearest")
-    return np.where(sums[1] >= _FEWEST, sums[0] / np.maximum(sums[1], 1), np.nan)
-
-
-def _reached(shape: tuple[int, ...], axis: int, steps: int) -> tuple[slice, slice]:
-    """Return the bins whose neighbour so many steps on along an axis is there."""
-    across = slice(max(0, -steps), min(shape[axis], shape[axis] - steps))
-    return (across, slice(None)) if axis == 0 else (slice(None), across)
-
-
-def _pair(values: np.ndarray, axis: int, steps: int, move: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return samples of the lenses some steps on, `move` views on, interpolated, and those of the lenses themselves.
-
-    Only of the views and lenses that have such a one.
-    """
-    whole = math.floor(move)
-    views = values.shape[axis]
-    first, last = max(0, -whole), min(views, views - 1 - whole)
-    lenses = _reached(values.shape[2:4], axis, steps)
-    down, across = lenses
-    if axis == 0:
-        on = slice(down.start + steps, down.stop + steps), across
-    else:
-        on = down, slice(across.start + steps, across.stop + steps)
-
-    def part(start: int, stop: int, of: tuple[slice, slice]) -> np.ndarray:
-        along = (slice(start, stop), slice(None)) if axis == 0 else (slice(None), slice(start, stop))
-        return values[(*along, *of)]
-
-    fraction = np.float32(move - whole)
-    low, high = part(first + whole, last + whole, on), part(first + whole + 1, last + whole + 1, on)
-    return low + fraction * (high - low), part(first, last, lenses)

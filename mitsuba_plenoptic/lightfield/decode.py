@@ -70,6 +70,53 @@ def decode(
     InputError
         If neither camera nor grid is known, or the images or the ground truth do not fit each other or the camera.
     """
+    image, camera = _checked(capture, camera, grid)
+    if camera is not None and camera.objective is not None and camera.objective.is_fourier:
+        for name, given in (("grid", grid), ("truth", truth)):
+            if given is not None:
+                raise InputError(f"{name}: a Fourier microscope, each of whose lenses makes a view, is decoded without")
+        return decode_views(image, camera, camera.objective, None if white is None else _white(white, image))
+    reference = _reference(image, camera, white, grid)
+    if camera is not None:
+        lenses, bins = grid or lens_grid(camera), bin_grid(camera)
+    elif grid is not None:
+        lenses, bins = grid, _upright(grid)
+    half, alone = view_window(camera, lenses)
+    _require_memory(image, bins, lenses, half)
+    resampling = None if lenses == bins else _between_lenses(lenses, bins)
+
+    light = _sample(image, lenses, half, resampling, bins)
+    fraction = _sample(reference, lenses, half, resampling, bins)[..., 0]
+    if camera is None:
+        fraction /= _brightness(fraction[half, half])
+    divide_by_white(light, fraction, alone[:, :, None, None])
+    values = light if light.shape[-1] == 3 else light[..., 0]
+    lf = light_field(values, np.minimum(fraction, 1), camera, bins, lenses)
+    return lf if truth is None else lf.assign_coords(_coordinates(truth, camera, lf.shape[:4]))
+
+
+def checked_images(
+    capture: Capture | np.ndarray,
+    camera: PlenopticCamera | None,
+    white: Capture | np.ndarray | None,
+    grid: LensGrid | None,
+) -> tuple[np.ndarray, np.ndarray, PlenopticCamera | None]:
+    """Return the capture's image, the white image and the camera that `decode` is given, or refuse them.
+
+    Returns
+    -------
+    image : (rows, columns, channels) float32 array
+    reference : (rows, columns, 1) float32 array
+    camera : PlenopticCamera or None
+    """
+    image, camera = _checked(capture, camera, grid)
+    return image, _reference(image, camera, white, grid), camera
+
+
+def _checked(
+    capture: Capture | np.ndarray, camera: PlenopticCamera | None, grid: LensGrid | None
+) -> tuple[np.ndarray, PlenopticCamera | None]:
+    """Return image and camera."""
     if isinstance(capture, Capture):
         require_demosaiced(capture)
         camera = camera or capture.camera
@@ -85,36 +132,33 @@ def decode(
         )
     if camera is not None and image.shape[:2] != camera.shape:
         raise InputError(f"capture of shape {image.shape[:2]}: the camera records {camera.shape}")
-    if camera is not None and camera.objective is not None and camera.objective.is_fourier:
-        for name, given in (("grid", grid), ("truth", truth)):
-            if given is not None:
-                raise InputError(f"{name}: a Fourier microscope, each of whose lenses makes a view, is decoded without")
-        reference = None if white is None else _white(white, image)
-        return decode_views(image, camera, camera.objective, reference)
-    if white is None:
-        if camera is None:
-            raise InputError("white = None: without a camera the pupil is known from a white image only")
-        reference = white_image(camera, grid)[..., None]
-    else:
-        reference = _white(white, image)
-    if camera is not None:
-        lenses, bins = grid or lens_grid(camera), bin_grid(camera)
-    elif grid is not None:
-        lenses, bins = grid, _upright(grid)
-    half, alone = view_window(camera, lenses)
-    _require_memory(image, bins, lenses, half)
-    resampling = None if lenses == bins else _between_lenses(lenses, bins)
+    return image, camera
 
-    light = _sample(image, lenses, half, resampling, bins)
-    fraction = _sample(reference, lenses, half, resampling, bins)[..., 0]
+
+def _reference(
+    image: np.ndarray, camera: PlenopticCamera | None, white: Capture | np.ndarray | None, grid: LensGrid | None
+) -> np.ndarray:
+    """Return the white image, (rows, columns, 1): the given one, or what the camera would record."""
+    if white is not None:
+        return _white(white, image)
     if camera is None:
-        fraction /= _brightness(fraction[half, half])
-    fraction[(fraction < MINIMUM_WEIGHT) | ~alone[:, :, None, None]] = 0
+        raise InputError("white = None: without a camera the pupil is known from a white image only")
+    return white_image(camera, grid)[..., None]
+
+
+def divide_by_white(light: np.ndarray, fraction: np.ndarray, alone: np.ndarray) -> None:
+    """Divide samples by the fraction of the pupil that they see, in place; both become 0 where it is too little.
+
+    Parameters
+    ----------
+    light : (..., channels) array
+    fraction : (...) array
+    alone : bool array
+        Which samples are of one lens alone; broadcast against `fraction`.
+    """
+    fraction[(fraction < MINIMUM_WEIGHT) | ~alone] = 0
     np.divide(light, fraction[..., None], out=light, where=fraction[..., None] > 0)
     light[fraction == 0] = 0
-    values = light if light.shape[-1] == 3 else light[..., 0]
-    lf = light_field(values, np.minimum(fraction, 1), camera, bins, lenses)
-    return lf if truth is None else lf.assign_coords(_coordinates(truth, camera, lf.shape[:4]))
 
 
 def _coordinates(
@@ -221,12 +265,28 @@ def _between_lenses(lenses: LensGrid, bins: LensGrid) -> scipy.sparse.csr_array:
 def _sample(
     image: np.ndarray, lenses: LensGrid, half: int, resampling: scipy.sparse.csr_array | None, bins: LensGrid
 ) -> np.ndarray:
-    """Sample an image at whole-pixel steps about each micro-image centre.
+    """Sample the lenses of an image, and interpolate between them.
 
     Returns
     -------
     (2 half + 1, 2 half + 1, rows, columns, channels) float32 array
         What lies outside the image counts as 0.
+    """
+    samples = sample_lenses(image, lenses, half)
+    if resampling is not None:
+        samples = (resampling @ samples.reshape(len(samples) * samples.shape[1], -1)).reshape(
+            *bins.shape, *samples.shape[2:]
+        )
+    return np.ascontiguousarray(samples.transpose(2, 3, 0, 1, 4))
+
+
+def sample_lenses(image: np.ndarray, lenses: LensGrid, half: int) -> np.ndarray:
+    """Sample an image at whole-pixel steps about each micro-image centre.
+
+    Returns
+    -------
+    (rows, columns, 2 half + 1, 2 half + 1, channels) float32 array
+        Of the grid's lenses. What lies outside the image counts as 0.
     """
     views, channels = 2 * half + 1, image.shape[2]
     height, width = image.shape[:2]
@@ -240,8 +300,4 @@ def _sample(
         fx, fy = (((row - base)[:, axis].astype(np.float32))[:, None, None, None] for axis in (0, 1))
         patch = patch[:, :-1] * (1 - fy) + patch[:, 1:] * fy
         out[...] = patch[:, :, :-1] * (1 - fx) + patch[:, :, 1:] * fx
-    if resampling is not None:
-        samples = (resampling @ samples.reshape(len(samples) * samples.shape[1], -1)).reshape(
-            *bins.shape, views, views, channels
-        )
-    return np.ascontiguousarray(samples.transpose(2, 3, 0, 1, 4))
+    return samples

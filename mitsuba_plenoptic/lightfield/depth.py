@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,10 @@ from ..design import focus_types
 from ..errors import InputError, require_count, require_number
 from ..runtime.jobs import Progress, counted
 from ..runtime.limits import require_memory
-from .agreement import lens_disagreement, view_disagreement
+from .agreement import view_disagreement
 from .geometry import camera_of, depth_range, disparity, distance_of, require_light_field
+from .lens_agreement import LensComparison
+from .micro_images import MicroImages, micro_images_of
 from .plane_choice import LENSES, VIEWS, Disagreement, Evidence, choose
 from .refocus import shift_and_add
 
@@ -30,14 +33,16 @@ def depth_map(
     near: float | None = None,
     far: float | None = None,
     *,
+    micro_images: MicroImages | None = None,
     planes: int = 64,
     progress: Progress | None = None,
 ) -> xr.Dataset:
     r"""Estimate the depth that every bin of the central view sees, and how probably it is right.
 
     For planes evenly spaced in disparity it is measured how well the views agree: those of an unfocused camera by
-    `agreement.view_disagreement`, micro-images of a focused one by `agreement.lens_disagreement`. `plane_choice` makes
-    probabilities of it, with what neighbouring bins tell, and takes the most probable plane, refined by a parabola.
+    `agreement.view_disagreement`, micro-images of a focused one by `lens_agreement.LensComparison`. `plane_choice`
+    makes probabilities of it, with what neighbouring bins tell, and takes the most probable plane, refined by a
+    parabola.
 
     The confidence is the probability that a depth is within 1 % of the true one, as far as that is on the planes. Where
     it is less than 1/2, which is the case where there is no texture or where nothing makes the views agree (gloss), the
@@ -50,6 +55,9 @@ def depth_map(
         A light field of a camera.
     near, far : float
         Range of distances in millimetres to search. Default: `depth_range`, where views differ by at most a lens.
+    micro_images : MicroImages, optional
+        What `micro_images` makes of the same capture. A focused camera whose lenses are not upright and square needs
+        them, as its light field is interpolated between lenses; others do without.
     planes : int
         How many planes, at least 3.
     progress : callable, optional
@@ -66,8 +74,8 @@ def depth_map(
     Raises
     ------
     InputError
-        If the light field has no camera, near is not before far, an argument is out of range, or a focused camera
-        tells no depth between near and far.
+        If the light field has no camera, near is not before far, an argument is out of range, a focused camera tells
+        no depth between near and far, or its micro-images are needed and not given, or of another camera.
     """
     lf = require_light_field(lf)
     nearest, farthest = depth_range(lf)
@@ -78,14 +86,15 @@ def depth_map(
         raise InputError(f"near = {near:g}, far = {far:g}: near must be less than far")
     bins, channels = lf.sizes["t"] * lf.sizes["s"], lf.sizes.get("c", 1)
     # Views are moved in copies, probabilities are taken in several of the cost that each plane leaves.
-    copies, plane = 6.0 * lf.size + 4.0 * bins * channels, 40.0 * bins
+    samples = lf.size if micro_images is None else micro_images.values.size
+    copies, plane = (40.0 if is_focused(lf) else 6.0) * samples + 4.0 * bins * channels, 40.0 * bins
     require_memory(
         copies + plane * planes,
         f"depth map of {planes} planes",
         lambda limit: f"planes = {int((limit - copies) // plane)}" if limit > copies + 3 * plane else None,
     )
     slopes = np.linspace(disparity(lf, near), disparity(lf, far), planes)
-    choice = choose(*disagreement_of_planes(lf, slopes, progress), RIGHT)
+    choice = choose(*disagreement_of_planes(lf, slopes, progress, micro_images), RIGHT)
     found = np.interp(choice.place, np.arange(planes), slopes)
     depth = np.where(choice.probability < 0.5, np.nan, distance_of(lf, found))
     nearest_plane = np.rint(choice.place).astype(np.int64)
@@ -109,8 +118,16 @@ def depth_map(
     )
 
 
+def is_focused(lf: xr.DataArray) -> bool:
+    """Whether all microlenses of a light field's camera are focused on the main lens's image."""
+    return "unfocused" not in focus_types(camera_of(lf))
+
+
 def disagreement_of_planes(
-    lf: xr.DataArray, slopes: np.ndarray, progress: Progress | None = None
+    lf: xr.DataArray,
+    slopes: np.ndarray,
+    progress: Progress | None = None,
+    micro_images: MicroImages | None = None,
 ) -> tuple[Disagreement, Evidence]:
     """Measure how badly the views agree about planes of some disparities, and tell what that is worth.
 
@@ -122,17 +139,24 @@ def disagreement_of_planes(
         Disparities in lenses per view, evenly spaced.
     progress : callable, optional
         Called with the planes done and their number.
+    micro_images : MicroImages, optional
+        Of a focused camera.
 
     Raises
     ------
     InputError
-        If views have nothing in common on any plane.
+        If views have nothing in common on any plane, or micro-images lack or are those of another camera.
     """
-    focused = "unfocused" not in focus_types(camera_of(lf))
-    measure, evidence = (lens_disagreement, LENSES) if focused else (view_disagreement, VIEWS)
+    if is_focused(lf):
+        images = micro_images_of(lf) if micro_images is None else micro_images
+        if images.camera != camera_of(lf) or images.bins.shape != lf.shape[2:4]:
+            raise InputError("micro_images: they are of another camera than the light field, or of another part of it")
+        measure, evidence = LensComparison(images).disagreement, LENSES
+    else:
+        measure, evidence = partial(view_disagreement, lf), VIEWS
     variance = np.empty((len(slopes), *lf.shape[2:4]), dtype=np.float32)
     for index, slope in enumerate(counted(slopes, progress)):
-        variance[index] = measure(lf, slope)
+        variance[index] = measure(float(slope))
     # What cannot be compared agrees as badly as any.
     worst = np.fmax.reduce(variance, axis=0)
     distances = distance_of(lf, slopes)

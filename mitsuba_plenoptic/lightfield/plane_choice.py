@@ -48,7 +48,7 @@ class Evidence:
 
 
 VIEWS = Evidence(20.0, (0.5, 0.2, 0.7, -1.4))
-LENSES = Evidence(3.0, (1.3, 2.2, 0.2, -3.8))
+LENSES = Evidence(3.0, (-0.5, 1.1, 0.3, -1.9))
 
 
 @dataclass(frozen=True)

@@ -247,12 +247,12 @@ def lens_of_waves(camera: PlenopticCamera, points: NDArray[np.float64], waveleng
         )
     field, nearness = Pupils.of(system).field(points) if len(points) else (np.zeros((1, 2)), np.zeros(1))
     largest = np.hypot(*field.T)
-    lens = lens_over_field(camera, wavelength, float(largest.max()), (float(nearness.min()), float(nearness.max())))
+    lens = _over_field(camera, wavelength, float(largest.max()), (float(nearness.min()), float(nearness.max())))
     beyond = largest > lens.fitted.aberration.scales.field
     if beyond.any():
         place = ", ".join(f"{c:g}" for c in points[beyond][0])
         raise InputError(f"position = ({place}): no light of it passes the main_lens")
-    return lens
+    return _judged(lens)
 
 
 def lens_over_field(
@@ -278,11 +278,20 @@ def lens_over_field(
     PhysicsError
         If the path cannot be fitted.
     """
+    return _judged(_over_field(camera, wavelength, field, nearness))
+
+
+def _over_field(camera: PlenopticCamera, wavelength: float, field: float, nearness: tuple[float, float]) -> FittedLens:
+    """Return a lens that is fitted so far; fits are kept, and their ranges grow by steps."""
     least = _NARROWEST * math.hypot(camera.detector_width, camera.detector_height) / (2 * camera.mla_distance)
     steps = math.ceil(math.log(max(1, field / least)) / math.log(_FIELD_STEP))
     power = _NEARNESS_STEP / camera.focal_length
     low, high = math.floor(nearness[0] / power), math.ceil(nearness[1] / power)
-    lens = _fitted(camera, wavelength, least * _FIELD_STEP**steps, low * power, max(high, low + 1) * power)
+    return _fitted(camera, wavelength, least * _FIELD_STEP**steps, low * power, max(high, low + 1) * power)
+
+
+def _judged(lens: FittedLens) -> FittedLens:
+    """Return a lens whose path is fitted well enough."""
     guards.judge(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * lens.fitted.error) ** 2)))
     return lens
 

@@ -5,6 +5,7 @@ import pickle
 import numpy as np
 import pytest
 import scipy
+from threadpoolctl import threadpool_info, threadpool_limits
 from wave_cases import WAVELENGTH, capture, error, small_camera
 
 from mitsuba_plenoptic.capture.bank import Convolution, LensBank, lens_bank, near_weight
@@ -32,6 +33,24 @@ NEAR, FAR = 222.0, 262.0
 def bank_of(camera, *distances, accuracy=0.03):
     vergences = [float(main_lens(camera).vergence(g)) for g in distances]
     return LensBank.learn(camera, WAVELENGTH, accuracy, (min(vergences), max(vergences)))
+
+
+def test_banks_are_learnt_on_one_thread(monkeypatch):
+    # NumPy's and SciPy's libraries are both there before one counts their threads.
+    scipy.linalg.norm(np.ones(2))
+    # Products of matrices have other last bits on two threads, for some sizes: workers have one, other processes more.
+    seen = []
+
+    class Watched(lens_bank.Learner):
+        def kernels(self, error):
+            seen.extend(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+            return super().kernels(error)
+
+    monkeypatch.setattr(lens_bank, "Learner", Watched)
+    lens_bank._learn.cache_clear()
+    with threadpool_limits(limits=2, user_api="blas"):
+        bank_of(small_camera(), NEAR, accuracy=0.1)
+    assert seen and set(seen) == {1}
 
 
 def wall(camera, distance, lenses=2, per_lens=8):

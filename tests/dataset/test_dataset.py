@@ -17,6 +17,7 @@ from dataset_cases import small
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError
+from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.dataset import DataSet, make_dataset, make_sample, parse_recipe, production
 
 
@@ -134,6 +135,18 @@ def test_pytorch_reads_tensors(made):
     assert batch["normal"].shape == (5, 3, 64, 64)
     expected = np.moveaxis(DataSet(made)[3].arrays["normal"], -1, 0)
     np.testing.assert_array_equal(batch["normal"][3].numpy(), expected)
+
+
+def test_ctrl_c_says_how_to_go_on(tmp_path, monkeypatch, capsys):
+    def stopped(recipe, folder, *, batch_map, progress):
+        progress(2, 5)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(mp.dataset, "make_dataset", stopped)
+    recipe = tmp_path / "recipe.yaml"
+    recipe.write_text(yaml.safe_dump(small()))
+    assert main(["dataset", str(recipe), "-o", str(tmp_path / "data")]) == 130
+    assert "stopped at 40 %: the same command goes on" in capsys.readouterr().err
 
 
 @pytest.mark.slow

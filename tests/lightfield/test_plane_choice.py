@@ -22,7 +22,7 @@ def disagreement(least: float, most: float) -> Disagreement:
 def test_the_plane_of_least_disagreement_is_chosen(evidence):
     found = choose(disagreement(0.005, 0.5), evidence, 0.01)
     assert np.abs(found.place - TRUE).max() < 0.5
-    assert found.probability.min() > 0.95
+    assert found.probability.min() > 0.85
 
 
 @pytest.mark.parametrize("evidence", [VIEWS, LENSES])

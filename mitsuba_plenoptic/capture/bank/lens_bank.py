@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...optics.phase import in_millimetres
+from ...runtime.blas import single_threaded_blas
 from ...runtime.fft import resting_drjit
 from ..pixels import PixelIntegrals
 from ..turned_samples import TurnedSamples
@@ -138,7 +139,9 @@ class LensBank:
         return self.table.coordinates.reach(vergence)
 
 
+# Products of matrices round otherwise on another number of threads, and captures must not depend on who makes them.
 @functools.lru_cache(maxsize=8)
+@single_threaded_blas()
 def _learn(
     camera: PlenopticCamera,
     wavelength: float,

@@ -1,6 +1,6 @@
 """Light fields in files: NetCDF and Zarr, and those of other programs, LFToolbox, mosaics and plain raw pictures."""
 
-from .files import open_light_field, require_light_field_path, save_light_field
+from .files import open_light_field, open_micro_images, require_light_field_path, save_light_field
 from .labelled import read_labelled, write_labelled
 from .lftoolbox import read_lftoolbox, write_lftoolbox
 from .mosaic import LAYOUTS, read_mosaic, write_mosaic
@@ -9,6 +9,7 @@ from .pictures import read_picture
 __all__ = [
     "LAYOUTS",
     "open_light_field",
+    "open_micro_images",
     "read_labelled",
     "read_lftoolbox",
     "read_mosaic",

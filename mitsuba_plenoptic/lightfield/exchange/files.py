@@ -12,7 +12,7 @@ from ...errors import InputError
 from ...io.captures import Capture, read_capture
 from ...io.files import require_writable
 from ...io.ground_truth import NAME, SUFFIX, GroundTruth, read_ground_truth
-from .. import decode, estimate_lens_grid
+from .. import MicroImages, decode, estimate_lens_grid, micro_images
 from .labelled import read_labelled, write_labelled
 from .lftoolbox import read_lftoolbox, write_lftoolbox
 from .mosaic import read_mosaic, write_mosaic
@@ -90,6 +90,37 @@ def open_light_field(
             )
         return decode(read_picture(path, linear=linear), white=reference, grid=estimate_lens_grid(reference))
     raise InputError(f"{path}: a capture or light field has a name that ends in .exr, .nc, .zarr, .mat, .png or .tiff")
+
+
+def open_micro_images(
+    path: str | Path,
+    *,
+    white: str | Path | None = None,
+    linear: bool = False,
+    camera: PlenopticCamera | None = None,
+) -> MicroImages | None:
+    """Sample the micro-images of a capture's file, for the depth maps of focused cameras.
+
+    Parameters
+    ----------
+    path, white, linear, camera
+        As for `open_light_field`.
+
+    Returns
+    -------
+    MicroImages or None
+        None if the file is no capture of this package: light fields have no micro-images any more.
+
+    Raises
+    ------
+    InputError
+        As for `open_light_field`.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".exr":
+        return None
+    reference = None if white is None else _white(white, linear)
+    return micro_images(read_capture(path), camera=camera, white=reference)
 
 
 def save_light_field(path: str | Path, lf: xr.DataArray) -> None:

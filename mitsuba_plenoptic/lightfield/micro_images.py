@@ -1,0 +1,125 @@
+"""Micro-images as they were recorded, lens by lens: what a focused camera's depth is told by.
+
+A light field has square upright bins, which on other lattices are interpolated between lenses. Of a focused camera that
+destroys what its micro-images hold: detail finer than the pitch of the lenses.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from ..camera import PlenopticCamera
+from ..errors import InputError
+from ..io.captures import Capture
+from ..runtime.limits import require_memory
+from .decode import checked_images, divide_by_white, sample_lenses, view_window
+from .geometry import camera_of, grid_of, view_steps
+from .grid import LensGrid, bin_grid, lens_grid, lens_types
+
+
+@dataclass(frozen=True, eq=False)
+class MicroImages:
+    """Micro-images, sampled at steps of a pixel about each one's centre.
+
+    Attributes
+    ----------
+    values : (rows, columns, v, u, channels) float32 array
+        Radiance that each lens of the grid shows, 0 where the weight is 0.
+    weight : (rows, columns, v, u) float32 array
+        Fraction of the sample that sees through the pupil.
+    grid : LensGrid
+        Places of the micro-images on the recorded image.
+    bins : LensGrid
+        Places of the bins of the light field of the same capture.
+    camera : PlenopticCamera
+        The camera.
+    """
+
+    values: np.ndarray
+    weight: np.ndarray
+    grid: LensGrid
+    bins: LensGrid
+    camera: PlenopticCamera
+
+    @property
+    def types(self) -> np.ndarray:
+        """Index of the focal length of each lens, (rows, columns)."""
+        return lens_types(self.camera, self.grid.centres())
+
+    @property
+    def places(self) -> np.ndarray:
+        """Column and row among the bins, with fractions, of the middle of each lens, (rows, columns, 2)."""
+        return (self.grid.centres() - self.bins.offset) / self.bins.spacing
+
+
+def micro_images(
+    capture: Capture | np.ndarray,
+    *,
+    camera: PlenopticCamera | None = None,
+    white: Capture | np.ndarray | None = None,
+    grid: LensGrid | None = None,
+) -> MicroImages:
+    """Sample the micro-images of a capture, for `depth_map`.
+
+    Parameters
+    ----------
+    capture, camera, white, grid
+        As for `decode`; the camera must be known.
+
+    Returns
+    -------
+    MicroImages
+
+    Raises
+    ------
+    InputError
+        As `decode` does, and if there is no camera.
+    """
+    image, reference, known = checked_images(capture, camera, white, grid)
+    if known is None:
+        raise InputError("camera = None: of micro-images the camera must be known")
+    lenses = grid or lens_grid(known)
+    half, alone = view_window(known, lenses)
+    size = math.prod(lenses.shape) * (2 * half + 1) ** 2
+    require_memory(
+        4.0 * size * (image.shape[2] + 1) + 12.0 * image.shape[0] * image.shape[1],
+        f"micro-images of {lenses.shape[1]} x {lenses.shape[0]} lenses",
+    )
+    values, weight = sample_lenses(image, lenses, half), sample_lenses(reference, lenses, half)[..., 0]
+    divide_by_white(values, weight, alone)
+    return MicroImages(values, np.minimum(weight, 1), lenses, bin_grid(known), known)
+
+
+def micro_images_of(lf: xr.DataArray) -> MicroImages:
+    """Return the micro-images that a light field consists of, which those of upright square lattices do.
+
+    Parameters
+    ----------
+    lf : xarray.DataArray
+        A light field of a camera.
+
+    Raises
+    ------
+    InputError
+        If its bins are interpolated between lenses, or views are left out.
+    """
+    camera = camera_of(lf)
+    bins = bin_grid(camera)
+    if (grid_of(lf) or lens_grid(camera)) != bins:
+        raise InputError(
+            "micro_images = None: the bins of this light field are interpolated between lenses, which a focused "
+            "camera's depth cannot be told from; give micro_images(capture), or the command the capture"
+        )
+    for axis in ("v", "u"):
+        steps = view_steps(lf, axis)
+        if not np.allclose(steps, np.arange(len(steps)) - (len(steps) - 1) / 2, atol=1e-6):
+            raise InputError(f"light field: depth of a focused camera takes all of its views, along {axis} some lack")
+    values = np.asarray(lf.values, dtype=np.float32).reshape(*lf.shape[:4], -1).transpose(2, 3, 0, 1, 4)
+    weight = np.asarray(lf["weight"].values, dtype=np.float32).transpose(2, 3, 0, 1)
+    # A part of the field counts from its own first bin.
+    own = LensGrid(bins.spacing, bins.offset, (lf.shape[2], lf.shape[3]))
+    return MicroImages(np.ascontiguousarray(values), np.ascontiguousarray(weight), own, own, camera)
