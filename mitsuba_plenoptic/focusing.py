@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from .camera import PlenopticCamera
 from .errors import InputError, require_count, require_number, shown
@@ -84,7 +84,7 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
             f"distance = {distance:g}: no place of the group of surfaces {first + 1} to {last + 1} brings it into focus"
         )
     nearest = crossings[np.argmin(np.abs(shifts[crossings]))]
-    shift = float(brentq(missed, shifts[nearest], shifts[nearest + 1], xtol=1e-12))
+    shift = float(scipy.optimize.brentq(missed, shifts[nearest], shifts[nearest + 1], xtol=1e-12))
     focal_length, b = behind(shift)
     new = moved(shift)
     return camera.replace(

@@ -40,7 +40,8 @@ def require_capture_output(path: Path, others: tuple[str, ...] = ()) -> None:
     Or in one of `others`.
     """
     if path.suffix.lower() not in (".exr", *others):
-        raise InputError(f"{path}: a capture is written as OpenEXR; give a name that ends in .exr")
+        suffixes = " or ".join((".exr", *others))
+        raise InputError(f"{path}: a capture is written as OpenEXR; give a name that ends in {suffixes}")
     require_writable(path)
 
 
@@ -71,9 +72,11 @@ def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, blac
     Of a raw picture that tells its camera and detector, as `write_raw` writes it, nothing else is needed.
     """
     if path.suffix.lower() in RAW_SUFFIXES:
-        if camera is None or tells_detector(path):
+        if tells_detector(path):
             found = read_raw(path)
             return found if camera is None else dataclasses.replace(found, camera=camera)
+        if camera is None:
+            raise InputError(f"{path}: it tells no camera and detector; such a raw picture needs its --camera")
         # Brings libraries that take a while to load.
         from ..lightfield.exchange import read_picture
 

@@ -77,11 +77,13 @@ def micro_images(
     Raises
     ------
     InputError
-        As `decode` does, and if there is no camera.
+        As `decode` does, if there is no camera, and of Fourier microscopes.
     """
     image, reference, known = checked_images(capture, camera, white, grid)
     if known is None:
         raise InputError("camera = None: of micro-images the camera must be known")
+    if known.objective is not None and known.objective.is_fourier:
+        raise InputError("camera: each lens of a Fourier microscope makes a view, not a micro-image; use decode")
     lenses = grid or lens_grid(known)
     half, alone = view_window(known, lenses)
     size = math.prod(lenses.shape) * (2 * half + 1) ** 2

@@ -140,7 +140,7 @@ def test_a_raw_picture_is_refocused_with_its_camera(tmp_path, raw, run, complain
     run("reconstruct", tmp_path / "raw.tiff", *arguments, "--camera", tmp_path / "camera.json", "--linear")
     found = np.array(mi.Bitmap(str(tmp_path / "out.exr"))) * (65535 / scale)
     np.testing.assert_allclose(found, wanted, atol=1e-4 * np.nanmax(wanted))
-    assert complaint("reconstruct", tmp_path / "raw.tiff", *arguments).endswith("a raw picture needs its --camera")
+    assert complaint("reconstruct", tmp_path / "raw.tiff", *arguments).endswith("raw picture needs its --camera")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals differ")

@@ -78,7 +78,7 @@ def test_usage_errors_point_to_the_help(line, words, raw, tmp_path, complaint):
         ("stack {raw} -o {out}.png --distance 240 --method magic", "method = 'magic'"),
         ("depth {raw} -o {out}.png --near 300 --far 200", "near"),
         ("depth {raw} -o {out}.png --planes 2", "planes = 2"),
-        ("expose {raw} -o {out}.png --photons 5", ".exr"),
+        ("expose {raw} -o {out}.jpg --photons 5", ".exr"),
         ("expose {raw} -o {out}.exr --photons -5", "photons = -5"),
         ("expose {raw} -o {out}.exr --photons 5 --bits 40", "bits = 40"),
         ("convert {raw} -o {out}.npz", "ends in"),

@@ -13,7 +13,6 @@ from mitsuba_plenoptic import (
     decode,
     load_scene,
     read_capture,
-    reconstruct,
     render_capture,
     write_capture,
 )
@@ -173,7 +172,6 @@ def test_what_knows_thin_lenses_only_refuses_the_capture(tmp_path):
     write_capture(tmp_path / "raw.exr", capture)
     assert read_capture(tmp_path / "raw.exr").camera == camera
     for refused, what in (
-        (lambda: reconstruct(capture, 240, method="coherent"), "captures are reconstructed by method coherent"),
         (lambda: decode(capture), "white images are computed"),
         (
             lambda: CaptureOperator(camera, [(0, 0, 240)], wavelength=633, method="bank"),

@@ -78,8 +78,8 @@ def test_a_card_hides_half_of_the_stop():
     assert found.sum() / whole.sum() == pytest.approx(share.mean(), rel=0.03)
     operator = CaptureOperator(CAMERA, points, wavelength=550, pupil_weights=seen)
     expected = operator.forward(weights * share)
-    # Shadow rays tell 16 cells across the stop apart.
-    assert np.linalg.norm(found - expected) < 0.12 * np.linalg.norm(expected)
+    # Shadow rays tell 16 cells across the stop apart, and the shadow's border runs smoothly between them.
+    assert np.linalg.norm(found - expected) < 0.15 * np.linalg.norm(expected)
 
 
 @pytest.mark.parametrize(
