@@ -145,6 +145,7 @@ def test_boards_at_one_distance_tell_too_little():
         calibrate(cases.corners(0.0, 0, poses)[0], cases.BOARD, START)
 
 
+@pytest.mark.slow
 def test_boards_that_are_never_tilted_tell_too_little():
     poses = cases.POSES.copy()
     poses[:, :3] = 0, 0, 3.1

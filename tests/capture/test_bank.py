@@ -168,6 +168,7 @@ def test_walls_are_those_of_exact_spreads(name):
     assert image.sum(dtype=float) == pytest.approx(exact.sum(dtype=float), rel=0.005 if joined else 0.012)
 
 
+@pytest.mark.slow
 def test_half_open_pupils():
     camera = small_camera(14)
     points = wall(camera, NEAR, per_lens=6)
@@ -181,6 +182,7 @@ def test_half_open_pupils():
     assert error(image, exact) < 0.12
 
 
+@pytest.mark.slow
 def test_near_and_far_points_together():
     camera = small_camera(10)
     points = np.concatenate([wall(camera, distance, per_lens=4) for distance in (240.0, 259.0, FAR)])

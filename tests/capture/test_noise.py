@@ -60,6 +60,7 @@ def test_the_noise_is_the_spread_of_seeds(camera_dict, variant, pixels, options)
     assert captures[0].noise.shape == captures[0].image.shape
 
 
+@pytest.mark.slow
 def test_by_waves_the_noise_is_an_addition(camera_dict):
     scene = lit_wall(camera_dict(resolution=32, detector_width=0.128))
     options = {"model": "wave", "spp": 4, "radiators_per_lens": 2}

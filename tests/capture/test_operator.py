@@ -287,7 +287,12 @@ def test_radiators_share_only_with_those_of_equal_pupil_weights():
 
 @pytest.mark.parametrize(
     ("name", "distance"),
-    [("square", 210.0), ("square", 240.0), ("hexagonal", 240.0), ("three focal lengths", 240.0)],
+    [
+        ("square", 210.0),
+        ("square", 240.0),
+        pytest.param("hexagonal", 240.0, marks=pytest.mark.slow),
+        pytest.param("three focal lengths", 240.0, marks=pytest.mark.slow),
+    ],
 )
 def test_shared_patterns_stay_true(name, distance):
     """One pattern for all lenses of a focal length in a zone, against a propagation of every radiator."""
@@ -302,6 +307,7 @@ def test_shared_patterns_stay_true(name, distance):
     assert 0 < error(shared.forward(weights), every.forward(weights)) < 0.01
 
 
+@pytest.mark.slow
 def test_a_tilted_surface_shares_within_the_allowed_error():
     """Radiators of which no two are at one distance or at one place of their lenses."""
     camera = small_camera(12)

@@ -30,6 +30,7 @@ def alone(camera, wavelength, weights):
     return CaptureOperator(camera.at_wavelength(wavelength), POINTS, wavelength=wavelength, accuracy=0).forward(weights)
 
 
+@pytest.mark.slow
 def test_nodes_against_every_wavelength_by_itself():
     """16 wavelengths, light that changes with the wavelength, two channels, at a fraction of the spreads."""
     wavelengths = np.linspace(450, 650, 16)
@@ -133,7 +134,7 @@ def wall(variant, **film):
     )
 
 
-@pytest.mark.parametrize("variant", ["llvm_ad_rgb", "llvm_ad_spectral"])
+@pytest.mark.parametrize("variant", [pytest.param("llvm_ad_rgb", marks=pytest.mark.slow), "llvm_ad_spectral"])
 def test_colours_are_those_of_rays(variant):
     """A painted wall, each channel: with its spectra in the spectral variant, with upsampled ones in the rgb one."""
     scene = wall(variant)

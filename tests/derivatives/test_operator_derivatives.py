@@ -26,9 +26,8 @@ CAMERAS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name == "rectangular" else pytest.mark.slow) for name in CAMERAS]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CAMERAS)
 def test_reverse_equals_forward(name):
     """<A' t, y> = <t, A'* y> to 1e-4 of |A' t| |y|, with every number changed so that it counts as much as another."""
     camera, rng = small_camera(2, **(HALF | CAMERAS[name])), np.random.default_rng(5)

@@ -43,7 +43,9 @@ def test_three_channels_go_to_tiff(tmp_path):
 def test_pictures_of_other_programs_need_a_camera_and_their_black_level(tmp_path):
     camera = capture_of().camera
     tifffile.imwrite(tmp_path / "other.tiff", np.full((33, 40), 1064, np.uint16))
-    with pytest.raises(InputError, match=r"other.tiff: it tells no camera and detector; such a raw picture needs its --camera"):
+    with pytest.raises(
+        InputError, match=r"other.tiff: it tells no camera and detector; such a raw picture needs its --camera"
+    ):
         read_recorded(tmp_path / "other.tiff", None, True)
     found = read_recorded(tmp_path / "other.tiff", camera, True, black_level=64)
     np.testing.assert_allclose(found.image, 1000 / (65535 - 64), rtol=1e-4)

@@ -33,7 +33,14 @@ def bars_directly():
     return [contrast(capture, 300.0) for capture in captures(bars_through("directly", 20), spp=1, per_lens=2)]
 
 
-@pytest.mark.parametrize("way", ["mirror", "thindielectric", "slab", "half-open mask", "fog"])
+@pytest.mark.parametrize(
+    "way",
+    [
+        "mirror",
+        "thindielectric",
+        *(pytest.param(way, marks=pytest.mark.slow) for way in ("slab", "half-open mask", "fog")),
+    ],
+)
 def test_bars_come_back_into_focus_at_their_virtual_distance(way, bars_directly):
     by_rays, by_waves = captures(bars_through(way, 20), spp=4, per_lens=2)
     assert energy(by_rays, by_waves) == pytest.approx(0.99, abs=0.015)
@@ -76,7 +83,7 @@ def test_a_sky_does_not_shine_through_a_black_card():
         (in_fog, 4),
         (lambda: lamp_behind_glass(True), 8),
         pytest.param(lambda: lamp_behind_glass(False), 8, marks=pytest.mark.slow),
-        (lambda: lit_mirror(2), 4),
+        pytest.param(lambda: lit_mirror(2), 4, marks=pytest.mark.slow),
         pytest.param(lambda: plastic(6), 4, marks=pytest.mark.slow),
     ],
 )

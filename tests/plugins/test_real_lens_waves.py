@@ -78,6 +78,7 @@ def test_white_is_one_where_surfaces_take_half_of_the_light():
     assert np.abs(inside - 1).max() < 0.03
 
 
+@pytest.mark.slow
 def test_the_sum_of_many_points_is_that_of_each():
     """Points that share spreads, in and out of focus and off the axis, against those that share none."""
     camera = with_lens("double_gauss", 16, crop_offset=(128, 128), crop_size=(256, 256))

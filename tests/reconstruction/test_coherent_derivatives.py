@@ -39,7 +39,7 @@ def lit(camera):
     return (rng.uniform(0.5, 1.5, camera.shape) / (1 + np.exp(20 * (pupil - 0.8)))).astype(np.float32)
 
 
-@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * ("finer" in name)) for name in CAMERAS])
 def test_values_transpose_and_differences(name):
     """The image is that of `reconstruct`, <J x, y> = <x, J' y> to 1e-5, and J x is what differences give."""
     numbers, options = CAMERAS[name]

@@ -26,7 +26,9 @@ def real_camera(lens="double_gauss", lenses=12, **numbers):
     return PlenopticCamera(main_lens=lens, **(values | numbers))
 
 
-@pytest.mark.parametrize("method", [reconstruct_subsets, reconstruct_lens_by_lens])
+@pytest.mark.parametrize(
+    "method", [pytest.param(reconstruct_subsets, marks=pytest.mark.slow), reconstruct_lens_by_lens]
+)
 def test_the_thin_lens_by_the_way_of_real_ones_gives_its_reconstructions(method):
     """Light within the pupil, whose edge is drawn otherwise: in and out of focus."""
     camera = small_camera(6, mla_distance=118.0)
@@ -66,6 +68,7 @@ def test_a_point_comes_back_to_its_place(method):
     assert light.sum() > 0.97 * image.sum()
 
 
+@pytest.mark.slow
 def test_white_is_one_where_the_lens_cuts_beams():
     """By the white of rays, in the corner of a wide field; diffraction of cut micro-images is not quite the axis's."""
     wide = {"focal_length": 16, "aperture_radius": 1.55, "focus_distance": np.inf, "mla_focal_length": 0.3}
@@ -77,6 +80,7 @@ def test_white_is_one_where_the_lens_cuts_beams():
     assert np.nanmedian(image) == pytest.approx(1, abs=0.04)
 
 
+@pytest.mark.slow
 def test_zones_follow_the_aberrations_over_the_field():
     """A singlet's path changes so much over the field that one path for all of it blurs what is off the axis."""
     camera = real_camera("singlet", 48, crop_offset=(1216, 1216), crop_size=(320, 320), aperture_radius=4)

@@ -67,7 +67,9 @@ def exact(camera, oversample, row, column, depth, parts=3):
     return operator.forward(np.full(len(points), radiance_weight(camera, bin_area(camera, oversample)) / len(points)))
 
 
-@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * name.startswith("hexagonal")) for name in CAMERAS]
+)
 def test_every_bin_has_its_exact_spread(name):
     """Even at the border of the field, from spreads of other points than the one that the response knows."""
     camera, oversample = CAMERAS[name]

@@ -113,6 +113,7 @@ def test_what_is_no_volume_is_refused(distances):
         Volume.of([made(distance, np.ones((6, 6))) for distance in distances])
 
 
+@pytest.mark.slow
 def test_planes_come_back_apart():
     """Points in three planes: their places, powers and planes, and how much of each is found in the others."""
     distances, oversample = [222.0, 256.0, 280.0], 3

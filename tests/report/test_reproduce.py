@@ -100,6 +100,7 @@ def test_what_is_missing_damaged_or_outdated_is_made_again(quick_waves, tiny, tm
     assert "coherent_280" in quick_waves
 
 
+@pytest.mark.slow
 def test_compare_measures_the_charts_edges(quick_waves, tmp_path):
     settings = Settings("chart", (240.0,), parameters={"resolution": "2048"}, spp=4, paths=1, truth_spp=64)
     results = compare(settings, tmp_path)

@@ -108,6 +108,7 @@ def test_a_case_of_the_report_is_replayed():
     assert (result.returncode, result.stdout.splitlines()[0]) == (1, "not finite")
 
 
+@pytest.mark.slow
 def test_a_slice_of_it_finds_nothing(tmp_path):
     result = run("fuzz.py", "--count", 150, "--seed", 8, "--workers", 1, "-o", tmp_path)
     assert result.returncode == 0, result.stdout
