@@ -17,7 +17,7 @@ import numpy as np
 from verdict import Verdict
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, Spectrum, load_scene
-from mitsuba_plenoptic.capture.spectral import with_enough_nodes
+from mitsuba_plenoptic.capture.spectral import neighbourhoods, with_enough_nodes
 from mitsuba_plenoptic.prescription import bundled_prescription, paraxial
 from mitsuba_plenoptic.prescription.glass import LINE_C, LINE_D, LINE_F
 
@@ -104,9 +104,8 @@ def letters(verdict: Verdict, resolution: int, glass: dict[str, float] | None, a
     one = time.perf_counter() - start
     spectrum = Spectrum(tuple(wavelengths.tolist()), tuple(map(tuple, responses.tolist())))
     start = time.perf_counter()
-    vergence = np.argsort(radiators.positions[:, 2], kind="stable")
-    some = vergence[np.linspace(0, len(vergence) - 1, 12).astype(int)]
-    chosen = with_enough_nodes(camera, radiators.positions[some], spectrum, accuracy, together=True)
+    near = neighbourhoods(camera, radiators.positions)
+    chosen = with_enough_nodes(camera, radiators.positions, spectrum, accuracy, radiators.pupil_weights, together=near)
     probed = time.perf_counter() - start
     found = operator(spectrum=chosen).forward(columns)
     seconds = time.perf_counter() - start

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -23,8 +24,10 @@ from .pupil_weights import PupilWeights
 from .radiators import Radiators, find_radiators, sample_pairs
 from .wave_capture import WaveCapture
 
-_PROBES = 12
-"""Radiators whose sum tells how many wavelengths are needed; that of all is smoother still."""
+_NEIGHBOURS, _DISTANCES = 48, (0.05, 0.5, 0.95)
+"""Radiators of one neighbourhood, whose sum tells how many wavelengths are needed, and which neighbourhoods: those of
+the radiators that have so many others nearer to the camera, of all. The point spreads of neighbours overlap, as in the
+image, and what changes fast with the wavelength averages out."""
 
 _COUNTS = (1, 2, 4, 6, 8, 10, 12, 16, 24, 32, 48, 64)
 """Nodes that are tried; more would resolve fringes that no detector does."""
@@ -37,12 +40,12 @@ def with_enough_nodes(
     error: float,
     pupil_weights: Any = None,
     *,
-    together: bool = False,
+    together: Sequence[Any] | None = None,
 ) -> Spectrum:
     """Return a spectrum with as few nodes as its point spreads need.
 
-    The count is raised in steps until images of each point, by every channel, change by no more than half of the
-    error: the other half is for what is then still left.
+    The count is raised in steps until images of each point, or sum of points, change in every channel by no more than
+    half of the error: the other half is for what is then still left.
 
     Parameters
     ----------
@@ -56,8 +59,9 @@ def with_enough_nodes(
         Relative error (L2) of each channel's image that is allowed.
     pupil_weights : optional
         As of `CaptureOperator`.
-    together : bool
-        Whether the sum of the points is to be so exact, in which what changes fast averages out, or each by itself.
+    together : sequence of int arrays, optional
+        Which points are summed, set by set, if sums are to be so exact: in those of points whose spreads overlap what
+        changes fast averages out. Default: each by itself.
 
     Returns
     -------
@@ -75,7 +79,7 @@ def with_enough_nodes(
 
     def images(count: int) -> list[NDArray[np.float32]]:
         chosen = spectrum.interpolated(count)
-        sets = [np.arange(len(points))] if together else np.arange(len(points))[:, None]
+        sets = np.arange(len(points))[:, None] if together is None else together
         return [
             CaptureOperator(
                 camera,
@@ -102,6 +106,26 @@ def _differ(image: NDArray[np.float32], reference: NDArray[np.float32]) -> float
     norms = np.sqrt(np.sum(np.square(reference, dtype=np.float64), axis=(0, 1)))
     change = np.sqrt(np.sum(np.square(image - reference, dtype=np.float64), axis=(0, 1)))
     return float(np.max(change[norms > 0] / norms[norms > 0], initial=0.0))
+
+
+def neighbourhoods(camera: PlenopticCamera, positions: NDArray[np.float64]) -> list[NDArray[np.int64]]:
+    """Return sets of radiators, near, between and far, whose images lie beside each other.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    positions : float64 array (n, 3)
+        The radiators in the camera frame; there must be one.
+    """
+    lens = lens_of_rays(camera)
+    images = lens.images(positions)
+    order = np.argsort(lens.vergence(positions[:, 2]), kind="stable")
+    found = []
+    for part in _DISTANCES:
+        apart = images - images[order[int(part * (len(order) - 1))]]
+        found.append(np.sort(np.argsort((apart**2).sum(1), kind="stable")[:_NEIGHBOURS]))
+    return found
 
 
 @dataclass(frozen=True)
@@ -206,12 +230,13 @@ class SpectralCapture:
         count, error = len(radiators.positions), self.capture.accuracy
         if count == 0 or error == 0 or self.capture.method == "full_field":
             return self.spectrum
-        order = np.argsort(lens_of_rays(self.capture.camera).vergence(radiators.positions[:, 2]), kind="stable")
-        some = order[np.unique(np.linspace(0, count - 1, _PROBES).astype(int))]
-        weights = radiators.pupil_weights
-        chosen = None if weights is None else weights.take(some)
         return with_enough_nodes(
-            self.capture.camera, radiators.positions[some], self.spectrum, error, chosen, together=True
+            self.capture.camera,
+            radiators.positions,
+            self.spectrum,
+            error,
+            radiators.pupil_weights,
+            together=neighbourhoods(self.capture.camera, radiators.positions),
         )
 
     def _weights(self, radiators: Radiators) -> NDArray[np.float64]:

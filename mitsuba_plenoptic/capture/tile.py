@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..runtime.backend import backend
+from .cells import Cells
 from .patch import PatchBatch, Workspace
 
 
@@ -57,8 +58,13 @@ class Tile:
         -------
         float32 array (channels, rows, columns)
         """
-        channels = self._copies[0].weights.shape[1]
-        sums = self._arrays.zeros((channels, int(self.size[0]), int(self.size[1])), np.float32)
+        cells = Cells.of([copy.shifts for copy in self._copies], self._batch.samples)
+        sums = self._sum_one_by_one() if cells is None else self._sum_together(cells)
+        return sums.transpose(0, 2, 1)
+
+    def _sum_one_by_one(self) -> Any:
+        """Add copy by copy, (channels, samples along x, along y)."""
+        sums = self._arrays.zeros((self._channels, int(self.size[0]), int(self.size[1])), np.float32)
         targets = [
             [
                 (int(place[0]), int(place[1]), int(channel), weights[channel])
@@ -74,7 +80,23 @@ class Tile:
                     target += intensity
                 else:
                     target += self._arrays.multiply(intensity, weight, out=weighted)
-        return sums.transpose(0, 2, 1)
+        return sums
+
+    def _sum_together(self, cells: Cells) -> Any:
+        """Add by cells, (channels, samples along x, along y)."""
+        sums, last = cells.sum(self.size, self._channels, self._batch.together), 0
+        for radiator, along_x, along_y, intensity, _ in self._intensities():
+            # Those that are transformed together come in turns.
+            if radiator // self._batch.together != last and sums.free < self._batch.together:
+                sums.add()
+            last = radiator // self._batch.together
+            plane = sums.plane(radiator, self._places[radiator], self._copies[radiator].weights)
+            plane[along_x, along_y] = intensity
+        return sums.total()
+
+    @property
+    def _channels(self) -> int:
+        return int(self._copies[0].weights.shape[1])
 
     def products(self, samples: NDArray[np.float32]) -> list[NDArray[np.float64]]:
         """Multiply the intensity of every copy with the samples of the tile, and sum the products.

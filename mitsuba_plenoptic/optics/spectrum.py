@@ -201,19 +201,24 @@ class Spectrum:
         return replace(self, responses=tuple(map(tuple, (np.array(self.responses) / sums[:, None]).tolist())))
 
     def interpolated(self, count: int) -> Spectrum:
-        """Return it with point spreads computed at few wavelengths, nodes of Gauss and Legendre over its range.
+        """Return it with point spreads computed at few wavelengths: Gauss's nodes for what the channels answer to.
+
+        They are dense where the sum of the responses is large, and the sums over wavelengths are right for polynomials
+        of about twice their number (Golub and Welsch 1969, "Calculation of Gauss quadrature rules").
 
         Parameters
         ----------
         count : int
-            How many. Where there are no more wavelengths than that, each keeps its own.
+            How many. Where no more wavelengths than that are answered to, each of these keeps its own.
         """
         count = require_count("spectrum: nodes", count, maximum=MOST_WAVELENGTHS)
-        if count >= len(set(self.wavelengths)):
-            return replace(self, nodes=())
-        low, high = min(self.wavelengths), max(self.wavelengths)
-        places, _ = np.polynomial.legendre.leggauss(count)
-        return replace(self, nodes=tuple(((low + high) / 2 + (high - low) / 2 * places).tolist()))
+        weights = np.abs(np.array(self.responses))
+        sums = weights.sum(axis=1, keepdims=True)
+        lit = np.divide(weights, sums, out=np.zeros_like(weights), where=sums > 0).sum(0)
+        seen = {wavelength for wavelength, weight in zip(self.wavelengths, lit, strict=True) if weight > 0}
+        if count >= len(seen):
+            return replace(self, nodes=() if len(seen) in (0, len(set(self.wavelengths))) else tuple(sorted(seen)))
+        return replace(self, nodes=tuple(_gauss_nodes(np.array(self.wavelengths), lit, count).tolist()))
 
     def shares(self) -> NDArray[np.float64]:
         """Return the values (nodes, wavelengths) of each node's Lagrange polynomial at every wavelength."""
@@ -239,3 +244,22 @@ class Spectrum:
     def matrix(self) -> NDArray[np.float32]:
         """Return the responses as an array (channels, wavelengths)."""
         return np.array(self.responses, np.float32)
+
+
+def _gauss_nodes(places: NDArray[np.float64], weights: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Return the nodes of Gauss's rule for weights at some places: the zeros of their orthogonal polynomial.
+
+    They are the eigenvalues of the matrix of the polynomials' recurrence, whose elements are found by Lanczos's
+    iteration, made stable by taking out what is known already from each new polynomial.
+    """
+    middle, half = (places.max() + places.min()) / 2, np.ptp(places) / 2
+    x = (places - middle) / half
+    known = [np.sqrt(weights / weights.sum())]
+    for _ in range(count - 1):
+        new = x * known[-1]
+        for _again in range(2):
+            for old in known:
+                new = new - (old @ new) * old
+        known.append(new / np.linalg.norm(new))
+    basis = np.array(known)
+    return np.asarray(middle + half * np.linalg.eigvalsh((basis * x) @ basis.T))

@@ -79,3 +79,28 @@ def test_shares_are_lagrange_polynomials():
     assert spectrum.interpolated(31).nodes == ()
     with pytest.raises(InputError, match="they must be different"):
         Spectrum((633.0,), ((1.0,),), (600.0, 600.0))
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 9])
+def test_nodes_of_flat_responses_are_those_of_gauss_and_legendre(count):
+    spectrum = Spectrum.band(550, 100, 40).interpolated(count)
+    np.testing.assert_allclose(spectrum.nodes, 550 + 50 * np.polynomial.legendre.leggauss(count)[0], rtol=1e-12)
+
+
+def test_nodes_lie_where_channels_answer():
+    """The sums over wavelengths of polynomials of almost twice the degree are exact where there is one channel."""
+    wavelengths = np.linspace(400, 700, 61)
+    response = np.exp(-(((wavelengths - 460) / 30) ** 2))
+    spectrum = Spectrum(tuple(wavelengths.tolist()), (tuple(response.tolist()),)).interpolated(4)
+    weights = spectrum.shares() @ response
+    assert np.all(weights > 0)
+    for degree in range(8):
+        x = (wavelengths - 460) / 60
+        at_nodes = ((np.array(spectrum.nodes) - 460) / 60) ** degree
+        assert weights @ at_nodes == pytest.approx(response @ x**degree, abs=1e-9 * response.sum())
+
+
+def test_wavelengths_that_no_channel_answers_to_take_no_nodes():
+    spectrum = Spectrum((400.0, 500.0, 600.0, 700.0), ((0.0, 1.0, 0.5, 0.0),))
+    assert spectrum.interpolated(3).nodes == (500.0, 600.0)
+    assert Spectrum((400.0, 500.0), ((1.0, 1.0),)).interpolated(3).nodes == ()
