@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_number
 from ..optics.fitted_lens import lens_of_rays
+from ..optics.lens_system import LensSystem
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job
 from .estimate import estimate_waves
@@ -119,7 +120,8 @@ def neighbourhoods(camera: PlenopticCamera, positions: NDArray[np.float64]) -> l
         The radiators in the camera frame; there must be one.
     """
     lens = lens_of_rays(camera)
-    images = lens.images(positions)
+    # For who is a neighbour of whom, real lenses need not be traced.
+    images = positions[:, :2] / positions[:, 2:] if isinstance(lens, LensSystem) else lens.images(positions)
     order = np.argsort(lens.vergence(positions[:, 2]), kind="stable")
     found = []
     for part in _DISTANCES:
