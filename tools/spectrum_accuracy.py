@@ -17,7 +17,7 @@ import numpy as np
 from verdict import Verdict
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, Spectrum, load_scene
-from mitsuba_plenoptic.capture.spectral import neighbourhoods, with_enough_nodes
+from mitsuba_plenoptic.capture.spectral import neighbours, with_enough_nodes
 from mitsuba_plenoptic.prescription import bundled_prescription, paraxial
 from mitsuba_plenoptic.prescription.glass import LINE_C, LINE_D, LINE_F
 
@@ -104,8 +104,9 @@ def letters(verdict: Verdict, resolution: int, glass: dict[str, float] | None, a
     one = time.perf_counter() - start
     spectrum = Spectrum(tuple(wavelengths.tolist()), tuple(map(tuple, responses.tolist())))
     start = time.perf_counter()
-    near = neighbourhoods(camera, radiators.positions)
-    chosen = with_enough_nodes(camera, radiators.positions, spectrum, accuracy, radiators.pupil_weights, together=near)
+    near = neighbours(camera, radiators.positions)
+    pupils = radiators.pupil_weights and radiators.pupil_weights.take(near)
+    chosen = with_enough_nodes(camera, radiators.positions[near], spectrum, accuracy, pupils, together=True)
     probed = time.perf_counter() - start
     found = operator(spectrum=chosen).forward(columns)
     seconds = time.perf_counter() - start

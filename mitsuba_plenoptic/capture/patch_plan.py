@@ -26,7 +26,7 @@ from .grid import Grid, place
 from .patch_batches import Fields, Gather, Scatter
 from .pupil_weights import PupilWeights
 from .recorder import Recorder
-from .sharing import LARGEST_ZONE, find_patterns
+from .sharing import ZONES, find_patterns
 from .tile import Copies, tile_extent
 
 _CHUNK = 64
@@ -331,7 +331,7 @@ class PatchPlan:
         """Return the bytes that a sum takes in this process."""
         samples = float(self._placement.samples.max(initial=0))
         # A tile is held whole, and in cells what has been added and what is.
-        tile = 3 * 4 * channels * (samples * 4 / 3 + LARGEST_ZONE * float(self._grid.lens_samples.max())) ** 2
+        tile = 3 * 4 * channels * (samples * 4 / 3 + ZONES[-1] * float(self._grid.lens_samples.max())) ** 2
         fields = (batch_map.threads + 1) * (10 * samples**2 + 2 * _CHUNK_BYTES)
         return channels * self._recorder.memory + (batch_map.workers + 1) * tile + fields
 

@@ -24,8 +24,8 @@ from ..optics.main_lens import MainLens
 from ..optics.phase import in_millimetres
 from .pupil_weights import PupilWeights
 
-LARGEST_ZONE = 16
-"""Lenses along an axis over which patterns are shared at most; a power of two."""
+ZONES = (2, 3, 4, 6, 8, 12, 16)
+"""Lenses along an axis over which patterns may be shared, beside one."""
 
 _LENS_PER_WAVE = 2.5
 """Largest step of place, in lens pitches, over the allowed step of the wavefront in waves: the blur has an edge."""
@@ -154,7 +154,7 @@ def patterns_at(
     """
     depth, parts = _depth_steps(camera, lens, distances, wavelength, step)
     first = np.unique(depth, return_index=True)[1]
-    return float((parts[first] ** 2).sum()) * max(1.0, lenses / LARGEST_ZONE**2)
+    return float((parts[first] ** 2).sum()) * max(1.0, lenses / ZONES[-1] ** 2)
 
 
 def _lattice_steps(camera: PlenopticCamera, place: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -199,8 +199,7 @@ def _zones(
     """
     pitch = max(camera.mla_pitches)
     size = np.ones(len(cell), np.int64)
-    width = 2
-    while width <= LARGEST_ZONE:
+    for width in ZONES:
         first = cell // width * width
         square = np.max(
             [
@@ -211,5 +210,4 @@ def _zones(
         )
         waves = lens.path_change(np.sqrt(square), pitch, wavelength)
         size[width * waves <= _ZONE_PER_WAVE * step] = width
-        width *= 2
     return cell // size[:, None] * size[:, None], size

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -25,10 +24,13 @@ from .pupil_weights import PupilWeights
 from .radiators import Radiators, find_radiators, sample_pairs
 from .wave_capture import WaveCapture
 
-_NEIGHBOURS, _DISTANCES = 48, (0.05, 0.5, 0.95)
+_NEIGHBOURS, _DISTANCES = 48, (0.05, 0.95)
 """Radiators of one neighbourhood, whose sum tells how many wavelengths are needed, and which neighbourhoods: those of
 the radiators that have so many others nearer to the camera, of all. The point spreads of neighbours overlap, as in the
 image, and what changes fast with the wavelength averages out."""
+
+_PROBED = 3.0
+"""Allowed error of the sums that are compared, of few points, over that of the image, of many."""
 
 _COUNTS = (1, 2, 4, 6, 8, 10, 12, 16, 24, 32, 48, 64)
 """Nodes that are tried; more would resolve fringes that no detector does."""
@@ -41,12 +43,12 @@ def with_enough_nodes(
     error: float,
     pupil_weights: Any = None,
     *,
-    together: Sequence[Any] | None = None,
+    together: bool = False,
 ) -> Spectrum:
     """Return a spectrum with as few nodes as its point spreads need.
 
-    The count is raised in steps until images of each point, or sum of points, change in every channel by no more than
-    half of the error: the other half is for what is then still left.
+    The count is raised in steps until images of each point, by every channel, change by no more than half of the
+    error: the other half is for what is then still left.
 
     Parameters
     ----------
@@ -60,9 +62,9 @@ def with_enough_nodes(
         Relative error (L2) of each channel's image that is allowed.
     pupil_weights : optional
         As of `CaptureOperator`.
-    together : sequence of int arrays, optional
-        Which points are summed, set by set, if sums are to be so exact: in those of points whose spreads overlap what
-        changes fast averages out. Default: each by itself.
+    together : bool
+        Whether the sum of the points is to be so exact, in which what changes fast averages out where spreads overlap,
+        or each by itself.
 
     Returns
     -------
@@ -78,15 +80,18 @@ def with_enough_nodes(
     weights = PupilWeights.of(pupil_weights, len(points))
     points, most = np.asarray(points, np.float64), len(set(spectrum.wavelengths))
 
+    # Of single points nothing is left out; sums are probed as they are captured, and may themselves be in error.
+    accuracy = _PROBED * error if together else 0.0
+
     def images(count: int) -> list[NDArray[np.float32]]:
         chosen = spectrum.interpolated(count)
-        sets = np.arange(len(points))[:, None] if together is None else together
+        sets = [np.arange(len(points))] if together else np.arange(len(points))[:, None]
         return [
             CaptureOperator(
                 camera,
                 points[some],
                 spectrum=chosen,
-                accuracy=0,
+                accuracy=accuracy,
                 pupil_weights=None if weights is None else weights.take(some),
             ).forward(np.ones((len(some), len(spectrum.wavelengths))))
             for some in sets
@@ -109,8 +114,8 @@ def _differ(image: NDArray[np.float32], reference: NDArray[np.float32]) -> float
     return float(np.max(change[norms > 0] / norms[norms > 0], initial=0.0))
 
 
-def neighbourhoods(camera: PlenopticCamera, positions: NDArray[np.float64]) -> list[NDArray[np.int64]]:
-    """Return sets of radiators, near, between and far, whose images lie beside each other.
+def neighbours(camera: PlenopticCamera, positions: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return some radiators, near and far, whose images lie beside each other.
 
     Parameters
     ----------
@@ -123,11 +128,11 @@ def neighbourhoods(camera: PlenopticCamera, positions: NDArray[np.float64]) -> l
     # For who is a neighbour of whom, real lenses need not be traced.
     images = positions[:, :2] / positions[:, 2:] if isinstance(lens, LensSystem) else lens.images(positions)
     order = np.argsort(lens.vergence(positions[:, 2]), kind="stable")
-    found = []
+    found = set()
     for part in _DISTANCES:
         apart = images - images[order[int(part * (len(order) - 1))]]
-        found.append(np.sort(np.argsort((apart**2).sum(1), kind="stable")[:_NEIGHBOURS]))
-    return found
+        found.update(np.argsort((apart**2).sum(1), kind="stable")[:_NEIGHBOURS].tolist())
+    return np.array(sorted(found), np.int64)
 
 
 @dataclass(frozen=True)
@@ -232,13 +237,10 @@ class SpectralCapture:
         count, error = len(radiators.positions), self.capture.accuracy
         if count == 0 or error == 0 or self.capture.method == "full_field":
             return self.spectrum
+        some, weights = neighbours(self.capture.camera, radiators.positions), radiators.pupil_weights
+        chosen = None if weights is None else weights.take(some)
         return with_enough_nodes(
-            self.capture.camera,
-            radiators.positions,
-            self.spectrum,
-            error,
-            radiators.pupil_weights,
-            together=neighbourhoods(self.capture.camera, radiators.positions),
+            self.capture.camera, radiators.positions[some], self.spectrum, error, chosen, together=True
         )
 
     def _weights(self, radiators: Radiators) -> NDArray[np.float64]:
