@@ -330,10 +330,12 @@ class PatchPlan:
     def memory(self, batch_map: BatchMap, channels: int = 1) -> float:
         """Return the bytes that a sum takes in this process."""
         samples = float(self._placement.samples.max(initial=0))
-        # A tile is held whole, and in cells what has been added and what is.
-        tile = 3 * 4 * channels * (samples * 4 / 3 + ZONES[-1] * float(self._grid.lens_samples.max())) ** 2
+        tile = 4 * channels * (samples * 4 / 3 + ZONES[-1] * float(self._grid.lens_samples.max())) ** 2
         fields = (batch_map.threads + 1) * (10 * samples**2 + 2 * _CHUNK_BYTES)
-        return channels * self._recorder.memory + (batch_map.workers + 1) * tile + fields
+        tiles = batch_map.workers + 1
+        if (self._last - self._first > 1).any():
+            tiles += 2 * batch_map.threads  # in cells: what has been added, and what is
+        return channels * self._recorder.memory + tiles * tile + fields
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
         """Return the bytes that a sum takes, or refuse them."""
