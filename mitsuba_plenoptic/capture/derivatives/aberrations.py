@@ -57,9 +57,8 @@ class _VaryingPath(dr.CustomOp):
         self.set_grad_out(Wavefront(some, self._radius).path(*self._points) + dr.zeros(kind, dr.width(self._points[0])))
 
     def backward(self) -> None:
-        gradient = self.grad_out()
-        host = [backend().to_host(backend().from_drjit(part)) for part in (gradient, *self._points)]
-        found = np.array(_gradients(self._count, *host, self._radius))
+        gradient, x, y = (backend().to_host(backend().from_drjit(part)) for part in (self.grad_out(), *self._points))
+        found = np.array(_gradients(self._count, gradient, x, y, self._radius))
         self.set_grad_in("coefficients", type(self.grad_in("coefficients"))(found))
 
     def name(self) -> str:

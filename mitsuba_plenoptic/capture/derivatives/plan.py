@@ -101,7 +101,7 @@ class DerivativePlan(PatchPlan):
                 yield batch
 
         products, box = np.zeros((2, 2, 2)), self._recorder.box
-        sums = backend().arrays.zeros((image.shape[2], box.rows, box.columns), np.float32) if moves else None
+        sums: Any = backend().arrays.zeros((image.shape[2], box.rows, box.columns), np.float32) if moves else None
         for pulled in job.each(kept(), items.tolist(), done + self._count - int(items.sum()), total):
             waiting.pop(0).gather(pulled, numbers)
             products += pulled.products
