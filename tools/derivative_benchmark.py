@@ -6,8 +6,9 @@
 
 Radiators are found once, and weights kept. The image, its reverse derivative by all numbers of the camera and by the
 two that are sought most often, and its forward one run in a process each: processor time, time, and the largest memory
-above what the process had before. The first run compiles and is not counted where ``--runs`` is above 1. It needs Linux. Limits: the
-reverse derivative by all numbers takes at most 4 times the processor time and 3 times the memory of the image.
+above what the process had before. The first run compiles and is not counted where ``--runs`` is above 1. It needs
+Linux. Limits: the reverse derivative by all numbers takes at most 4 times the processor time and 3 times the
+memory of the image.
 
 ``--torchoptics`` times instead one point's light through one lens to a plane, and the gradient of the power there by
 the focal length, on one thread: ours on a patch, whose detector has twice as many samples along each axis, and the
@@ -146,7 +147,7 @@ def of_torchoptics(folder: Path, size: int, pitch: float, runs: int) -> dict[str
 
     def image(focal_length: Any) -> Any:
         lens = torchoptics.elements.Lens(size, focal_length)
-        return lens(field).propagate_to_z(5.0, propagation_method="AS").intensity().sum()
+        return lens(field).propagate_to_z(5.0, propagation_method="ASM").intensity().sum()
 
     def gradient() -> None:
         focal_length = torch.nn.Parameter(torch.tensor(80.0, dtype=torch.double))

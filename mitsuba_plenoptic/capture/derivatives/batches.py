@@ -20,6 +20,7 @@ from ..patch import PatchBatch
 from ..patch_batches import Fields
 from ..patch_factors import PatchFactors
 from .chain import Changes, Factors, Way, step_changes
+from .field_memory import Memory
 from .numbers import VaryingNumbers
 from .spread_copies import SpreadCopies, Window, covered, gathered
 
@@ -161,10 +162,11 @@ def _push(push: Push, batch: PatchBatch, changes: list[list[Field | None]], latt
     arrays, finer, channels = batch.libraries.arrays, push.finer, push.copies[0].weights.shape[1]
     box = covered(batch.corner, batch.samples, push.copies, finer)
     sums = arrays.zeros(((len(changes) + 1) * channels, box.rows, box.columns), np.float32)
-    plain, pitch = _plain(batch), push.fields.grid.pitch
+    plain, pitch, memory = _plain(batch), push.fields.grid.pitch, Memory(arrays)
     for radiator, copies in enumerate(push.copies):
+        memory.restart()
         factors = Factors(*_of_radiator(plain, batch, radiator))
-        way = Way(factors, finer, arrays)
+        way = Way(factors, finer, memory)
         moves = [Changes(*_of_radiator(move, batch, radiator)) for move in lattice]
         windows = copies.windows(batch.corner[radiator], batch.samples, box, finer)
         for first, (direction, slopes) in enumerate(zip(changes, push.slopes, strict=True)):
@@ -179,7 +181,7 @@ def _push(push: Push, batch: PatchBatch, changes: list[list[Field | None]], latt
             _add(sums[first * channels : (first + 1) * channels], lit, copies, windows, arrays)
         _add(
             sums[len(changes) * channels :],
-            [(arrays.abs(way.field) ** 2, np.ones(len(windows)))],
+            [(way.intensity, np.ones(len(windows)))],
             copies,
             windows,
             arrays,
@@ -275,19 +277,20 @@ def _pull(pull: Pull, batch: PatchBatch, lattice: list[list[Field | None]]) -> P
     tile, plain = arrays.asarray(pull.tile), _plain(batch)
     result = [None if part is None else arrays.zeros(part.shape, np.complex64) for part in plain]
     sums = arrays.zeros(tile.shape, np.float32) if pull.summed else None
-    products, pitch = np.zeros((2, 2, 2)), pull.fields.grid.pitch
+    products, pitch, memory = np.zeros((2, 2, 2)), pull.fields.grid.pitch, Memory(arrays)
     for radiator, copies in enumerate(pull.copies):
-        way = Way(Factors(*_of_radiator(plain, batch, radiator)), finer, arrays)
+        memory.restart()
+        way = Way(Factors(*_of_radiator(plain, batch, radiator)), finer, memory)
         windows = copies.windows(batch.corner[radiator], batch.samples, box, finer)
         gradient, *moments = gathered(tile, windows, copies, pull.shifted and copies.moved, arrays)
         behind = [way.behind(Changes(*_of_radiator(move, batch, radiator))) for move in lattice if moments]
         for axis, moment in enumerate(moments):
-            lenses, steps = way.products(2 * moment * way.field, behind)
+            lenses, steps = way.products(memory.product(way.field, 2 * moment), behind)
             products[0, : len(lenses), axis] += lenses
             products[1, :, axis] += np.array(steps) / pitch
         if sums is not None:
-            _add(sums, [(arrays.abs(way.field) ** 2, np.ones(len(windows)))], copies, windows, arrays)
-        *own, transfer = way.back(2 * gradient * way.field).parts
+            _add(sums, [(way.intensity, np.ones(len(windows)))], copies, windows, arrays)
+        *own, transfer = way.back(memory.product(way.field, 2 * gradient)).parts
         *targets, total = result
         for target, part in zip(targets, own, strict=True):
             if target is not None:

@@ -19,6 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ...runtime.fft import Field, fft
+from .field_memory import Memory
 
 
 @dataclass(frozen=True)
@@ -87,8 +88,8 @@ class Way:
         What it is multiplied by.
     finer : {1, 2}
         How many samples of the field on the detector there are for one of the patch, along each axis.
-    arrays : module
-        NumPy, or CuPy.
+    memory : Memory
+        Where it lies: it is lost when this restarts.
 
     Attributes
     ----------
@@ -96,18 +97,24 @@ class Way:
         On the detector.
     """
 
-    def __init__(self, factors: Factors, finer: int, arrays: Any = np) -> None:
-        self._transfer, self._finer, self._arrays = factors.transfer, finer, arrays
-        self._passage: _Passage = (_Product if factors.lenses is None else _Plane)(factors, arrays)
-        self._sent = self._passage.spectrum * factors.transfer
-        self.field = self._to_detector(self._sent.copy())
+    def __init__(self, factors: Factors, finer: int, memory: Memory) -> None:
+        self._transfer, self._finer = factors.transfer, finer
+        self._memory, self._arrays = memory, memory.arrays
+        self._passage: _Passage = (_Product if factors.lenses is None else _Plane)(factors, memory)
+        self._sent = memory.product(self._passage.spectrum, factors.transfer)
+        self.field = self._to_detector(memory.product(self._passage.spectrum, factors.transfer))
+
+    @property
+    def intensity(self) -> Any:
+        """The square of the field, float32."""
+        return self.field.real**2 + self.field.imag**2
 
     def tangent(self, change: Changes) -> Field | None:
         """Return the change of the field with changes of the factors, None where it does not change."""
         behind = self._passage.behind(change)
         spectrum = _total(
-            None if behind is None else self._passage.to_spectrum(behind) * self._transfer,
-            None if change.transfer is None else self._passage.spectrum * change.transfer,
+            None if behind is None else self._memory.product(self._passage.to_spectrum(behind), self._transfer),
+            None if change.transfer is None else self._memory.product(self._passage.spectrum, change.transfer),
         )
         return None if spectrum is None else self._to_detector(spectrum)
 
@@ -118,11 +125,10 @@ class Way:
 
     def back(self, field: Field) -> Factors:
         """Return the cotangents of the factors from that of the field, whose memory is used."""
-        conj = self._arrays.conj
         spectrum = self._from_detector(field)
-        transfer = conj(self._passage.spectrum) * spectrum
-        spectrum *= conj(self._transfer)
-        return Factors(*self._passage.back(self._passage.from_spectrum(spectrum)), transfer)
+        transfer = self._memory.back(self._passage.spectrum, spectrum)
+        behind = self._passage.from_spectrum(self._memory.back(self._transfer, spectrum))
+        return Factors(*self._passage.back(behind), transfer)
 
     def products(self, field: Field, behind: list[Field]) -> tuple[list[float], list[float]]:
         """Multiply a cotangent of the field, whose memory is used, with some of the field's changes.
@@ -138,22 +144,19 @@ class Way:
         spectrum = self._from_detector(field)
         found: list[float] = []
         if behind:
-            cotangent = self._passage.from_spectrum(spectrum * arrays.conj(self._transfer))
+            cotangent = self._passage.from_spectrum(self._memory.back(self._transfer, spectrum))
             found = [float(arrays.vdot(cotangent, change).real) for change in behind]
-        turning = (arrays.conj(spectrum) * self._sent).imag
+        turning = self._memory.back(spectrum, self._sent).imag
         steps = -2 * math.pi * _cycles(n, arrays)
         return found, [float(turning.sum(axis) @ steps) for axis in (0, 1)]
 
     def _to_detector(self, spectrum: Field) -> Field:
         """Take a spectrum, whose memory is used, to the detector."""
-        n, size = len(spectrum), self._finer * len(spectrum)
+        size = self._finer * len(spectrum)
         if self._finer == 1:
             return _inverse(_inverse(spectrum, 0), 1)
-        columns = self._arrays.zeros((size, n), np.complex64)
-        columns[:n] = spectrum
-        field = self._arrays.zeros((size, size), np.complex64)
-        field[:, :n] = _inverse(columns, 0)
-        return _inverse(field, 1)
+        columns = _inverse(self._memory.widened(spectrum, size, 0), 0)
+        return _inverse(self._memory.widened(columns, size, 1), 1)
 
     def _from_detector(self, field: Field) -> Field:
         """Apply the adjoint of `_to_detector`."""
@@ -179,61 +182,59 @@ def _cycles(count: int, arrays: Any) -> Any:
 class _Product:
     """Through microlenses that are a product of a factor along x and one along y."""
 
-    def __init__(self, factors: Factors, arrays: Any) -> None:
-        self._factors, self._arrays = factors, arrays
+    def __init__(self, factors: Factors, memory: Memory) -> None:
+        self._factors, self._memory, self._arrays = factors, memory, memory.arrays
         self._samples, self._mla_samples = len(factors.transfer), len(factors.along_x)
         self._along_rows = self._to_rows(factors.pupil)
-        self._columns = self._to_columns(self._along_rows * factors.along_x)
-        self.spectrum = self.to_spectrum(self._columns * factors.along_y[:, None])
+        self._columns = self._to_columns(memory.product(self._along_rows, factors.along_x))
+        self.spectrum = self.to_spectrum(memory.product(self._columns, factors.along_y[:, None]))
 
     def behind(self, change: Changes) -> Field | None:
-        f = self._factors
+        f, product = self._factors, self._memory.product
         rows = _total(
-            None if change.pupil is None else self._to_rows(change.pupil) * f.along_x,
-            None if change.along_x is None else self._along_rows * change.along_x,
+            None if change.pupil is None else product(self._to_rows(change.pupil), f.along_x),
+            None if change.along_x is None else product(self._along_rows, change.along_x),
         )
         return _total(
-            None if rows is None else self._to_columns(rows) * f.along_y[:, None],
-            None if change.along_y is None else self._columns * change.along_y[:, None],
+            None if rows is None else product(self._to_columns(rows), f.along_y[:, None]),
+            None if change.along_y is None else product(self._columns, change.along_y[:, None]),
         )
 
     def to_spectrum(self, behind: Field) -> Field:
         return self._arrays.ascontiguousarray(_forward(behind, 0)[: self._samples])
 
     def from_spectrum(self, spectrum: Field) -> Field:
-        return _inverse(self._widened(spectrum, self._mla_samples, 0), 0)
+        return _inverse(self._memory.widened(spectrum, self._mla_samples, 0), 0)
 
     def back(self, behind: Field) -> tuple[Field, Field, Field, None]:
         f, conj, size = self._factors, self._arrays.conj, len(self._factors.pupil)
-        along_y = (conj(self._columns) * behind).sum(1)
+        along_y = self._memory.back(self._columns, behind).sum(1)
         behind *= conj(f.along_y)[:, None]
         rows = self._arrays.ascontiguousarray(_forward(behind, 0)[:size])
-        rows = _inverse(self._widened(rows, self._mla_samples, 1), 1)
-        along_x = (conj(self._along_rows) * rows).sum(0)
+        rows = _inverse(self._memory.widened(rows, self._mla_samples, 1), 1)
+        along_x = self._memory.back(self._along_rows, rows).sum(0)
         rows *= conj(f.along_x)
         return _forward(rows, 1)[:, :size], along_x, along_y, None
 
     def _to_rows(self, pupil: Field) -> Field:
-        return _inverse(self._widened(pupil, self._mla_samples, 1), 1)
+        return _inverse(self._memory.widened(pupil, self._mla_samples, 1), 1)
 
     def _to_columns(self, rows: Field) -> Field:
         return self.from_spectrum(_forward(rows, 1)[:, : self._samples])
-
-    def _widened(self, field: Field, length: int, axis: int) -> Field:
-        return _widened(field, length, axis, self._arrays)
 
 
 class _Plane:
     """Through any microlenses: the field is on the MLA along both axes."""
 
-    def __init__(self, factors: Factors, arrays: Any) -> None:
+    def __init__(self, factors: Factors, memory: Memory) -> None:
         assert factors.lenses is not None
-        self._factors, self._arrays, self._lenses = factors, arrays, factors.lenses
+        self._factors, self._lenses = factors, factors.lenses
+        self._memory, self._arrays = memory, memory.arrays
         self._samples, self._mla_samples = len(factors.transfer), len(factors.along_x)
-        self._axes = factors.along_y[:, None] * factors.along_x
-        self._on_mla = self._axes * self._lenses
+        self._axes = memory.product(factors.along_y[:, None], factors.along_x)
+        self._on_mla = memory.product(self._axes, self._lenses)
         self._before = self._to_mla(factors.pupil)
-        self.spectrum = self.to_spectrum(self._before * self._on_mla)
+        self.spectrum = self.to_spectrum(memory.product(self._before, self._on_mla))
 
     def behind(self, change: Changes) -> Field | None:
         f = self._factors
@@ -255,36 +256,30 @@ class _Plane:
         return self._arrays.ascontiguousarray(_forward(rows, 1)[:, : self._samples])
 
     def from_spectrum(self, spectrum: Field) -> Field:
-        rows = _inverse(_widened(spectrum, self._mla_samples, 1, self._arrays), 1)
-        return _inverse(_widened(rows, self._mla_samples, 0, self._arrays), 0)
+        rows = _inverse(self._memory.widened(spectrum, self._mla_samples, 1), 1)
+        return _inverse(self._memory.widened(rows, self._mla_samples, 0), 0)
 
     def back(self, behind: Field) -> tuple[Field, Field, Field, Field]:
         f, conj, size = self._factors, self._arrays.conj, len(self._factors.pupil)
-        on_mla = conj(self._before) * behind
-        lenses = on_mla * conj(self._axes)
+        on_mla = self._memory.back(self._before, behind)
+        lenses = self._memory.back(self._axes, on_mla)
         on_mla *= conj(self._lenses)
         along_x, along_y = conj(f.along_y) @ on_mla, on_mla @ conj(f.along_x)
-        behind *= conj(self._on_mla)
+        behind = self._memory.back(self._on_mla, behind)
         rows = self._arrays.ascontiguousarray(_forward(behind, 0)[:size])
         return _forward(rows, 1)[:, :size], along_x, along_y, lenses
 
     def _to_mla(self, pupil: Field) -> Field:
-        rows = _inverse(_widened(pupil, self._mla_samples, 1, self._arrays), 1)
-        return _inverse(_widened(rows, self._mla_samples, 0, self._arrays), 0)
-
-
-def _widened(field: Field, length: int, axis: int, arrays: Any) -> Field:
-    """Add zeros behind the field along an axis."""
-    shape = list(field.shape)
-    shape[axis] = length
-    wide = arrays.zeros(shape, np.complex64)
-    wide[: field.shape[0], : field.shape[1]] = field
-    return wide
+        rows = _inverse(self._memory.widened(pupil, self._mla_samples, 1), 1)
+        return _inverse(self._memory.widened(rows, self._mla_samples, 0), 0)
 
 
 def _total(one: Field | None, other: Field | None) -> Field | None:
-    """Add two changes, of which each may be none."""
-    return other if one is None else one if other is None else one + other
+    """Add two changes, of which each may be none, in the memory of the first."""
+    if one is None or other is None:
+        return other if one is None else one
+    one += other
+    return one
 
 
 def _forward(field: Field, axis: int) -> Field:
