@@ -155,7 +155,7 @@ class DerivativePlan(PatchPlan):
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
         """Return the bytes that derivatives take, of all channels in all directions, or refuse them."""
-        return super().check_memory(batch_map, (channels + 1) * self._finer**2)
+        return super().check_memory(batch_map, channels + 1 if self._finer == 1 else 4 * channels)
 
 
 class PushSum:
