@@ -87,6 +87,11 @@ def derivative_band_for(accuracy: float, count: int) -> Band:
     return replace(band_for(accuracy, count), edge=2.0, smooth=True, beyond=math.inf)
 
 
+def derivatives_share(accuracy: float, count: int) -> bool:
+    """Tell whether derivatives of the sum of some radiators share point spreads, as its image does."""
+    return accuracy >= _EXACT and count > _FEW
+
+
 def wavefront_step(accuracy: float, camera: PlenopticCamera, lens: MainLens, positions: NDArray[np.float64]) -> float:
     """Choose by how much wavefronts that count as one may differ across a microlens, in waves.
 

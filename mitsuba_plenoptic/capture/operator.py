@@ -213,7 +213,8 @@ class CaptureOperator:
         """Differentiate `forward` in the direction of changes of the camera's numbers.
 
         Points, weights and the relative power over each pupil are held, and so is that of all light through the pupil.
-        Each point has a spread of its own, whatever the accuracy. Derivatives by method "patch" only.
+        Up to 512 points, or at accuracies below 0.004, each has a spread of its own; more share them as `forward` does,
+        each copy with what its own lenses change. Derivatives by method "patch" only.
 
         Parameters
         ----------

@@ -8,6 +8,7 @@ are.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -57,6 +58,8 @@ class Elements:
     growth : float
         Factor on all distances of samples on the MLA and the detector, and on the places of patches. It follows the
         wavelength, so that directions and points of the pupil stay where they are.
+    aberration : callable, optional
+        Returns a further path of the main lens at points x and y of its pupil in the camera frame, in millimetres.
     """
 
     lens: MainLens
@@ -65,6 +68,7 @@ class Elements:
     detector_distance: Any
     turned: Any = 0.0
     growth: Any = 1.0
+    aberration: Callable[[Any, Any], Any] | None = None
 
     @classmethod
     def of(cls, grid: Grid, cosine: float) -> Elements:
@@ -184,10 +188,14 @@ class PatchFactors:
 
     def _path(self, elements: Elements, light: Light, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
         """Return the path from points to the pupil in waves; both are given in the frame of the lattice."""
-        if not elements.lens.is_round:
-            X, Y = self._in_camera(elements, *point[:2])
-            pupil, point = self._in_camera(elements, *pupil), (X, Y, point[2])
-        return light.path(pupil, point, elements.wavelength)
+        if elements.lens.is_round and elements.aberration is None:
+            return light.path(pupil, point, elements.wavelength)
+        X, Y = self._in_camera(elements, *point[:2])
+        pupil, point = self._in_camera(elements, *pupil), (X, Y, point[2])
+        waves = light.path(pupil, point, elements.wavelength)
+        if elements.aberration is None:
+            return waves
+        return waves + elements.aberration(*pupil) / self._constant(in_millimetres(elements.wavelength))
 
     def _in_camera(self, elements: Elements, x: Any, y: Any) -> tuple[Any, Any]:
         """Turn a vector of the lattice's frame into one of the camera's."""

@@ -20,9 +20,9 @@ from ..runtime.backend import backend
 from ..runtime.batches import BatchMap, Part, PartialSum
 from ..runtime.fft import resting_drjit
 from ..runtime.jobs import Job
-from .accuracy import band_for, derivative_band_for, wavefront_step
+from .accuracy import band_for, wavefront_step
 from .aperture_power import aperture_power
-from .grid import Grid, place
+from .grid import Band, Grid, place
 from .patch_batches import Fields, Gather, Scatter
 from .pupil_weights import PupilWeights
 from .recorder import Recorder
@@ -114,8 +114,10 @@ class PatchPlan:
         Wavelength in nanometres.
     accuracy : float
         Allowed relative error.
-    exact : bool
-        Whether every radiator has a pattern of its own, on a grid that suits derivatives, whatever the allowed error.
+    band : Band, optional
+        How much of the diffracted light is kept. Default: what suits the allowed error of images.
+    shared : bool
+        Whether radiators may share patterns, if the allowed error lets them.
     """
 
     def __init__(
@@ -126,13 +128,13 @@ class PatchPlan:
         wavelength: float,
         accuracy: float,
         *,
-        exact: bool = False,
+        band: Band | None = None,
+        shared: bool = True,
     ) -> None:
         self._camera, self._pupil_weights, self._count = camera, pupil_weights, len(points)
-        band = (derivative_band_for if exact else band_for)(accuracy, len(points))
-        self._grid = Grid.of(camera, wavelength, band, points)
+        self._grid = Grid.of(camera, wavelength, band or band_for(accuracy, len(points)), points)
         upright, lens, turned = self._grid.camera, self._grid.lens, self._grid.to_frame(points)
-        step = 0.0 if exact else wavefront_step(accuracy, upright, lens, turned)
+        step = wavefront_step(accuracy, upright, lens, turned) if shared else 0.0
         patterns = find_patterns(upright, lens, turned, pupil_weights, wavelength, step)
         placement = place(self._grid, patterns.positions)
         shifts = patterns.shift @ self._grid.lens_samples

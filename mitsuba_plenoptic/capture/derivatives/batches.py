@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from dataclasses import fields as fields_of
 from functools import partial
 from typing import Any
 
@@ -11,14 +12,17 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from ...lattice import turn
 from ...runtime.backend import array_module
-from ...runtime.batches import Box, Part
+from ...runtime.batches import Part
 from ...runtime.fft import Field, as_field, as_words, pack, unpack
 from ..patch import PatchBatch
 from ..patch_batches import Fields
 from ..patch_factors import PatchFactors
-from .chain import Changes, Factors, Way
+from .chain import Changes, Factors, Way, step_changes
+from .field_memory import Memory
 from .numbers import VaryingNumbers
+from .spread_copies import SpreadCopies, Window, covered, gathered
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,17 @@ def _plain(batch: PatchBatch) -> list[Field | None]:
     return [batch.pupil, batch.along_x, batch.along_y, batch.lenses, batch.transfer.T]
 
 
+def _moved_lattice(fields: Fields, numbers: VaryingNumbers | None) -> list[list[Field | None]]:
+    """Return the changes of the factors of a batch as the lattice moves along its own x, and along its y."""
+    if numbers is None:
+        return []
+    moves = []
+    for vector in ((1.0, 0.0), (0.0, 1.0)):
+        numbers.set_tangents({"mla_offset": np.array(turn(*vector, fields.grid.rotation))})
+        moves.append(_changed(fields, numbers))
+    return moves
+
+
 def _changed(fields: Fields, numbers: VaryingNumbers) -> list[Field | None]:
     """Return the changes of the factors of a batch with the tangents of the numbers."""
     drawn, made = _Drawn.of(fields, numbers)
@@ -92,34 +107,43 @@ def _changed(fields: Fields, numbers: VaryingNumbers) -> list[Field | None]:
     ]
 
 
-def _extent(batch: Any) -> Box:
-    """Return what the patches of a batch take of the grid of half their distances."""
-    return Box.between(2 * batch.corner.min(0), 2 * (batch.corner.max(0) + batch.samples))
-
-
-def _window(batch: Any, box: Box, radiator: int) -> tuple[slice, slice]:
-    """Return the rows and columns of a box that one radiator's patch takes."""
-    x, y = (2 * batch.corner[radiator] - np.array([box.left, box.top])).tolist()
-    return slice(y, y + 2 * batch.samples), slice(x, x + 2 * batch.samples)
+def _combined(changes: list[tuple[float, Changes]], arrays: Any) -> Changes:
+    """Return a sum of changes with factors."""
+    total: dict[str, Field] = {}
+    for factor, change in changes:
+        for part in fields_of(change):
+            value = getattr(change, part.name)
+            if value is not None and factor:
+                total[part.name] = total.get(part.name, 0) + arrays.float32(factor) * value
+    return Changes(**total)
 
 
 @dataclass(frozen=True)
 class Push:
-    """Changes of point spreads, to be added with weights, and the point spreads beside them.
+    """Changes of point spreads and of their copies, to be added with weights, and the point spreads beside them.
 
     Attributes
     ----------
     fields : Fields
         What they are made of.
-    weights : float32 array (n, channels)
-        Of the radiators.
+    copies : list of SpreadCopies
+        Of each.
+    finer : int
+        As of `Way`.
     directions : tuple of VaryingNumbers
         Of the camera, with the tangents set, for each change.
+    slopes : tuple of float64 arrays (2, 2, 2)
+        For each direction, A and B of `copies.copy_slopes`.
+    offset : VaryingNumbers, optional
+        Those of which ``mla_offset`` varies; None where no A is needed.
     """
 
     fields: Fields
-    weights: NDArray[np.float32]
+    copies: list[SpreadCopies]
+    finer: int
     directions: tuple[VaryingNumbers, ...]
+    slopes: tuple[NDArray[np.float64], ...]
+    offset: VaryingNumbers | None
 
     @property
     def samples(self) -> int:
@@ -129,28 +153,56 @@ class Push:
     def prepare(self) -> Callable[[], Part]:
         """Make the fields and the changes of their factors, and return the function that adds what they give."""
         changes = [_changed(self.fields, numbers) for numbers in self.directions]
-        return partial(_push, self.fields.make(np.ones(len(self.weights))), changes, self.weights)
+        lattice = _moved_lattice(self.fields, self.offset)
+        return partial(_push, self, self.fields.make(np.ones(len(self.copies))), changes, lattice)
 
 
-def _push(batch: PatchBatch, changes: list[list[Field | None]], weights: NDArray[np.float32]) -> Part:
+def _push(push: Push, batch: PatchBatch, changes: list[list[Field | None]], lattice: list[list[Field | None]]) -> Part:
     """Add the changes, direction by direction, and the point spreads last."""
-    arrays, box, channels = batch.libraries.arrays, _extent(batch), weights.shape[1]
+    arrays, finer, channels = batch.libraries.arrays, push.finer, push.copies[0].weights.shape[1]
+    box = covered(batch.corner, batch.samples, push.copies, finer)
     sums = arrays.zeros(((len(changes) + 1) * channels, box.rows, box.columns), np.float32)
-    plain = _plain(batch)
-    for radiator, given in enumerate(weights):
-        way = Way(Factors(*_of_radiator(plain, batch, radiator)), arrays)
-        window, lit = _window(batch, box, radiator), np.flatnonzero(given).tolist()
-        for first, direction in enumerate(changes):
-            change = way.tangent(Changes(*_of_radiator(direction, batch, radiator)))
-            if change is None:
-                continue
-            moved = 2 * (way.field.real * change.real + way.field.imag * change.imag)
-            for channel in lit:
-                sums[(first * channels + channel, *window)] += given[channel] * moved
-        spread = arrays.abs(way.field) ** 2
-        for channel in lit:
-            sums[(len(changes) * channels + channel, *window)] += given[channel] * spread
+    plain, pitch, memory = _plain(batch), push.fields.grid.pitch, Memory(arrays)
+    for radiator, copies in enumerate(push.copies):
+        memory.restart()
+        factors = Factors(*_of_radiator(plain, batch, radiator))
+        way = Way(factors, finer, memory)
+        moves = [Changes(*_of_radiator(move, batch, radiator)) for move in lattice]
+        windows = copies.windows(batch.corner[radiator], batch.samples, box, finer)
+        for first, (direction, slopes) in enumerate(zip(changes, push.slopes, strict=True)):
+            terms = [(_slope(way, Changes(*_of_radiator(direction, batch, radiator))), np.ones(len(windows)))]
+            if copies.moved and slopes.any():
+                steps = step_changes(factors.transfer, arrays)
+                for axis in (0, 1):
+                    parts = [(slopes[0, to, axis], move) for to, move in enumerate(moves)]
+                    parts += [(slopes[1, to, axis] / pitch[to], step) for to, step in enumerate(steps)]
+                    terms.append((_slope(way, _combined(parts, arrays)), copies.places[:, axis]))
+            lit = [(slope, given) for slope, given in terms if slope is not None]
+            _add(sums[first * channels : (first + 1) * channels], lit, copies, windows, arrays)
+        _add(
+            sums[len(changes) * channels :],
+            [(way.intensity, np.ones(len(windows)))],
+            copies,
+            windows,
+            arrays,
+        )
     return Part(box, sums)
+
+
+def _slope(way: Way, change: Changes) -> Any:
+    """Return the change of the intensity with changes of the factors, None where there is none."""
+    field = way.tangent(change)
+    return None if field is None else 2 * (way.field.real * field.real + way.field.imag * field.imag)
+
+
+def _add(
+    sums: Any, terms: list[tuple[Any, NDArray[np.float64]]], copies: SpreadCopies, windows: list[Window], arrays: Any
+) -> None:
+    """Add to each copy's window the terms with its factors, times its weights."""
+    for copy, window in enumerate(windows if terms else []):
+        total = sum(value if given[copy] == 1 else arrays.float32(given[copy]) * value for value, given in terms)
+        for channel in np.flatnonzero(copies.weights[copy]).tolist():
+            sums[(channel, *window)] += copies.weights[copy, channel] * total
 
 
 @dataclass(frozen=True)
@@ -161,12 +213,15 @@ class Pulled:
     ----------
     factors : list of complex64 arrays, or None
         Cotangents of its factors.
-    moves : float64 array (moves,)
-        Products of the point spreads, with their weights, and the further samples.
+    products : float64 array (2, 2, 2)
+        The gradient times what the spreads show of a moved lattice and of a shift, as `copies.copy_slopes` has them.
+    spreads : Part, optional
+        The point spreads with their weights.
     """
 
     factors: list[Field | None]
-    moves: NDArray[np.float64]
+    products: NDArray[np.float64]
+    spreads: Part | None
 
 
 @dataclass(frozen=True)
@@ -175,17 +230,23 @@ class Pull:
 
     Attributes
     ----------
-    fields : Fields
-        What they are made of.
-    weights : float32 array (n, channels)
-        Of the radiators.
-    tile : float32 array (1 + moves, channels, rows, columns)
-        The gradient with respect to the samples that they reach, and further ones that are only multiplied with them.
+    fields, copies, finer, offset
+        As of `Push`.
+    tile : float32 array (channels, rows, columns)
+        The gradient with respect to the samples that they reach.
+    shifted : bool
+        Whether the products are asked for.
+    summed : bool
+        Whether the point spreads are.
     """
 
     fields: Fields
-    weights: NDArray[np.float32]
+    copies: list[SpreadCopies]
+    finer: int
+    offset: VaryingNumbers | None
     tile: NDArray[np.float32]
+    shifted: bool
+    summed: bool
 
     @property
     def samples(self) -> int:
@@ -194,7 +255,8 @@ class Pull:
 
     def prepare(self) -> Callable[[], Pulled]:
         """Make the fields, and return the function that goes back."""
-        return partial(_pull, self.fields.make(np.ones(len(self.weights))), self.weights, self.tile)
+        lattice = _moved_lattice(self.fields, self.offset)
+        return partial(_pull, self, self.fields.make(np.ones(len(self.copies))), lattice)
 
     def gather(self, pulled: Pulled, numbers: VaryingNumbers) -> None:
         """Add the gradients that follow to those of the numbers."""
@@ -209,22 +271,30 @@ class Pull:
             dr.backward(total)
 
 
-def _pull(batch: PatchBatch, weights: NDArray[np.float32], tile: NDArray[np.float32]) -> Pulled:
-    arrays, box = batch.libraries.arrays, _extent(batch)
-    plain = _plain(batch)
+def _pull(pull: Pull, batch: PatchBatch, lattice: list[list[Field | None]]) -> Pulled:
+    arrays, finer = batch.libraries.arrays, pull.finer
+    box = covered(batch.corner, batch.samples, pull.copies, finer)
+    tile, plain = arrays.asarray(pull.tile), _plain(batch)
     result = [None if part is None else arrays.zeros(part.shape, np.complex64) for part in plain]
-    moves = np.zeros(len(tile) - 1)
-    for radiator, given in enumerate(weights):
-        way = Way(Factors(*_of_radiator(plain, batch, radiator)), arrays)
-        gradient, *others = arrays.einsum("kcij,c->kij", tile[(..., *_window(batch, box, radiator))], given)
-        if others:
-            spread = arrays.abs(way.field) ** 2
-            moves += [float((other * spread).sum(dtype=np.float64)) for other in others]
-        *own, transfer = way.back(2 * gradient * way.field).parts
+    sums = arrays.zeros(tile.shape, np.float32) if pull.summed else None
+    products, pitch, memory = np.zeros((2, 2, 2)), pull.fields.grid.pitch, Memory(arrays)
+    for radiator, copies in enumerate(pull.copies):
+        memory.restart()
+        way = Way(Factors(*_of_radiator(plain, batch, radiator)), finer, memory)
+        windows = copies.windows(batch.corner[radiator], batch.samples, box, finer)
+        gradient, *moments = gathered(tile, windows, copies, pull.shifted and copies.moved, arrays)
+        behind = [way.behind(Changes(*_of_radiator(move, batch, radiator))) for move in lattice if moments]
+        for axis, moment in enumerate(moments):
+            lenses, steps = way.products(memory.product(way.field, 2 * moment), behind)
+            products[0, : len(lenses), axis] += lenses
+            products[1, :, axis] += np.array(steps) / pitch
+        if sums is not None:
+            _add(sums, [(way.intensity, np.ones(len(windows)))], copies, windows, arrays)
+        *own, transfer = way.back(memory.product(way.field, 2 * gradient)).parts
         *targets, total = result
         for target, part in zip(targets, own, strict=True):
             if target is not None:
                 target[radiator] = part
         if total is not None:
             total[_directions(batch, radiator)] += transfer
-    return Pulled(result, moves)
+    return Pulled(result, products, None if sums is None else Part(box, sums))

@@ -5,16 +5,21 @@ With the pupil's plane waves p, the factor f on the microlens array, and the tra
 is linear in each factor. The way back takes :math:`\bar u`, for which :math:`dL = \mathrm{Re} \sum \bar u^* du`, to
 the same of every factor; the transforms' adjoints are the transforms with the other sign. All arrays are (along y,
 along x).
+
+Where f is a product of a factor along x and one along y, the field is taken through the first while it is still one row
+for each of the pupil's directions along y, and is never on the array along both axes.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from ...runtime.fft import Field, fft
+from .field_memory import Memory
 
 
 @dataclass(frozen=True)
@@ -44,22 +49,34 @@ class Factors:
         """All of them."""
         return [self.pupil, self.along_x, self.along_y, self.lenses, self.transfer]
 
-    @property
-    def on_mla(self) -> Field:
-        """The factor on the MLA, (m, m)."""
-        product = self.along_y[:, None] * self.along_x
-        return product if self.lenses is None else product * self.lenses
-
 
 @dataclass(frozen=True)
 class Changes:
     """Changes of the factors; attributes as of `Factors`, None for what does not change."""
 
-    pupil: Field | None
-    along_x: Field | None
-    along_y: Field | None
-    lenses: Field | None
-    transfer: Field | None
+    pupil: Field | None = None
+    along_x: Field | None = None
+    along_y: Field | None = None
+    lenses: Field | None = None
+    transfer: Field | None = None
+
+
+class _Passage(Protocol):
+    """From the pupil through the MLA to the spectrum that goes to the detector, and back."""
+
+    spectrum: Field
+
+    def behind(self, change: Changes) -> Field | None:
+        """Return the change behind the MLA, None where nothing changes there."""
+
+    def to_spectrum(self, behind: Field) -> Field:
+        """Take a field from behind the MLA to its spectrum."""
+
+    def from_spectrum(self, spectrum: Field) -> Field:
+        """Take a cotangent of the spectrum to behind the MLA."""
+
+    def back(self, behind: Field) -> tuple[Field, Field, Field, Field | None]:
+        """Return the cotangents of pupil, along_x, along_y and lenses from that behind the MLA, which is used up."""
 
 
 class Way:
@@ -69,98 +86,200 @@ class Way:
     ----------
     factors : Factors
         What it is multiplied by.
-    arrays : module
-        NumPy, or CuPy.
+    finer : {1, 2}
+        How many samples of the field on the detector there are for one of the patch, along each axis.
+    memory : Memory
+        Where it lies: it is lost when this restarts.
 
     Attributes
     ----------
-    field : complex64 array (2 n, 2 n)
-        On the detector, at half the distance of the patch's samples: its square has twice its frequencies, and those
-        that would fold change fastest.
+    field : complex64 array (finer n, finer n)
+        On the detector.
     """
 
-    def __init__(self, factors: Factors, arrays: Any = np) -> None:
-        self._factors, self._arrays = factors, arrays
-        self._samples, self._mla_samples = len(factors.transfer), len(factors.along_x)
-        self._on_mla = factors.on_mla
-        self._before = self._to_mla(factors.pupil)
-        self._spectrum = self._to_spectrum(self._before * self._on_mla)
-        self.field = self._to_detector(self._spectrum * factors.transfer)
+    def __init__(self, factors: Factors, finer: int, memory: Memory) -> None:
+        self._transfer, self._finer = factors.transfer, finer
+        self._memory, self._arrays = memory, memory.arrays
+        self._passage: _Passage = (_Product if factors.lenses is None else _Plane)(factors, memory)
+        self._sent = memory.product(self._passage.spectrum, factors.transfer)
+        self.field = self._to_detector(memory.product(self._passage.spectrum, factors.transfer))
+
+    @property
+    def intensity(self) -> Any:
+        """The square of the field, float32."""
+        return self.field.real**2 + self.field.imag**2
 
     def tangent(self, change: Changes) -> Field | None:
         """Return the change of the field with changes of the factors, None where it does not change."""
-        behind = _total(
-            None if change.pupil is None else self._to_mla(change.pupil) * self._on_mla,
-            _product(self._before, self._change_on_mla(change)),
-        )
+        behind = self._passage.behind(change)
         spectrum = _total(
-            None if behind is None else self._to_spectrum(behind) * self._factors.transfer,
-            _product(self._spectrum, change.transfer),
+            None if behind is None else self._memory.product(self._passage.to_spectrum(behind), self._transfer),
+            None if change.transfer is None else self._memory.product(self._passage.spectrum, change.transfer),
         )
         return None if spectrum is None else self._to_detector(spectrum)
 
-    def _change_on_mla(self, change: Changes) -> Field | None:
-        """Return the change of the factor on the MLA."""
+    def behind(self, change: Changes) -> Field:
+        """Return the change of the field behind the MLA, as `products` takes it; zero where there is none."""
+        behind = self._passage.behind(change)
+        return self._passage.from_spectrum(self._arrays.zeros_like(self._sent)) if behind is None else behind
+
+    def back(self, field: Field) -> Factors:
+        """Return the cotangents of the factors from that of the field, whose memory is used."""
+        spectrum = self._from_detector(field)
+        transfer = self._memory.back(self._passage.spectrum, spectrum)
+        behind = self._passage.from_spectrum(self._memory.back(self._transfer, spectrum))
+        return Factors(*self._passage.back(behind), transfer)
+
+    def products(self, field: Field, behind: list[Field]) -> tuple[list[float], list[float]]:
+        """Multiply a cotangent of the field, whose memory is used, with some of the field's changes.
+
+        Returns
+        -------
+        list of float
+            The products with changes `behind` the MLA.
+        list of float
+            Those with the change by a step of one sample of the patch along x, and along y.
+        """
+        arrays, n = self._arrays, len(self._sent)
+        spectrum = self._from_detector(field)
+        found: list[float] = []
+        if behind:
+            cotangent = self._passage.from_spectrum(self._memory.back(self._transfer, spectrum))
+            found = [float(arrays.vdot(cotangent, change).real) for change in behind]
+        turning = self._memory.back(spectrum, self._sent).imag
+        steps = -2 * math.pi * _cycles(n, arrays)
+        return found, [float(turning.sum(axis) @ steps) for axis in (0, 1)]
+
+    def _to_detector(self, spectrum: Field) -> Field:
+        """Take a spectrum, whose memory is used, to the detector."""
+        size = self._finer * len(spectrum)
+        if self._finer == 1:
+            return _inverse(_inverse(spectrum, 0), 1)
+        columns = _inverse(self._memory.widened(spectrum, size, 0), 0)
+        return _inverse(self._memory.widened(columns, size, 1), 1)
+
+    def _from_detector(self, field: Field) -> Field:
+        """Apply the adjoint of `_to_detector`."""
+        n, arrays = len(self._sent), self._arrays
+        columns = arrays.ascontiguousarray(_forward(field, 1)[:, :n])
+        return arrays.ascontiguousarray(_forward(columns, 0)[:n])
+
+
+def step_changes(transfer: Field, arrays: Any = np) -> tuple[Changes, Changes]:
+    """Return what moves a field by a step of one sample of the patch against x, and against y."""
+    turns = 2j * math.pi * _cycles(len(transfer), arrays)
+    return (
+        Changes(transfer=(transfer * turns).astype(np.complex64)),
+        Changes(transfer=(transfer * turns[:, None]).astype(np.complex64)),
+    )
+
+
+def _cycles(count: int, arrays: Any) -> Any:
+    """Return the cycles a sample of each frequency of a patch: the chief ray's, which no intensity feels, has none."""
+    return (arrays.arange(count) - count // 2) / count
+
+
+class _Product:
+    """Through microlenses that are a product of a factor along x and one along y."""
+
+    def __init__(self, factors: Factors, memory: Memory) -> None:
+        self._factors, self._memory, self._arrays = factors, memory, memory.arrays
+        self._samples, self._mla_samples = len(factors.transfer), len(factors.along_x)
+        self._along_rows = self._to_rows(factors.pupil)
+        self._columns = self._to_columns(memory.product(self._along_rows, factors.along_x))
+        self.spectrum = self.to_spectrum(memory.product(self._columns, factors.along_y[:, None]))
+
+    def behind(self, change: Changes) -> Field | None:
+        f, product = self._factors, self._memory.product
+        rows = _total(
+            None if change.pupil is None else product(self._to_rows(change.pupil), f.along_x),
+            None if change.along_x is None else product(self._along_rows, change.along_x),
+        )
+        return _total(
+            None if rows is None else product(self._to_columns(rows), f.along_y[:, None]),
+            None if change.along_y is None else product(self._columns, change.along_y[:, None]),
+        )
+
+    def to_spectrum(self, behind: Field) -> Field:
+        return self._arrays.ascontiguousarray(_forward(behind, 0)[: self._samples])
+
+    def from_spectrum(self, spectrum: Field) -> Field:
+        return _inverse(self._memory.widened(spectrum, self._mla_samples, 0), 0)
+
+    def back(self, behind: Field) -> tuple[Field, Field, Field, None]:
+        f, conj, size = self._factors, self._arrays.conj, len(self._factors.pupil)
+        along_y = self._memory.back(self._columns, behind).sum(1)
+        behind *= conj(f.along_y)[:, None]
+        rows = self._arrays.ascontiguousarray(_forward(behind, 0)[:size])
+        rows = _inverse(self._memory.widened(rows, self._mla_samples, 1), 1)
+        along_x = self._memory.back(self._along_rows, rows).sum(0)
+        rows *= conj(f.along_x)
+        return _forward(rows, 1)[:, :size], along_x, along_y, None
+
+    def _to_rows(self, pupil: Field) -> Field:
+        return _inverse(self._memory.widened(pupil, self._mla_samples, 1), 1)
+
+    def _to_columns(self, rows: Field) -> Field:
+        return self.from_spectrum(_forward(rows, 1)[:, : self._samples])
+
+
+class _Plane:
+    """Through any microlenses: the field is on the MLA along both axes."""
+
+    def __init__(self, factors: Factors, memory: Memory) -> None:
+        assert factors.lenses is not None
+        self._factors, self._lenses = factors, factors.lenses
+        self._memory, self._arrays = memory, memory.arrays
+        self._samples, self._mla_samples = len(factors.transfer), len(factors.along_x)
+        self._axes = memory.product(factors.along_y[:, None], factors.along_x)
+        self._on_mla = memory.product(self._axes, self._lenses)
+        self._before = self._to_mla(factors.pupil)
+        self.spectrum = self.to_spectrum(memory.product(self._before, self._on_mla))
+
+    def behind(self, change: Changes) -> Field | None:
         f = self._factors
         axes = _total(
             None if change.along_x is None else f.along_y[:, None] * change.along_x,
             None if change.along_y is None else change.along_y[:, None] * f.along_x,
         )
-        if f.lenses is None:
-            return axes
-        return _total(_product(f.lenses, axes), _product(f.along_y[:, None] * f.along_x, change.lenses))
+        on_mla = _total(
+            None if axes is None else self._lenses * axes,
+            None if change.lenses is None else self._axes * change.lenses,
+        )
+        return _total(
+            None if change.pupil is None else self._to_mla(change.pupil) * self._on_mla,
+            None if on_mla is None else self._before * on_mla,
+        )
 
-    def back(self, field: Field) -> Factors:
-        """Return the cotangents of the factors from that of the field, whose memory is used."""
-        f, conj, n, m = self._factors, self._arrays.conj, self._samples, self._mla_samples
-        columns = self._arrays.ascontiguousarray(_forward(field, 1)[:, :n])
-        spectrum = self._arrays.ascontiguousarray(_forward(columns, 0)[:n])
-        transfer = conj(self._spectrum) * spectrum
-        spectrum *= conj(f.transfer)
-        wide = self._arrays.zeros((n, m), np.complex64)
-        wide[:, :n] = spectrum
-        behind = self._arrays.zeros((m, m), np.complex64)
-        behind[:n] = _inverse(wide, 1)
-        behind = _inverse(behind, 0)
-        on_mla = conj(self._before) * behind
-        lenses = None if f.lenses is None else on_mla * conj(f.along_y[:, None] * f.along_x)
-        if f.lenses is not None:
-            on_mla *= conj(f.lenses)
-        along_x, along_y = conj(f.along_y) @ on_mla, on_mla @ conj(f.along_x)
-        behind *= conj(self._on_mla)
-        size = len(f.pupil)
-        pupil = _forward(self._arrays.ascontiguousarray(_forward(behind, 0)[:size]), 1)[:, :size]
-        return Factors(pupil, along_x, along_y, lenses, transfer)
-
-    def _to_mla(self, pupil: Field) -> Field:
-        size, m = len(pupil), self._mla_samples
-        rows = self._arrays.zeros((size, m), np.complex64)
-        rows[:, :size] = pupil
-        plane = self._arrays.zeros((m, m), np.complex64)
-        plane[:size] = _inverse(rows, 1)
-        return _inverse(plane, 0)
-
-    def _to_spectrum(self, field: Field) -> Field:
-        rows = self._arrays.ascontiguousarray(_forward(field, 0)[: self._samples])
+    def to_spectrum(self, behind: Field) -> Field:
+        rows = self._arrays.ascontiguousarray(_forward(behind, 0)[: self._samples])
         return self._arrays.ascontiguousarray(_forward(rows, 1)[:, : self._samples])
 
-    def _to_detector(self, spectrum: Field) -> Field:
-        n = len(spectrum)
-        columns = self._arrays.zeros((2 * n, n), np.complex64)
-        columns[:n] = spectrum
-        field = self._arrays.zeros((2 * n, 2 * n), np.complex64)
-        field[:, :n] = _inverse(columns, 0)
-        return _inverse(field, 1)
+    def from_spectrum(self, spectrum: Field) -> Field:
+        rows = _inverse(self._memory.widened(spectrum, self._mla_samples, 1), 1)
+        return _inverse(self._memory.widened(rows, self._mla_samples, 0), 0)
+
+    def back(self, behind: Field) -> tuple[Field, Field, Field, Field]:
+        f, conj, size = self._factors, self._arrays.conj, len(self._factors.pupil)
+        on_mla = self._memory.back(self._before, behind)
+        lenses = self._memory.back(self._axes, on_mla)
+        on_mla *= conj(self._lenses)
+        along_x, along_y = conj(f.along_y) @ on_mla, on_mla @ conj(f.along_x)
+        behind = self._memory.back(self._on_mla, behind)
+        rows = self._arrays.ascontiguousarray(_forward(behind, 0)[:size])
+        return _forward(rows, 1)[:, :size], along_x, along_y, lenses
+
+    def _to_mla(self, pupil: Field) -> Field:
+        rows = _inverse(self._memory.widened(pupil, self._mla_samples, 1), 1)
+        return _inverse(self._memory.widened(rows, self._mla_samples, 0), 0)
 
 
 def _total(one: Field | None, other: Field | None) -> Field | None:
-    """Add two changes, of which each may be none."""
-    return other if one is None else one if other is None else one + other
-
-
-def _product(field: Field, change: Field | None) -> Field | None:
-    """Multiply a field by a change, which may be none."""
-    return None if change is None else field * change
+    """Add two changes, of which each may be none, in the memory of the first."""
+    if one is None or other is None:
+        return other if one is None else one
+    one += other
+    return one
 
 
 def _forward(field: Field, axis: int) -> Field:

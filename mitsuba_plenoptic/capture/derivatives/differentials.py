@@ -12,6 +12,7 @@ from ...camera import PlenopticCamera
 from ...errors import InputError
 from ...optics import guards
 from ...runtime.batches import Threads
+from ...runtime.blas import single_threaded_blas
 from ...runtime.jobs import Job, Task
 from ..mixing import groups, mix
 from ..pupil_weights import PupilWeights
@@ -37,6 +38,7 @@ class Differentials:
         self._camera, self._points, self._pupil_weights, self._accuracy = camera, points, pupil_weights, accuracy
         self._plans: dict[float, DerivativePlan] = {}
 
+    @single_threaded_blas()
     def push(
         self,
         weights: NDArray[np.float64],
@@ -73,6 +75,7 @@ class Differentials:
             shape = (*self._camera.shape, len(directions) * len(matrix))
             return job.run(tasks(), shape, self._items(wavelengths))
 
+    @single_threaded_blas()
     def pull(
         self,
         weights: NDArray[np.float64],

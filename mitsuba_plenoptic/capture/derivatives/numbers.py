@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -18,6 +19,7 @@ from ...runtime.backend import array_module
 from ..grid import Grid
 from ..patch_factors import Elements
 from ..units import brightness
+from .aberrations import varying_path
 
 ABERRATIONS = 36
 """Zernike polynomials whose coefficients have a gradient, if the camera does not name more."""
@@ -134,8 +136,11 @@ class VaryingNumbers:
             get["aperture_radius"][0],
             get["mla_distance"][0],
             camera.lens_model,
-            get["wavefront"],
+            [dr.detach(coefficient) for coefficient in get["wavefront"][: len(camera.wavefront)]],
         )
+        aberration = None
+        if "wavefront" in self._varies:
+            aberration = partial(varying_path, dr.concat(get["wavefront"]), camera.aperture_radius)
         # The array stays where it is in the frame of the grid, and the scene turns.
         turned: Any = get["mla_rotation"][0] - grid.rotation if "mla_rotation" in self._varies else 0.0
         angle = get["mla_rotation"][0] if "mla_rotation" in self._varies else grid.rotation
@@ -143,7 +148,7 @@ class VaryingNumbers:
         wavelength = get["wavelength"][0]
         microlenses = VaryingMicrolenses(camera, grid.wavelength, cosine, lattice, get["mla_focal_length"], wavelength)
         growth: Any = wavelength / grid.wavelength if "wavelength" in self._varies else 1.0
-        return Elements(lens, microlenses, wavelength, get["detector_distance"][0], turned, growth)
+        return Elements(lens, microlenses, wavelength, get["detector_distance"][0], turned, growth, aberration)
 
     def brightness(self, camera: PlenopticCamera) -> Any:
         """Return what `units.brightness` does."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -11,20 +11,28 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...runtime.backend import backend
-from ...runtime.batches import BatchMap, PartialSum
+from ...runtime.batches import BatchMap, PartialSum, add
 from ...runtime.jobs import Job
+from ..accuracy import derivative_band_for, derivatives_share
+from ..patch_batches import Fields
 from ..patch_plan import PatchPlan
 from ..pupil_weights import PupilWeights
 from ..recorder import Recorder
 from .batches import Pull, Push
+from .copies import MOVED_COPIES, MOVED_LENSES, copy_slopes
 from .numbers import MOVES, VaryingNumbers
+from .spread_copies import SpreadCopies, covered
 
 Direction = dict[str, NDArray[np.float64]]
 """Changes of numbers, by name."""
 
 
 class DerivativePlan(PatchPlan):
-    """Point spreads of which each radiator has its own: those of neighbouring lenses do not change alike.
+    """Point spreads and their copies, with what tells the changes of these from those of the spreads.
+
+    For sums of many, radiators share spreads as they do for images; else each has a spread of its own, whose intensity
+    is sampled twice as finely as its field: its square has twice its frequencies, and those that would fold change
+    fastest. In sums of many they average out.
 
     Parameters
     ----------
@@ -40,11 +48,18 @@ class DerivativePlan(PatchPlan):
         wavelength: float,
         accuracy: float,
     ) -> None:
-        super().__init__(camera, points, pupil_weights, wavelength, accuracy, exact=True)
-        self._wavelength = wavelength
-        # The intensities of fields are sampled twice as finely as the fields.
-        low, size = 2 * self._placement.corner, 2 * self._placement.samples[:, None]
-        self._recorder = Recorder(camera, replace(self._grid, pitch=self._grid.pitch / 2), low, low + size)
+        shared = derivatives_share(accuracy, len(points))
+        band = derivative_band_for(accuracy, len(points))
+        super().__init__(camera, points, pupil_weights, wavelength, accuracy, band=band, shared=shared)
+        self._wavelength, self._finer = wavelength, 1 if shared else 2
+        low, size = self._finer * self._placement.corner, self._finer * self._placement.samples[:, None]
+        reached = self._finer * self._shifts
+        pattern = np.repeat(np.arange(len(self._first)), self._last - self._first)
+        low, size = low[pattern] + reached, size[pattern]
+        fine = replace(self._grid, pitch=self._grid.pitch / self._finer)
+        self._recorder = Recorder(camera, fine, low, low + size)
+        # From samples of the patch between copies to the distance of their lenses.
+        self._per_sample = self._grid.pitch * camera.mla_pitch / camera.micro_image_pitch
 
     def push(self, weights: NDArray[np.float64], directions: list[Direction]) -> PushSum:
         """Return the changes of the sum with these weights, (n, channels), in some directions, yet to be computed."""
@@ -73,11 +88,11 @@ class DerivativePlan(PatchPlan):
             The radiators that are done before, and those of the whole job.
         """
         numbers = VaryingNumbers(self._camera, self._wavelength, names)
-        moves = [name for name in MOVES if name in names]
-        samples = np.stack([self._recorder.spread(image, name) for name in (None, *moves)])
+        moves, shifts = ([name for name in some if name in names] for some in (MOVES, MOVED_COPIES))
+        samples = self._recorder.spread(image)
         chunks, items = self.lit_chunks(weights)
-        pulls = [self._pull(chunk, weights) for chunk in chunks]
-        batches = (self._with_tile(*pull, samples) for pull in pulls)
+        offset = self.offset_for(names)
+        batches = (self._pull(chunk, weights, offset, samples, bool(shifts), bool(moves)) for chunk in chunks)
         waiting: list[Pull] = []
 
         def kept() -> Iterator[Pull]:
@@ -85,29 +100,62 @@ class DerivativePlan(PatchPlan):
                 waiting.append(batch)
                 yield batch
 
-        moved = np.zeros(len(moves))
+        products, box = np.zeros((2, 2, 2)), self._recorder.box
+        sums: Any = backend().arrays.zeros((image.shape[2], box.rows, box.columns), np.float32) if moves else None
         for pulled in job.each(kept(), items.tolist(), done + self._count - int(items.sum()), total):
             waiting.pop(0).gather(pulled, numbers)
-            moved += pulled.moves
+            products += pulled.products
+            if pulled.spreads is not None:
+                add(pulled.spreads, box, sums)
         gradients = numbers.gradients()
-        for name, part in zip(moves, moved.tolist(), strict=True):
-            gradients[name] = gradients[name] + part
+        for name in shifts:
+            slopes = copy_slopes(self._camera, self._wavelength, name)
+            gradients[name] = gradients[name] + np.einsum("cijk,ijk->c", slopes, products)
+        for name in moves:
+            moved = self._recorder.record(sums, name)
+            gradients[name] = gradients[name] + float(np.einsum("ijk,ijk->", moved, image, dtype=np.float64))
         return gradients
 
-    def _pull(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> tuple[NDArray[np.int64], Any]:
-        given = weights[self._order[self._first[chunk]]]
-        lit = given.any(1)
-        return chunk[lit], given[lit].astype(np.float32)
+    def offset_for(self, names: Iterable[str]) -> VaryingNumbers | None:
+        """Return the numbers of which ``mla_offset`` varies, if the copies' changes by some numbers ask for it."""
+        if not self._shifts.any() or not any(name in MOVED_LENSES for name in names):
+            return None
+        return VaryingNumbers(self._camera, self._wavelength, ["mla_offset"])
 
-    def _with_tile(self, chunk: NDArray[np.int64], given: NDArray[np.float32], samples: NDArray[np.float32]) -> Pull:
+    def lit(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> tuple[Fields, list[SpreadCopies]]:
+        """Describe those spreads of a chunk that have any weight, and their copies."""
+        kept, copies = [], []
+        for pattern in chunk:
+            members = slice(self._first[pattern], self._last[pattern])
+            given = weights[self._order[members]]
+            if given.any():
+                shifts, copy = np.unique(self._shifts[members], axis=0, return_inverse=True)
+                factors = np.zeros((len(shifts), weights.shape[1]))
+                np.add.at(factors, copy.reshape(-1), given)
+                kept.append(pattern)
+                copies.append(SpreadCopies(shifts, shifts * self._per_sample, factors.astype(np.float32)))
+        return self._fields(np.array(kept, np.int64)), copies
+
+    def _pull(
+        self,
+        chunk: NDArray[np.int64],
+        weights: NDArray[np.float64],
+        offset: VaryingNumbers | None,
+        samples: Any,
+        shifted: bool,
+        summed: bool,
+    ) -> Pull:
         """Describe a batch, with the samples that it reaches; what lies beyond the recorded ones is zero."""
-        fields = self._fields(chunk)
-        corner, size = fields.placement.corner, int(fields.placement.samples[0])
-        return Pull(fields, given, self._tile(samples, 2 * corner.min(0), 2 * (corner.max(0) + size)))
+        fields, copies = self.lit(chunk, weights)
+        placement = fields.placement
+        box = covered(placement.corner, int(placement.samples[0]), copies, self._finer)
+        low = np.array([box.left, box.top])
+        tile = self._tile(samples, low, low + np.array([box.columns, box.rows]))
+        return Pull(fields, copies, self._finer, offset, tile, shifted, summed)
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
         """Return the bytes that derivatives take, of all channels in all directions, or refuse them."""
-        return super().check_memory(batch_map, 4 * channels)
+        return super().check_memory(batch_map, channels + 1 if self._finer == 1 else 4 * channels)
 
 
 class PushSum:
@@ -122,12 +170,24 @@ class PushSum:
     def batches(self, first: int) -> Iterator[Push]:
         """Yield the batches from one on, in their order."""
         plan = self._plan
+        slopes = tuple(
+            sum(
+                (
+                    np.tensordot(change, copy_slopes(plan._camera, plan._wavelength, name), 1)
+                    for name, change in changes.items()
+                    if name in MOVED_COPIES
+                ),
+                start=np.zeros((2, 2, 2)),
+            )
+            for changes in self._directions
+        )
+        offset = plan.offset_for(name for changes in self._directions for name in changes)
         for chunk in self._chunks[first:]:
             numbers = tuple(VaryingNumbers(plan._camera, plan._wavelength, changes) for changes in self._directions)
             for varying, changes in zip(numbers, self._directions, strict=True):
                 varying.set_tangents(changes)
-            lit, given = plan._pull(chunk, self._weights)
-            yield Push(plan._fields(lit), given, numbers)
+            fields, copies = plan.lit(chunk, self._weights)
+            yield Push(fields, copies, plan._finer, numbers, slopes, offset)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
         """Integrate over the recorded pixels, and add what their own moves change."""

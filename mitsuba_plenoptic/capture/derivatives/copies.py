@@ -1,0 +1,66 @@
+r"""How a copy of a point spread changes beside the spread that it is a copy of.
+
+A copy is :math:`\delta` away on the microlens array, a whole number of lenses, and on the detector
+:math:`\kappa \delta` away, :math:`\kappa = (b + z) / b`. As the camera changes, its lenses move by more than those of
+the spread, and so does the image of its point, which stays where it is in the scene. What a spread shows of a lattice
+that is moved by o, relative to the point and the detector, is its change by ``mla_offset``; what it shows of a point
+whose image moves is this and a shift. So a copy's change has two terms more,
+
+.. math:: dI_\delta = dI + (A \delta) \cdot \partial_o I + (B \delta) \cdot \nabla I,
+
+with these matrices A and B, in the frame of the lattice:
+
+- a pitch :math:`D_2` stretches the lattice: :math:`A = dD_2 / D_2` along its axis;
+- a change of b moves all images: :math:`A = B = -db / b`; of z all micro-images: :math:`B = -dz / b`;
+- where the lattice turns by :math:`\theta`, the scene turns the other way in its frame, images turn with it but not the
+  copies: A is the turn by a right angle times :math:`d\theta`, and B is :math:`\kappa A`;
+- with the wavelength the grid grows about the axis: :math:`B = \kappa \, d\lambda / \lambda`.
+
+Nothing else tells a copy from its spread.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+
+MOVED_LENSES = ("mla_pitch", "mla_distance", "mla_rotation")
+"""Numbers by which the lattice moves against the points: A is not zero."""
+
+MOVED_COPIES = (*MOVED_LENSES, "detector_distance", "wavelength")
+"""Numbers by which copies change otherwise than their spreads."""
+
+
+def copy_slopes(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[np.float64]:
+    """Return A and B for a change by 1 of each component of a number of `MOVED_COPIES`.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        In nanometres.
+
+    Returns
+    -------
+    float64 array (components, 2, 2, 2)
+        For each component A and B, each as (x and y of the move, x and y of the copy's place). Degrees and nanometres
+        are the units of ``mla_rotation`` and ``wavelength``.
+    """
+    one, none = np.eye(2), np.zeros((2, 2))
+    growth, b = camera.micro_image_pitch / camera.mla_pitch, camera.mla_distance
+    if name == "mla_pitch":
+        along = [np.diag(one[axis]) / camera.mla_pitches[axis] for axis in (0, 1)]
+        return np.array([[moved, none] for moved in along])
+    if name == "mla_distance":
+        return np.array([[-one / b, -one / b]])
+    if name == "detector_distance":
+        return np.array([[none, -one / b]])
+    if name == "mla_rotation":
+        turn = math.pi / 180 * np.array([[0.0, -1.0], [1.0, 0.0]])
+        return np.array([[turn, growth * turn]])
+    return np.array([[none, growth / wavelength * one]])

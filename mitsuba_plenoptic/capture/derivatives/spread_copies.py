@@ -1,0 +1,84 @@
+"""Copies of point spreads of which the changes are added, and those from which a gradient is taken back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...runtime.batches import Box
+
+Window = tuple[slice, slice]
+"""Rows and columns of a box of the grid."""
+
+_BLOCK = 2**18
+"""Samples that are gathered at a time: so many stay in a core's own cache."""
+
+
+@dataclass(frozen=True)
+class SpreadCopies:
+    """Where and how strongly a point spread is recorded.
+
+    Attributes
+    ----------
+    shifts : int64 array (copies, 2)
+        Samples of the patch along x and y by which each copy is moved.
+    places : float64 array (copies, 2)
+        The same on the microlens array, in millimetres.
+    weights : float32 array (copies, channels)
+        Factors on the intensity.
+    """
+
+    shifts: NDArray[np.int64]
+    places: NDArray[np.float64]
+    weights: NDArray[np.float32]
+
+    @property
+    def moved(self) -> bool:
+        """Whether any copy lies elsewhere than the spread itself."""
+        return bool(self.shifts.any())
+
+    def windows(self, corner: NDArray[np.int64], samples: int, box: Box, finer: int) -> list[Window]:
+        """Return what each copy of a patch takes of a box of the grid, which is finer than the patches."""
+        start = finer * (corner + self.shifts) - np.array([box.left, box.top])
+        size = finer * samples
+        return [(slice(y, y + size), slice(x, x + size)) for x, y in start.tolist()]
+
+
+def covered(corner: NDArray[np.int64], samples: int, copies: list[SpreadCopies], finer: int) -> Box:
+    """Return what patches and their copies reach of the grid that is finer than they are."""
+    corners = np.concatenate([place + copy.shifts for place, copy in zip(corner, copies, strict=True)])
+    return Box.between(finer * corners.min(0), finer * (corners.max(0) + samples))
+
+
+def gathered(tile: Any, windows: list[Window], copies: SpreadCopies, moments: bool, arrays: Any) -> list[Any]:
+    """Add up, over the copies, what a tile has in their windows, with their weights.
+
+    Parameters
+    ----------
+    tile : float32 array (channels, rows, columns)
+        On the box of the windows.
+    moments : bool
+        Whether to add it up, too, with the weights times the copies' places along x, and along y.
+
+    Returns
+    -------
+    list of float32 arrays (rows, columns)
+        One, or three.
+    """
+    along = [np.ones(len(windows)), *copies.places.T] if moments else [np.ones(len(windows))]
+    which, channels = np.nonzero(copies.weights)
+    factors = arrays.asarray((np.array(along)[:, which] * copies.weights[which, channels]).astype(np.float32))
+    rows, columns = (part.stop - part.start for part in windows[0])
+    result = arrays.empty((len(along), rows, columns), np.float32)
+    block = max(1, _BLOCK // max(1, len(which) * columns))
+    for first in range(0, rows, block):
+        last = min(rows, first + block)
+        held = arrays.empty((len(which), last - first, columns), np.float32)
+        for part, copy, channel in zip(held, which.tolist(), channels.tolist(), strict=True):
+            window_rows, window_columns = windows[copy]
+            part[...] = tile[channel, window_rows.start + first : window_rows.start + last, window_columns]
+        result[:, first:last] = (factors @ held.reshape(len(which), -1)).reshape(len(along), last - first, columns)
+    return list(result)
