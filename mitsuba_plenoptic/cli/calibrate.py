@@ -145,7 +145,7 @@ def _detect(
 ) -> None:
     from .. import calibration
 
-    output = _output(output)
+    output, known = _output(output), None
     if camera is not None:
         known, index = load_camera(camera, {})
         middles = calibration.camera_centres(known, index)
@@ -162,7 +162,9 @@ def _detect(
     found = []
     for frame, path in enumerate(paths):
         picture = _picture(path, linear)
-        found.append(calibration.detect_corners(picture, light, middles, board, frame=frame, name=path.name))
+        found.append(
+            calibration.detect_corners(picture, light, middles, board, camera=known, frame=frame, name=path.name)
+        )
         seen = len(np.unique(found[-1]["cluster"]))
         typer.echo(f"frame {frame}, {path.name}: {seen} corners, seen {len(found[-1]['k'])} times")
     calibration.write_corners(output, calibration.joined(found))
