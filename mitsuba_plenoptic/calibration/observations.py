@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ..errors import InputError, require_count, require_number
 from ..io.files import require_file
@@ -245,6 +246,13 @@ def observations(corners: Table, board: Board, index: LensIndex) -> tuple[Observ
     frames, pose = np.unique(corners["frame"], return_inverse=True)
     places = board.places(corners["cluster"])
     return Observations(index.unit(corners["k"], corners["l"]), corners.pixel, places, pose), frames
+
+
+def placed(places: np.ndarray, poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Return places (n, 2) on boards, each in its own of some poses, in the camera frame, (n, 3)."""
+    flat = np.concatenate([places, np.zeros((len(places), 1))], axis=1)
+    turned: np.ndarray = Rotation.from_rotvec(poses[pose, :3]).apply(flat)
+    return turned + poses[pose, 3:]
 
 
 def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[LensIndex, np.ndarray]:
