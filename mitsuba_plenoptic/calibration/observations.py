@@ -29,6 +29,9 @@ CENTRE_COLUMNS = ("k", "l", "u", "v")
 _WHOLE = {"k", "l", "cluster", "frame"}
 _LARGEST = 2**20
 
+# A lattice is another where that leaves so much less of the pixels' distances from its grid.
+_OTHER_LATTICE = 0.8
+
 # Lenses of fewer pixels show no corner, nor do their centres tell anything.
 _CLOSEST = 2
 
@@ -278,18 +281,26 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
     InputError
         If the lenses do not span a plane, or are no grid of rows counted one by one.
     """
-    pixel, best = table.pixel, None
-    for odd_rows in (-0.5, 0.5) if hexagonal else (0.0,):
+    pixel, best, other = table.pixel, None, np.inf
+    for odd_rows in (-0.5, 0.0, 0.5):
         places = LensIndex(odd_rows, 1, (0, 0)).unit(table["k"], table["l"])
         matrix = np.column_stack([np.ones(len(places)), places])
         grid, _, rank, _ = np.linalg.lstsq(matrix, pixel)
         if rank < 3:
             raise InputError(f"{table.name}: all lenses lie on one line; corners of at least two rows are needed")
         error = float(np.sqrt(((matrix @ grid - pixel) ** 2).sum(1).mean()))
-        if best is None or error < best[0]:
+        if hexagonal != bool(odd_rows):
+            other = min(other, error)
+        elif best is None or error < best[0]:
             best = error, odd_rows, grid
     assert best is not None
     error, odd_rows, grid = best
+    if other < _OTHER_LATTICE * error:
+        rows = "does not shift" if hexagonal else "shifts"
+        raise InputError(
+            f"{table.name}: the array {rows} its odd rows by half a pitch, other than the camera's mla_lattice: pixels "
+            f"lie {error:.3g} from a grid of that and {other:.3g} from the other"
+        )
     if error > 0.5 * min(np.hypot(*step) for step in grid[1:]):
         raise InputError(
             f"{table.name}: pixels lie {error:.3g} from a regular grid of lenses {np.hypot(*grid[1]):.3g} apart: k "

@@ -83,6 +83,10 @@ def calibrate(
     if bool(sources) == (evaluate is not None):
         raise typer.BadParameter("give corners or pictures, or corners to --evaluate", param_hint="SOURCE")
     pictures = [path.suffix.lower() in _PICTURES for path in sources]
+    if evaluate is not None and output is not None:
+        raise typer.BadParameter("--evaluate prints and writes no file", param_hint="--output")
+    if report is not None and (evaluate is not None or all(pictures)):
+        raise typer.BadParameter("a report is of a calibration from corners", param_hint="--report")
     if evaluate is not None:
         _evaluate(evaluate, camera, board, square)
     elif all(pictures) and board is not None:
