@@ -32,9 +32,15 @@ class CutBlur:
     ----------
     camera : PlenopticCamera
         The camera; its tilt and distortion change nothing that matters here.
+
+    Raises
+    ------
+    InputError
+        If its main lens is not thin.
     """
 
     def __init__(self, camera: PlenopticCamera) -> None:
+        camera.require_thin("what the pupil cuts of blur is computed")
         self._z = camera.detector_distance
         self._b = camera.mla_distance
         self._ratios = self._z / np.array(camera.mla_focal_lengths)
