@@ -58,12 +58,18 @@ ROUND_TRIP_PHOTONS = 300
 ROUND_TRIP_TOLD = 12
 
 
-def round_trip(verdict: Verdict, seeds: int = 100) -> None:
+# Of each picture of a seed. What is left of the rendering's noise is drawn anew for each, as the photons' is.
+ROUND_TRIP_SAMPLES = 128
+
+# By how much boards of one pose differ from seed to seed: radians, and mm, so that corners lie anywhere in a pixel.
+ROUND_TRIP_MOVED = np.array([0.005, 0.005, 0.005, 0.5, 0.5, 1.0])
+
+
+def round_trip(verdict: Verdict, seeds: int = 40) -> None:
     """Render boards by a tilted camera that distorts, add photon noise, detect, calibrate, and judge the errors.
 
-    Each pose is rendered once, with so many samples that its noise is some twentieth of the photons' variance; each
-    seed draws all photons anew, detects all corners and calibrates. An error that all seeds share (of the detection, or
-    left by the rendering) counts as much as one that they do not, and is printed beside.
+    Each seed moves the boards a little, renders them, draws all photons, detects all corners and calibrates: pictures
+    that seeds shared would err alike, which is no noise of a seed. What seeds still share is printed beside.
 
     The error of a combination of numbers is taken by what it changes of the corners' pixels: corners alone leave some
     combinations so open that the others are not linear in the numbers over them.
@@ -74,24 +80,24 @@ def round_trip(verdict: Verdict, seeds: int = 100) -> None:
         resolution=size, crop_size=size, crop_offset=(0, 0), detector_width=size[0] * camera.pixel_size
     )
     white, centres = white_image(camera), camera_centres(camera)
-    pictures = []
-    for frame, pose in enumerate(ROUND_TRIP_POSES):
-        scene = board_scene(board, pose, camera)
-        parts = [render_capture(scene, spp=256, seed=part * len(ROUND_TRIP_POSES) + frame).image for part in range(4)]
-        pictures.append(np.mean(parts, axis=0, dtype=float))
-    errors, left = [], []
+    errors: list[CombinedErrors] = []
+    left = []
     for seed in range(seeds):
         generator = np.random.default_rng(seed)
+        poses = ROUND_TRIP_POSES + ROUND_TRIP_MOVED * generator.uniform(-1, 1, ROUND_TRIP_POSES.shape)
         tables = []
-        for frame, picture in enumerate(pictures):
-            noisy = generator.poisson(ROUND_TRIP_PHOTONS * picture) / ROUND_TRIP_PHOTONS
+        for frame, pose in enumerate(poses):
+            scene = board_scene(board, pose, camera)
+            picture = render_capture(scene, spp=ROUND_TRIP_SAMPLES, seed=seed * len(poses) + frame).image
+            noisy = generator.poisson(ROUND_TRIP_PHOTONS * picture.clip(0).astype(float)) / ROUND_TRIP_PHOTONS
             tables.append(detect_corners(noisy, white, centres, board, frame=frame))
         corners = joined(tables)
         found = calibrate(corners, board, start)
         left.append(found.evaluation.error)
         seen, _ = observations(corners, board, LensIndex(0.5, 1, (0, 0)))
-        errors.append(combined_errors(seen, found.evaluation.residuals, errors[0] if errors else None))
-    print(f"round trip: {np.mean(left):.4f} px RMS over {len(seen)} corners of the last seed")
+        errors.append(combined_errors(seen, found.evaluation.residuals, poses, errors[0] if errors else None))
+        print(f"round trip, seed {seed}: {left[-1]:.4f} px RMS over {len(seen)} corners", flush=True)
+    print(f"round trip: {np.mean(left):.4f} px RMS on average")
     judge_combinations(verdict, np.array([error.values for error in errors]))
 
 
@@ -145,11 +151,13 @@ class CombinedErrors:
     directions: np.ndarray
 
 
-def combined_errors(seen: Observations, residuals: np.ndarray, like: CombinedErrors | None) -> CombinedErrors:
+def combined_errors(
+    seen: Observations, residuals: np.ndarray, poses: np.ndarray, like: CombinedErrors | None
+) -> CombinedErrors:
     """Return errors of the combinations of a fit's numbers that are told best, with the signs of those of `like`."""
     camera = ROUND_TRIP_CAMERA
     geometry = {"pixel_size": camera.pixel_size, "row_ratio": camera.lattice.row_ratio}
-    true, by_numbers, by_pose = predict(numbers_of(camera), ROUND_TRIP_POSES, seen, **geometry)
+    true, by_numbers, by_pose = predict(numbers_of(camera), poses, seen, **geometry)
     for pose in range(seen.poses):
         # What a pose makes up for tells nothing of the camera.
         mine = seen.pose == pose

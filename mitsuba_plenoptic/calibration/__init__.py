@@ -6,6 +6,7 @@ from .detect import camera_centres, detect_corners, write_corners
 from .files import read_camera, write_calibration
 from .fit import Calibration, Evaluation, calibrate, evaluate, left_out_errors
 from .observations import Board, LensIndex, Table, joined, read_centres, read_corners
+from .residuals import ResidualMap, residual_map
 from .white import Centres, find_centres, write_centres
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "Centres",
     "Evaluation",
     "LensIndex",
+    "ResidualMap",
     "Table",
     "board_scene",
     "calibrate",
@@ -27,6 +29,7 @@ __all__ = [
     "read_camera",
     "read_centres",
     "read_corners",
+    "residual_map",
     "write_calibration",
     "write_centres",
     "write_corners",

@@ -17,11 +17,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..errors import InputError
 from ..lattice.base import Lattice
 from .model import AT, Observations
+from .observations import placed
 
 # The part of the radii's variance that may be left, and the least part of that which curves in place of lines leave:
 # radii without a sign are bent where they are in focus.
@@ -119,10 +119,6 @@ def fit_blur(
 def image_ratios(seen: Observations, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
     """Return z/a of each observation: the detector's distance over that of the corner's image before the array."""
     f, b, z = numbers[:3]
-    corner = np.concatenate([seen.board, np.zeros((len(seen), 1))], axis=1)
-    distance = np.empty(len(seen))
-    for index, pose in enumerate(poses):
-        mine = seen.pose == index
-        distance[mine] = Rotation.from_rotvec(pose[:3]).apply(corner[mine])[:, 2] + pose[5]
+    distance = placed(seen.board, poses, seen.pose)[:, 2]
     ratios: np.ndarray = z / (b - distance * f / (distance - f))
     return ratios

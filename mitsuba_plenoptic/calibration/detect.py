@@ -7,6 +7,7 @@ to look.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,10 @@ from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..io.captures import require_pixels
 from ..io.files import atomic_output
+from ..lightfield.grid import lens_types
 from ..runtime.limits import require_memory
 from .board_view import BoardView, Picture, find_board
+from .cut_blur import CutBlur
 from .model import predict_centres
 from .numbers import numbers_of
 from .observations import CORNER_COLUMNS, Board, LensIndex, Table
@@ -48,7 +51,14 @@ _FEWEST = 3
 
 
 def detect_corners(
-    image: np.ndarray, white: np.ndarray, centres: Table, board: Board, *, frame: int = 0, name: str = "picture"
+    image: np.ndarray,
+    white: np.ndarray,
+    centres: Table,
+    board: Board,
+    *,
+    camera: PlenopticCamera | None = None,
+    frame: int = 0,
+    name: str = "picture",
 ) -> Table:
     """Find the corners of a board in a raw picture, in every micro-image that shows one.
 
@@ -62,6 +72,9 @@ def detect_corners(
         Centres of micro-images, as `read_centres` and `Centres.table` give them; `camera_centres` of a known camera.
     board : Board
         The board; its whole must be in the picture. Its squares' size does not matter.
+    camera : PlenopticCamera, optional
+        The camera, if it is known: what the main lens's pupil cuts off the microlenses' blur then displaces no corner
+        (`CutBlur`).
     frame : int
         Number of the picture.
     name : str
@@ -80,7 +93,7 @@ def detect_corners(
     """
     picture = _picture(image, white, centres, name)
     found = find_board(picture, board)
-    corner, lens, saddles = _refined(picture, found)
+    corner, lens, saddles = _refined(picture, found, camera)
     if not len(corner):
         raise InputError(
             f"{name}: a board of {board.columns}x{board.rows} is seen in it, but none of its corners sharply"
@@ -178,8 +191,12 @@ def _grey(name: str, image: np.ndarray) -> np.ndarray:
     return values if values.ndim == 2 else values.mean(axis=2)
 
 
-def _refined(picture: Picture, found: BoardView) -> tuple[np.ndarray, np.ndarray, Saddles]:
+def _refined(
+    picture: Picture, found: BoardView, camera: PlenopticCamera | None
+) -> tuple[np.ndarray, np.ndarray, Saddles]:
     """Return of each corner that is seen through a lens the corner, the lens and the place."""
+    cut = None if camera is None else CutBlur(camera)
+    kind = None if camera is None else lens_types(camera, picture.centre + 0.5)
     place, angles = found.corners.reshape(-1, 2), _directions(found.corners)
     disparity = np.full(len(place), found.disparity)
     for _ in range(_PASSES):
@@ -193,6 +210,7 @@ def _refined(picture: Picture, found: BoardView) -> tuple[np.ndarray, np.ndarray
             picture.centre[lens],
             radius=picture.radius,
             even=picture.even,
+            seen=None if cut is None or kind is None else _shown(cut, kind[lens], disparity[corner]),
         )
         good = saddles.deviation < _DEVIATION
         if good.any():
@@ -202,6 +220,12 @@ def _refined(picture: Picture, found: BoardView) -> tuple[np.ndarray, np.ndarray
         place, disparity, kept = _agreed(picture, corner, lens, saddles.place, place, disparity)
     saddles = Saddles(saddles.place[kept], saddles.deviation[kept], saddles.contrast[kept], saddles.blur[kept])
     return corner[kept], lens[kept], saddles
+
+
+def _shown(cut: CutBlur, kind: np.ndarray, disparity: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Return by how much what pixels about corners show lies from where they are, for `find_saddles`."""
+    defocus = cut.defocus(kind, disparity)
+    return lambda rows, arm: cut.displaced(kind[rows], defocus[rows], arm)
 
 
 def _directions(corners: np.ndarray) -> np.ndarray:

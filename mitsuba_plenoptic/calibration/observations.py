@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ..errors import InputError, require_count, require_number
 from ..io.files import require_file
@@ -27,6 +28,9 @@ CENTRE_COLUMNS = ("k", "l", "u", "v")
 
 _WHOLE = {"k", "l", "cluster", "frame"}
 _LARGEST = 2**20
+
+# A lattice is another where that leaves so much less of the pixels' distances from its grid.
+_OTHER_LATTICE = 0.8
 
 # Lenses of fewer pixels show no corner, nor do their centres tell anything.
 _CLOSEST = 2
@@ -247,6 +251,13 @@ def observations(corners: Table, board: Board, index: LensIndex) -> tuple[Observ
     return Observations(index.unit(corners["k"], corners["l"]), corners.pixel, places, pose), frames
 
 
+def placed(places: np.ndarray, poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Return places (n, 2) on boards, each in its own of some poses, in the camera frame, (n, 3)."""
+    flat = np.concatenate([places, np.zeros((len(places), 1))], axis=1)
+    turned: np.ndarray = Rotation.from_rotvec(poses[pose, :3]).apply(flat)
+    return turned + poses[pose, 3:]
+
+
 def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[LensIndex, np.ndarray]:
     """Find how a table counts its lenses, from where their pixels lie.
 
@@ -270,18 +281,26 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
     InputError
         If the lenses do not span a plane, or are no grid of rows counted one by one.
     """
-    pixel, best = table.pixel, None
-    for odd_rows in (-0.5, 0.5) if hexagonal else (0.0,):
+    pixel, best, other = table.pixel, None, np.inf
+    for odd_rows in (-0.5, 0.0, 0.5):
         places = LensIndex(odd_rows, 1, (0, 0)).unit(table["k"], table["l"])
         matrix = np.column_stack([np.ones(len(places)), places])
         grid, _, rank, _ = np.linalg.lstsq(matrix, pixel)
         if rank < 3:
             raise InputError(f"{table.name}: all lenses lie on one line; corners of at least two rows are needed")
         error = float(np.sqrt(((matrix @ grid - pixel) ** 2).sum(1).mean()))
-        if best is None or error < best[0]:
+        if hexagonal != bool(odd_rows):
+            other = min(other, error)
+        elif best is None or error < best[0]:
             best = error, odd_rows, grid
     assert best is not None
     error, odd_rows, grid = best
+    if other < _OTHER_LATTICE * error:
+        rows = "does not shift" if hexagonal else "shifts"
+        raise InputError(
+            f"{table.name}: the array {rows} its odd rows by half a pitch, other than the camera's mla_lattice: pixels "
+            f"lie {error:.3g} from a grid of that and {other:.3g} from the other"
+        )
     if error > 0.5 * min(np.hypot(*step) for step in grid[1:]):
         raise InputError(
             f"{table.name}: pixels lie {error:.3g} from a regular grid of lenses {np.hypot(*grid[1]):.3g} apart: k "

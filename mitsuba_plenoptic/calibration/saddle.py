@@ -11,7 +11,9 @@ numbers are fitted by least squares (Levenberg and Marquardt).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.special import erf
@@ -61,6 +63,7 @@ def find_saddles(
     *,
     radius: float,
     even: float,
+    seen: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> Saddles:
     """Refine corners, each within a window of its micro-image.
 
@@ -78,9 +81,15 @@ def find_saddles(
         Of the micro-images in pixels.
     even : float
         Distance from their centres within which pixels are used.
+    seen : callable, optional
+        Of corners (n,), by number, and pixels (n, pixels, 2) from the centres of their micro-images: by how much what
+        the pixels show lies from where they are. Default: nothing.
     """
     blocks = np.array_split(np.arange(len(place)), max(1, -(-len(place) // _BLOCK)))
-    parts = [_fit(image, weight, place[rows], angles[rows], centre[rows], radius, even) for rows in blocks]
+    parts = []
+    for rows in blocks:
+        shift = None if seen is None else partial(seen, rows)
+        parts.append(_fit(image, weight, place[rows], angles[rows], centre[rows], radius, even, shift))
     return Saddles(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
@@ -92,6 +101,7 @@ def _fit(
     centre: np.ndarray,
     radius: float,
     even: float,
+    seen: Callable[[np.ndarray], np.ndarray] | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     n = len(place)
     # Cut off at the rim of the micro-image alone, a window would draw the corner to one side.
@@ -100,15 +110,17 @@ def _fit(
     steps = np.stack(np.meshgrid(*[np.arange(-half, half + 1)] * 2), axis=-1).reshape(-1, 2)
     pixel = np.round(place).astype(int)[:, None] + steps
     x, y = (pixel[:, :, axis].clip(0, image.shape[1 - axis] - 1) for axis in (0, 1))
+    arm = pixel - centre[:, None]
+    shown = pixel if seen is None else pixel + seen(arm)
     # A window with a soft rim that is symmetrical about the corner, without what is beyond the evenly lit part.
-    distance = np.hypot(*np.moveaxis(pixel - place[:, None], 2, 0))
+    distance = np.hypot(*np.moveaxis(shown - place[:, None], 2, 0))
     w = weight[y, x] * (reach + 0.5 - distance).clip(0, 1)
-    w *= np.hypot(*np.moveaxis(pixel - centre[:, None], 2, 0)) < even
+    w *= np.hypot(*np.moveaxis(arm, 2, 0)) < even
     w *= (pixel == np.stack([x, y], axis=-1)).all(2)
     value = image[y, x]
     enough = w.sum(1) > 12
     p = np.concatenate([place, angles, np.full((n, 1), np.log(_BLUR))], axis=1)
-    p, linear, square, information = _descend(pixel, value, w, p, place)
+    p, linear, square, information = _descend(shown, value, w, p, place)
     degrees = np.maximum(w.sum(1) - 7, 1)
     covariance = np.linalg.pinv(information[:, :2, :2]) * (square / degrees)[:, None, None]
     deviation = np.sqrt(np.linalg.eigvalsh(covariance)[:, 1].clip(0))

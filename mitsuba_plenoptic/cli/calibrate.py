@@ -83,6 +83,10 @@ def calibrate(
     if bool(sources) == (evaluate is not None):
         raise typer.BadParameter("give corners or pictures, or corners to --evaluate", param_hint="SOURCE")
     pictures = [path.suffix.lower() in _PICTURES for path in sources]
+    if evaluate is not None and output is not None:
+        raise typer.BadParameter("--evaluate prints and writes no file", param_hint="--output")
+    if report is not None and (evaluate is not None or all(pictures)):
+        raise typer.BadParameter("a report is of a calibration from corners", param_hint="--report")
     if evaluate is not None:
         _evaluate(evaluate, camera, board, square)
     elif all(pictures) and board is not None:
@@ -145,7 +149,7 @@ def _detect(
 ) -> None:
     from .. import calibration
 
-    output = _output(output)
+    output, known = _output(output), None
     if camera is not None:
         known, index = load_camera(camera, {})
         middles = calibration.camera_centres(known, index)
@@ -162,7 +166,9 @@ def _detect(
     found = []
     for frame, path in enumerate(paths):
         picture = _picture(path, linear)
-        found.append(calibration.detect_corners(picture, light, middles, board, frame=frame, name=path.name))
+        found.append(
+            calibration.detect_corners(picture, light, middles, board, camera=known, frame=frame, name=path.name)
+        )
         seen = len(np.unique(found[-1]["cluster"]))
         typer.echo(f"frame {frame}, {path.name}: {seen} corners, seen {len(found[-1]['k'])} times")
     calibration.write_corners(output, calibration.joined(found))

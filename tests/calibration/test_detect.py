@@ -163,6 +163,8 @@ def test_pictures_without_a_board_get_one_line(pictures, change, words):
     [
         (["a.png", "--board", "4x3"], "need a white image"),
         (["a.png", "b.csv", "--board", "4x3"], "one table of corners"),
+        (["a.png", "--report", "a.html"], "a report is of a calibration"),
+        (["--evaluate", "a.csv"], "writes no file"),
     ],
 )
 def test_commands_that_lack_something(tmp_path, capsys, arguments, words):

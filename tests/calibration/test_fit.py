@@ -139,6 +139,19 @@ def test_rows_of_a_hexagonal_lattice_that_run_along_its_columns_are_refused(tabl
         calibrate(Table("corners.csv", turned), cases.BOARD, START)
 
 
+def test_a_lattice_that_is_not_the_cameras_is_refused(table, centres):
+    square = START.replace(mla_lattice="square", mla_focal_length=0.56)
+    for given in (centres, None):
+        with pytest.raises(
+            InputError, match=r"shifts its odd rows by half a pitch, other than the camera's mla_lattice"
+        ):
+            calibrate(table, cases.BOARD, square, given)
+    k, l = (index.ravel() for index in np.mgrid[0:60, 0:50])  # noqa: E741
+    straight = Table("centres.csv", {"k": k, "l": l, "u": 30.0 + 23.3 * k, "v": 30.0 + 23.3 * l})
+    with pytest.raises(InputError, match="does not shift its odd rows"):
+        calibrate(table, cases.BOARD, START, straight)
+
+
 def test_boards_at_one_distance_tell_too_little():
     poses = np.tile([0.0, 0.0, 3.1, 14, 9, 300], (4, 1)) + [[0, 0, 0, shift, shift, 0] for shift in range(4)]
     with pytest.raises(InputError, match="same distance"):

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from scipy.spatial.transform import Rotation
 
-from ...calibration import Board, Calibration, Table
+from ...calibration import Board, Calibration, ResidualMap, Table, residual_map
 from ...calibration.model import UNITS
+from ...calibration.observations import placed
+from ...calibration.residuals import field_cells, group_means
 from ...io.files import atomic_output
 
 # Cells across the detector of which the mean residual is drawn, and how much it is enlarged there.
@@ -50,9 +51,15 @@ def write_calibration_report(
         lstrip_blocks=True,
     )
     size, seen = calibration.camera.crop_size, calibration.evaluation
-    maps = [("Corners", _arrows(corners.pixel, -seen.residuals, size))]
+    field, depth, lens = (
+        residual_map(calibration, board, corners, by, parts)
+        for by, parts in (("field", _CELLS), ("depth", _PARTS), ("lens", 1))
+    )
+    maps = [("Corners", _arrows(field.key, field.mean, size))]
     if centres is not None:
-        maps.append(("Centres of micro-images", _arrows(centres.pixel, -calibration.centre_residuals, size)))
+        middle, cell = field_cells(centres.pixel, size[0] / _CELLS)
+        means = group_means(-calibration.centre_residuals, cell)[1]
+        maps.append(("Centres of micro-images", _arrows(middle, means, size)))
     radius = np.hypot(*(corners.pixel - (np.array(size) - 1) / 2).T)
     page = environment.get_template("calibration.html").render(
         calibration=calibration,
@@ -65,23 +72,27 @@ def write_calibration_report(
         enlarged=_ENLARGED,
         tables=[
             ("Pixels from the detector's centre", _by(radius, seen.residuals)),
-            ("Distance of the corner, mm", _by(_depths(calibration, board, corners), seen.residuals)),
+            ("Distance of the corner, mm", [*zip(*depth.key.T, depth.count, depth.error, strict=True)]),
         ],
+        lenses=_lenses(lens, size),
+        worst=float(lens.error.max()),
         boards=_boards(calibration, board),
     )
     with atomic_output(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
 
-def _arrows(pixel: np.ndarray, residual: np.ndarray, size: Sequence[int]) -> list[tuple[float, float, float, float]]:
-    """Return the mean residual of each cell of the detector as a line from its middle, in the drawing's units."""
-    side = size[0] / _CELLS
-    cell = np.floor(pixel / side).astype(int)
-    key, which = np.unique(cell, axis=0, return_inverse=True)
-    mean = np.stack([np.bincount(which, column) for column in residual.T], axis=-1) / np.bincount(which)[:, None]
-    start = (key + 0.5) * side
-    lines = np.concatenate([start, start + _ENLARGED * mean], axis=1) * (_WIDTH / size[0])
+def _arrows(middle: np.ndarray, mean: np.ndarray, size: Sequence[int]) -> list[tuple[float, float, float, float]]:
+    """Return mean residuals as lines from the middle of their cell of the detector, in the drawing's units."""
+    lines = np.concatenate([middle + 0.5, middle + 0.5 + _ENLARGED * mean], axis=1) * (_WIDTH / size[0])
     return [tuple(line) for line in lines.round(1).tolist()]
+
+
+def _lenses(lens: ResidualMap, size: Sequence[int]) -> list[tuple[float, float, float]]:
+    """Return place and darkness of each lens's mark: its error over the greatest that a twentieth of them exceed."""
+    place = (lens.key[:, 2:] + 0.5) * (_WIDTH / size[0])
+    dark = (lens.error / max(float(np.quantile(lens.error, 0.95)), 1e-12)).clip(0.05, 1)
+    return [tuple(mark) for mark in np.column_stack([place.round(1), dark.round(2)]).tolist()]
 
 
 def _by(quantity: np.ndarray, residuals: np.ndarray) -> list[tuple[float, float, int, float]]:
@@ -98,31 +109,15 @@ def _rms(residuals: np.ndarray) -> float:
     return float(np.sqrt((residuals**2).sum(1).mean()))
 
 
-def _placed(pose: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return places on a board in the camera frame."""
-    flat = np.concatenate([places, np.zeros((len(places), 1))], axis=1)
-    placed: np.ndarray = Rotation.from_rotvec(pose[:3]).apply(flat) + pose[3:]
-    return placed
-
-
-def _depths(calibration: Calibration, board: Board, corners: Table) -> np.ndarray:
-    seen, places = calibration.evaluation, board.places(corners["cluster"])
-    depths = np.empty(len(places))
-    for index, pose in enumerate(seen.poses):
-        mine = seen.pose == index
-        depths[mine] = _placed(pose, places[mine])[:, 2]
-    return depths
-
-
 def _boards(calibration: Calibration, board: Board) -> list[dict[str, Any]]:
     """Draw the boards obliquely from the side, with the camera at the left end of the axis."""
     width, height = (board.columns - 1) * board.square, (board.rows - 1) * board.square
     outline = np.array([[0, 0], [width, 0], [width, height], [0, height]])
     seen = calibration.evaluation
-    placed = [_placed(pose, outline) for pose in seen.poses]
-    scale = (_WIDTH - 40) / max((corner[:, 2] + 0.35 * np.abs(corner[:, 0])).max() for corner in placed)
+    outlines = [placed(outline, pose[None], np.zeros(len(outline), dtype=int)) for pose in seen.poses]
+    scale = (_WIDTH - 40) / max((corner[:, 2] + 0.35 * np.abs(corner[:, 0])).max() for corner in outlines)
     drawings = []
-    for frame, corner in zip(seen.frames, placed, strict=True):
+    for frame, corner in zip(seen.frames, outlines, strict=True):
         # Oblique: depth to the right, x towards the reader.
         across = 20 + scale * (corner[:, 2] + 0.35 * corner[:, 0])
         down = 150 - scale * (corner[:, 1] - 0.35 * corner[:, 0])
