@@ -120,7 +120,7 @@ class Response:
         cell = self._sampled.index[members[len(members) // 2]]
         batches = self._batches(self.cells, distance, cell)
         flat = [batch for some in batches for batch in some]
-        share = [0] * (len(flat) - 1) + [len(batches)]
+        share = [int(number == len(some) - 1) for some in batches for number in range(len(some))]
         parts = job.each(flat, share, done, total)
         return make_kernel(self.cells, cell, ([next(parts) for _ in some] for some in batches))
 
