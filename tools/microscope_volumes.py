@@ -84,8 +84,9 @@ def deconvolved_beads(camera: PlenopticCamera, depths: np.ndarray, iterations: i
         progress=lambda done, total: times.setdefault(done, time.perf_counter()),
     )
     # Point spreads are the first 30 of the 100 parts of the work that are told, steps the others.
-    planned = times[max(done for done in times if done <= 30)]
-    seconds = {"step": (times[100] - planned) / iterations, "planning": planned - times[0]}
+    planned, first = max(done for done in times if done <= 30), min(done for done in times if done > 30)
+    # Where something is compiled it is in the first step.
+    seconds = {"step": (times[100] - times[first]) / (iterations - 1), "planning": times[planned] - times[0]}
     rows = []
     for plane, (X, Y, depth) in zip(found, points, strict=True):
         values = np.nan_to_num(plane.image)
@@ -176,6 +177,8 @@ def main() -> None:
     parser.add_argument("--peer-planes", type=int, help="planes with which pyolaf is compared; default: as many")
     parser.add_argument("--alone", action="store_true", help="do without pyolaf")
     arguments = start(parser)
+    if not 2 <= arguments.iterations <= 70:
+        parser.error(f"--iterations {arguments.iterations}: steps are timed between 2 and 70")
     camera, depths = microscope(arguments.lenses), np.linspace(NEAREST, FARTHEST, arguments.planes)
     widths, whole = deconvolved_beads(camera, depths, arguments.iterations)
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024) / 2**30
