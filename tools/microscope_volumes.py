@@ -74,6 +74,10 @@ def deconvolved_beads(camera: PlenopticCamera, depths: np.ndarray, iterations: i
     image = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0).forward(np.ones(len(points)))
     capture = Capture(np.maximum(image, 0), camera, WAVELENGTH, "wave", {})
     times: dict[int, float] = {}
+
+    def told(done: int, total: int) -> None:
+        times.setdefault(done, time.perf_counter())
+
     found = reconstruct(
         capture,
         depths.tolist(),
@@ -81,7 +85,7 @@ def deconvolved_beads(camera: PlenopticCamera, depths: np.ndarray, iterations: i
         oversample=BINS,
         iterations=iterations,
         volume=True,
-        progress=lambda done, total: times.setdefault(done, time.perf_counter()),
+        progress=told,
     )
     # Point spreads are the first 30 of the 100 parts of the work that are told, steps the others.
     planned, first = max(done for done in times if done <= 30), min(done for done in times if done > 30)
