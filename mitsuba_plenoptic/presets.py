@@ -34,8 +34,8 @@
 ``lfm_water``
     The microscope of the light field of an ant's leg that the program napari-LF comes with, as the file
     ``src/napari_lf/examples/antleg/README`` of its repository PolarizedLightFieldMicroscopy/napari-LF describes it: a
-    20x/0.5 water immersion objective, an f/20 array of a pitch of 125 um and a focal length of 2.433 mm, pixels of 4.55
-    um (6.5 um behind a relay of 35/50). Ours: the index 1.33, a tube lens of 200 mm, square lenses with one on the
+    20x/0.5 water immersion objective in the index 1.33, a tube lens of 180 mm, an f/20 array of a pitch of 125 um and a
+    focal length of 2.433 mm, pixels of 4.55 um (6.5 um behind a relay of 35/50). Ours: square lenses with one on the
     axis, and 2048 x 2048 pixels.
 """
 
@@ -86,7 +86,12 @@ PRESETS: dict[str, dict[str, Any]] = {
         "resolution": (2048, 2048),
     },
     "lfm_water": {
-        "main_lens": {"magnification": 20.0, "numerical_aperture": 0.5, "immersion": 1.33},
+        "main_lens": {
+            "magnification": 20.0,
+            "numerical_aperture": 0.5,
+            "immersion": 1.33,
+            "tube_focal_length": 180.0,
+        },
         "mla_focal_length": 2.433,
         "mla_pitch": 0.125,
         "mla_offset": (0.0625, 0.0625),

@@ -83,6 +83,8 @@ def test_presets_have_touching_micro_images():
         assert camera.micro_image_pitch == camera.mla_pitch
         assert camera.blur_diameter(-0.02) == pytest.approx(2 * 20 * 0.02 * math.tan(half_angle))
         assert design.white_mean(camera) == pytest.approx(math.pi / 4 * touching**2)
+    # The file that describes the real one tells its tube lens.
+    assert PlenopticCamera.preset("lfm_water").objective.tube_focal_length == 180
 
 
 def test_the_sheet_of_a_microscope():

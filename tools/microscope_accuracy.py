@@ -47,7 +47,7 @@ def debye(objective: Objective, radius: np.ndarray, depth: float) -> np.ndarray:
     r"""Return the intensity in the native image plane of a point on the axis, by 400 nodes of Gauss and Legendre.
 
     It is :math:`|\\int_0^\\alpha \\sqrt{\\cos\\theta} J_0(k n r \\sin\\theta / M) e^{i k n d \\cos\\theta} \\sin\\theta
-    d\\theta|^2` (Gu, "Advanced Optical Imaging Theory", equation 6.2.17), normalised by Parseval's theorem.
+    d\\theta|^2` (Gu, "Advanced Optical Imaging Theory", section 6.2), normalised by Parseval's theorem.
     """
     nodes, weights = leggauss(400)
     angle, weights = (nodes + 1) * objective.half_angle / 2, weights * objective.half_angle / 2

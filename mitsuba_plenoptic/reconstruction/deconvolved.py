@@ -48,6 +48,8 @@ def refocus(task: Task, **options: Any) -> list[Found]:
         raise InputError("white: method deconvolved knows the light of every bin itself; it takes no white capture")
     noise = Noise.of(task.exposure, options["photons"])
     _require_light(task.image, noise)
+    if options["volume"]:
+        _require_different(task.distances)
     groups = [task.distances] if options["volume"] else [[distance] for distance in task.distances]
     channels, planes = task.image.shape[2], len(task.distances)
     kept = Kept(task.checkpoint, _inputs(task, options) if task.checkpoint else {})
@@ -136,6 +138,13 @@ def _inputs(task: Task, options: dict[str, Any]) -> dict[str, Any]:
         "exposure": task.exposure,
         "options": options,
     }
+
+
+def _require_different(distances: Sequence[float]) -> None:
+    """Refuse planes of a volume that are one: nothing tells which of them light is from."""
+    for number, distance in enumerate(distances):
+        if distance in distances[:number]:
+            raise InputError(f"distance = {distance:g}: it is given twice; the planes of a volume are different ones")
 
 
 def _require_light(image: NDArray[np.float32], noise: Noise | None) -> None:

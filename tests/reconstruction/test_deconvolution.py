@@ -249,6 +249,32 @@ def test_what_no_light_makes_is_refused():
     assert "response = 'x'" in refused(image, response="x")
     image[7, 7] = -0.1
     assert "1 of its pixels are below 0" in refused(image)
+    image[7, 7] = np.nan
+    assert "1 of its pixels are NaN" in refused(image)
+
+
+def test_planes_of_a_volume_are_different_ones():
+    image = np.ones(SMALL.shape, np.float32)
+    capture = Capture(image, SMALL, WAVELENGTH, "wave")
+    with pytest.raises(InputError, match="distance = 253: it is given twice"):
+        reconstruct(capture, [230.0, 253.0, 253.0], method="deconvolved", volume=True)
+
+
+def test_a_dark_channel_stays_dark():
+    """Red light before a detector of three channels: the others are 0, and red is what it is alone."""
+    _, red = sources(253.0, SMALL)
+    options = {"method": "deconvolved", "response": "ray", "iterations": 3}
+    dark = np.zeros_like(red.image)
+    image = np.stack([red.image, dark, dark], -1)
+    found = reconstruct(Capture(image, SMALL, None, "wave"), 253.0, **options)
+    alone = reconstruct(Capture(red.image, SMALL, None, "wave"), 253.0, **options)
+    np.testing.assert_array_equal(found.image[..., 0], alone.image)
+    assert (found.image[..., 1:] == 0).all()
+    assert found.facts == alone.facts
+    # So are the pixels of a detector without light that read noise has all put below 0.
+    noise = Capture(np.stack([red.image, dark - 0.01, dark], -1), SMALL, None, "wave")
+    found = reconstruct(noise, 253.0, photons=100.0, **options)
+    assert (found.image[..., 1:] == 0).all() and np.isfinite(found.facts["residual"])
 
 
 @pytest.mark.parametrize(("distance", "waves", "pixels"), [(253, 16.55, 19.69), (270, 7.17, 8.53), (227, 16.55, 19.69)])

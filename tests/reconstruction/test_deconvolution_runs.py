@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from stopped_runs import StoppedError
 
-from mitsuba_plenoptic import Capture, CaptureOperator, Checkpoint, InputError, PlenopticCamera, reconstruct
+from mitsuba_plenoptic import (
+    Capture,
+    CaptureOperator,
+    Checkpoint,
+    InputError,
+    Objective,
+    PlenopticCamera,
+    reconstruct,
+)
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.reconstruction.deconvolution import response as response_module
 from mitsuba_plenoptic.reconstruction.deconvolution.noise import Noise
@@ -14,6 +22,7 @@ from mitsuba_plenoptic.reconstruction.deconvolution.response import Response
 from mitsuba_plenoptic.reconstruction.deconvolution.solver import richardson_lucy
 from mitsuba_plenoptic.reconstruction.deconvolution.variation import MOST, TotalVariation
 from mitsuba_plenoptic.runtime.batches import Threads
+from mitsuba_plenoptic.runtime.cluster import Cluster
 
 WAVELENGTH = 633.0
 SMALL = PlenopticCamera(detector_width=0.384, resolution=(192, 192))
@@ -174,6 +183,34 @@ def test_kernels_on_disk_are_those_in_memory(monkeypatch):
         np.testing.assert_array_equal(outside.forward(values), image)
         for ours, theirs in zip(outside.adjoint(image), inside.adjoint(image), strict=True):
             np.testing.assert_array_equal(ours, theirs)
+
+
+def test_one_kernel_serves_all_lenses_behind_an_objective(monkeypatch):
+    """It is that which each zone would compute for itself, and zones still share the work."""
+    monkeypatch.setattr(response_module, "_ZONE", 4)
+    camera = PlenopticCamera(
+        main_lens=Objective(20, 0.5), mla_pitch=0.075, mla_focal_length=1.5, detector_width=0.45, resolution=(60, 60)
+    )
+    options = {"wavelength": 550.0, "oversample": 1}
+    shared = Response(camera, [0.014], **options)
+    assert len({id(zone.blocks) for zone in shared.planes[0]._zones}) == 1 < len(shared.planes[0]._zones)
+    monkeypatch.setattr(response_module, "_alike", lambda camera, wavelength: False)
+    own = Response(camera, [0.014], **options)
+    assert len({id(zone.blocks) for zone in own.planes[0]._zones}) == len(own.planes[0]._zones) > 1
+    assert shared.shapes == own.shapes
+    values = [np.random.default_rng(0).random(shape).astype(np.float32) for shape in shared.shapes]
+    image = own.forward(values)
+    np.testing.assert_allclose(shared.forward(values), image, atol=2e-3 * image.max())
+    back = own.adjoint(image)[0]
+    np.testing.assert_allclose(shared.adjoint(image)[0], back, atol=2e-3 * back.max())
+
+
+def test_workers_in_processes_give_the_same_bits():
+    pytest.importorskip("distributed")
+    capture = colours()
+    with Cluster(workers=1) as cluster:
+        made = reconstruct(capture, 253.0, method="deconvolved", iterations=1, batch_map=cluster)
+    np.testing.assert_array_equal(made.image, reconstruct(capture, 253.0, method="deconvolved", iterations=1).image)
 
 
 def test_variation_beyond_what_keeps_light_positive_is_refused():

@@ -14,7 +14,7 @@ CAMERAS = {"square": SMALL, "hexagonal": SMALL.replace(mla_lattice="hexagonal")}
 
 
 def transfer(camera, distance, fractions):
-    """Contrast that reaches the detector, root mean square over the mean, at fractions of the limit."""
+    """Part of a sinusoid's contrast that arrives on the detector, root mean square, at fractions of the limit."""
     limit = resolution_limit(camera, distance, 633.0)
     oversample = int(np.ceil(4 * limit.frequency / (2 * limit.lenses)))
     response = Response(camera, [distance], wavelength=633.0, oversample=oversample)
@@ -31,7 +31,8 @@ def transfer(camera, distance, fractions):
         for phase in (0, np.pi / 2):
             values = np.cos(2 * np.pi * (places @ k) * scale + phase).astype(np.float32)
             power += (response.forward([values]).astype(np.float64) ** 2).sum() / blur**2
-        found.append(np.sqrt(power / (2 * (white.astype(np.float64) ** 2).sum())))
+        # a sinusoid that arrives whole has half the power of the white, its two phases the whole of it
+        found.append(np.sqrt(power / (white.astype(np.float64) ** 2).sum()))
     return limit, np.array(found)
 
 
@@ -40,11 +41,12 @@ def transfer(camera, distance, fractions):
 )
 @pytest.mark.parametrize("name", CAMERAS)
 def test_contrast_ends_at_the_stated_limit(name, distance):
-    """Sparrow's limit is 0.94 of where a square aperture passes nothing: at it some hundredths are left."""
-    limit, (half, near, at, beyond) = transfer(CAMERAS[name], distance, [0.5, 0.8, 1.0, 1.25])
+    """Sparrow's limit is 0.94 of where a single square lens passes nothing: at it some hundredths are left.
+
+    Beyond it neighbouring lenses interfere, of which the docs tell. A limit that is 15 % too high or too low fails.
+    """
+    limit, (half, before, at, beyond, far) = transfer(CAMERAS[name], distance, [0.5, 0.85, 1.0, 1.15, 1.5])
     assert not limit.in_focus and limit.frequency == limit.waves
-    assert half > 0.12
-    assert 0.035 < near < 0.1
-    assert at < 0.4 * near and at < 0.025
-    # what is left beyond is what the response is wrong by
-    assert beyond < 0.01
+    assert half > 0.2
+    assert before > 0.04 > 0.031 > at > 0.012
+    assert beyond < 0.0165 and far < 0.0065

@@ -87,23 +87,25 @@ class Response:
         self._recorder = Recorder(camera, grid, *all_pixels)
         self._sampled = self.cells.holding(self._recorder.box)
         each = [self._kernel_memory(distance, oversample) for distance in distances]
-        # By rays, without aberrations, all lenses are alike.
-        alike = wavelength is None and camera.lens_model == "ideal" and not any(camera.wavefront)
+        alike = _alike(camera, wavelength)
         groups = self._zones(max(each), alike)
+        # Where all lenses are alike one kernel serves all zones, which share the work among the cores.
+        asked = groups[len(groups) // 2 :][:1] if alike else groups
         self._folder = None
-        if _LIT * len(groups) * sum(each) > _MEMORY and len(distances) > 1:
+        if _LIT * len(asked) * sum(each) > _MEMORY and len(distances) > 1:
             self._folder = tempfile.TemporaryDirectory(prefix="deconvolution-")
-        self._require_memory(distances, len(groups), oversample)
-        bins, total = self.cells.bins[0] * self.cells.bins[1], len(distances) * len(groups)
+        self._require_memory(distances, len(asked), oversample)
+        bins, total = self.cells.bins[0] * self.cells.bins[1], len(distances) * len(asked)
         self.planes: list[PlaneResponse] = []
         for distance in distances:
-            found: list[Zone] = []
-            for members in groups:
-                done = (len(self.planes) * len(groups) + len(found)) * bins
-                found.append(Zone(members, self._kernel(distance, members, job, done, total * bins)))
+            kernels: list[Kernel] = []
+            for members in asked:
+                done = (len(self.planes) * len(asked) + len(kernels)) * bins
+                kernels.append(self._kernel(distance, members, job, done, total * bins))
             if self._folder:
-                kernels = on_disk([zone.kernel for zone in found], Path(self._folder.name) / f"{len(self.planes)}")
-                found = [Zone(zone.members, kernel) for zone, kernel in zip(found, kernels, strict=True)]
+                kernels = on_disk(kernels, Path(self._folder.name) / f"{len(self.planes)}")
+            each_zone = kernels * len(groups) if alike else kernels
+            found = [Zone(members, kernel) for members, kernel in zip(groups, each_zone, strict=True)]
             self.planes.append(PlaneResponse(self.cells, self._sampled, found))
 
     def __enter__(self) -> Response:
@@ -118,16 +120,16 @@ class Response:
         cell = self._sampled.index[members[len(members) // 2]]
         batches = self._batches(self.cells, distance, cell)
         flat = [batch for some in batches for batch in some]
-        share = [0] * (len(flat) - 1) + [len(batches)]
+        share = [int(number == len(some) - 1) for some in batches for number in range(len(some))]
         parts = job.each(flat, share, done, total)
         return make_kernel(self.cells, cell, ([next(parts) for _ in some] for some in batches))
 
     def _zones(self, kernels: float, alike: bool) -> list[NDArray[np.int64]]:
-        """Cut the cells into zones, so few that their kernels fit."""
+        """Cut the cells into zones, so few that their kernels fit where each has its own."""
         width, rows = _ZONE, len(self._sampled.count)
         widest = max(rows, int(self._sampled.count.max()))
         while True:
-            groups = zones(self._sampled, widest if alike else width)
+            groups = zones(self._sampled, width)
             if alike or width >= widest or len(groups) * kernels <= _MEMORY:
                 return groups
             width *= 2
@@ -206,6 +208,12 @@ class Response:
         sums = libraries.to_host(self._recorder.spread(image[..., None])[0])
         samples = libraries.arrays.asarray(self.cells.split(sums, self._recorder.box, self._sampled))
         return [plane.adjoint(samples) for plane in self.planes]
+
+
+def _alike(camera: PlenopticCamera, wavelength: float | None) -> bool:
+    """Whether points a lens apart have one spread: behind an objective, and by rays where there are no aberrations."""
+    by_rays = wavelength is None and camera.lens_model == "ideal" and not any(camera.wavefront)
+    return by_rays or camera.objective is not None
 
 
 def _period(camera: PlenopticCamera) -> int:

@@ -157,15 +157,17 @@ def richardson_lucy(
     Returns
     -------
     Solution
+        Of an image that no pixel lights: dark bins, after no step.
     """
     total = float(np.maximum(image, 0).sum(dtype=np.float64))
-    lit = float(image.max()) > 0 and total / max(1, int((image > 0).sum()))
-    shift = max(shift, _FLOOR * float(lit))
+    shift = max(shift, _FLOOR * total / max(1, int((image > 0).sum())))
     given = np.maximum(image + np.float32(shift), 0)
     light = response.adjoint(np.ones_like(image))
     best = max(float(part.max()) for part in light)
     seen: Values = [np.asarray(np.maximum(part, 0) / best, np.float32) for part in light]
     inside = [part > _LEAST_SEEN for part in seen]
+    if total == 0:
+        return Solution([np.zeros_like(part) for part in seen], seen, 0, float(image.any()), False)
     weight = [
         np.where(kept, 1 / np.maximum(part * best, 1e-30), 0).astype(np.float32)
         for part, kept in zip(seen, inside, strict=True)
