@@ -1,9 +1,9 @@
 """Fit what tells of a depth's being right to what is found: the weights of `plane_choice`.
 
-Depth is estimated in scenes that `tools/depth_accuracy.py` does not judge: letters, heaps of tiles and cards with holes,
-before unfocused and focused cameras, of various noise. What `plane_choice.indications` returns of each bin is held
-against whether its depth is within 1 % of the truth, by logistic regression: maximum likelihood, all scenes counted alike,
-one set of weights for all cameras. Each scene is also judged by weights that were fitted to all the others.
+Depth is estimated in scenes that `tools/depth_accuracy.py` does not judge: letters, heaps of tiles and cards with
+holes, before unfocused and focused cameras, of various noise. What `plane_choice.indications` returns of each bin is
+held against whether its depth is within 1 % of the truth, by logistic regression: maximum likelihood, all scenes
+counted alike, one set of weights for all cameras. Each scene is also judged by weights that were fitted to the others.
 
 Prints the weights, the likelihood of those in use, and for each scene left out the stated confidence and the rate of
 right depths by tenths of its bins.

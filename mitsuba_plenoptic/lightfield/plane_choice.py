@@ -29,6 +29,9 @@ _SURE = 1e-3
 # Views that are apart by less than this fraction of the brightness agree: without texture they do so on every plane.
 _AGREE = 0.1
 
+# Where they are apart by less than this, that no longer makes a depth surer.
+_STILL = 0.06
+
 # Neighbouring bins that are asked whether they are on the same plane, and over which evidence is averaged: standard
 # deviations of Gaussian windows.
 _ASKED, _AVERAGED = 3.0, 2.0
@@ -37,9 +40,9 @@ _ASKED, _AVERAGED = 3.0, 2.0
 # Independent samples that the disagreement of a bin alone counts for: of views, and of micro-images of focused cameras.
 VIEWS, LENSES = 20.0, 3.0
 
-# What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood on
-# captures of the scenes that `tools/confidence_fit.py` lists, and rounded.
-WEIGHTS = (-8.05, 0.29, 0.8, 0.4, -4.03, 4.43, -0.35, -1.8, -1.5)
+# What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood
+# on captures of the scenes that `tools/confidence_fit.py` lists, and rounded.
+WEIGHTS = (-11.29, 0.23, 0.8, 1.64, -3.76, 4.31, -0.21, -1.94, -2.69)
 
 
 @dataclass(frozen=True)
@@ -118,7 +121,8 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
         - the fraction of the neighbours which by their own evidence are within the tolerance of this plane: without
           evidence they are scattered;
         - the fraction of the planes that is within the tolerance: how often chance is right;
-        - the deviation on the best plane over the brightness, which is the noise where the plane is right.
+        - the deviation on the best plane over the brightness, or 0.06 where it is less: an even field without noise
+          tells nothing.
     """
     inverse = found.inverse
     bright = np.maximum(found.brightness, _DARK * found.brightness.mean())
@@ -135,8 +139,7 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
     ends = [np.interp(at / (1 + sign * tolerance), inverse[order], planes[order]) for sign in (-1, 1)]
     low, high = np.minimum(*ends), np.maximum(*ends)
     odds = [logit(_mass(part, low, high).clip(_SURE, 1 - _SURE)) for part in (alone, together)]
-    least = energy.min(axis=0)
-    floor = least - np.log(bright + tiny)
+    floor = energy.min(axis=0) - np.log(bright + tiny)
     averaged = scipy.ndimage.gaussian_filter(energy, (0, _AVERAGED, _AVERAGED), mode="nearest")
     own = energy.argmin(axis=0) == planes[:, None, None]
     asked = scipy.ndimage.gaussian_filter(own.astype(np.float64), (0, _ASKED, _ASKED), mode="nearest")
@@ -148,7 +151,7 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
         _lead(averaged, low, high),
         _mass(asked, low, high),
         np.log((high - low + 1) / len(inverse)),
-        floor,
+        floor.clip(np.log(_STILL)),
     )
     return place, np.stack(told)
 

@@ -40,7 +40,7 @@ def test_nothing_is_known_where_planes_do_not_differ(samples):
 
 
 def test_neighbours_that_see_another_plane_make_less_sure():
-    # Half of the field shows one plane, half another, twelve planes apart: sure inside of each, less so where they meet.
+    # Half of the field shows one plane, half another, twelve planes apart.
     aside = np.abs(np.arange(PLANES)[:, None] - np.where(np.arange(40) < 20, 14.0, 26.0))
     deviation = 0.02 + 0.2 * (1 - np.exp(-aside / 2))
     found = Disagreement(np.tile(np.square(deviation)[:, None, :], (1, 9, 1)), np.ones((9, 40)), INVERSE)
