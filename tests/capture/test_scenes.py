@@ -356,5 +356,5 @@ def test_a_parameter_that_a_scene_lacks_is_refused_with_those_it_has(tmp_path):
         load_scene("white", parameters={"widht": "4"})
     fixed = tmp_path / "fixed.xml"
     fixed.write_text("<scene version='3.0.0'><sensor type='plenoptic'/></scene>")
-    with pytest.raises(InputError, match="parameter widht: the scene .* has no parameters$"):
+    with pytest.raises(InputError, match=r"parameter widht: the scene .* has no parameters$"):
         load_scene(fixed, parameters={"widht": "4"})
