@@ -10,13 +10,13 @@ which constants were chosen.
 
 from __future__ import annotations
 
-import itertools
 from typing import Any
 
 import accuracy
-import mitsuba as mi
 import numpy as np
+from depth_scenes import HALF, made
 from scipy.ndimage import gaussian_filter
+from verdict import Verdict
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.lightfield import depth_map, distance_of, micro_images
@@ -29,7 +29,11 @@ NEAR_BY = 0.01
 TEXTURED = 0.05
 """Contrast, the deviation over the mean of about 5 x 5 bins of the middle view, from which a bin has texture."""
 
-HALF = {"detector_width": "4.096", "resolution": "2048"}
+BLOCK, DRAWN = 8, 200
+"""Bins along each side of the blocks that are drawn to tell what is chance, and how often."""
+
+NEAR_RATE = 0.1
+"""Within this the stated confidence is to be of the found rate, in each tenth of the bins of all scenes together."""
 
 # Scenes with the parameters of their cameras, and the distances between which depth is sought.
 JUDGED: dict[str, tuple[dict[str, str], float, float]] = {
@@ -54,77 +58,61 @@ COLUMNS = {
     "median of the surer half of the textured": "{sure_median:.2%}",
     "90th percentile of it": "{sure_high:.2%}",
     "told of bins without texture": "{guessed:.0%}",
-    "confidence and rate of errors below 1 %, by tenths": "{tenths}",
+    "confidence and rate of errors below 1 %, by tenths of the bins": "{tenths}",
     "worst tenth": "{worst:.2f}",
+    "chance": "{chance:.2f}",
 }
 
 
-def made(number: int, camera: mp.PlenopticCamera | None = None, near: float = 205, far: float = 290) -> Any:
-    """Heap tiles at random places, turned and textured at random, before a wall; a third of them without texture.
-
-    Parameters
-    ----------
-    number : int
-        Another one is another heap.
-    camera : PlenopticCamera, optional
-        Default: the paper's, with half the lenses along each axis.
-    near, far : float
-        Distances between which the tiles' middles are; the wall is some of that range farther.
-    """
-    random = np.random.default_rng(number)
-    camera = camera or mp.PlenopticCamera(detector_width=4.096, resolution=(2048, 2048))
-    field = camera.detector_width / camera.mla_distance
-    # Tiles are as large as the field is, and as flat as the range of distances is small beside it.
-    size = field * (near + far) / 2 / (4.096 / 120 * 247.5)
-    steepest = 50 * min(1.0, (far - near) / size / 85)
-
-    def tile(at: np.ndarray, half: float, tilt: float, plain: bool) -> dict[str, Any]:
-        x, y, g = at
-        axis = random.normal(size=3)
-        place = mi.ScalarTransform4f().translate([x, y, g]).rotate(list(axis / np.linalg.norm(axis)), tilt)
-        pattern = gaussian_filter(random.normal(size=(96, 96)), random.uniform(0.6, 2.5), mode="wrap")
-        pattern = np.clip(0.45 + 0.22 * pattern / pattern.std(), 0.02, 0.95)
-        if plain:
-            pattern[:] = random.uniform(0.1, 0.8)
-        texture = {"type": "bitmap", "raw": True, "data": mi.TensorXf(pattern[..., None].astype(np.float32))}
-        return {
-            "type": "rectangle",
-            "to_world": place.rotate([0, 1, 0], 180).scale(half),
-            "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": texture}},
-        }
-
-    objects = {"wall": tile(np.array([0, 0, far + (far - near) / 8.5]), 8.0 * size, 8.0 * steepest / 50, False)}
-    for index in range(18):
-        g = random.uniform(near, far)
-        place = np.array([*(random.uniform(-0.5, 0.5, 2) * 4.096 * g / 120), g])
-        objects[f"tile_{index}"] = tile(
-            place, size * random.uniform(0.5, 1.6), random.uniform(0, steepest), index % 3 == 0
+def by_tenths(confidence: np.ndarray, right: np.ndarray, weight: np.ndarray) -> list[tuple[float, float]]:
+    """Return the mean confidence and the rate of right depths in each tenth of the bins, from the least sure on."""
+    order = np.argsort(confidence, kind="stable")
+    before = np.cumsum(weight[order]) - weight[order] / 2
+    tenth = np.minimum((10 * before / weight.sum()).astype(int), 9)
+    parts = [order[tenth == number] for number in range(10)]
+    return [
+        (
+            float(np.average(confidence[part], weights=weight[part])),
+            float(np.average(right[part], weights=weight[part])),
         )
-    light = {"type": "point", "position": [30.0, 40.0, 100.0], "intensity": 4e4}
-    return mp.load_scene(
-        {
-            "type": "scene",
-            "integrator": {"type": "direct"},
-            "sensor": camera.to_sensor(),
-            "sky": {"type": "constant", "radiance": 0.4},
-            "lamp": light,
-            **objects,
-        }
-    )
+        for part in parts
+        if part.size
+    ]
 
 
-def tenths_of(confidence: np.ndarray, right: np.ndarray, weight: np.ndarray) -> dict[str, Any]:
-    """Return the confidence and the rate of right depths, by tenths of the confidence that hold 40 bins at least."""
-    tenths = []
-    for low, high in itertools.pairwise(np.linspace(0, 1, 11)):
-        within = (confidence >= low) & ((confidence < high) | (high == 1))
-        if within.sum() >= 40:
-            share = weight[within] / weight[within].sum()
-            tenths.append((float(confidence[within] @ share), float(right[within] @ share)))
-    return {
-        "tenths": ", ".join(f"{stated:.2f}: {rate:.2f}" for stated, rate in tenths),
-        "worst": max(abs(stated - rate) for stated, rate in tenths),
-    }
+def worst_tenth(tenths: list[tuple[float, float]]) -> float:
+    """Return by how much the stated confidence is off the rate at most."""
+    return max(abs(stated - rate) for stated, rate in tenths)
+
+
+def shown_tenths(tenths: list[tuple[float, float]]) -> str:
+    """Return the tenths as text."""
+    return ", ".join(f"{stated:.2f}: {rate:.2f}" for stated, rate in tenths)
+
+
+def chance(confidence: np.ndarray, right: np.ndarray, inside: np.ndarray) -> float:
+    """Return the standard deviation that chance gives the rates of tenths, the root mean square over them.
+
+    Neighbouring bins see the same thing, and are right or wrong together. So blocks of bins are drawn anew, with
+    repetition (the bootstrap by blocks, Künsch 1989).
+    """
+    random = np.random.default_rng(0)
+    row, column = np.nonzero(inside)
+    blocks = [
+        np.flatnonzero(part)
+        for part in (
+            (row // BLOCK == r) & (column // BLOCK == c)
+            for r in range(inside.shape[0] // BLOCK + 1)
+            for c in range(inside.shape[1] // BLOCK + 1)
+        )
+        if part.any()
+    ]
+    differences = []
+    for _ in range(DRAWN):
+        drawn = np.concatenate([blocks[index] for index in random.integers(len(blocks), size=len(blocks))])
+        tenths = by_tenths(confidence[drawn], right[drawn], np.ones(len(drawn)))
+        differences.append([rate - stated for stated, rate in tenths])
+    return float(np.sqrt(np.var(differences, axis=0).mean()))
 
 
 def measure(
@@ -145,8 +133,9 @@ def measure(
     told = np.isfinite(depth)
     # The best guess, also where the depth counts as unknown.
     error = np.abs(distance_of(lf, found.disparity.values) / truth - 1)
-    found_tenths = tenths_of(confidence[inside], error[inside] < NEAR_BY, np.ones(inside.sum()))
-    told_of.append((confidence[inside], error[inside] < NEAR_BY))
+    stated, right = confidence[inside], error[inside] < NEAR_BY
+    told_of.append((stated, right))
+    tenths = by_tenths(stated, right, np.ones(len(right)))
     there = error[textured & told]
     sure = error[textured & (confidence >= np.median(confidence[textured]))]
     return {
@@ -158,7 +147,9 @@ def measure(
         "sure_median": float(np.median(sure)),
         "sure_high": float(np.percentile(sure, 90)),
         "guessed": float((inside & ~textured & told).sum() / max(1, (inside & ~textured).sum())),
-        **found_tenths,
+        "tenths": shown_tenths(tenths),
+        "worst": worst_tenth(tenths),
+        "chance": chance(stated, right, inside),
     }
 
 
@@ -176,10 +167,17 @@ def main() -> None:
     # All scenes counted alike.
     confidence, right = (np.concatenate(parts) for parts in zip(*told_of, strict=True))
     weight = np.concatenate([np.full(len(one), 1 / len(one)) for one, _ in told_of])
-    together = tenths_of(confidence, right, weight)
+    together = by_tenths(confidence, right, weight)
     table = accuracy.markdown(COLUMNS, rows)
-    table += f"\nConfidence and rate over all scenes, by tenths: {together['tenths']}; worst {together['worst']:.2f}\n"
-    accuracy.finish(arguments, [*rows, {"scene": "all", **together}], table)
+    table += f"\nConfidence and rate over all scenes, by tenths of the bins: {shown_tenths(together)}\n"
+    accuracy.finish(arguments, [*rows, {"scene": "all", "tenths": together}], table)
+    verdict = Verdict()
+    for row in rows:
+        verdict.judge(f"{row['scene']}: median error of the surer half", 100 * row["sure_median"], 0.5, "% ")
+        verdict.judge(f"{row['scene']}: 90th percentile of it", 100 * row["sure_high"], 2.0, "% ")
+    verdict.judge("confidence off the rate, worst tenth of all scenes", worst_tenth(together), NEAR_RATE)
+    if not verdict.kept:
+        raise SystemExit("a limit is broken")
 
 
 if __name__ == "__main__":

@@ -75,7 +75,8 @@ def load_scene(
         # Mitsuba takes a misspelled name in silence.
         if f"${name}" not in text:
             known = sorted(set(re.findall(r"<default\s+name=\"(\w+)\"", text)))
-            raise InputError(f"parameter {name}: the scene {path} has none of that name ({', '.join(known)})")
+            names = f"none of that name ({', '.join(known)})" if known else "no parameters"
+            raise InputError(f"parameter {name}: the scene {path} has {names}")
     parameters = _with_rows(text, parameters)
     try:
         # Mitsuba's optimisation lists merged shapes and emitters in an order that changes from run to run, and with

@@ -18,7 +18,7 @@ from .agreement import view_disagreement
 from .geometry import camera_of, depth_range, disparity, distance_of, require_light_field
 from .lens_agreement import LensComparison
 from .micro_images import MicroImages, micro_images_of
-from .plane_choice import LENSES, VIEWS, Disagreement, Evidence, choose
+from .plane_choice import LENSES, VIEWS, Disagreement, choose
 from .refocus import shift_and_add
 
 RIGHT = 0.01
@@ -128,8 +128,8 @@ def disagreement_of_planes(
     slopes: np.ndarray,
     progress: Progress | None = None,
     micro_images: MicroImages | None = None,
-) -> tuple[Disagreement, Evidence]:
-    """Measure how badly the views agree about planes of some disparities, and tell what that is worth.
+) -> tuple[Disagreement, float]:
+    """Measure how badly the views agree about planes of some disparities, and how many samples that counts for.
 
     Parameters
     ----------
@@ -151,9 +151,9 @@ def disagreement_of_planes(
         images = micro_images_of(lf) if micro_images is None else micro_images
         if images.camera != camera_of(lf) or images.bins.shape != lf.shape[2:4]:
             raise InputError("micro_images: they are of another camera than the light field, or of another part of it")
-        measure, evidence = LensComparison(images).disagreement, LENSES
+        measure, samples = LensComparison(images).disagreement, LENSES
     else:
-        measure, evidence = partial(view_disagreement, lf), VIEWS
+        measure, samples = partial(view_disagreement, lf), VIEWS
     variance = np.empty((len(slopes), *lf.shape[2:4]), dtype=np.float32)
     for index, slope in enumerate(counted(slopes, progress)):
         variance[index] = measure(float(slope))
@@ -167,7 +167,7 @@ def disagreement_of_planes(
         )
     variance = np.where(np.isnan(variance), np.nan_to_num(worst), variance)
     central = lf.sel(u=0.0, v=0.0, method="nearest").values.reshape(*lf.shape[2:4], -1).mean(axis=2)
-    return Disagreement(variance, scipy.ndimage.gaussian_filter(central, _AROUND), 1 / distances), evidence
+    return Disagreement(variance, scipy.ndimage.gaussian_filter(central, _AROUND), 1 / distances), samples
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from scipy.special import expit, logit
 
 # Deviations of a light field that are below this fraction of its brightness, which is at least this fraction of the
@@ -28,27 +29,20 @@ _SURE = 1e-3
 # Views that are apart by less than this fraction of the brightness agree: without texture they do so on every plane.
 _AGREE = 0.1
 
+# Where they are apart by less than this, that no longer makes a depth surer.
+_STILL = 0.06
 
-@dataclass(frozen=True)
-class Evidence:
-    """What the evidence of some kind of disagreement is worth.
-
-    Found by maximum likelihood on captures of the scenes that `tools/confidence_fit.py` lists; weights are rounded.
-
-    Attributes
-    ----------
-    samples : float
-        N, of the bin alone.
-    weights : four floats
-        Of what `indications` returns, for the log odds that a depth is right.
-    """
-
-    samples: float
-    weights: tuple[float, float, float, float]
+# Neighbouring bins that are asked whether they are on the same plane, and over which evidence is averaged: standard
+# deviations of Gaussian windows.
+_ASKED, _AVERAGED = 3.0, 2.0
 
 
-VIEWS = Evidence(20.0, (0.5, 0.2, 0.7, -1.4))
-LENSES = Evidence(3.0, (-0.5, 1.1, 0.3, -1.9))
+# Independent samples that the disagreement of a bin alone counts for: of views, and of micro-images of focused cameras.
+VIEWS, LENSES = 20.0, 3.0
+
+# What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood
+# on captures of the scenes that `tools/confidence_fit.py` lists, and rounded.
+WEIGHTS = (-11.29, 0.23, 0.8, 1.64, -3.76, 4.31, -0.21, -1.94, -2.69)
 
 
 @dataclass(frozen=True)
@@ -86,20 +80,20 @@ class Disagreement:
     inverse: np.ndarray
 
 
-def choose(found: Disagreement, evidence: Evidence, tolerance: float) -> Choice:
+def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
     """Choose the most probable plane of each bin.
 
     Parameters
     ----------
     found : Disagreement
         About all planes.
-    evidence : Evidence
-        What the disagreement is worth.
+    samples : float
+        N of the bin alone: `VIEWS` or `LENSES`.
     tolerance : float
         Relative error of a distance that counts as right.
     """
-    place, told = indications(found, evidence.samples, tolerance)
-    return Choice(place, expit(np.tensordot(evidence.weights, told, 1)))
+    place, told = indications(found, samples, tolerance)
+    return Choice(place, expit(np.tensordot(WEIGHTS, told, 1)))
 
 
 def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
@@ -107,26 +101,35 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
 
     Parameters
     ----------
-    found, tolerance
+    found, samples, tolerance
         As for `choose`.
-    samples : float
-        N of the bin alone.
 
     Returns
     -------
     place : (rows, columns) array
         Index of the plane, with fractions.
-    told : (4, rows, columns) array
-        One; the log odds that the plane is right, if the evidence is taken at its word, by the bin alone and with its
-        neighbours; and the logarithm of the deviation that views have even on the best plane, over a tenth of the
-        brightness, or zero where it is less. It is high where no plane explains the views: at edges of what is in
-        front, on gloss and on steep surfaces.
+    told : (9, rows, columns) array
+        What tells whether the plane is right, logarithms but for the first and the seventh:
+
+        - one;
+        - the log odds that it is, if the evidence is taken at its word, by the bin alone and with its neighbours;
+        - the deviation that views have even on the best plane, over a tenth of the brightness, or zero where it is
+          less. It is high where no plane explains the views: at edges of what is in front, on gloss and on steep
+          surfaces;
+        - how far the least deviation farther off is above that within the tolerance, in the bin, and on the average
+          over its surroundings: that is small where all planes are alike, as without texture and in noise;
+        - the fraction of the neighbours which by their own evidence are within the tolerance of this plane: without
+          evidence they are scattered;
+        - the fraction of the planes that is within the tolerance: how often chance is right;
+        - the deviation on the best plane over the brightness, or 0.06 where it is less: an even field without noise
+          tells nothing.
     """
     inverse = found.inverse
     bright = np.maximum(found.brightness, _DARK * found.brightness.mean())
     level = _NOISE * bright
     # A light field that is black everywhere has no evidence either.
-    energy = 0.5 * np.log(found.variance + np.square(level) + np.finfo(np.float32).tiny)
+    tiny = np.finfo(np.float32).tiny
+    energy = 0.5 * np.log(found.variance + np.square(level) + tiny)
     alone = _normalised(-samples * energy)
     together = _with_neighbours(_normalised(-_SHARED * energy))
     place = _summit(together)
@@ -136,8 +139,29 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
     ends = [np.interp(at / (1 + sign * tolerance), inverse[order], planes[order]) for sign in (-1, 1)]
     low, high = np.minimum(*ends), np.maximum(*ends)
     odds = [logit(_mass(part, low, high).clip(_SURE, 1 - _SURE)) for part in (alone, together)]
-    residual = energy.min(axis=0) - np.log(_AGREE * bright + np.finfo(np.float32).tiny)
-    return place, np.stack([np.ones_like(place), *odds, residual.clip(0)])
+    floor = energy.min(axis=0) - np.log(bright + tiny)
+    averaged = scipy.ndimage.gaussian_filter(energy, (0, _AVERAGED, _AVERAGED), mode="nearest")
+    own = energy.argmin(axis=0) == planes[:, None, None]
+    asked = scipy.ndimage.gaussian_filter(own.astype(np.float64), (0, _ASKED, _ASKED), mode="nearest")
+    told = (
+        np.ones_like(place),
+        *odds,
+        (floor - np.log(_AGREE)).clip(0),
+        _lead(energy, low, high),
+        _lead(averaged, low, high),
+        _mass(asked, low, high),
+        np.log((high - low + 1) / len(inverse)),
+        floor.clip(np.log(_STILL)),
+    )
+    return place, np.stack(told)
+
+
+def _lead(energy: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return by how much the least energy outside of two places is above the least between them; 0 if all is inside."""
+    planes = np.arange(len(energy))[:, None, None]
+    inside = (planes >= low - 0.5) & (planes <= high + 0.5)
+    between, beyond = (np.where(part, energy, np.inf).min(axis=0) for part in (inside, ~inside))
+    return np.where(np.isfinite(beyond), beyond - between, 0)
 
 
 def _normalised(logarithm: np.ndarray) -> np.ndarray:

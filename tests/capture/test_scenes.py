@@ -349,3 +349,12 @@ def test_dictionaries_are_scenes_and_any_sensor_renders(camera_dict):
         load_scene({"type": "sphere"})
     with pytest.raises(InputError, match=r"scene: .*focal_lenght"):
         load_scene({"type": "scene", "sensor": camera_dict(focal_lenght=3.0)})
+
+
+def test_a_parameter_that_a_scene_lacks_is_refused_with_those_it_has(tmp_path):
+    with pytest.raises(InputError, match=r"parameter widht: the scene .* has none of that name \(.*resolution.*\)"):
+        load_scene("white", parameters={"widht": "4"})
+    fixed = tmp_path / "fixed.xml"
+    fixed.write_text("<scene version='3.0.0'><sensor type='plenoptic'/></scene>")
+    with pytest.raises(InputError, match=r"parameter widht: the scene .* has no parameters$"):
+        load_scene(fixed, parameters={"widht": "4"})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic.lightfield.plane_choice import LENSES, VIEWS, Disagreement, choose
+from mitsuba_plenoptic.lightfield.plane_choice import LENSES, VIEWS, Disagreement, choose, indications
 
 PLANES, SHAPE, TRUE = 41, (9, 11), 17.3
 INVERSE = np.linspace(1 / 200, 1 / 300, PLANES)
@@ -18,22 +18,46 @@ def disagreement(least: float, most: float) -> Disagreement:
     return Disagreement(np.tile((deviation**2)[:, None, None], (1, *SHAPE)), np.ones(SHAPE), INVERSE)
 
 
-@pytest.mark.parametrize("evidence", [VIEWS, LENSES])
-def test_the_plane_of_least_disagreement_is_chosen(evidence):
-    found = choose(disagreement(0.005, 0.5), evidence, 0.01)
+@pytest.mark.parametrize("samples", [VIEWS, LENSES])
+def test_the_plane_of_least_disagreement_is_chosen(samples):
+    found = choose(disagreement(0.005, 0.5), samples, 0.01)
     assert np.abs(found.place - TRUE).max() < 0.5
     assert found.probability.min() > 0.85
 
 
-@pytest.mark.parametrize("evidence", [VIEWS, LENSES])
-def test_what_no_plane_explains_is_less_sure(evidence):
+@pytest.mark.parametrize("samples", [VIEWS, LENSES])
+def test_what_no_plane_explains_is_less_sure(samples):
     # The same relative minimum, of views that are apart on every plane.
-    explained, unexplained = (choose(disagreement(0.06 * k, 0.3 * k), evidence, 0.01).probability for k in (1, 4))
+    explained, unexplained = (choose(disagreement(0.06 * k, 0.3 * k), samples, 0.01).probability for k in (1, 4))
     assert np.all(unexplained < explained - 0.02)
 
 
-@pytest.mark.parametrize("evidence", [VIEWS, LENSES])
-def test_nothing_is_known_where_planes_do_not_differ(evidence):
-    assert choose(disagreement(0.2, 0.2), evidence, 0.01).probability.max() < 0.2
+@pytest.mark.parametrize("samples", [VIEWS, LENSES])
+def test_nothing_is_known_where_planes_do_not_differ(samples):
+    assert choose(disagreement(0.2, 0.2), samples, 0.01).probability.max() < 0.2
     dark = Disagreement(np.zeros((PLANES, *SHAPE)), np.zeros(SHAPE), INVERSE)
-    assert choose(dark, evidence, 0.01).probability.max() < 0.2
+    assert choose(dark, samples, 0.01).probability.max() < 0.2
+
+
+def test_neighbours_that_see_another_plane_make_less_sure():
+    # Half of the field shows one plane, half another, twelve planes apart.
+    aside = np.abs(np.arange(PLANES)[:, None] - np.where(np.arange(40) < 20, 14.0, 26.0))
+    deviation = 0.02 + 0.2 * (1 - np.exp(-aside / 2))
+    found = Disagreement(np.tile(np.square(deviation)[:, None, :], (1, 9, 1)), np.ones((9, 40)), INVERSE)
+    sure = choose(found, VIEWS, 0.01).probability[4]
+    # The window reaches over the border at half of its weight.
+    asked = indications(found, VIEWS, 0.01)[1][6, 4]
+    assert asked[5] > 0.99
+    assert 0.4 < asked[19] < 0.65
+    assert sure[5] > 0.9
+
+
+def test_the_lead_is_that_of_the_best_plane_farther_off():
+    found = disagreement(0.05, 0.5)
+    _, told = indications(found, VIEWS, 0.01)
+    energy = 0.5 * np.log(found.variance[:, 0, 0] + 0.02**2)
+    # The true plane is at 1 / 233.7 mm, of which 1 % is 1.03 steps: planes 16 to 18 are within, the next is the 19th.
+    np.testing.assert_allclose(told[4], min(energy[15], energy[19]) - energy[17], atol=1e-6)
+    # Everywhere alike, it is the same on the average; with all planes within the tolerance there is none.
+    np.testing.assert_allclose(told[5], told[4], atol=1e-6)
+    np.testing.assert_array_equal(indications(found, VIEWS, 0.9)[1][4], 0)
