@@ -11,12 +11,12 @@ from scipy.ndimage import map_coordinates
 
 from ..camera import PlenopticCamera
 from ..runtime.limits import require_memory
-from .phase import in_millimetres
+from .phase import in_millimetres, soft_edge
 
 _PLANE = 8
 """Width of the plane in which the pupil is spread, in radii of the pupil."""
 
-_LEAST_SAMPLES = 256
+_LEAST_SAMPLES = 512
 
 
 class PupilCentroid:
@@ -42,7 +42,7 @@ class PupilCentroid:
         transfer = scipy.fft.rfft2(spread)
         self._pitch, self._first = window / size, -(size - 1) / 2
         P = (np.arange(size) + self._first) * self._pitch
-        inside = (np.hypot(P, P[:, None]) <= camera.aperture_radius) * 1.0
+        inside = soft_edge((camera.aperture_radius - np.hypot(P, P[:, None])) / self._pitch)
 
         def blurred(values: NDArray[np.float64]) -> NDArray[np.float64]:
             return np.asarray(scipy.fft.irfft2(scipy.fft.rfft2(values) * transfer, s=(size, size)))
