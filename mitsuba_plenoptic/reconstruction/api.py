@@ -138,8 +138,11 @@ def reconstruct(
         `mitsuba_plenoptic.design.suitable_oversample` and ``mitsuba-plenoptic info`` say how many.
     white : Capture or array, optional
         What the same camera recorded of a scene of uniform radiance 1, by the same wavelengths, in one channel or as
-        many as the capture has. It is refocused in the same way, and images are divided by it. Default: what the
-        camera would record by rays; a capture by waves, whose micro-images lose light at their edges, then reads less
+        many as the capture has. It is refocused in the same way, and images are divided by it; those of unfocused
+        cameras behind thin main lenses are also drawn back, to first order, to where their light comes from, which
+        borders, diffraction and interference displace (see `mitsuba_plenoptic.reconstruction.displacement`). This takes
+        the time of one refocusing for the white and of two more for each distance. Default: what the camera would
+        record by rays; a capture by waves, whose micro-images lose light at their edges, then reads less
         (0.85 for the paper's camera).
         ``deconvolved`` takes none.
     response : {"wave", "ray"}, optional
@@ -247,6 +250,7 @@ def reconstruct(
             wavelengths=wavelengths,
             white=reference,
             progress=report,
+            recorded=_recorded(capture, image.shape[2]),
             exposure=capture.metadata.get("exposure"),
             checkpoint=checkpoint,
             batch_map=batch_map,
@@ -282,10 +286,18 @@ def _by_wavelength(task: Task) -> list[Task]:
             image=np.ascontiguousarray(task.image[..., channel : channel + 1]),
             camera=task.camera.at_wavelength(wavelength),
             wavelengths=[wavelength],
+            recorded=None if task.recorded is None else task.recorded[channel : channel + 1],
             white=None if task.white is None else np.ascontiguousarray(task.white[..., channel : channel + 1]),
         )
         for channel, wavelength in enumerate(task.wavelengths)
     ]
+
+
+def _recorded(capture: Capture, channels: int) -> list[float] | None:
+    """Wavelengths of the channels of a capture by waves."""
+    if capture.model != "wave" or capture.wavelength is None:
+        return None
+    return [float(light) for light in np.broadcast_to(capture.wavelength, channels)]
 
 
 def _side_by_side(parts: list[Any]) -> list[Found]:

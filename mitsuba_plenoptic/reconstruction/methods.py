@@ -36,6 +36,8 @@ class Task:
         What the same camera recorded of a scene of uniform radiance 1.
     progress : callable
         Called with the fraction of the work that is done.
+    recorded : sequence of floats, optional
+        Of the channels, the wavelengths in nanometres at which waves recorded the capture; None by rays.
     exposure : dict, optional
         What `expose` has kept with the capture.
     checkpoint : Checkpoint, optional
@@ -51,6 +53,7 @@ class Task:
     wavelengths: Sequence[float]
     white: np.ndarray | None
     progress: Progress
+    recorded: Sequence[float] | None = None
     exposure: dict[str, Any] | None = None
     checkpoint: Checkpoint | None = None
     batch_map: BatchMap | None = None

@@ -5,7 +5,9 @@ else of the white that the camera would record. So a white scene reads 1 everywh
 the light misses the detector. A bin that gets less than a hundredth of the rays that the best one gets is not reached:
 there is next to nothing to be divided, and it is NaN, for every method alike. Between the footprints of lenses, fine
 bins may get little light of waves though many rays reach them: by the computed white, which is least sure of them, they
-are not brightened without end. A white capture knows what they get, and where waves interfere.
+are not brightened without end. A white capture knows what they get, and where waves interfere; it also tells from
+where beside them bins get their light (see `mitsuba_plenoptic.reconstruction.displacement`), and the image is drawn
+back from there.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..errors import InputError
+from .displacement import brought_back, displacements, is_known, tilted_whites
 from .methods import Progress, Task
 
 _LEAST_REACHED = 0.01
@@ -22,8 +25,8 @@ _LEAST_REACHED = 0.01
 _LEAST_WHITE = 0.25
 """Fraction of the light that as many rays usually bring, as which no bin's computed white counts less."""
 
-Sums = Callable[[np.ndarray, Progress], list[np.ndarray]]
-"""From a capture (rows, columns, channels) to the sums (rows, columns, channels) over the bins of every distance."""
+Sums = Callable[[np.ndarray, Sequence[float], Progress], list[np.ndarray]]
+"""From a capture (rows, columns, channels) and distances to the sums (rows, columns, channels) over their bins."""
 
 
 def to_radiance(
@@ -53,18 +56,35 @@ def to_radiance(
     InputError
         If light comes from none of a plane's bins.
     """
-    if task.white is None:
-        light, whites = sums(task.image, task.progress), model()
-    else:
-        light = sums(task.image, lambda done: task.progress(done / 2))
-        whites = sums(task.white, lambda done: task.progress((1 + done) / 2))
+    steps = 1 if task.white is None else 2 + 2 * is_known(task.camera) * len(task.distances)
+    done = 0
+
+    def summed(image: np.ndarray, distances: Sequence[float]) -> list[np.ndarray]:
+        nonlocal done
+        found = sums(image, distances, lambda part: task.progress((done + part) / steps))
+        done += 1
+        return found
+
+    light = summed(task.image, task.distances)
+    whites = model() if task.white is None else summed(task.white, task.distances)
     images = []
     for distance, total, white, rays in zip(task.distances, light, whites, reach, strict=True):
-        white, reached = divisors(white, rays, distance, computed=task.white is None)
-        image = np.full(total.shape, np.nan, np.float32)
-        np.divide(total, white, out=image, where=np.broadcast_to(reached, total.shape), casting="same_kind")
-        images.append(image)
+        divisor, reached = divisors(white, rays, distance, computed=task.white is None)
+        image = _divided(total, divisor, reached)
+        if task.white is not None and is_known(task.camera):
+            rising = list(tilted_whites(task.white, task.camera, distance, task.recorded))
+            seen = [_divided(summed(capture, [distance])[0], divisor, reached) for capture, _ in rising]
+            moved = displacements(seen, [slope for _, slope in rising], task.camera, task.oversample)
+            image = brought_back(image, moved, np.broadcast_to(divisor, image.shape), task.oversample)
+        images.append(image.astype(np.float32))
     return images
+
+
+def _divided(total: np.ndarray, divisor: np.ndarray, reached: np.ndarray) -> np.ndarray:
+    """Divide the bins that are reached; the others are NaN."""
+    image = np.full(total.shape, np.nan)
+    np.divide(total, divisor, out=image, where=np.broadcast_to(reached, total.shape))
+    return image
 
 
 def divisors(white: np.ndarray, rays: np.ndarray, distance: float, *, computed: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..camera import PlenopticCamera
@@ -31,11 +33,11 @@ def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
     """
     radius = pupil_radius(task.camera)
 
-    def sums(image: np.ndarray, progress: Progress) -> list[np.ndarray]:
+    def sums(image: np.ndarray, distances: Sequence[float], progress: Progress) -> list[np.ndarray]:
         found = []
-        for done, distance in enumerate(task.distances):
+        for done, distance in enumerate(distances):
             found.append(ray_sums(image, task.camera, distance, radius, footprint, task.oversample))
-            progress((done + 1) / len(task.distances))
+            progress((done + 1) / len(distances))
         return found
 
     whites = [white_sums(task.camera, g, radius, footprint, task.oversample) for g in task.distances]

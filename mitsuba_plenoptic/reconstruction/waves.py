@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -80,14 +81,15 @@ def refocus_by_waves(task: Task, power: Power, *, relay: bool) -> list[np.ndarra
     camera = task.camera
     rays = [white_sums(camera, g, camera.lit_radius, "lens", task.oversample) for g in task.distances]
 
-    def sums(image: np.ndarray, progress: Progress) -> list[np.ndarray]:
+    def sums(image: np.ndarray, distances: Sequence[float], progress: Progress) -> list[np.ndarray]:
+        of_distances = dataclasses.replace(task, distances=distances)
         channels = []
         for number, wavelength in enumerate(task.wavelengths[: image.shape[2]]):
 
             def part(done: float, number: int = number) -> None:
                 progress((number + done) / image.shape[2])
 
-            channels.append(_in_bins(image[..., number], task, wavelength, power, relay, part))
+            channels.append(_in_bins(image[..., number], of_distances, wavelength, power, relay, part))
         return [np.stack(planes, axis=-1) for planes in zip(*channels, strict=True)]
 
     def model() -> list[np.ndarray]:
