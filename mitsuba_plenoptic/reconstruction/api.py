@@ -23,6 +23,7 @@ from ..runtime.batches import BatchMap
 from ..runtime.limits import largest_fitting, require_memory
 from ..thin_lens import image_distance
 from .deconvolution.variation import MOST as MOST_VARIATION
+from .displacement import is_known
 from .methods import METHODS, Found, Task
 from .real_lens import require_upright
 from .reference import reference_white
@@ -233,7 +234,8 @@ def reconstruct(
         # Images are formed by the lens as it should be.
         camera = camera.replace(wavefront=())
     reference = None if white is None else reference_white(white, capture, recorded)
-    _require_memory(camera, distances, oversample, image.shape)
+    drawn_back = reference is not None and is_known(camera)
+    _require_memory(camera, distances, oversample, image.shape, drawn_back)
     wavelengths = _wavelengths(capture, wavelength, image.shape[2], camera) if waves else []
 
     def report(done: float) -> None:
@@ -314,7 +316,7 @@ def _side_by_side(parts: list[Any]) -> list[Found]:
 
 
 def _require_memory(
-    camera: PlenopticCamera, distances: Sequence[float], oversample: int, shape: tuple[int, ...]
+    camera: PlenopticCamera, distances: Sequence[float], oversample: int, shape: tuple[int, ...], drawn_back: bool
 ) -> None:
     """Refuse images too large, before anything is allocated."""
     columns, rows = camera.bin_count
@@ -323,7 +325,8 @@ def _require_memory(
     def memory(oversample: int) -> float:
         across, down = float(columns * oversample), float(rows * oversample)
         # By rays one axis is binned before the other; by waves powers are summed in double precision.
-        return 4 * channels * across * (down * (len(distances) + 1) + height) + 12 * across * down
+        fits = 20 * 8 * channels * across * down if drawn_back else 0
+        return 4 * channels * across * (down * (len(distances) + 1) + height) + 12 * across * down + fits
 
     def fitting(limit: float) -> str | None:
         largest = largest_fitting(memory, limit, oversample)

@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
@@ -160,24 +161,29 @@ def brought_back(
     known = np.isfinite(image)
     values, light = np.where(known, image, 0.0), np.where(known, weights, 0.0)
     rows, columns = image.shape[:2]
-    padded = [np.pad(part, ((reach, reach), (reach, reach), (0, 0))) for part in (light, *moved, values)]
+    terms = (
+        moved[0] + (np.arange(columns) - columns / 2)[:, None],
+        moved[1] + (np.arange(rows) - rows / 2)[:, None, None],
+        values,
+    )
     # Means over the bins about each one: of place and value, and of their products.
-    mass, mean, product = np.zeros(image.shape), np.zeros((3, *image.shape)), np.zeros((3, 3, *image.shape))
-    for dy, dx in np.ndindex(2 * reach + 1, 2 * reach + 1):
-        weight, sx, sy, value = (part[dy : dy + rows, dx : dx + columns] for part in padded)
-        terms = (sx + dx - reach, sy + dy - reach, value)
-        mass += weight
-        for i, one in enumerate(terms):
-            weighted = weight * one
-            mean[i] += weighted
-            for j, other in enumerate(terms[i:], i):
-                product[i, j] += weighted * other
+    mass = _mean_about(light, reach)
     mass = np.where(mass > 0, mass, 1)
-    mean /= mass
-    (xx, xy, xv), (_, yy, yv), _ = product / mass - mean[:, None] * mean
+    x, y, value = (_mean_about(light * term, reach) / mass for term in terms)
+
+    def covariance(i: int, j: int, means: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(_mean_about(light * terms[i] * terms[j], reach) / mass - means)
+
+    xx, xy, yy = covariance(0, 0, x * x), covariance(0, 1, x * y), covariance(1, 1, y * y)
+    xv, yv = covariance(0, 2, x * value), covariance(1, 2, y * value)
     determinant = xx * yy - xy**2
     # A few bins in a line tell no plane.
     told = determinant > _LEAST_DETERMINANT
     safe = np.where(told, determinant, 1)
     across, down = (yy * xv - xy * yv) / safe, (xx * yv - xy * xv) / safe
     return np.where(told, image - moved[0] * across - moved[1] * down, image)
+
+
+def _mean_about(image: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
+    """Return the mean over the square of bins about each one; what lies outside of the image is 0."""
+    return np.asarray(scipy.ndimage.uniform_filter(image, 2 * reach + 1, mode="constant", axes=(0, 1)))

@@ -56,7 +56,8 @@ def to_radiance(
     InputError
         If light comes from none of a plane's bins.
     """
-    steps = 1 if task.white is None else 2 + 2 * is_known(task.camera) * len(task.distances)
+    drawn_back = task.white is not None and is_known(task.camera)
+    steps = (1 if task.white is None else 2) + 2 * drawn_back * len(task.distances)
     done = 0
 
     def summed(image: np.ndarray, distances: Sequence[float]) -> list[np.ndarray]:
@@ -69,21 +70,21 @@ def to_radiance(
     whites = model() if task.white is None else summed(task.white, task.distances)
     images = []
     for distance, total, white, rays in zip(task.distances, light, whites, reach, strict=True):
-        divisor, reached = divisors(white, rays, distance, computed=task.white is None)
-        image = _divided(total, divisor, reached)
-        if task.white is not None and is_known(task.camera):
+        white, reached = divisors(white, rays, distance, computed=task.white is None)
+        image = _divided(total, white, reached)
+        if drawn_back and task.white is not None:
             rising = list(tilted_whites(task.white, task.camera, distance, task.recorded))
-            seen = [_divided(summed(capture, [distance])[0], divisor, reached) for capture, _ in rising]
+            seen = [_divided(summed(capture, [distance])[0], white, reached) for capture, _ in rising]
             moved = displacements(seen, [slope for _, slope in rising], task.camera, task.oversample)
-            image = brought_back(image, moved, np.broadcast_to(divisor, image.shape), task.oversample)
-        images.append(image.astype(np.float32))
+            image = brought_back(image, moved, np.broadcast_to(white, image.shape), task.oversample)
+        images.append(image.astype(np.float32, copy=False))
     return images
 
 
 def _divided(total: np.ndarray, divisor: np.ndarray, reached: np.ndarray) -> np.ndarray:
     """Divide the bins that are reached; the others are NaN."""
-    image = np.full(total.shape, np.nan)
-    np.divide(total, divisor, out=image, where=np.broadcast_to(reached, total.shape))
+    image = np.full(total.shape, np.nan, np.float32)
+    np.divide(total, divisor, out=image, where=np.broadcast_to(reached, total.shape), casting="same_kind")
     return image
 
 
