@@ -55,7 +55,7 @@ def test_patch_against_full_field(camera, position, wavelength):
         (small_camera(16, mla_focal_length=5.4, detector_distance=5.4), 240.0),
         (PlenopticCamera(mla_pitch=0.02, detector_width=0.2, resolution=(100, 100)), 230.0),
         (small_camera(4, mla_fill=0.5, mla_aperture="circle"), 230.0),
-        (small_camera(4, mla_fill=0.25), 240.0),
+        pytest.param(small_camera(4, mla_fill=0.25), 240.0, marks=pytest.mark.slow),
     ],
     ids=["small pupil", "tiny pupil", "fine pixels", "weak lenses", "small lenses", "discs", "gaps"],
 )

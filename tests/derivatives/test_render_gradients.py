@@ -114,6 +114,7 @@ STEPS = {
 }
 
 
+@pytest.mark.slow
 def test_camera_against_differences_of_the_full_field_and_reverse_against_forward():
     """All numbers change at once, so that one pair of fields a radiator tells of all."""
     scene = scene_of(half_width=0.035, accuracy=0.0)

@@ -37,6 +37,7 @@ def test_copies_change_as_points_of_their_own(many, monkeypatch, lattice):
         assert error(found, expected) < 0.04, name
 
 
+@pytest.mark.slow
 def test_reverse_equals_forward(many):
     operator, weights = operator_of(LATTICES["turned"])
     rng = np.random.default_rng(3)

@@ -263,6 +263,7 @@ def test_killed_captures_end_with_the_bits_of_the_clean_one(tmp_path, clean):
     assert [item.name for item in tmp_path.iterdir()] == ["raw.exr"]
 
 
+@pytest.mark.slow
 def test_a_limit_of_file_sizes_costs_the_checkpoint_and_then_the_capture_but_nothing_older(tmp_path, clean):
     """The portable variant of a full disk: writes fail beyond a size."""
     output = tmp_path / "raw.exr"

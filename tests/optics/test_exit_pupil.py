@@ -65,6 +65,7 @@ def test_a_point_needs_to_lie_before_the_lens_and_to_be_seen():
         ExitPupil(lens, (600.0, 0.0, 240.0))
 
 
+@pytest.mark.slow
 def test_a_full_field_goes_through_it():
     camera = camera_with("double_gauss", detector_width=0.256, resolution=(128, 128))
     spread = point_spread_function(camera, (0.0, 0.0, 240.0), wavelength=WAVELENGTH, method="full_field")

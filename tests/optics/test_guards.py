@@ -200,7 +200,7 @@ class TestCrosstalk:
         assert 0.005 < capture.metadata["guards"]["crosstalk_missed"] < 0.015
 
 
-@pytest.mark.parametrize("name", ["letters", "white", "chart", "still_life"])
+@pytest.mark.parametrize("name", ["letters", "white", "chart", pytest.param("still_life", marks=pytest.mark.slow)])
 def test_built_in_scenes_are_silent_by_rays_and_waves(name, tmp_path):
     """And their files tell the shares."""
     parameters = {"detector_width": "0.512", "resolution": "256"}

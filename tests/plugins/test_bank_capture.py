@@ -106,7 +106,8 @@ def test_the_noise_is_that_of_seeds():
     assert np.sqrt(np.mean([capture.noise**2 for capture in captures])) == pytest.approx(spread, rel=0.05)
 
 
-@pytest.mark.parametrize("noise", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [False, True])
 def test_a_capture_goes_on_where_it_was_stopped(tmp_path, monkeypatch, noise):
     monkeypatch.setattr("mitsuba_plenoptic.capture.lens_rays._BAND_BYTES", 2**15)
     scene, path = scene_of(small_camera(2), texture=board(60)), tmp_path / "raw.checkpoint"

@@ -62,6 +62,7 @@ def test_a_disc_is_the_sum_of_its_points(depth, tilt, limit):
     assert found.sum() == pytest.approx(expected.sum(), rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_card_hides_half_of_the_stop():
     """What is between a light and the objective takes the directions that it stands in."""
     depth, card = 0.01, -0.2

@@ -60,7 +60,9 @@ def test_whites_may_be_by_the_camera_that_recorded_or_the_one_that_is_given():
         reconstruct(Capture(WHITE, CAMERA), 210.0, camera=found, white=white)
 
 
-@pytest.mark.parametrize("options", [{"method": "ray"}, {"method": "coherent"}], ids=str)
+@pytest.mark.parametrize(
+    "options", [{"method": "ray"}, pytest.param({"method": "coherent"}, marks=pytest.mark.slow)], ids=str
+)
 def test_whites_in_colours_divide_each_channel_by_its_own(options):
     waves = options["method"] != "ray"
     given = {"wavelength": COLOURS} if waves else {}

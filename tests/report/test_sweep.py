@@ -35,6 +35,7 @@ def computed():
     return stages, StageOptions(finished=lambda name, _, kept: stages.update({name: "kept" if kept else "made"}))
 
 
+@pytest.mark.slow
 def test_every_point_is_what_its_own_rendering_gives(tmp_path):
     grid = {"aperture_radius": [4, 5], "wavelength": [500.0, 633.0], "distance": [210, 240, 280]}
     with sweep(WAVES, grid, tmp_path / "out.nc") as data:
