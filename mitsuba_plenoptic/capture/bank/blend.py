@@ -10,7 +10,7 @@ import numpy as np
 from ...camera import PlenopticCamera
 from ...optics.main_lens import main_lens
 
-_LIMITS = ((0.004, (8.0, 12.0)), (0.02, (4.0, 5.5)), (1.0, (3.0, 4.5)))
+_LIMITS = ((0.004, (8.0, 12.0)), (0.02, (4.0, 4.75)), (1.0, (3.0, 4.5)))
 """Lenses of blur up to which point spreads are exact, and from which on all is the bank's, by allowed error."""
 
 

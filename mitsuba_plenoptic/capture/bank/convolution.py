@@ -23,7 +23,7 @@ from .lens_bank import LensBank
 _TAIL = 8
 """Samples by which kernels grow when what collecting the rays has smoothed is sharpened again."""
 
-_SQUARE = 768
+_SQUARE = 1024
 """Samples across the convolution of a tile, about."""
 
 
@@ -39,8 +39,8 @@ class Convolution:
     order : int
         How rays were collected in the images: 1 in the sample in which they arrive, 4 shared by the nearest four
         along each axis, by a cubic B-spline. This smooths by :math:`\mathrm{sinc}^{order}` along each axis.
-    rows : int, optional
-        Rows of samples that are convolved together; those of `box` by default.
+    size : (int, int), optional
+        Rows and columns of the samples that are convolved together, at most; those of `box` by default.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Convolution:
         Images in all.
     """
 
-    def __init__(self, camera: PlenopticCamera, banks: Sequence[LensBank], order: int, rows: int | None = None) -> None:
+    def __init__(self, camera: PlenopticCamera, banks: Sequence[LensBank], order: int, size: tuple[int, int] | None = None) -> None:
         self.pitch = banks[0].pitch
         self._parts = round(camera.pixel_size / self.pitch)
         left, top = (offset * self._parts for offset in camera.crop_offset)
@@ -62,7 +62,7 @@ class Convolution:
         self.ranks, self.box = len(kernels), _grown(self._window, self._margin)
         support = 2 * self._margin + 1
         most = max(_SQUARE - support, support)
-        self._tile = [_even(size, most) for size in (rows or self.box.rows, self.box.columns)]
+        self._tile = [_even(count, most) for count in size or (self.box.rows, self.box.columns)]
         self._size = tuple(fast_length(tile + support - 1) for tile in self._tile)
         self._spectra = np.empty((self.ranks, self._size[0], self._size[1] // 2 + 1), np.complex64)
         sharp = [np.sinc(frequency(support)) ** -order for frequency in (scipy.fft.fftfreq, scipy.fft.rfftfreq)]
