@@ -83,12 +83,12 @@ def with_enough_nodes(
     # Of single points nothing is left out; sums are probed as they are captured, and may themselves be in error.
     accuracy = _PROBED * error if together else 0.0
 
-    def images(count: int) -> list[NDArray[np.float32]]:
+    def images(count: int, recorded: PlenopticCamera) -> list[NDArray[np.float32]]:
         chosen = spectrum.interpolated(count)
         sets = [np.arange(len(points))] if together else np.arange(len(points))[:, None]
         return [
             CaptureOperator(
-                camera,
+                recorded,
                 points[some],
                 spectrum=chosen,
                 accuracy=accuracy,
@@ -98,13 +98,34 @@ def with_enough_nodes(
         ]
 
     counts = [count for count in _COUNTS if count < most] + [most] * (most <= _COUNTS[-1])
-    last = images(counts[0])
+    last = images(counts[0], camera)
+    # What the points light is a small part of a large detector.
+    rows, columns = _lit(last)
+    recorded = _cropped(camera, rows, columns)
+    last = [image[rows, columns] for image in last]
     for count, more in itertools.pairwise(counts):
-        finer = images(more)
+        finer = images(more, recorded)
         if all(_differ(a, b) <= error / 2 for a, b in zip(last, finer, strict=True)):
             return spectrum.interpolated(count)
         last = finer
     return spectrum.interpolated(counts[-1])
+
+
+def _lit(images: list[NDArray[np.float32]]) -> tuple[slice, slice]:
+    """Return rows and columns that hold all light of some images, or all where there is none."""
+    lit = np.any([image.any(2) for image in images], axis=0)
+    found = [np.flatnonzero(lit.any(axis)) for axis in (1, 0)]
+    rows, columns = (slice(int(some[0]), int(some[-1]) + 1) if len(some) else slice(None) for some in found)
+    return rows, columns
+
+
+def _cropped(camera: PlenopticCamera, rows: slice, columns: slice) -> PlenopticCamera:
+    """Return the camera that records those rows and columns of its image alone."""
+    (left, right, _), (top, bottom, _) = (
+        some.indices(count) for some, count in zip((columns, rows), camera.crop_size, strict=True)
+    )
+    offset = camera.crop_offset[0] + left, camera.crop_offset[1] + top
+    return camera.replace(crop_offset=offset, crop_size=(right - left, bottom - top))
 
 
 def _differ(image: NDArray[np.float32], reference: NDArray[np.float32]) -> float:
