@@ -9,13 +9,14 @@ does not depend: it convolves by Fourier transforms whatever they are. Of ours w
 timed, with all that they do beside. Peak memory is that of the process before pyolaf is run.
 
     python tools/microscope_volumes.py
-    python tools/microscope_volumes.py --planes 32      as many planes as pyolaf's examples have
+    python tools/microscope_volumes.py --planes 32 --iterations 70      as many planes as pyolaf's examples have
     python tools/microscope_volumes.py --planes 32 --peer-planes 4      pyolaf and ours compared with fewer
     python tools/microscope_volumes.py --alone          without pyolaf
 """
 
 from __future__ import annotations
 
+import math
 import resource
 import sys
 import time
@@ -31,6 +32,9 @@ from mitsuba_plenoptic.reconstruction.deconvolution.response import Response
 
 WAVELENGTH, PITCH, PIXELS, BINS = 550.0, 0.075, 15, 5
 """Nanometres; millimetres; pixels and bins across a lens."""
+
+REACH = 0.25
+"""How far from the axis beads lie at most, over the width of the field."""
 
 NEAREST, FARTHEST = 0.016, 0.04
 """Depths in millimetres, beyond that where the lens pitch decides."""
@@ -52,10 +56,18 @@ def microscope(lenses: int) -> PlenopticCamera:
 
 
 def beads(camera: PlenopticCamera, depths: np.ndarray) -> np.ndarray:
-    """Return a bead in each plane, (n, 3), around the middle of the field and not in the middle of bins."""
+    """Return a bead in each plane, (n, 3), one in each cell of a square grid, and not in the middle of bins."""
     random = np.random.default_rng(4)
-    half = 0.15 * camera.detector_width / 20
-    return np.column_stack([random.uniform(-half, half, (len(depths), 2)), depths])
+    across, size = _cells(camera, len(depths))
+    cells = random.permutation(across**2)[: len(depths)]
+    corner = np.column_stack([cells % across, cells // across]) - across / 2
+    return np.column_stack([(corner + random.uniform(0.4, 0.6, corner.shape)) * size, depths])
+
+
+def _cells(camera: PlenopticCamera, count: int) -> tuple[int, float]:
+    """Return how many cells there are along an axis for so many beads, and their width."""
+    across = math.ceil(math.sqrt(count))
+    return across, 2 * REACH * camera.detector_width / 20 / across
 
 
 def width(profile: np.ndarray, bin_size: float) -> float:
@@ -96,11 +108,14 @@ def deconvolved_beads(camera: PlenopticCamera, depths: np.ndarray, iterations: i
         values = np.nan_to_num(plane.image)
         # Pictures have +x to the left and +y up.
         y, x = ((size / 2 - np.arange(size) - 0.5) * plane.bin_size for size in values.shape)
-        row, column = np.unravel_index(values.argmax(), values.shape)
+        # Planes show beads of their neighbours, too, in other cells.
+        reach = _cells(camera, len(depths))[1] / 2
+        own = values * ((np.abs(x - X) < reach) & (np.abs(y - Y) < reach)[:, None])
+        row, column = np.unravel_index(own.argmax(), own.shape)
         around = np.s_[max(0, row - 3) : row + 4, max(0, column - 3) : column + 4]
         light = values[around] / values[around].sum()
         error = np.hypot(light.sum(0) @ x[around[1]] - X, light.sum(1) @ y[around[0]] - Y)
-        widths = width(values[row], plane.bin_size), width(values[:, column], plane.bin_size)
+        widths = width(own[row], plane.bin_size), width(own[:, column], plane.bin_size)
         limit = design.resolution_limit(camera, depth, WAVELENGTH)
         rows.append(
             {
