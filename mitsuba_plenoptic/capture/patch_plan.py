@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,8 @@ _FIRST, _TRIAL_SECONDS = 2, 0.1
 """Point spreads that are timed at least, for an estimate, and how long those of one patch size are timed, about."""
 
 _JUDGED = 16
-"""Patterns of which the loss is found where gaps between the microlenses take some of the light."""
+"""Patterns whose loss stands for that of all: where gaps between the microlenses take some of the light, and for
+`PatchPlan.gain`."""
 
 
 @dataclass(frozen=True)
@@ -199,10 +201,29 @@ class PatchPlan:
                 np.add.at(factors, copy.reshape(-1), given)
                 largest = float(np.abs(factors).max()) or 1.0
                 kept.append(pattern)
-                amplitudes.append(largest**0.5)
+                amplitudes.append((largest * self.gain) ** 0.5)
                 copies.append(Copies(shifts, (factors / largest).astype(np.float32)))
         which = np.array(kept, np.int64)
         return Scatter(self._fields(which), np.array(amplitudes), copies)
+
+    @cached_property
+    def gain(self) -> float:
+        """Factor on all power that puts back on the patches what is diffracted beyond them.
+
+        In sums of many points that light is an even veil, of which about as much comes as goes. It differs little from
+        pattern to pattern. 1 where patches hold what a few points, or strict ones, need.
+        """
+        if math.isinf(self._grid.band.beyond) or not self._camera.lattice.fills or not len(self._positions):
+            return 1.0
+        whole = [Copies(np.zeros((1, 2), np.int64), np.ones((1, 1), np.float32))]
+        sent = arrived = 0.0
+        with resting_drjit():
+            for pattern in _some(len(self._positions)):
+                fields = self._fields(pattern)
+                arrived += float(Scatter(fields, np.ones(1), whole).prepare()().sums.sum(dtype=np.float64))
+                lit = fields.pupil_weights.lit() if fields.pupil_weights is not None else np.ones(1)
+                sent += float(lit.sum() / self._grid.pitch.prod())
+        return sent / arrived if arrived else 1.0
 
     def _fields(self, which: NDArray[np.int64]) -> Fields:
         """Describe the fields of some patterns."""
@@ -232,7 +253,7 @@ class PatchPlan:
         weights : float64 array (n, channels)
             Its weights.
         arrived : float
-            The sum of all its samples.
+            The sum of all its samples, without the `gain`.
 
         Returns
         -------
@@ -243,8 +264,7 @@ class PatchPlan:
             return None
         if not self._camera.lattice.fills:
             patterns = np.concatenate(chunks)
-            chosen = np.unique(np.linspace(0, len(patterns) - 1, _JUDGED).round().astype(int))
-            chunks = list(patterns[chosen, None])
+            chunks = [patterns[some] for some in _some(len(patterns))]
             arrived = sum(float(self._sum_of(chunk, weights).sums.sum(dtype=np.float64)) for chunk in chunks)
         sent = self._sent(chunks, weights)
         return 1 - arrived / sent if sent else None
@@ -293,6 +313,7 @@ class PatchPlan:
         """
         samples = self._recorder.spread(image)
         result = np.zeros((self._count, image.shape[2]))
+        gain = self.gain
         copies = [
             [np.unique(self._shifts[self._first[p] : self._last[p]], axis=0, return_inverse=True) for p in chunk]
             for chunk in self._chunks
@@ -305,7 +326,7 @@ class PatchPlan:
         results = job.each(batches, members, done + self._count - sum(members), total)
         for chunk, some, products in zip(self._chunks, copies, results, strict=True):
             for pattern, (_, copy), product in zip(chunk, some, products, strict=True):
-                result[self._order[self._first[pattern] : self._last[pattern]]] = product[copy.reshape(-1)]
+                result[self._order[self._first[pattern] : self._last[pattern]]] = gain * product[copy.reshape(-1)]
         return result
 
     def _gather(self, chunk: NDArray[np.int64], shifts: list[NDArray[np.int64]], samples: Any) -> Gather:
@@ -371,8 +392,13 @@ class PatchPlan:
             arrived += float(part.sums.sum(dtype=np.float64))
             sent += self._sent([some], ones)
             seconds += taken / len(some) * int(upto[-1]) / batch_map.workers
-        guards.require(guards.PATCH, 1 - arrived / sent if sent else 0.0)
+        guards.require(guards.PATCH, 1 - arrived / (self.gain * sent) if sent else 0.0)
         return Cost(len(self._order), len(samples), seconds, memory)
+
+
+def _some(count: int) -> list[NDArray[np.int64]]:
+    """Return a few of so many patterns, evenly, each by itself."""
+    return list(np.unique(np.linspace(0, count - 1, _JUDGED).round().astype(np.int64))[:, None])
 
 
 class PatchSum:
@@ -390,7 +416,7 @@ class PatchSum:
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
         """Judge how much of the light has arrived, and integrate the sum over the recorded pixels."""
-        loss = self._plan.loss(self._chunks, self._weights, total.arrived)
+        loss = self._plan.loss(self._chunks, self._weights, total.arrived / self._plan.gain)
         if loss is not None:
             guards.judge(guards.PATCH, loss)
         return self._plan._recorder.record(total.sums)

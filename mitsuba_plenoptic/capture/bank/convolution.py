@@ -52,7 +52,9 @@ class Convolution:
         Images in all.
     """
 
-    def __init__(self, camera: PlenopticCamera, banks: Sequence[LensBank], order: int, size: tuple[int, int] | None = None) -> None:
+    def __init__(
+        self, camera: PlenopticCamera, banks: Sequence[LensBank], order: int, size: tuple[int, int] | None = None
+    ) -> None:
         self.pitch = banks[0].pitch
         self._parts = round(camera.pixel_size / self.pitch)
         left, top = (offset * self._parts for offset in camera.crop_offset)
