@@ -353,7 +353,7 @@ class Block:
 
 def _convolve(block: Block) -> Part:
     # Kernels of longer waves reach farther.
-    pixels = max((each.reached(block.bins) for each in block.convolutions), key=lambda box: box.rows)
+    pixels = max((each.reached(block.bins) for each in block.convolutions), key=lambda box: box.rows * box.columns)
     pairs = zip(block.convolutions, block.images, strict=True)
     return Part(pixels, np.stack([each.forward(images, block.bins, pixels) for each, images in pairs]))
 
