@@ -192,19 +192,25 @@ class PatchPlan:
         Patterns without weight are left out, but not those whose weights cancel: a batch is never empty.
         """
         kept, amplitudes, copies = [], [], []
-        for pattern in chunk:
+        for pattern, shifts, factors in self._lit_copies(chunk, weights):
+            largest = float(np.abs(factors).max()) or 1.0
+            kept.append(pattern)
+            amplitudes.append((largest * self.gain) ** 0.5)
+            copies.append(Copies(shifts, (factors / largest).astype(np.float32)))
+        return Scatter(self._fields(np.array(kept, np.int64)), np.array(amplitudes), copies)
+
+    def _lit_copies(
+        self, chunk: NDArray[np.int64], weights: NDArray[np.float64]
+    ) -> Iterator[tuple[int, NDArray[np.int64], NDArray[np.float64]]]:
+        """Yield those patterns of a chunk that have any weight, and the shifts and summed weights of their copies."""
+        for pattern in chunk.tolist():
             members = slice(self._first[pattern], self._last[pattern])
             given = weights[self._order[members]]
             if given.any():
                 shifts, copy = np.unique(self._shifts[members], axis=0, return_inverse=True)
                 factors = np.zeros((len(shifts), weights.shape[1]))
                 np.add.at(factors, copy.reshape(-1), given)
-                largest = float(np.abs(factors).max()) or 1.0
-                kept.append(pattern)
-                amplitudes.append((largest * self.gain) ** 0.5)
-                copies.append(Copies(shifts, (factors / largest).astype(np.float32)))
-        which = np.array(kept, np.int64)
-        return Scatter(self._fields(which), np.array(amplitudes), copies)
+                yield pattern, shifts, factors
 
     @cached_property
     def gain(self) -> float:

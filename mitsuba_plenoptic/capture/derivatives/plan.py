@@ -125,15 +125,9 @@ class DerivativePlan(PatchPlan):
     def lit(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> tuple[Fields, list[SpreadCopies]]:
         """Describe those spreads of a chunk that have any weight, and their copies."""
         kept, copies = [], []
-        for pattern in chunk:
-            members = slice(self._first[pattern], self._last[pattern])
-            given = weights[self._order[members]]
-            if given.any():
-                shifts, copy = np.unique(self._shifts[members], axis=0, return_inverse=True)
-                factors = np.zeros((len(shifts), weights.shape[1]))
-                np.add.at(factors, copy.reshape(-1), given)
-                kept.append(pattern)
-                copies.append(SpreadCopies(shifts, shifts * self._per_sample, factors.astype(np.float32)))
+        for pattern, shifts, factors in self._lit_copies(chunk, weights):
+            kept.append(pattern)
+            copies.append(SpreadCopies(shifts, shifts * self._per_sample, factors.astype(np.float32)))
         return self._fields(np.array(kept, np.int64)), copies
 
     def _pull(
