@@ -216,20 +216,19 @@ class PatchPlan:
     def gain(self) -> float:
         """Factor on all power that puts back on the patches what is diffracted beyond them.
 
-        In sums of many points that light is an even veil, of which about as much comes as goes. It differs little from
-        pattern to pattern. 1 where patches hold what a few points, or strict ones, need.
+        In sums of many points that light is an even veil, of which about as much comes as goes. It is that of open
+        pupils, which differs little from pattern to pattern. 1 where patches hold what a few points, or strict ones,
+        need.
         """
         if math.isinf(self._grid.band.beyond) or not self._camera.lattice.fills or not len(self._positions):
             return 1.0
         whole = [Copies(np.zeros((1, 2), np.int64), np.ones((1, 1), np.float32))]
-        sent = arrived = 0.0
+        some, arrived = _some(len(self._positions)), 0.0
         with resting_drjit():
-            for pattern in _some(len(self._positions)):
-                fields = self._fields(pattern)
+            for pattern in some:
+                fields = Fields(self._grid, self._placement.take(pattern), self._positions[pattern], None)
                 arrived += float(Scatter(fields, np.ones(1), whole).prepare()().sums.sum(dtype=np.float64))
-                lit = fields.pupil_weights.lit() if fields.pupil_weights is not None else np.ones(1)
-                sent += float(lit.sum() / self._grid.pitch.prod())
-        return sent / arrived if arrived else 1.0
+        return len(some) / (arrived * float(self._grid.pitch.prod())) if arrived else 1.0
 
     def _fields(self, which: NDArray[np.int64]) -> Fields:
         """Describe the fields of some patterns."""

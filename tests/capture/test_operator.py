@@ -403,3 +403,13 @@ def test_many_radiators_at_infinity_are_refused():
     positions = np.column_stack([x, np.full(100, 1e7)])
     with pytest.raises(InputError, match=r"^100 radiators by patches.*GiB"):
         capture(PlenopticCamera(), positions, np.ones(100))
+
+
+def test_many_points_keep_their_power_whatever_hides_others():
+    """What is cut is put back on patches; nearly hidden pupils, which lose more of it, do not count for open ones."""
+    camera, points = small_camera(16), scattered(600)
+    seen = np.ones((600, 16, 16), bool)
+    seen[300:, :, :15] = False
+    open_ones = (np.arange(600) < 300).astype(float)
+    image = CaptureOperator(camera, points, wavelength=550.0, accuracy=0.01, pupil_weights=seen).forward(open_ones)
+    assert image.sum(dtype=float) == pytest.approx(300, rel=0.002)
