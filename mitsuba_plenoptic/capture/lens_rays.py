@@ -116,7 +116,13 @@ class LensRaySum:
     @cached_property
     def _convolutions(self) -> list[Convolution]:
         largest = self._blocks[0].rows, self._blocks[0].columns
-        return [Convolution(self._camera, banks, order=1, size=largest) for banks in self._banks]
+        # Channels of the same kernels share theirs.
+        keys = [tuple(id(bank.kernels) for bank in banks) for banks in self._banks]
+        made = {
+            key: Convolution(self._camera, banks, order=1, size=largest)
+            for key, banks in dict(zip(keys, self._banks, strict=True)).items()
+        }
+        return [made[key] for key in keys]
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
         """Return the sum of all blocks."""

@@ -214,8 +214,13 @@ class WaveCapture:
         pitch = finest_pitch(self.camera, self.wavelengths)
         banks = [
             [LensBank.learn(self.camera, wavelength, self.accuracy, between, type_, pitch, blank) for type_ in types]
-            for wavelength in self.wavelengths
+            # What one wavelength takes tells well enough what others do.
+            for wavelength in (self.wavelengths[:1] if blank else self.wavelengths)
         ]
+        if blank:
+            banks *= len(self.wavelengths)
+            # Coefficients of one table would be found once for all.
+            banks = [[replace(bank, table=replace(bank.table)) for bank in of_channel] for of_channel in banks]
         # Neighbouring seeds must not share runs.
         seeds = np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
         options: dict[str, Any] = {"accuracy": self.accuracy, "spp": -(-paths // runs)}

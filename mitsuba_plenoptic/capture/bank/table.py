@@ -39,6 +39,9 @@ _DEPTH_STEP, _EDGES, _ANGLES = 0.02, 73, 16
 _FINER = (4, 2, 2)
 """How much finer than its nodes a table is."""
 
+_GREATEST = 2**15 - 1
+"""Of the whole numbers that coefficients are rounded to."""
+
 _MOST_BLUR = 64.0
 """Lenses of blur from which on wavefront and rim count as straight."""
 
@@ -179,16 +182,31 @@ class Coordinates:
 class Table:
     """Coefficients on a grid that is finer than the nodes, so that only the edge needs interpolation.
 
+    They are whole numbers of 16 bits, read by pairs: the traffic of memory is what finding them takes.
+
     Attributes
     ----------
     coordinates : Coordinates
         Of its nodes.
-    values : float32 array (depths, angles, edges, rank)
-        The coefficients.
+    values : int16 array (depths, angles, edges, rank or one more)
+        The coefficients over their steps; the count of the last axis is even.
+    steps : float32 array (rank,)
+        What one stands for.
     """
 
     coordinates: Coordinates
-    values: NDArray[np.float32]
+    values: NDArray[np.int16]
+    steps: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, coordinates: Coordinates, coefficients: NDArray[np.float32]) -> Table:
+        """Round coefficients (depths, angles, edges, rank), each to a part of the greatest of its kernel."""
+        rank = coefficients.shape[-1]
+        greatest = np.abs(coefficients).max((0, 1, 2))
+        steps = np.where(greatest > 0, greatest / _GREATEST, 1).astype(np.float32)
+        values = np.zeros((*coefficients.shape[:-1], _even(rank)), np.int16)
+        values[..., :rank] = np.rint(coefficients / steps)
+        return cls(coordinates, values, steps)
 
     @classmethod
     def finer(cls, coordinates: Coordinates, values: NDArray[np.float32]) -> Table:
@@ -205,14 +223,15 @@ class Table:
                 matrix = spline(np.arange((len(nodes) - 1) * _FINER[axis] + 1) / _FINER[axis]).astype(np.float32)
                 part = np.moveaxis(np.tensordot(matrix, part, (1, axis)), 0, axis)
             sides.append(part.transpose(0, 2, 1, 3))
-        return cls(coordinates, np.ascontiguousarray(np.concatenate(sides)))
+        return cls.of(coordinates, np.concatenate(sides))
 
     @classmethod
     def blank(cls, coordinates: Coordinates, rank: int) -> Table:
         """Return a table without light."""
         _, edges, angles = coordinates.shape
         lines = sum(side.lines for side in coordinates.sides)
-        return cls(coordinates, np.zeros((lines, angles * _FINER[2], (edges - 1) * _FINER[1] + 1, rank), np.float32))
+        shape = lines, angles * _FINER[2], (edges - 1) * _FINER[1] + 1, _even(rank)
+        return cls(coordinates, np.zeros(shape, np.int16), np.ones(rank, np.float32))
 
     @functools.cached_property
     def _flat(self) -> dict[Any, Any]:
@@ -222,7 +241,7 @@ class Table:
         """Return coefficients; see `LensBank.coefficients`."""
         types = array_module()
         if types not in self._flat:
-            self._flat[types] = types.Float(self.values.reshape(-1))
+            self._flat[types] = types.UInt32(self.values.reshape(-1).view(np.uint32))
         _, angles, edges, rank = self.values.shape
         depth, edge, angle, lit = self.coordinates.places(Px, Py, vergence)
         lit &= active
@@ -230,8 +249,22 @@ class Table:
         line = types.UInt32(depth + 0.5) * angles + dr.select(turn >= angles, 0, turn)
         below = types.UInt32(dr.minimum(edge, edges - 2))
         part = types.Float(edge - below)
-        place = (line * edges + below) * rank
-        return [
-            dr.lerp(*(dr.gather(types.Float, self._flat[types], place + (r + step), lit) for step in (0, rank)), part)
-            for r in range(rank)
-        ]
+        pairs = rank // 2
+        place = (line * edges + below) * pairs
+        result = []
+        for pair in range(pairs):
+            ends = [
+                dr.reinterpret_array(
+                    types.Int32, dr.gather(types.UInt32, self._flat[types], place + (pair + step), lit)
+                )
+                for step in (0, pairs)
+            ]
+            # The first of a pair is in the lower half, whose sign the shifts spread.
+            for halves in ([(end << 16) >> 16 for end in ends], [end >> 16 for end in ends]):
+                result.append(dr.lerp(*(types.Float(half) for half in halves), part))
+        return [value * float(step) for value, step in zip(result[: len(self.steps)], self.steps, strict=True)]
+
+
+def _even(rank: int) -> int:
+    """Return how many coefficients are kept of so many: pairs."""
+    return rank + rank % 2
