@@ -41,6 +41,9 @@ _OFF_AXIS = 2
 
 _CHUNK_BYTES = 2**26
 
+_TILE = 1024
+"""Samples across the part of the detector on which the corners of a chunk's patches lie, about."""
+
 _FIRST, _TRIAL_SECONDS = 2, 0.1
 """Point spreads that are timed at least, for an estimate, and how long those of one patch size are timed, about."""
 
@@ -153,21 +156,16 @@ class PatchPlan:
         self._last = np.append(self._first[1:], len(order))
         self._positions, self._placement = patterns.positions[kept], placement.take(kept)
         self._slant = None if patterns.slant is None else patterns.slant[kept]
-        self._chunks = self._sort(patterns.zone[kept])
+        self._chunks = self._sort()
 
-    def _sort(self, zone: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    def _sort(self) -> list[NDArray[np.int64]]:
         """Cut the patterns into chunks."""
         samples, corner = self._placement.samples, self._placement.corner
         if not len(samples):
             return []
-        area = np.maximum(1, samples // 3)
+        area = _areas(samples)
         alone = self._last - self._first == 1
-        keys = (
-            np.where(alone, corner[:, 0] // area, zone[:, 0]),
-            np.where(alone, corner[:, 1] // area, zone[:, 1]),
-            samples,
-            alone,
-        )
+        keys = corner[:, 0] // area, corner[:, 1] // area, samples, alone
         order = np.lexsort(keys)
         changes = np.any([np.diff(key[order]) != 0 for key in keys], axis=0)
         chunks = []
@@ -206,7 +204,9 @@ class PatchPlan:
         for pattern in chunk.tolist():
             members = slice(self._first[pattern], self._last[pattern])
             given = weights[self._order[members]]
-            if given.any():
+            if len(given) == 1 and given.any():
+                yield pattern, self._shifts[members], given  # as most are, more quickly
+            elif given.any():
                 shifts, copy = np.unique(self._shifts[members], axis=0, return_inverse=True)
                 factors = np.zeros((len(shifts), weights.shape[1]))
                 np.add.at(factors, copy.reshape(-1), given)
@@ -358,7 +358,8 @@ class PatchPlan:
     def memory(self, batch_map: BatchMap, channels: int = 1) -> float:
         """Return the bytes that a sum takes in this process."""
         samples = float(self._placement.samples.max(initial=0))
-        tile = 4 * channels * (samples * 4 / 3 + ZONES[-1] * float(self._grid.lens_samples.max())) ** 2
+        across = samples + float(_areas(samples)) + ZONES[-1] * float(self._grid.lens_samples.max())
+        tile = 4 * channels * across**2
         fields = (batch_map.threads + 1) * (10 * samples**2 + 2 * _CHUNK_BYTES)
         tiles = batch_map.workers + 1
         if (self._last - self._first > 1).any():
@@ -399,6 +400,11 @@ class PatchPlan:
             seconds += taken / len(some) * int(upto[-1]) / batch_map.workers
         guards.require(guards.PATCH, 1 - arrived / (self.gain * sent) if sent else 0.0)
         return Cost(len(self._order), len(samples), seconds, memory)
+
+
+def _areas(samples: Any) -> Any:
+    """Return across how many samples the corners of patches of some size lie that are added into one tile."""
+    return np.clip(_TILE, samples // 3, 4 * samples)
 
 
 def _some(count: int) -> list[NDArray[np.int64]]:

@@ -51,8 +51,6 @@ class Patterns:
     ----------
     positions : float64 array (patterns, 3)
         The scene point that each is computed for.
-    zone : int array (patterns, 2)
-        First lens, along x and y, of the zone.
     slant : float64 array (patterns, 2), or None
         Mean of the radiators' slants (see `PupilWeights`).
     pattern : int array (n,)
@@ -62,7 +60,6 @@ class Patterns:
     """
 
     positions: NDArray[np.float64]
-    zone: NDArray[np.int64]
     slant: NDArray[np.float64] | None
     pattern: NDArray[np.int64]
     shift: NDArray[np.int64]
@@ -97,11 +94,11 @@ def find_patterns(
     -------
     Patterns
     """
-    image = _lattice_steps(camera, lens.images(positions))
     if step == 0:
         alone = np.zeros((len(positions), 2), np.int64)
         slant = None if pupil_weights is None else pupil_weights.slant
-        return Patterns(positions, np.floor(image).astype(np.int64), slant, np.arange(len(positions)), alone)
+        return Patterns(positions, slant, np.arange(len(positions)), alone)
+    image = _lattice_steps(camera, lens.images(positions))
     depth, parts = _depth_steps(camera, lens, positions[:, 2], wavelength, step)
     fine = np.floor(image * parts[:, None] + _OFF_LATTICE).astype(np.int64)
     cell = fine // parts[:, None]
@@ -135,7 +132,7 @@ def find_patterns(
     # Light that diverges and light that converges may share a pattern, and their mean be collimated.
     nearness = np.where(np.abs(mean) > 1 / _FARTHEST, mean, 1 / _FARTHEST)
     found = lens.points(_in_pitches(camera, place) * camera.mla_pitch, nearness)
-    return Patterns(found, zone[first], slant, pattern, cell - middle[pattern])
+    return Patterns(found, slant, pattern, cell - middle[pattern])
 
 
 def patterns_at(

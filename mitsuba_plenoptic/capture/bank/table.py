@@ -205,7 +205,8 @@ class Table:
         greatest = np.abs(coefficients).max((0, 1, 2))
         steps = np.where(greatest > 0, greatest / _GREATEST, 1).astype(np.float32)
         values = np.zeros((*coefficients.shape[:-1], _even(rank)), np.int16)
-        values[..., :rank] = np.rint(coefficients / steps)
+        for target, source in zip(values, coefficients, strict=True):
+            target[..., :rank] = np.rint(source / steps)
         return cls(coordinates, values, steps)
 
     @classmethod
