@@ -213,8 +213,8 @@ class CaptureOperator:
         """Differentiate `forward` in the direction of changes of the camera's numbers.
 
         Points, weights and the relative power over each pupil are held, and so is that of all light through the pupil.
-        Up to 512 points, or at accuracies below 0.004, each has a spread of its own; more share them as `forward` does,
-        each copy with what its own lenses change. Derivatives by method "patch" only.
+        Up to 512 points, at accuracies below 0.004, or behind a real main lens, each has a spread of its own; more share
+        them as `forward` does, each copy with what its own lenses change. Derivatives by method "patch" only.
 
         Parameters
         ----------
@@ -224,7 +224,8 @@ class CaptureOperator:
             Change of each number that changes, by name: ``focal_length``, ``aperture_radius``, ``mla_distance``,
             ``mla_focal_length`` (one, or each of three), ``mla_pitch`` (of both, or of each), ``mla_rotation`` (in
             degrees), ``mla_offset`` (two), ``mla_fill``, ``detector_distance``, ``detector_width``, ``wavelength`` (in
-            nanometres, of all) and ``wavefront`` (the first of its coefficients, or all).
+            nanometres, of all) and ``wavefront`` (the first of its coefficients, or all; behind a real main lens over
+            the ``pupil_radius`` of its exit pupil).
         job : Job, optional
             Who is told of the progress; the work is done by threads of this process.
 

@@ -23,7 +23,7 @@ from ..optics.microlens_orders import axis_transmission, plane_transmission
 from ..optics.microlenses import is_separable
 from ..optics.phase import in_millimetres, phasor, smooth_edge, soft_edge
 from ..optics.sampling import fast_length
-from ..optics.varying_lens import VaryingLens
+from ..optics.varying_lens import VaryingLens, VaryingLight
 from ..runtime.backend import array_module
 from ..runtime.indexing import split
 from .grid import Grid, Placement
@@ -187,7 +187,9 @@ class PatchFactors:
             cover *= types.Float(amplitude)
         return phasor(waves) * (bright * cover), dr.block_sum(power, size * size) * self._constant(math.prod(steps))
 
-    def _path(self, elements: Elements, light: Light, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
+    def _path(
+        self, elements: Elements, light: Light | VaryingLight, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]
+    ) -> Any:
         """Return the path from points to the pupil in waves; both are given in the frame of the lattice."""
         if elements.lens.is_round and elements.aberration is None:
             return light.path(pupil, point, elements.wavelength)

@@ -96,9 +96,7 @@ def lens_change(lens: FittedLens, name: str) -> LensChange:
     return LensChange((high - low) / (2 * step), made[0], made[1], tuple(made[2:]))
 
 
-def _seen_from(
-    lens: LensSystem, other: LensSystem, field: NDArray, nearness: NDArray, entrance: NDArray
-) -> PupilRays:
+def _seen_from(lens: LensSystem, other: LensSystem, field: NDArray, nearness: NDArray, entrance: NDArray) -> PupilRays:
     """Trace rays through another lens from the points that have some fields and nearnesses before the first."""
     nearer = 1 / (1 - nearness * (entrance_place(other) - entrance_place(lens)))
     return trace_all(other, field * nearer, nearness * nearer, entrance)[0]

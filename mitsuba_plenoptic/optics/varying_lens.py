@@ -71,8 +71,10 @@ class VaryingLens(FinitePupil):
         Float64 = dr.float64_array_t(type(which))
 
         def bound(polynomial: Any) -> PupilPolynomial:
-            lanes = [dr.gather(Float64, Float64(np.ascontiguousarray(c)), which) for c in polynomial.at(fields, nearness).T]
-            return polynomial.over_pupil(lanes, light.aberration.field)  # type: ignore[no-any-return]
+            lanes = [
+                dr.gather(Float64, Float64(np.ascontiguousarray(c)), which) for c in polynomial.at(fields, nearness).T
+            ]
+            return polynomial.over_pupil(lanes, light.aberration.field)
 
         changes = [
             Shown(amount, bound(c.aberration), bound(c.brightness), [bound(stop) for stop in c.stops])
