@@ -213,8 +213,8 @@ class CaptureOperator:
         """Differentiate `forward` in the direction of changes of the camera's numbers.
 
         Points, weights and the relative power over each pupil are held, and so is that of all light through the pupil.
-        Up to 512 points, at accuracies below 0.004, or behind a real main lens, each has a spread of its own; more share
-        them as `forward` does, each copy with what its own lenses change. Derivatives by method "patch" only.
+        Behind a real main lens, for up to 512 points, or at accuracies below 0.004, each has a spread of its own; more
+        share them as `forward` does, each copy with what its own lenses change. Derivatives by method "patch" only.
 
         Parameters
         ----------

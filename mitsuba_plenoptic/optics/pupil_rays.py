@@ -67,7 +67,7 @@ def entrance_place(lens: LensSystem) -> float:
 
 
 def trace(lens: LensSystem, field: NDArray, nearness: NDArray, entrance: NDArray) -> PupilRays:
-    """Trace rays; those that miss a surface, or pass one far beyond its edge, are left out; otherwise as `trace_all`."""
+    """Trace rays as `trace_all` does; those that miss a surface, or pass one far beyond its edge, are left out."""
     rays, kept = trace_all(lens, field, nearness, entrance)
     return rays.take(kept)
 

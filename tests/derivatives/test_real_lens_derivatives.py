@@ -127,5 +127,5 @@ def test_changes_of_the_light_against_refitted_lenses():
 
 
 def test_fits_behind_real_lenses_are_refused():
-    with pytest.raises(InputError, match="main_lens = .*: cameras are fitted for thin main lenses only"):
+    with pytest.raises(InputError, match=r"main_lens = .*: cameras are fitted for thin main lenses only"):
         fit(behind(), [], ["mla_distance"], wavelength=WAVELENGTH)
