@@ -181,8 +181,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--resolution", type=int, default=1024, help="columns of the detector")
     parser.add_argument("--spp", type=int, default=128, help="samples per pixel by rays")
-    parser.add_argument("--square-spp", type=int, default=2048, help="those of the square alone")
+    parser.add_argument("--square-spp", type=int, default=4096, help="those of the square alone")
     parser.add_argument("--radiators", type=int, default=4, help="radiators along each side of a lens by waves")
+    parser.add_argument("--square-radiators", type=int, default=8, help="those of the square alone")
     parser.add_argument("--nodes", type=int, default=5, help="wavelengths at which point spreads are computed")
     parser.add_argument("--accuracy", type=float, default=0.03, help="of the pictures by waves")
     parser.add_argument("--draw-only", action="store_true", help="draw, and measure nothing")
@@ -201,7 +202,7 @@ def main() -> None:
             resolution=(arguments.resolution, arguments.resolution),
         )
         if not arguments.draw_only:
-            judge_square(verdict, name, cameras[name], arguments.square_spp, arguments.radiators)
+            judge_square(verdict, name, cameras[name], arguments.square_spp, arguments.square_radiators)
     if not arguments.judge_only:
         draw(cameras, arguments)
     sys.exit(0 if verdict.kept else 1)
