@@ -46,6 +46,7 @@ HALF = PlenopticCamera(
     focal_length=40, aperture_radius=2.5, mla_distance=60, detector_width=0.128, resolution=(64, 64)
 )  # fmt: skip
 HEXAGONAL = HALF.replace(mla_lattice="hexagonal", mla_fill=0.9)
+DOUBLE_GAUSS = HALF.replace(main_lens="double_gauss", mla_distance=60.0)
 CASES = {
     # Where four lenses meet on the axis, turning them changes nothing.
     "square, on axis, in focus": (HALF.replace(mla_offset=(0.012, 0.02)), (0.0, 0.0, 120.0)),
@@ -55,6 +56,9 @@ CASES = {
     "hexagonal, focused, off axis": (
         HEXAGONAL.replace(mla_distance=57.0, detector_distance=0.6), (0.02, 0.03, 124.0)
     ),
+    "double Gauss, on axis, in focus": (DOUBLE_GAUSS.replace(mla_offset=(0.012, 0.02)), (0.0, 0.0, 120.0)),
+    "double Gauss, turned, off axis, near": (DOUBLE_GAUSS.replace(mla_rotation=9.0), (0.03, -0.02, 115.0)),
+    "singlet, off axis, near": (HALF.replace(main_lens="singlet", mla_distance=60.0), (0.03, -0.02, 115.0)),
 }  # fmt: skip
 """Cameras and scene points."""
 

@@ -213,8 +213,8 @@ class CaptureOperator:
         """Differentiate `forward` in the direction of changes of the camera's numbers.
 
         Points, weights and the relative power over each pupil are held, and so is that of all light through the pupil.
-        Up to 512 points, or at accuracies below 0.004, each has a spread of its own; more share them as `forward` does,
-        each copy with what its own lenses change. Derivatives by method "patch" only.
+        Behind a real main lens, for up to 512 points, or at accuracies below 0.004, each has a spread of its own; more
+        share them as `forward` does, each copy with what its own lenses change. Derivatives by method "patch" only.
 
         Parameters
         ----------
@@ -224,7 +224,8 @@ class CaptureOperator:
             Change of each number that changes, by name: ``focal_length``, ``aperture_radius``, ``mla_distance``,
             ``mla_focal_length`` (one, or each of three), ``mla_pitch`` (of both, or of each), ``mla_rotation`` (in
             degrees), ``mla_offset`` (two), ``mla_fill``, ``detector_distance``, ``detector_width``, ``wavelength`` (in
-            nanometres, of all) and ``wavefront`` (the first of its coefficients, or all).
+            nanometres, of all) and ``wavefront`` (the first of its coefficients, or all; behind a real main lens over
+            the ``pupil_radius`` of its exit pupil).
         job : Job, optional
             Who is told of the progress; the work is done by threads of this process.
 
@@ -314,7 +315,8 @@ class CaptureOperator:
         """Return the derivatives of the sums, or refuse methods that have none."""
         if self._method != "patch":
             raise InputError(f"method = {self._method}: it has no derivatives; use patch")
-        self.camera.require_thin("derivatives by waves are found", "differentiate by rays")
+        if self.camera.objective is not None:
+            self.camera.require_thin("derivatives by waves are found", "differentiate by rays")
         require_no_glass(self.camera, "there are no derivatives of cameras that disperse light;")
         if self._spectrum is not None and self._spectrum.nodes:
             raise InputError(

@@ -23,6 +23,7 @@ from ..optics.microlens_orders import axis_transmission, plane_transmission
 from ..optics.microlenses import is_separable
 from ..optics.phase import in_millimetres, phasor, smooth_edge, soft_edge
 from ..optics.sampling import fast_length
+from ..optics.varying_lens import VaryingLens, VaryingLight
 from ..runtime.backend import array_module
 from ..runtime.indexing import split
 from .grid import Grid, Placement
@@ -45,7 +46,7 @@ class Elements:
 
     Attributes
     ----------
-    lens : MainLens
+    lens : MainLens or VaryingLens
         The main lens.
     microlenses : Microlenses
         In the frame of the lattice.
@@ -62,7 +63,7 @@ class Elements:
         Returns a further path of the main lens at points x and y of its pupil in the camera frame, in millimetres.
     """
 
-    lens: MainLens
+    lens: MainLens | VaryingLens
     microlenses: Any
     wavelength: Any
     detector_distance: Any
@@ -186,16 +187,21 @@ class PatchFactors:
             cover *= types.Float(amplitude)
         return phasor(waves) * (bright * cover), dr.block_sum(power, size * size) * self._constant(math.prod(steps))
 
-    def _path(self, elements: Elements, light: Light, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
+    def _path(
+        self, elements: Elements, light: Light | VaryingLight, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]
+    ) -> Any:
         """Return the path from points to the pupil in waves; both are given in the frame of the lattice."""
         if elements.lens.is_round and elements.aberration is None:
             return light.path(pupil, point, elements.wavelength)
-        X, Y = self._in_camera(elements, *point[:2])
-        pupil, point = self._in_camera(elements, *pupil), (X, Y, point[2])
-        waves = light.path(pupil, point, elements.wavelength)
+        in_camera = self._in_camera(elements, *pupil)
+        if elements.lens.is_round:
+            waves = light.path(pupil, point, elements.wavelength)
+        else:
+            X, Y = self._in_camera(elements, *point[:2])
+            waves = light.path(in_camera, (X, Y, point[2]), elements.wavelength)
         if elements.aberration is None:
             return waves
-        return waves + elements.aberration(*pupil) / self._constant(in_millimetres(elements.wavelength))
+        return waves + elements.aberration(*in_camera) / self._constant(in_millimetres(elements.wavelength))
 
     def _in_camera(self, elements: Elements, x: Any, y: Any) -> tuple[Any, Any]:
         """Turn a vector of the lattice's frame into one of the camera's."""

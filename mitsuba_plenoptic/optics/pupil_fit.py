@@ -99,6 +99,8 @@ class PupilFit:
         Path beyond that of a sphere around the paraxial image, in millimetres, and amplitude.
     stops : tuple of Polynomial
         Squares of the distances from the axis, over those of the edges, for each surface that cuts beams.
+    cutting : tuple of int
+        The numbers of these surfaces.
     error : float
         Root mean square error of the path, in waves, of the worst of the points that judge it.
     """
@@ -107,6 +109,7 @@ class PupilFit:
     aberration: Polynomial
     brightness: Polynomial
     stops: tuple[Polynomial, ...]
+    cutting: tuple[int, ...]
     error: float
 
 
@@ -167,7 +170,7 @@ def fit_pupil(
     InputError
         If no ray gets through.
     """
-    rays, judges = tracer(*_nodes(radius, field, nearness)), tracer(*_random(radius, field, nearness))
+    rays, judges = tracer(*nodes(radius, field, nearness)), tracer(*_random(radius, field, nearness))
     is_open = rays.open
     if not is_open.any():
         raise InputError("main_lens: no ray gets through it from where the scene points lie")
@@ -186,11 +189,12 @@ def fit_pupil(
         if error <= good:
             break
     # What lets all rays through ends no light.
-    stops = fitted(_STOPS, *rays.stops[rays.stops.max(1) > 1])
-    return PupilFit(pupils, aberration, brightness, tuple(stops), error)
+    cutting = np.flatnonzero(rays.stops.max(1) > 1)
+    stops = fitted(_STOPS, *rays.stops[cutting])
+    return PupilFit(pupils, aberration, brightness, tuple(stops), tuple(cutting.tolist()), error)
 
 
-def _nodes(radius: float, field: float, nearness: tuple[float, float]) -> tuple[NDArray, NDArray, NDArray]:
+def nodes(radius: float, field: float, nearness: tuple[float, float]) -> tuple[NDArray, NDArray, NDArray]:
     """Return fields, nearnesses and places of rays to fit, at the nodes of Chebyshev's polynomials and both ends.
 
     What lies at one side of the plane through axis and point is the mirror image of the other.

@@ -67,7 +67,15 @@ def entrance_place(lens: LensSystem) -> float:
 
 
 def trace(lens: LensSystem, field: NDArray, nearness: NDArray, entrance: NDArray) -> PupilRays:
-    r"""Trace rays; those that miss a surface, or pass one far beyond its edge, are left out.
+    """Trace rays as `trace_all` does; those that miss a surface, or pass one far beyond its edge, are left out."""
+    rays, kept = trace_all(lens, field, nearness, entrance)
+    return rays.take(kept)
+
+
+def trace_all(
+    lens: LensSystem, field: NDArray, nearness: NDArray, entrance: NDArray
+) -> tuple[PupilRays, NDArray[np.bool_]]:
+    r"""Trace rays, and tell which of them neither miss a surface nor pass one far beyond its edge.
 
     The amplitude is :math:`\frac{1}{|E v - u|^2 + 1} \sqrt{|dE / dP|}`, with u the field, v the nearness, E the place
     on the entrance pupil and P that on the exit pupil: what a thin lens in the entrance pupil takes (see
@@ -81,6 +89,12 @@ def trace(lens: LensSystem, field: NDArray, nearness: NDArray, entrance: NDArray
         Of each ray's point, which lies at that field along y.
     entrance : float64 array (2, n)
         Where each ray passes the plane of the entrance pupil, in millimetres.
+
+    Returns
+    -------
+    PupilRays
+        All of them; what misses a surface is NaN.
+    kept : bool array (n,)
     """
     place, path, stops, slope = _follow(lens, field, nearness, entrance)
     middle = _follow(lens, field, nearness, np.zeros_like(entrance))[1]
@@ -95,7 +109,7 @@ def trace(lens: LensSystem, field: NDArray, nearness: NDArray, entrance: NDArray
         amplitude = 1 / (away * np.sqrt(np.abs(ax * by - ay * bx)))
         told = np.isfinite([*place, path - middle, amplitude]).all(0) & np.isfinite(stops).all(0)
         kept = told & (stops <= _BEYOND**2).all(0) & (slope < _STEEPEST)
-    return PupilRays(field, nearness, place, entrance, path - middle, amplitude, stops).take(kept)
+    return PupilRays(field, nearness, place, entrance, path - middle, amplitude, stops), kept
 
 
 def _follow(

@@ -178,10 +178,6 @@ def test_what_knows_thin_lenses_only_refuses_the_capture(tmp_path):
             "method bank is",
         ),
         (
-            lambda: CaptureOperator(camera, [(0, 0, 240)], wavelength=633).derivative([1.0], {"focal_length": 1.0}),
-            "derivatives by waves are found",
-        ),
-        (
             lambda: render_capture(white_scene(camera), model="wave", wavelength=633, method="bank"),
             "method bank is",
         ),

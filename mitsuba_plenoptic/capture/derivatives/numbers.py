@@ -13,8 +13,12 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...errors import InputError, require_number, shown
 from ...lattice import make_lattice, turn
+from ...optics.fitted_lens import FittedLens
+from ...optics.lens_changes import LENS_NUMBERS
+from ...optics.main_lens import MainLens
 from ...optics.microlens_derivatives import VaryingMicrolenses
 from ...optics.thin import ThinLens
+from ...optics.varying_lens import VaryingLens
 from ...runtime.backend import array_module
 from ..grid import Grid
 from ..patch_factors import Elements
@@ -131,24 +135,32 @@ class VaryingNumbers:
     def elements(self, grid: Grid, cosine: float) -> Elements:
         """Return the elements of the camera in the frame of a grid, with microlenses up to a direction cosine."""
         get, camera = self._numbers, grid.camera
-        lens = ThinLens(
-            get["focal_length"][0],
-            get["aperture_radius"][0],
-            get["mla_distance"][0],
-            camera.lens_model,
-            [dr.detach(coefficient) for coefficient in get["wavefront"][: len(camera.wavefront)]],
-        )
         aberration = None
         if "wavefront" in self._varies:
-            aberration = partial(varying_path, dr.concat(get["wavefront"]), camera.aperture_radius)
+            aberration = partial(varying_path, dr.concat(get["wavefront"]), camera.pupil_radius)
         # The array stays where it is in the frame of the grid, and the scene turns.
         turned: Any = get["mla_rotation"][0] - grid.rotation if "mla_rotation" in self._varies else 0.0
+        lens = self._lens(grid, turned)
         angle = get["mla_rotation"][0] if "mla_rotation" in self._varies else grid.rotation
         lattice = self._lattice(camera, turn(get["mla_offset"][0], get["mla_offset"][1], -angle))
         wavelength = get["wavelength"][0]
         microlenses = VaryingMicrolenses(camera, grid.wavelength, cosine, lattice, get["mla_focal_length"], wavelength)
         growth: Any = wavelength / grid.wavelength if "wavelength" in self._varies else 1.0
         return Elements(lens, microlenses, wavelength, get["detector_distance"][0], turned, growth, aberration)
+
+    def _lens(self, grid: Grid, turned: Any) -> MainLens | VaryingLens:
+        """Return the main lens, before which the scene may turn."""
+        get, camera = self._numbers, grid.camera
+        if isinstance(grid.lens, FittedLens):
+            varying = {name: get[name][0] for name in LENS_NUMBERS if name in self._varies}
+            return VaryingLens(grid.lens, get["mla_distance"][0], varying, turned)
+        return ThinLens(
+            get["focal_length"][0],
+            get["aperture_radius"][0],
+            get["mla_distance"][0],
+            camera.lens_model,
+            [dr.detach(coefficient) for coefficient in get["wavefront"][: len(camera.wavefront)]],
+        )
 
     def brightness(self, camera: PlenopticCamera) -> Any:
         """Return what `units.brightness` does."""

@@ -48,7 +48,8 @@ class DerivativePlan(PatchPlan):
         wavelength: float,
         accuracy: float,
     ) -> None:
-        shared = derivatives_share(accuracy, len(points))
+        # The images of copies behind a real lens move in ways of their own.
+        shared = camera.prescription is None and derivatives_share(accuracy, len(points))
         band = derivative_band_for(accuracy, len(points))
         super().__init__(camera, points, pupil_weights, wavelength, accuracy, band=band, shared=shared)
         self._wavelength, self._finer = wavelength, 1 if shared else 2
