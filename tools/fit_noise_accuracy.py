@@ -17,8 +17,9 @@ comes near at accuracy 0.02, and the same steps follow. They must end where the 
 Printed, for each number: the mean over the seeds of the squared error over its stated variance (limit 1 within 0.25),
 the stated variance over the Cramer-Rao bound of the true camera (1 within 0.2), the last step over the deviation
 (0.05), and where a fit from afar ended (0.05 deviations). Without limits: the bias over the deviation where the data
-come from other radiators and default accuracy. Fits begin until ``--minutes`` have passed. Writes
-``fit_noise_accuracy.json``; exits with 1 where a limit is not kept.
+come from other radiators and default accuracy. Fits begin until ``--minutes`` have passed; those that are done are
+kept, too, and a further run goes on behind them. Writes ``fit_noise_accuracy.json``; exits with 1 where a limit is
+not kept.
 """
 
 from __future__ import annotations
@@ -80,13 +81,16 @@ def main() -> None:
     study.differentiate(arguments)
     print(f"derivatives: {time.monotonic() - began:.0f} s", flush=True)
 
-    fits: list[dict[str, Any]] = []
-    for seed in range(arguments.seeds):
+    kept = arguments.output / "fit_noise_fits.json"
+    known = json.loads(kept.read_text()) if kept.exists() else {}
+    fits: list[dict[str, Any]] = known["fits"][: arguments.seeds] if known.get("key") == study.key else []
+    for seed in range(len(fits), arguments.seeds):
         if time.monotonic() - began > 60 * arguments.minutes:
             break
         rng = np.random.default_rng(1000 + seed)
         near = study.true + study.covariance_root(study.images) @ rng.uniform(-2, 2, len(study.true))
         fits.append(found := study.settle(near, study.noisy(seed + 1), STEPS))
+        kept.write_text(json.dumps({"key": study.key, "fits": fits}))
         print(f"fit {seed + 1}: {np.round(found['error'], 2)}, {time.monotonic() - began:.0f} s", flush=True)
     other = [wall(camera, 3), letters(arguments.lenses, 2)]
     bias = study.settle(study.true, study.recorded(other), FAR_STEPS)["error"]
@@ -171,8 +175,9 @@ class Study:
     def differentiate(self, arguments: argparse.Namespace) -> None:
         """Find the derivatives at the true camera, in `scales`, or take those that have been kept."""
         file = arguments.output / "fit_noise_derivatives.npz"
-        key = json.dumps([self.camera.to_dict(), arguments.derivatives, [len(p) for p, _ in self.lights], NAMES])
-        if file.exists() and str(np.load(file)["key"]) == key:
+        key = [self.camera.to_dict(), arguments.derivatives, [len(points) for points, _ in self.lights], NAMES]
+        self.key = json.dumps([*key, self.photons])
+        if file.exists() and str(np.load(file)["key"]) == self.key:
             self.slopes = np.load(file)["slopes"]
             return
         model = Model(self.camera, self.views(self.images, self.lights), WAVELENGTH, arguments.derivatives)
@@ -181,7 +186,7 @@ class Study:
             parts.append(model.derivatives(self.numbers[first : first + TOGETHER], self.images))
             print(f"derivatives by {first + len(parts[-1])} of {len(self.numbers)} numbers", flush=True)
         self.slopes = np.concatenate(parts) * self.unit[:, None, None, None]
-        np.savez(file, key=key, slopes=self.slopes)
+        np.savez(file, key=self.key, slopes=self.slopes)
 
     def _rows(self, images: Array) -> tuple[Array, Array]:
         """Return the derivatives over the deviations of the pixels, (pixels, numbers), and these deviations."""
