@@ -84,7 +84,7 @@ def derivative_band_for(accuracy: float, count: int) -> Band:
     """
     if accuracy < _EXACT:
         return _FINEST
-    return replace(band_for(accuracy, count), edge=2.0, smooth=True, beyond=math.inf)
+    return replace(band_for(accuracy, count), edge=2.0, smooth=True)
 
 
 def derivatives_share(accuracy: float, count: int) -> bool:

@@ -34,7 +34,7 @@ def test_copies_change_as_points_of_their_own(many, monkeypatch, lattice):
     alone, _ = operator_of(lattice)
     own = alone.jacobian(weights, [{name: change} for name, change in MOVING.items()])
     for name, found, expected in zip(MOVING, shared, own, strict=True):
-        assert error(found, expected) < 0.04, name
+        assert error(found, expected) < 0.07, name
 
 
 @pytest.mark.slow

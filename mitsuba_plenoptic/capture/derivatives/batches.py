@@ -22,7 +22,7 @@ from ..patch_factors import PatchFactors
 from .chain import Changes, Factors, Way, step_changes
 from .field_memory import Memory
 from .numbers import VaryingNumbers
-from .spread_copies import SpreadCopies, Window, covered, gathered
+from .spread_copies import SpreadCopies, SpreadSum, Window, covered, gathered
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,12 @@ class _Drawn:
     def parts(self) -> list[Any]:
         """All of them, as `Factors` has them."""
         return [self.pupil, self.along_x, self.along_y, self.lenses, self.transfer]
+
+
+def varying_factors(fields: Fields, numbers: VaryingNumbers) -> tuple[bool, ...]:
+    """Tell which of the factors change with numbers, as `Factors` has them."""
+    drawn, _ = _Drawn.of(fields, numbers)
+    return tuple(part is not None and dr.grad_enabled(part) for part in drawn.parts)
 
 
 def _shapes(fields: Fields, made: PatchFactors) -> list[tuple[int, ...]]:
@@ -101,10 +107,12 @@ def _changed(fields: Fields, numbers: VaryingNumbers) -> list[Field | None]:
     varying = [part for part in drawn.parts if part is not None and dr.grad_enabled(part)]
     if varying:
         dr.forward_to(*varying)
-    return [
+    changes = [
         as_field(pack(dr.grad(part)), shape) if part is not None and dr.grad_enabled(part) else None
         for part, shape in zip(drawn.parts, _shapes(fields, made), strict=True)
     ]
+    # A number with parts, of which some stay, leaves factors as they are.
+    return [change if change is not None and change.any() else None for change in changes]
 
 
 def _combined(changes: list[tuple[float, Changes]], arrays: Any) -> Changes:
@@ -238,6 +246,8 @@ class Pull:
         Whether the products are asked for.
     summed : bool
         Whether the point spreads are.
+    varies : tuple of bool
+        Of which of the factors the cotangents are, as `varying_factors` tells.
     """
 
     fields: Fields
@@ -247,6 +257,7 @@ class Pull:
     tile: NDArray[np.float32]
     shifted: bool
     summed: bool
+    varies: tuple[bool, ...]
 
     @property
     def samples(self) -> int:
@@ -274,27 +285,33 @@ class Pull:
 def _pull(pull: Pull, batch: PatchBatch, lattice: list[list[Field | None]]) -> Pulled:
     arrays, finer = batch.libraries.arrays, pull.finer
     box = covered(batch.corner, batch.samples, pull.copies, finer)
-    tile, plain = arrays.asarray(pull.tile), _plain(batch)
-    result = [None if part is None else arrays.zeros(part.shape, np.complex64) for part in plain]
-    sums = arrays.zeros(tile.shape, np.float32) if pull.summed else None
+    # The intensity changes by twice the product of the field and its change.
+    tile, plain = 2 * arrays.asarray(pull.tile), _plain(batch)
+    result = [
+        arrays.zeros(part.shape, np.complex64) if part is not None and varies else None
+        for part, varies in zip(plain, pull.varies, strict=True)
+    ]
+    returning = arrays.conj(batch.transfer.T)
+    spreads = SpreadSum(box, batch, pull.copies, finer) if pull.summed else None
     products, pitch, memory = np.zeros((2, 2, 2)), pull.fields.grid.pitch, Memory(arrays)
     for radiator, copies in enumerate(pull.copies):
         memory.restart()
-        way = Way(Factors(*_of_radiator(plain, batch, radiator)), finer, memory)
+        rows, columns = _directions(batch, radiator)
+        way = Way(Factors(*_of_radiator(plain, batch, radiator)), finer, memory, returning[rows, columns])
         windows = copies.windows(batch.corner[radiator], batch.samples, box, finer)
         gradient, *moments = gathered(tile, windows, copies, pull.shifted and copies.moved, arrays)
         behind = [way.behind(Changes(*_of_radiator(move, batch, radiator))) for move in lattice if moments]
         for axis, moment in enumerate(moments):
-            lenses, steps = way.products(memory.product(way.field, 2 * moment), behind)
+            lenses, steps = way.products(memory.product(way.field, moment), behind)
             products[0, : len(lenses), axis] += lenses
             products[1, :, axis] += np.array(steps) / pitch
-        if sums is not None:
-            _add(sums, [(way.intensity, np.ones(len(windows)))], copies, windows, arrays)
-        *own, transfer = way.back(memory.product(way.field, 2 * gradient)).parts
+        if spreads is not None:
+            spreads.add(radiator, way.intensity)
         *targets, total = result
+        *own, transfer = way.back(memory.product(way.field, gradient), total is not None).parts
         for target, part in zip(targets, own, strict=True):
             if target is not None:
                 target[radiator] = part
         if total is not None:
-            total[_directions(batch, radiator)] += transfer
-    return Pulled(result, products, None if sums is None else Part(box, sums))
+            total[rows, columns] += transfer
+    return Pulled(result, products, None if spreads is None else Part(box, spreads.total()))

@@ -52,13 +52,18 @@ class Factors:
 
 @dataclass(frozen=True)
 class Changes:
-    """Changes of the factors; attributes as of `Factors`, None for what does not change."""
+    """Changes of the factors, or cotangents of them; attributes as of `Factors`, None for what does not change."""
 
     pupil: Field | None = None
     along_x: Field | None = None
     along_y: Field | None = None
     lenses: Field | None = None
     transfer: Field | None = None
+
+    @property
+    def parts(self) -> list[Field | None]:
+        """All of them."""
+        return [self.pupil, self.along_x, self.along_y, self.lenses, self.transfer]
 
 
 class _Passage(Protocol):
@@ -76,7 +81,7 @@ class _Passage(Protocol):
         """Take a cotangent of the spectrum to behind the MLA."""
 
     def back(self, behind: Field) -> tuple[Field, Field, Field, Field | None]:
-        """Return the cotangents of pupil, along_x, along_y and lenses from that behind the MLA, which is used up."""
+        """Return the cotangents of pupil, along_x, along_y and lenses from that behind the MLA; both are used up."""
 
 
 class Way:
@@ -90,6 +95,8 @@ class Way:
         How many samples of the field on the detector there are for one of the patch, along each axis.
     memory : Memory
         Where it lies: it is lost when this restarts.
+    returning : complex64 array (n, n), optional
+        The conjugate of the transfer function, for the ways back.
 
     Attributes
     ----------
@@ -97,11 +104,11 @@ class Way:
         On the detector.
     """
 
-    def __init__(self, factors: Factors, finer: int, memory: Memory) -> None:
-        self._transfer, self._finer = factors.transfer, finer
+    def __init__(self, factors: Factors, finer: int, memory: Memory, returning: Field | None = None) -> None:
+        self._transfer, self._returning, self._finer = factors.transfer, returning, finer
         self._memory, self._arrays = memory, memory.arrays
         self._passage: _Passage = (_Product if factors.lenses is None else _Plane)(factors, memory)
-        self._sent = memory.product(self._passage.spectrum, factors.transfer)
+        self._stepped: list[Field] = []
         self.field = self._to_detector(memory.product(self._passage.spectrum, factors.transfer))
 
     @property
@@ -121,14 +128,17 @@ class Way:
     def behind(self, change: Changes) -> Field:
         """Return the change of the field behind the MLA, as `products` takes it; zero where there is none."""
         behind = self._passage.behind(change)
-        return self._passage.from_spectrum(self._arrays.zeros_like(self._sent)) if behind is None else behind
+        return self._passage.from_spectrum(self._arrays.zeros_like(self._transfer)) if behind is None else behind
 
-    def back(self, field: Field) -> Factors:
-        """Return the cotangents of the factors from that of the field, whose memory is used."""
+    def back(self, field: Field, transfer: bool = True) -> Changes:
+        """Return the cotangents of the factors from that of the field, whose memory is used.
+
+        That of the transfer function is left out unless it is asked for.
+        """
         spectrum = self._from_detector(field)
-        transfer = self._memory.back(self._passage.spectrum, spectrum)
-        behind = self._passage.from_spectrum(self._memory.back(self._transfer, spectrum))
-        return Factors(*self._passage.back(behind), transfer)
+        own = self._memory.back(self._passage.spectrum, spectrum) if transfer else None
+        behind = self._passage.from_spectrum(self._before_space(spectrum))
+        return Changes(*self._passage.back(behind), own)
 
     def products(self, field: Field, behind: list[Field]) -> tuple[list[float], list[float]]:
         """Multiply a cotangent of the field, whose memory is used, with some of the field's changes.
@@ -140,15 +150,23 @@ class Way:
         list of float
             Those with the change by a step of one sample of the patch along x, and along y.
         """
-        arrays, n = self._arrays, len(self._sent)
-        spectrum = self._from_detector(field)
+        arrays = self._arrays
+        spectrum = self._before_space(self._from_detector(field))
+        if not self._stepped:
+            cycles, own = _cycles(len(self._transfer), arrays), self._passage.spectrum
+            self._stepped = [self._memory.product(own, part) for part in (cycles, cycles[:, None])]
+        # With the transfer function in the cotangent, the field is that before it.
+        steps = [-2 * math.pi * float(arrays.vdot(spectrum, stepped).imag) for stepped in self._stepped]
         found: list[float] = []
         if behind:
-            cotangent = self._passage.from_spectrum(self._memory.back(self._transfer, spectrum))
+            cotangent = self._passage.from_spectrum(spectrum)
             found = [float(arrays.vdot(cotangent, change).real) for change in behind]
-        turning = self._memory.back(spectrum, self._sent).imag
-        steps = -2 * math.pi * _cycles(n, arrays)
-        return found, [float(turning.sum(axis) @ steps) for axis in (0, 1)]
+        return found, steps
+
+    def _before_space(self, spectrum: Field) -> Field:
+        """Take a cotangent of the spectrum on the detector, whose memory is used, to that behind the MLA."""
+        assert self._returning is not None
+        return self._arrays.multiply(spectrum, self._returning, out=spectrum)
 
     def _to_detector(self, spectrum: Field) -> Field:
         """Take a spectrum, whose memory is used, to the detector."""
@@ -160,7 +178,7 @@ class Way:
 
     def _from_detector(self, field: Field) -> Field:
         """Apply the adjoint of `_to_detector`."""
-        n, arrays = len(self._sent), self._arrays
+        n, arrays = len(self._transfer), self._arrays
         columns = arrays.ascontiguousarray(_forward(field, 1)[:, :n])
         return arrays.ascontiguousarray(_forward(columns, 0)[:n])
 
@@ -176,7 +194,7 @@ def step_changes(transfer: Field, arrays: Any = np) -> tuple[Changes, Changes]:
 
 def _cycles(count: int, arrays: Any) -> Any:
     """Return the cycles a sample of each frequency of a patch: the chief ray's, which no intensity feels, has none."""
-    return (arrays.arange(count) - count // 2) / count
+    return ((arrays.arange(count) - count // 2) / count).astype(np.float32)
 
 
 class _Product:
@@ -208,7 +226,8 @@ class _Product:
 
     def back(self, behind: Field) -> tuple[Field, Field, Field, None]:
         f, conj, size = self._factors, self._arrays.conj, len(self._factors.pupil)
-        along_y = self._memory.back(self._columns, behind).sum(1)
+        columns = conj(self._columns, out=self._columns)
+        along_y = self._arrays.einsum("ij,ij->i", columns, behind)
         behind *= conj(f.along_y)[:, None]
         rows = self._arrays.ascontiguousarray(_forward(behind, 0)[:size])
         rows = _inverse(self._memory.widened(rows, self._mla_samples, 1), 1)

@@ -18,7 +18,7 @@ from ..patch_batches import Fields
 from ..patch_plan import PatchPlan
 from ..pupil_weights import PupilWeights
 from ..recorder import Recorder
-from .batches import Pull, Push
+from .batches import Pull, Push, varying_factors
 from .copies import MOVED_COPIES, MOVED_LENSES, copy_slopes
 from .numbers import MOVES, VaryingNumbers
 from .spread_copies import SpreadCopies, covered
@@ -93,7 +93,8 @@ class DerivativePlan(PatchPlan):
         samples = self._recorder.spread(image)
         chunks, items = self.lit_chunks(weights)
         offset = self.offset_for(names)
-        batches = (self._pull(chunk, weights, offset, samples, bool(shifts), bool(moves)) for chunk in chunks)
+        varies = varying_factors(self._fields(chunks[0][:1]), numbers) if chunks else ()
+        batches = (self._pull(chunk, weights, offset, samples, bool(shifts), bool(moves), varies) for chunk in chunks)
         waiting: list[Pull] = []
 
         def kept() -> Iterator[Pull]:
@@ -139,6 +140,7 @@ class DerivativePlan(PatchPlan):
         samples: Any,
         shifted: bool,
         summed: bool,
+        varies: tuple[bool, ...],
     ) -> Pull:
         """Describe a batch, with the samples that it reaches; what lies beyond the recorded ones is zero."""
         fields, copies = self.lit(chunk, weights)
@@ -146,7 +148,7 @@ class DerivativePlan(PatchPlan):
         box = covered(placement.corner, int(placement.samples[0]), copies, self._finer)
         low = np.array([box.left, box.top])
         tile = self._tile(samples, low, low + np.array([box.columns, box.rows]))
-        return Pull(fields, copies, self._finer, offset, tile, shifted, summed)
+        return Pull(fields, copies, self._finer, offset, tile, shifted, summed, varies)
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
         """Return the bytes that derivatives take, of all channels in all directions, or refuse them."""

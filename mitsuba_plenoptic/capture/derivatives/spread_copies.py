@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...runtime.backend import backend
 from ...runtime.batches import Box
+from ..cells import Cells
+from ..patch import PatchBatch
 
 Window = tuple[slice, slice]
 """Rows and columns of a box of the grid."""
@@ -82,3 +85,50 @@ def gathered(tile: Any, windows: list[Window], copies: SpreadCopies, moments: bo
             part[...] = tile[channel, window_rows.start + first : window_rows.start + last, window_columns]
         result[:, first:last] = (factors @ held.reshape(len(which), -1)).reshape(len(along), last - first, columns)
     return list(result)
+
+
+class SpreadSum:
+    """A sum of the copies of point spreads, with their weights.
+
+    Parameters
+    ----------
+    box : Box
+        What it covers of the grid.
+    batch : PatchBatch
+        What the spreads are made of.
+    copies : list of SpreadCopies
+        Of each.
+    finer : int
+        Samples of the grid for one of a patch, along each axis.
+    """
+
+    def __init__(self, box: Box, batch: PatchBatch, copies: list[SpreadCopies], finer: int) -> None:
+        size, channels = np.array([box.rows, box.columns]), copies[0].weights.shape[1]
+        self._copies, self._samples = copies, finer * batch.samples
+        # Rows come first.
+        self._places = [
+            (finer * (corner + copy.shifts) - np.array([box.left, box.top]))[:, ::-1]
+            for corner, copy in zip(batch.corner, copies, strict=True)
+        ]
+        cells = Cells.of([finer * copy.shifts[:, ::-1] for copy in copies], self._samples)
+        self._cells = None if cells is None else cells.sum(size, channels, 1)
+        self._sums: Any = None
+        if cells is None:
+            self._sums = backend().arrays.zeros((channels, box.rows, box.columns), np.float32)
+
+    def add(self, spread: int, intensity: Any) -> None:
+        """Add the copies of one of the spreads."""
+        places, weights = self._places[spread], self._copies[spread].weights
+        if self._cells is not None:
+            if not self._cells.free:
+                self._cells.add()
+            self._cells.plane(spread, places, weights)[: self._samples, : self._samples] = intensity
+            return
+        for copy, (y, x) in enumerate(places.tolist()):
+            for channel in np.flatnonzero(weights[copy]).tolist():
+                part = self._sums[channel, y : y + self._samples, x : x + self._samples]
+                part += weights[copy, channel] * intensity
+
+    def total(self) -> Any:
+        """Return the sum, (channels, rows, columns)."""
+        return self._sums if self._cells is None else self._cells.total()
