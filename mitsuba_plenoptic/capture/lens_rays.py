@@ -46,8 +46,8 @@ _RIM = 1.1
 _FEWER = 16
 """By how much fewer."""
 
-_TRIAL, _TRIAL_BINS, _TRIALS = 512, 2**16, 3
-"""Pixels across whose convolution, and bins whose rays are timed for an estimate; how often those are."""
+_TRIAL, _FEW_BINS, _MANY_BINS, _TRIALS = 512, 2**14, 2**16, 2
+"""Pixels across whose convolution, and bins whose rays are timed for an estimate; how often the many are."""
 
 _RAY_BYTES = 200
 """Memory of a ray, about."""
@@ -151,24 +151,31 @@ class LensRaySum:
         images = 4.0 * sum(convolution.ranks for convolution in convolutions) * block.rows * block.columns
         # Two blocks are convolved, one waits and one is traced.
         memory = 4 * images + sum(convolution.memory for convolution in convolutions) + _RAY_BYTES * _LANES
-        return made + convolved + self._bins.rows * self._bins.columns * self._seconds_per_bin(), memory
+        return made + convolved + self._tracing(), memory
 
-    def _seconds_per_bin(self) -> float:
-        """Time the rays of some rows of bins, evenly over the detector."""
+    def _tracing(self) -> float:
+        """Estimate the seconds that all rays take: a part for each block, and a part for each bin."""
+        # The first compile the kernels, of which light paths of other lengths need others.
+        many, longer = min(self._timed(_MANY_BINS, seed) for seed in range(_TRIALS))
+        few, seconds = self._timed(_FEW_BINS, _TRIALS)
+        count = self._bins.rows * self._bins.columns
+        if many == few or longer <= seconds:
+            return longer / many * count
+        each = (longer - seconds) / (many - few)
+        return max(seconds - few * each, 0.0) * len(self._blocks) + count * each
+
+    def _timed(self, count: int, seed: int) -> tuple[int, float]:
+        """Time the rays of rows of about so many bins, evenly over the detector; return their number, too."""
         rows, columns = self._bins.rows, self._bins.columns
-        lines = min(rows, max(1, _TRIAL_BINS // columns))
+        lines = min(rows, max(1, count // columns))
         index = dr.arange(mi.UInt32, lines * columns)
         bins = index + index // columns * ((rows // lines - 1) * columns)
-        times = []
         with busy_drjit():
             dr.eval(bins)
-            # The first compile the kernels, of which light paths of other lengths need others.
-            for seed in range(_TRIALS):
-                start = time.perf_counter()
-                self._trace_bins(self._bins, bins, self._candidates, np.random.SeedSequence(seed))
-                dr.sync_thread()
-                times.append(time.perf_counter() - start)
-        return min(times) / (lines * columns)
+            start = time.perf_counter()
+            self._trace_bins(self._bins, bins, self._candidates, np.random.SeedSequence(seed))
+            dr.sync_thread()
+            return lines * columns, time.perf_counter() - start
 
     @property
     def _parts(self) -> int:

@@ -327,7 +327,7 @@ class CaptureOperator:
         return self._differentials
 
     def estimate(self, job: Job | None = None) -> Cost:
-        """Estimate what `forward` takes, by doing a little of it at the first wavelength.
+        """Estimate what `forward` takes, by doing a little of it at the middle one of the wavelengths.
 
         Parameters
         ----------
@@ -341,7 +341,8 @@ class CaptureOperator:
         PhysicsError
             If too much of the light would be lost.
         """
-        wavelength, workers = next(iter(self._sums(1))).wavelength, (job or Job()).workers
+        wavelengths, workers = sorted(each.wavelength for each in self._sums(1)), (job or Job()).workers
+        wavelength = wavelengths[len(wavelengths) // 2]
         costs = [self._plan(wavelength, portion).cost(workers) for portion in self._portions]
         return Cost(
             radiators=self.sums * sum(cost.radiators for cost in costs),
