@@ -31,7 +31,11 @@ from .sharing import ZONES, find_patterns
 from .tile import Copies, tile_extent
 
 _CHUNK = 64
-"""Point spreads that are prepared together and added into one tile."""
+"""Point spreads that are prepared together and added into one tile, at most."""
+
+_FEW, _CHUNKS = 4, 32
+"""Point spreads of a chunk, at most, where there are few, and into how many chunks these are cut, so that all threads
+have some."""
 
 _PATCH_LIMIT = 2**26
 """Bytes of one radiator's field above which many are refused: blurred over thousands of pixels, they take days."""
@@ -168,13 +172,13 @@ class PatchPlan:
         keys = corner[:, 0] // area, corner[:, 1] // area, samples, alone
         order = np.lexsort(keys)
         changes = np.any([np.diff(key[order]) != 0 for key in keys], axis=0)
-        chunks = []
+        most, chunks = min(_CHUNK, max(_FEW, len(samples) // _CHUNKS)), []
         for group in np.split(order, np.flatnonzero(changes) + 1):
             first = group[0]
             across = (self._placement.last[first] - self._placement.first[first]).max() + 2
             if not is_separable(self._grid.camera):
                 across = 1.5 * samples[first]  # on the MLA, of which the microlenses take an array
-            size = int(min(_CHUNK, max(1, _CHUNK_BYTES // (8 * across**2))))
+            size = int(min(most, max(1, _CHUNK_BYTES // (8 * across**2))))
             chunks += [group[start : start + size] for start in range(0, len(group), size)]
         return chunks
 
