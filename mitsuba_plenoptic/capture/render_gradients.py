@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from .derivatives import brightness_slopes
+from .derivatives import light_slopes
 from .operator import CaptureOperator
 from .radiators import Radiators
 from .replay import Replay
@@ -47,11 +47,9 @@ class RenderGradients:
         """
         camera = self.capture.camera
         image = np.zeros((*camera.shape, len(self.capture.wavelengths)), np.float32)
-        slopes = brightness_slopes(camera, changes)
-        growth = sum(float(slopes[name] @ change) for name, change in changes.items())
         for radiators, operator, scale in self._passes():
-            weights = scale * radiators.radiance
-            change = growth * weights
+            weights, slopes = scale * radiators.radiance, self._slopes(radiators, changes)
+            change = sum((change @ slopes[name] for name, change in changes.items()), np.zeros(1))[:, None] * weights
             if self.replay is not None:
                 change = change + scale * self.replay.forward(radiators)
             image += operator.forward(change)
@@ -69,17 +67,21 @@ class RenderGradients:
         names : tuple of str
             Of the numbers.
         """
-        slopes = brightness_slopes(self.capture.camera, names)
         total: Numbers = {name: np.zeros(1) for name in names}
         for radiators, operator, scale in self._passes():
             weights, back = scale * radiators.radiance, operator.adjoint(gradient)
             if names:
                 found = operator.gradient(weights, gradient, names)
-                figure = float((back * weights).sum())
-                total = {name: total[name] + found[name] + slopes[name] * figure for name in names}
+                figures, slopes = (back * weights).sum(axis=1), self._slopes(radiators, names)
+                total = {name: total[name] + found[name] + slopes[name] @ figures for name in names}
             if self.replay is not None:
                 self.replay.backward(radiators, scale * back)
         return total
+
+    def _slopes(self, radiators: Radiators, names: Iterable[str]) -> Numbers:
+        """Return the relative changes of the radiators' light, (parts, n) by name."""
+        # What of a lens is open hardly depends on the wavelength.
+        return light_slopes(self.capture.camera, names, radiators.positions, self.capture.wavelengths[0])
 
     def _passes(self) -> Iterator[tuple[Radiators, CaptureOperator, NDArray[np.float64]]]:
         """Yield the radiators of each pass, their operator and the weights of radiance 1."""

@@ -5,7 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..camera import PlenopticCamera
+from ..optics.fitted_lens import FittedLens, lens_of_waves
+from ..optics.open_area import open_area
 from ..optics.open_pupil import pupil_bound
 
 
@@ -28,6 +33,24 @@ def brightness(lattice: Any, pupil_radius: Any, detector_distance: Any, pixel_si
 def brightness_of(camera: PlenopticCamera) -> float:
     """Return `brightness` for a camera."""
     return float(brightness(camera.lattice, pupil_bound(camera), camera.detector_distance, camera.pixel_size))
+
+
+def brightness_at(camera: PlenopticCamera, points: NDArray[np.float64], wavelength: float) -> NDArray[np.float64]:
+    """Return `brightness` with the part of the pupil that is open to each of some points, (n,).
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    points : float64 array (n, 3)
+        Scene points in the camera frame.
+    wavelength : float
+        In nanometres.
+    """
+    lens, whole = lens_of_waves(camera, points, wavelength), np.full(len(points), brightness_of(camera))
+    if not isinstance(lens, FittedLens):
+        return whole
+    return np.asarray(whole * open_area(lens, points) / (math.pi * pupil_bound(camera) ** 2))
 
 
 def radiance_weight(camera: PlenopticCamera, area: float) -> float:

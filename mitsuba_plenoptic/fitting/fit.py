@@ -123,11 +123,12 @@ def fit(
     Raises
     ------
     InputError
-        If an input has a wrong value, the camera has a real main lens or the noise of a view is not known.
+        If an input has a wrong value, the camera has an objective or the noise of a view is not known.
     """
     from scipy.optimize import least_squares
 
-    camera.require_thin("cameras are fitted")
+    if camera.objective is not None:
+        camera.require_thin("cameras are fitted", "fit one behind a prescription")
     given = [views] if isinstance(views, View) else list(views)
     _check(camera, given, photons)
     numbers = numbers_of(camera, names)

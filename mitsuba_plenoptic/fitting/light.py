@@ -13,7 +13,7 @@ from ..camera import PlenopticCamera
 from ..capture.accuracy import DEFAULT_ACCURACY
 from ..capture.render import chosen_integrator, plenoptic_sensor
 from ..capture.sight import Sight
-from ..capture.units import brightness_of
+from ..capture.units import brightness_at
 from ..capture.wave_capture import WaveCapture
 from ..errors import InputError, require_count
 from ..io.captures import as_array, require_pixels
@@ -27,7 +27,8 @@ class View:
     r"""A capture, and the light that it shows.
 
     A pixel is expected to be :math:`B \sum_r w_r \, \mathrm{psf}_r`, with what `capture.units.brightness` returns as B:
-    a capture in the unit of ``plenoptic_wave``.
+    a capture in the unit of ``plenoptic_wave``. Behind a real main lens each radiator counts by the part of the pupil
+    that is open to it.
 
     Parameters
     ----------
@@ -121,5 +122,6 @@ def known_view(
         raise InputError("scene: a camera is fitted to images of one channel; use a mono variant")
     if not len(radiators.positions):
         raise InputError("scene: the camera sees nothing that shines")
-    weights = (capture.scale(radiators) * radiators.radiance)[:, 0] / brightness_of(camera)
+    recorded = (capture.scale(radiators) * radiators.radiance)[:, 0]
+    weights = recorded / brightness_at(camera, radiators.positions, capture.wavelengths[0])
     return View(image, radiators.positions, weights, noise, radiators.pupil_weights)

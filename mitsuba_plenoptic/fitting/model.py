@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..capture.derivatives import NUMBERS, brightness_slopes, check_names, values_of
+from ..capture.derivatives import NUMBERS, check_names, light_slopes, values_of
 from ..capture.operator import CaptureOperator
-from ..capture.units import brightness_of
+from ..capture.units import brightness_at
 from ..errors import InputError, shown
 from .light import View
 
@@ -107,8 +107,8 @@ class Model:
     """
 
     def __init__(self, camera: PlenopticCamera, views: list[View], wavelength: float, accuracy: float) -> None:
-        self._camera = camera
-        self._weights = [brightness_of(camera) * view.weights for view in views]
+        self._camera, self._views, self._wavelength = camera, views, wavelength
+        self._weights = [brightness_at(camera, view.points, wavelength) * view.weights for view in views]
         self._operators = [
             CaptureOperator(
                 camera, view.points, wavelength=wavelength, accuracy=accuracy, pupil_weights=view.pupil_weights
@@ -123,13 +123,20 @@ class Model:
 
     def derivatives(self, numbers: list[Number], images: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the derivatives of `images` by numbers, (numbers, views, rows, columns)."""
-        slopes = brightness_slopes(self._camera, {number.name for number in numbers})
-        directions, growth = [], []
+        names = {number.name for number in numbers}
+        directions = []
         for number in numbers:
             change = np.zeros(len(values_of(self._camera, 1.0, number.name)))
             change[list(number.parts)] = 1
             directions.append({number.name: change})
-            growth.append(float(slopes[number.name] @ change))
-        pairs = zip(self._operators, self._weights, strict=True)
-        rows = np.stack([operator.jacobian(weights, directions) for operator, weights in pairs], 1)
-        return np.asarray(rows + np.array(growth)[:, None, None, None] * images)
+        rows = []
+        for view, operator, weights, image in zip(self._views, self._operators, self._weights, images, strict=True):
+            slopes = light_slopes(self._camera, names, view.points, self._wavelength)
+            growth = [change @ slopes[name] for direction in directions for name, change in direction.items()]
+            grown = [
+                # All the light together, or each point's by itself.
+                each[0] * image if (each == each[0]).all() else operator.forward(each * weights)
+                for each in growth
+            ]
+            rows.append(operator.jacobian(weights, directions) + np.stack(grown))
+        return np.stack(rows, 1).astype(np.float64)

@@ -29,7 +29,7 @@ def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
         If the image shows no lattice.
     """
     centres = estimate_lens_grid(white).centres().reshape(-1, 2)
-    shrunk = camera.mla_distance / (camera.mla_distance + camera.detector_distance)
+    shrunk = camera.pupil_distance / (camera.pupil_distance + camera.detector_distance)
     middle = np.array(camera.resolution) / 2
     place = (centres + camera.crop_offset - middle) * (camera.pixel_size * shrunk)
     distance = np.hypot(*place.T)

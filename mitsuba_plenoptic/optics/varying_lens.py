@@ -56,9 +56,11 @@ class VaryingLens(FinitePupil):
         object.__setattr__(self, "_changes", changes)
 
     @property
-    def pupil_radius(self) -> float:
-        """Radius of a circle about the axis that holds the exit pupil; it is held."""
-        return self.base.pupil_radius
+    def pupil_radius(self) -> Any:
+        """Radius of a circle about the axis that holds the exit pupil: what hides parts of the pupil grows with it."""
+        if "aperture_radius" not in self.numbers:
+            return self.base.pupil_radius
+        return grown(self.numbers["aperture_radius"]) * float(self.base.pupil_radius)
 
     def convergence(self, distance: Any) -> Any:
         """Return the reciprocal of the distance from the exit pupil to an object plane's image, which is held."""
@@ -92,6 +94,11 @@ class VaryingLens(FinitePupil):
             stops=[with_scene(stop) for stop in light.stops],
         )
         return VaryingLight(base, changes)
+
+
+def grown(number: Any) -> Any:
+    """Return by how much a number has grown: 1, with its gradient."""
+    return number / dr.detach(number)
 
 
 @dataclass(frozen=True)

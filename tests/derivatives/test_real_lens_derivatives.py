@@ -11,8 +11,6 @@ from mitsuba_plenoptic.capture.derivatives.plan import DerivativePlan
 from mitsuba_plenoptic.capture.full_field import full_field
 from mitsuba_plenoptic.capture.full_field_grids import field_grids
 from mitsuba_plenoptic.capture.operator import CaptureOperator
-from mitsuba_plenoptic.errors import InputError
-from mitsuba_plenoptic.fitting import fit
 from mitsuba_plenoptic.optics.exit_pupil import ExitPupil
 from mitsuba_plenoptic.optics.fitted_lens import lens_of_waves
 from mitsuba_plenoptic.optics.lens_changes import lens_change
@@ -126,6 +124,17 @@ def test_changes_of_the_light_against_refitted_lenses():
     assert np.abs(found - expected).max() < 0.01 * np.abs(expected).max()
 
 
-def test_fits_behind_real_lenses_are_refused():
-    with pytest.raises(InputError, match=r"main_lens = .*: cameras are fitted for thin main lenses only"):
-        fit(behind(), [], ["mla_distance"], wavelength=WAVELENGTH)
+def test_what_hides_parts_of_the_pupil_grows_with_its_opening():
+    camera, step = behind(), 0.03
+    points, weights = scattered(2, distances=(112.0, 128.0), image=0.05), np.ones(2)
+    hidden = np.ones((2, 8, 8))
+    hidden[:, :, 5:] = 0
+
+    def image(side):
+        changed = camera.replace(aperture_radius=camera.aperture_radius + side * step)
+        operator = CaptureOperator(changed, points, wavelength=WAVELENGTH, accuracy=0, pupil_weights=hidden)
+        return operator.forward(weights)
+
+    operator = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0, pupil_weights=hidden)
+    found = operator.derivative(weights, {"aperture_radius": 1.0})
+    assert error(found, (image(1) - image(-1)) / (2 * step)) < 0.025

@@ -17,7 +17,11 @@ WALL = "wall.bsdf.reflectance.data"
 LAMP = "lamp.intensity.value"
 
 
-def scene_of(method="patch", child="path", half_width=0.1, accuracy=0.02, wavefront="0, 0, 0, 0.1", **objects):
+ABERRATED = {"wavefront": "0, 0, 0, 0.1"}
+GAUSS = {"main_lens": "double_gauss"}
+
+
+def scene_of(method="patch", child="path", half_width=0.1, accuracy=0.02, main_lens=ABERRATED, **objects):
     """Return a small textured wall, lit by a point so that its light has no noise, before two lenses."""
     turned = mi.ScalarTransform4f().translate([0.02, 0.01, 116.0]).rotate([0, 1, 0], 180).scale(half_width)
     texture = mi.Bitmap(np.random.default_rng(1).uniform(0.2, 1, (4, 4, 1)).astype(np.float32))
@@ -34,7 +38,7 @@ def scene_of(method="patch", child="path", half_width=0.1, accuracy=0.02, wavefr
             "camera": {
                 "type": "plenoptic",
                 "detector_width": 0.128,
-                "wavefront": wavefront,
+                **main_lens,
                 "film": film(64, 64),
                 "sampler": {"type": "independent", "sample_count": 1},
                 **HALF,
@@ -115,10 +119,12 @@ STEPS = {
 
 
 @pytest.mark.slow
-def test_camera_against_differences_of_the_full_field_and_reverse_against_forward():
+@pytest.mark.parametrize("main_lens", [ABERRATED, GAUSS], ids=["thin", "double Gauss"])
+def test_camera_against_differences_of_the_full_field_and_reverse_against_forward(main_lens):
     """All numbers change at once, so that one pair of fields a radiator tells of all."""
-    scene = scene_of(half_width=0.035, accuracy=0.0)
-    directions = {f"camera.{name}": step for name, step in STEPS.items()}
+    scene = scene_of(half_width=0.035, accuracy=0.0, main_lens=main_lens)
+    steps = {name: step for name, step in STEPS.items() if name != "wavefront" or main_lens is ABERRATED}
+    directions = {f"camera.{name}": step for name, step in steps.items()}
     image, change = pushed(scene, directions)
     capture = scene.integrator()._capture(scene, scene.sensors()[0])
     camera = capture.camera
@@ -128,7 +134,7 @@ def test_camera_against_differences_of_the_full_field_and_reverse_against_forwar
     sides = []
     for side in (1, -1):
         moved = camera.replace(
-            **{name: np.add(getattr(camera, name), np.multiply(side, step)).tolist() for name, step in STEPS.items()}
+            **{name: np.add(getattr(camera, name), np.multiply(side, step)).tolist() for name, step in steps.items()}
         )
         growth = brightness_of(moved) / brightness_of(camera)
         sides.append(
@@ -145,6 +151,36 @@ def test_camera_against_differences_of_the_full_field_and_reverse_against_forwar
     found = pulled(scene, list(directions), gradient)
     back = sum(np.vdot(np.ravel(found[key]), np.ravel(direction)) for key, direction in directions.items())
     assert abs(np.vdot(change, gradient) - back) < 1e-4 * np.linalg.norm(change) * np.linalg.norm(gradient)
+
+
+@pytest.mark.slow
+def test_light_that_a_lens_cuts_off_grows_less_with_its_opening():
+    """A corner that the lens darkens: radiators are found anew for the differences."""
+
+    def scene(radius):
+        lens = {"main_lens": "cooke_triplet", "focal_length": 40.0, "focus_distance": 120.0, "aperture_radius": radius}
+        corner = {"crop_offset_x": 20, "crop_offset_y": 20, "crop_width": 64, "crop_height": 64}
+        wall = mi.ScalarTransform4f().translate([0, 0, 118.0]).rotate([0, 1, 0], 180).scale(40)
+        return mi.load_dict(
+            {
+                "type": "scene",
+                "integrator": {"type": "plenoptic_wave", "radiators_per_lens": 1, "method": "patch", "accuracy": 0.05},
+                "camera": {
+                    "type": "plenoptic",
+                    "detector_width": 16.0,
+                    "film": film(2000, 2000) | corner,
+                    "sampler": {"type": "independent", "sample_count": 1},
+                    **lens,
+                },
+                "wall": {"type": "rectangle", "to_world": wall, "light": {"type": "area", "radiance": 1.0}},
+            }
+        )
+
+    more, less = (np.array(mi.render(scene(radius))).mean() for radius in (3.6, 3.4))
+    image, change = pushed(scene(3.5), {"camera.aperture_radius": 1.0})
+    found = change.mean() / image.mean()
+    assert found == pytest.approx(np.log(more / less) / 0.2, rel=0.03)
+    assert found < 0.7 * 2 / 3.5  # of a pupil that nothing else cuts
 
 
 def test_what_is_black_has_a_gradient_too():
@@ -164,7 +200,7 @@ def test_what_is_black_has_a_gradient_too():
     [
         ({}, "wall.to_world", "wall.to_world: it has no gradient: the radiators' places are held"),
         ({}, "camera.to_world", "camera.to_world: it has no gradient"),
-        ({"method": "bank", "wavefront": "0"}, LAMP, "method = bank: it has no gradients; use patch"),
+        ({"method": "bank", "main_lens": {}}, LAMP, "method = bank: it has no gradients; use patch"),
         ({"method": "full_field"}, LAMP, "method = full_field: it has no gradients"),
         ({"child": "direct"}, LAMP, "nested direct: scene parameters have no gradients through it; use path or prb"),
         ({"mirror": {"type": "sphere", "bsdf": {"type": "conductor"}}}, LAMP, "scene: no gradients .* mirrors"),

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from wave_cases import HALF, WAVELENGTH, scattered, small_camera
 
-from mitsuba_plenoptic import CaptureOperator, InputError, fit
-from mitsuba_plenoptic.capture.units import brightness_of
+from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, fit
+from mitsuba_plenoptic.capture.units import brightness_at, brightness_of
 from mitsuba_plenoptic.fitting import View, lattice_from_white
 
 TRUE = small_camera(2, **HALF)
@@ -58,6 +58,25 @@ def test_numbers_are_found_within_their_deviations():
     vector = np.array([worst.parts[name] * found.scales[name] for name in true])
     assert worst.deviation >= found.directions[-1].deviation
     assert vector @ inverse @ vector == pytest.approx(worst.deviation**-2, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_a_camera_behind_a_real_lens_is_found():
+    true = small_camera(2, main_lens="double_gauss", **HALF)
+    operator = CaptureOperator(true, POINTS, wavelength=WAVELENGTH, accuracy=ACCURACY)
+    image = brightness_at(true, POINTS, WAVELENGTH).mean() * operator.forward(np.ones(len(POINTS)))
+    view = View(image / image.max(), POINTS, np.full(len(POINTS), 1 / image.max()), 0.01)
+    start = true.replace(mla_pitch=0.0642, focal_length=1.002 * true.focal_length)
+    found = fit(start, view, ["mla_pitch", "focal_length"], wavelength=WAVELENGTH, accuracy=ACCURACY)
+    assert found.camera.prescription == true.prescription
+    assert found.camera.mla_pitch == pytest.approx(0.064, abs=0.02 * found.deviations["mla_pitch"])
+    assert found.camera.focal_length == pytest.approx(true.focal_length, abs=0.02 * found.deviations["focal_length"])
+
+
+def test_cameras_behind_objectives_are_refused():
+    camera = PlenopticCamera.preset("lfm")
+    with pytest.raises(InputError, match=r"main_lens = .*: cameras are fitted for thin main lenses only"):
+        fit(camera, [], ["mla_distance"], wavelength=WAVELENGTH)
 
 
 @pytest.mark.slow

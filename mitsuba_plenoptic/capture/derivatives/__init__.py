@@ -1,7 +1,7 @@
 """Derivatives of captures with respect to the numbers of the camera."""
 
 from .differentials import Differentials
-from .numbers import ABERRATIONS, NUMBERS, brightness_slopes, check_changes, check_names, values_of
+from .numbers import ABERRATIONS, NUMBERS, brightness_slopes, check_changes, check_names, light_slopes, values_of
 
 __all__ = [
     "ABERRATIONS",
@@ -10,5 +10,6 @@ __all__ = [
     "brightness_slopes",
     "check_changes",
     "check_names",
+    "light_slopes",
     "values_of",
 ]

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...errors import InputError, require_number, shown
 from ...lattice import make_lattice, turn
-from ...optics.fitted_lens import FittedLens
+from ...optics.fitted_lens import FittedLens, lens_of_waves
 from ...optics.lens_changes import LENS_NUMBERS
 from ...optics.main_lens import MainLens
 from ...optics.microlens_derivatives import VaryingMicrolenses
+from ...optics.open_area import open_area_slopes
 from ...optics.thin import ThinLens
 from ...optics.varying_lens import VaryingLens
 from ...runtime.backend import array_module
@@ -99,12 +100,44 @@ def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, NDArray[np
 
 
 def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str, NDArray[np.float64]]:
-    """Return the derivatives, by each number, of the logarithm of what `units.brightness` returns."""
+    """Return the derivatives, by each number, of the logarithm of what `units.brightness` returns.
+
+    The pupil is taken to grow as the opening does; see `light_slopes` for what real main lenses do.
+    """
     numbers = VaryingNumbers(camera, 1.0, names)
     value = dr.log(numbers.brightness(camera))
     if dr.grad_enabled(value):
         dr.backward(value)
     return numbers.gradients()
+
+
+def light_slopes(
+    camera: PlenopticCamera, names: Iterable[str], points: NDArray[np.float64], wavelength: float
+) -> dict[str, NDArray[np.float64]]:
+    """Return the derivatives, by each number, of the logarithm of what `units.brightness_at` returns.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    names : iterable of str
+        The numbers.
+    points : float64 array (n, 3)
+        Scene points in the camera frame.
+    wavelength : float
+        In nanometres.
+
+    Returns
+    -------
+    dict
+        By name float64 arrays (parts, n).
+    """
+    slopes = {name: np.tile(slope[:, None], len(points)) for name, slope in brightness_slopes(camera, names).items()}
+    lens = lens_of_waves(camera, points, wavelength)
+    if isinstance(lens, FittedLens):
+        # How large the pupil is, the lens tells.
+        slopes |= {name: open_area_slopes(lens, name, points)[None] for name in LENS_NUMBERS if name in slopes}
+    return slopes
 
 
 class VaryingNumbers:
