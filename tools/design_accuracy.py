@@ -119,7 +119,9 @@ def wavefront(case: Case, starts: int, output: Path) -> tuple[dict, bool]:
         coefficients[TERMS[0] - 1 :] = rng.uniform(-0.3, 0.3, len(TERMS))
         start = plain.replace(wavefront=tuple(coefficients.tolist()))
         designs.append(
-            maximise(figure, start, bounds, steps=STEPS, progress=lambda n, f, k=number: print(k, n, f, flush=True))
+            maximise(
+                figure, start, bounds, steps=STEPS, progress=lambda n, f, best, k=number: print(k, n, f, flush=True)
+            )
         )
     design = max(designs, key=lambda design: design.figure)
     verdict, results = Verdict(), {"values": design.values, "figures": [one.figure for one in designs]}

@@ -2,6 +2,7 @@
 
     python tools/fit_accuracy.py
     python tools/fit_accuracy.py --lenses 16 --seeds 40 --numbers mla_pitch,mla_offset,detector_distance
+    python tools/fit_accuracy.py --method rays --lenses 16 --points 400
 
 Points at several distances, of which the brightest pixel gets so many photons, are recorded by a small camera at the
 given accuracy. Each fit starts off by the given part of the lengths. Printed and written, for each number: the mean of
@@ -21,6 +22,7 @@ import numpy as np
 from verdict import Verdict
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, fit
+from mitsuba_plenoptic.capture.point_rays import PointRays
 from mitsuba_plenoptic.capture.units import brightness_of
 from mitsuba_plenoptic.fitting import View
 
@@ -35,6 +37,7 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=6, help="points before the camera")
     parser.add_argument("--seeds", type=int, default=40, help="captures with noise that are fitted")
     parser.add_argument("--photons", type=float, default=2000.0, help="photons of the brightest pixel")
+    parser.add_argument("--method", default="waves", choices=("waves", "rays"), help="of captures and fits")
     parser.add_argument("--accuracy", type=float, default=0.0, help="of captures and fits")
     parser.add_argument("--off", type=float, default=0.005, help="by what part of itself the pitch starts off")
     parser.add_argument("--numbers", default="mla_pitch,mla_offset,detector_distance", help="what is fitted")
@@ -52,12 +55,17 @@ def main() -> None:
     rng = np.random.default_rng(0)
     g = rng.uniform(112, 128, options.points)
     points = np.column_stack([rng.uniform(-0.4, 0.4, (options.points, 2)) * side * -g[:, None] / 60, g])
-    operator = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=options.accuracy)
-    image = brightness_of(camera) * operator.forward(np.ones(options.points)).astype(np.float64)
+    if options.method == "rays":
+        image = PointRays(camera, points, WAVELENGTH).image(camera, np.ones(options.points))
+    else:
+        operator = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=options.accuracy)
+        image = operator.forward(np.ones(options.points)).astype(np.float64)
+    image *= brightness_of(camera)
     weights = np.full(options.points, 1 / image.max())
     image /= image.max()
     names = options.numbers.split(",")
     common = {"wavelength": WAVELENGTH, "photons": options.photons, "accuracy": options.accuracy}
+    common |= {"method": options.method}
     # What the true camera's derivatives tell: a fit of what it records without noise ends there.
     bound = fit(camera, View(image, points, weights), names, **common)
     true = bound.values

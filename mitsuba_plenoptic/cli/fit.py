@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..capture.scene import load_scene
 from ..errors import InputError
 from ..io.captures import read_capture
+from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import atomic_output, require_writable
+from ..runtime.progress import progress_bar
 from ..runtime.variant import DEFAULT_VARIANT
 from .inputs import named_camera, parse_definitions
 from .options import CameraFile, Definitions, number, output_option
+from .terminal import stopped_by_hand
+
+if TYPE_CHECKING:
+    from ..fitting import Fit
 
 # Directions that are printed: the worst told.
 _NAMED = 3
@@ -39,10 +45,16 @@ def fit(
     radiators: Annotated[
         int, typer.Option("--radiators-per-lens", metavar="N", help="Radiators per microlens and axis.")
     ] = 8,
-    accuracy: Annotated[float, number("Error that is allowed for speed; 0: none.")] = 0.0,
+    method: Annotated[
+        str, typer.Option(metavar="waves|rays", help="How light goes through the camera; rays know no diffraction.")
+    ] = "waves",
+    accuracy: Annotated[float, number("Error that is allowed for speed, by waves; 0: none.")] = 0.0,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on from the checkpoint of a fit that was stopped.")
+    ] = False,
     define: Definitions = None,
 ) -> None:
-    """Fit a camera's numbers to captures of known scenes, by waves.
+    """Fit a camera's numbers to captures of known scenes, by waves or by rays.
 
     It starts from the captures' own camera, or from --camera. What cannot be
     told apart is printed: changes of several numbers at once that hardly
@@ -69,7 +81,25 @@ def fit(
         scene = load_scene(name, variant=DEFAULT_VARIANT, parameters=parse_definitions(define))
         view = fitting.known_view(capture.image, scene, first, wavelength=known, radiators_per_lens=radiators)
         views.append(view)
-    found = fitting.fit(first, views, names, wavelength=known, photons=photons, accuracy=accuracy)
+    checkpoint = require_writable(output.with_name(output.name + SUFFIX))
+    with Checkpoint(checkpoint, "resume" if resume else "refuse") as kept:
+        with progress_bar("Cameras") as progress, stopped_by_hand(kept, progress):
+            found = fitting.fit(
+                first,
+                views,
+                names,
+                wavelength=known,
+                photons=photons,
+                method=method,
+                accuracy=accuracy,
+                progress=progress,
+                checkpoint=kept,
+            )
+        _write(output, found)
+
+
+def _write(output: Path, found: Fit) -> None:
+    """Write the camera, and print what is known of it."""
     with atomic_output(output) as temporary:
         temporary.write_text(found.camera.to_json())
     for name, value in found.values.items():

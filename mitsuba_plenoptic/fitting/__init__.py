@@ -1,4 +1,4 @@
-"""Fitting a camera's numbers to captures of known light, by waves."""
+"""Fitting a camera's numbers to captures of known light, by waves or by rays."""
 
 from .fit import Direction, Fit, fit
 from .light import View, known_view

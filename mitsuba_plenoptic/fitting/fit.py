@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +13,12 @@ from numpy.typing import NDArray
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..capture.accuracy import check_accuracy
+from ..capture.pupil_weights import PupilWeights
 from ..errors import InputError, require_number, shown
+from ..io.checkpoints import Checkpoint, digest
 from .light import View
 from .model import Model, Number, changed, numbers_of, scales, values
+from .ray_model import RayModels
 
 _ROUNDS = 2
 """How often the noise of photons is taken from the model anew."""
@@ -90,14 +94,17 @@ def fit(
     wavelength: float = 633.0,
     photons: float | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
+    method: str = "waves",
     accuracy: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> Fit:
-    r"""Find the numbers of a camera that explain captures of known light best, by waves.
+    r"""Find the numbers of a camera that explain captures of known light best, by waves or by rays.
 
-    Least squares of the pixels over their deviations, with the derivatives of `CaptureOperator` (a trust region method:
-    ``scipy.optimize.least_squares``). The light is held. Where the noise is that of photons, its variance is that of
-    the model, taken anew after a first fit, so that the fit is as good as maximum likelihood.
+    Least squares of the pixels over their deviations (a trust region method: ``scipy.optimize.least_squares``), by
+    waves with the derivatives of `CaptureOperator`, by rays with differences of captures whose rays are held. The light
+    is held. Where the noise is that of photons, its variance is that of the model, taken anew after a first fit, so
+    that the fit is as good as maximum likelihood.
 
     Parameters
     ----------
@@ -115,10 +122,14 @@ def fit(
     bounds : mapping, optional
         By name, as in `Fit.values`, the lowest and the highest value. Default: what keeps lengths within half of where
         they start, angles within 50 degrees, and ``mla_fill`` at most 1.
+    method : {"waves", "rays"}
+        How the light of the points goes through the camera. Rays are quicker and know no diffraction.
     accuracy : float
-        As of `CaptureOperator`. Above 0 shared point spreads make the model jump a little.
+        As of `CaptureOperator`, for waves. Above 0 shared point spreads make the model jump a little.
     progress : callable, optional
         Called with the cameras that have been tried and the most that are.
+    checkpoint : Checkpoint, optional
+        Keeps the best camera of a long fit, so that the same fit goes on from there after a stop.
 
     Raises
     ------
@@ -139,8 +150,13 @@ def fit(
         if not low <= value <= high:
             raise InputError(f"bounds: {number.label} starts at {value:g}: it must lie from {low:g} to {high:g}")
     images = np.stack([view.image for view in given]).astype(np.float64)
-    trial = _Trials(camera, given, numbers, require_wavelength(wavelength), check_accuracy(accuracy), progress)
+    model = _model_of(method, camera, given, require_wavelength(wavelength), check_accuracy(accuracy))
+    trial = _Trials(camera, numbers, model, progress)
     x = start
+    if checkpoint:
+        asked = {"method": method, "wavelength": wavelength, "photons": photons, "accuracy": accuracy}
+        facts = [camera.to_dict(), [number.label for number in numbers], np.array(limits).tolist()]
+        x = trial.go_on(checkpoint, start, fit=facts, **asked, light_digest=_digest(given))
     for _ in range(_ROUNDS if photons is not None else 1):
         noise = _noise(given, trial.expected(x), photons)
 
@@ -158,20 +174,42 @@ def fit(
     return _summary(changed(camera, numbers, x), numbers, x, rows, unit, square / (images.size - x.size), trial.count)
 
 
+class _Model(Protocol):
+    """What a camera records of some views."""
+
+    def images(self) -> NDArray[np.float64]:
+        """Return the expected pixels of all views, (views, rows, columns)."""
+
+    def derivatives(self, numbers: list[Number], images: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the derivatives of these, (numbers, views, rows, columns)."""
+
+
+def _model_of(
+    method: str, camera: PlenopticCamera, views: list[View], wavelength: float, accuracy: float
+) -> Callable[[PlenopticCamera], _Model]:
+    """Return what makes the model of a camera near the first."""
+    if method == "waves":
+        return partial(Model, views=views, wavelength=wavelength, accuracy=accuracy)
+    if method != "rays":
+        raise InputError(f"method = {shown(method)}: it must be waves or rays")
+    if accuracy:
+        raise InputError(f"accuracy = {accuracy:g}: it is for fits by waves; leave it out")
+    return RayModels(camera, views, wavelength).at
+
+
 class _Trials:
     """Cameras that are tried, of which the last one is kept."""
 
     def __init__(
         self,
         camera: PlenopticCamera,
-        views: list[View],
         numbers: list[Number],
-        wavelength: float,
-        accuracy: float,
+        model_of: Callable[[PlenopticCamera], _Model],
         progress: Callable[[int, int], None] | None,
     ) -> None:
         self._camera, self._numbers, self._progress = camera, numbers, progress
-        self._options = views, wavelength, accuracy
+        self._model_of = model_of
+        self._checkpoint: Checkpoint | None = None
         self.count = 0
         self._x: NDArray[np.float64] | None = None
         self._slopes: NDArray[np.float64] | None = None
@@ -179,7 +217,7 @@ class _Trials:
     def expected(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return what a camera of these numbers records."""
         if self._x is None or not np.array_equal(x, self._x):
-            self._model = Model(changed(self._camera, self._numbers, x), *self._options)
+            self._model = self._model_of(changed(self._camera, self._numbers, x))
             self._images, self._slopes, self._x = self._model.images(), None, x.copy()
             self.count += 1
             if self._progress:
@@ -187,11 +225,35 @@ class _Trials:
         return self._images
 
     def derivatives(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the derivatives of that."""
+        """Return the derivatives of that, which are asked for where a step has led to a better camera."""
         images = self.expected(x)
+        if self._checkpoint:
+            self._checkpoint.save_arrays(lambda: {"numbers": x, "tried": np.array([self.count], np.float64)})
         if self._slopes is None:
             self._slopes = self._model.derivatives(self._numbers, images)
         return self._slopes
+
+    def go_on(self, checkpoint: Checkpoint, start: NDArray[np.float64], **facts: Any) -> NDArray[np.float64]:
+        """Keep the numbers in a checkpoint, and return those that it has of the same fit, or the start."""
+        self._checkpoint = checkpoint
+        arrays = checkpoint.begin_arrays(**facts)
+        if arrays is None:
+            return start
+        x, tried = arrays.get("numbers"), arrays.get("tried")
+        if x is None or tried is None or x.shape != start.shape or tried.shape != (1,):
+            raise InputError("checkpoint: it is damaged: its numbers are not those of this fit")
+        self.count = int(tried[0])
+        return x
+
+
+def _digest(views: list[View]) -> str:
+    """Return by what captures and their light are known as the same."""
+    arrays: list[NDArray[Any] | None] = []
+    for view in views:
+        pupil = PupilWeights.of(view.pupil_weights, len(view.points))
+        arrays += [view.image, view.points, view.weights, None if view.noise is None else np.asarray(view.noise)]
+        arrays += [None] * 3 if pupil is None else [pupil.table, pupil.index, pupil.slant]
+    return digest(*arrays)
 
 
 def _check(camera: PlenopticCamera, views: list[View], photons: float | None) -> None:

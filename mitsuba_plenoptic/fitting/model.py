@@ -1,4 +1,4 @@
-"""Which numbers of a camera a fit varies, and what a camera of other numbers would record."""
+"""Which numbers of a camera a fit varies, and what a camera of other numbers would record by waves."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def changed(camera: PlenopticCamera, numbers: list[Number], x: NDArray[np.float6
 
 
 class Model:
-    """What a camera is expected to record of some views.
+    """What a camera is expected to record of some views by waves.
 
     Parameters
     ----------

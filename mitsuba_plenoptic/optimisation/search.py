@@ -59,7 +59,7 @@ def maximise(
     bounds: Mapping[str, tuple[float, float]],
     *,
     steps: int = 30,
-    progress: Callable[[int, float], None] | None = None,
+    progress: Callable[[int, float, PlenopticCamera], None] | None = None,
 ) -> Design:
     """Find numbers of a camera by which a figure is best, near where they start.
 
@@ -79,7 +79,8 @@ def maximise(
     steps : int
         Steps of the search at most; each takes one or two gradients.
     progress : callable, optional
-        Called with the cameras that have been tried and the last one's figure.
+        Called with how many cameras have been tried, the last one's figure, and the best camera so far: a search that
+        is stopped goes on when it starts there.
 
     Raises
     ------
@@ -106,7 +107,7 @@ def maximise(
         if value > best[0]:
             best[:] = value, one
         if progress:
-            progress(tried, value)
+            progress(tried, value, best[1])
         slope = np.array([slopes[number.name][list(number.parts)].sum() for number in numbers])
         return -value, -slope * (high - low)
 

@@ -33,6 +33,21 @@ def test_a_camera_from_a_capture(tmp_path, capsys):
     assert "mla_offset.1 = " in printed and " +- " in printed and "told to " in printed
 
 
+def test_a_camera_from_a_capture_by_rays(tmp_path, capsys):
+    path = write_scene(tmp_path, WALL, sensor=SENSOR)
+    capture = render_capture(load_scene(path), model="ray", spp=256)
+    write_capture(tmp_path / "raw.exr", capture)
+    start = tmp_path / "start.json"
+    start.write_text(capture.camera.replace(mla_offset=(0.005, -0.003)).to_json())
+    words = ["fit", tmp_path / "raw.exr", "--scene", path, "--number", "mla_offset", "--photons", "1e5"]
+    words += ["--camera", start, "--method", "rays", "-o", tmp_path / "camera.json"]
+    assert main(list(map(str, words))) == 0
+    found = json.loads((tmp_path / "camera.json").read_text())
+    assert np.abs(found["mla_offset"]).max() < 1e-3
+    assert not list(tmp_path.glob("*.checkpoint"))
+    capsys.readouterr()
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

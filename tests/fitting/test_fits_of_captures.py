@@ -5,8 +5,10 @@ import pytest
 from wave_cases import HALF, WAVELENGTH, scattered, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, fit
+from mitsuba_plenoptic.capture.point_rays import PointRays
 from mitsuba_plenoptic.capture.units import brightness_at, brightness_of
 from mitsuba_plenoptic.fitting import View, lattice_from_white
+from mitsuba_plenoptic.io import checkpoints
 
 TRUE = small_camera(2, **HALF)
 POINTS = scattered(5, distances=(112.0, 128.0), image=0.05)
@@ -58,6 +60,54 @@ def test_numbers_are_found_within_their_deviations():
     vector = np.array([worst.parts[name] * found.scales[name] for name in true])
     assert worst.deviation >= found.directions[-1].deviation
     assert vector @ inverse @ vector == pytest.approx(worst.deviation**-2, rel=1e-6)
+
+
+def by_rays(camera, points):
+    """Return what a camera records of points by rays, the brightest pixel 1, and the light."""
+    image = brightness_of(camera) * PointRays(camera, points, WAVELENGTH).image(camera, np.ones(len(points)))
+    return image / image.max(), np.full(len(points), 1 / image.max())
+
+
+def test_numbers_are_found_by_rays():
+    true = small_camera(4, **HALF)
+    points = scattered(40, distances=(108.0, 114.0), image=0.1)
+    image, weights = by_rays(true, points)
+    seen = np.random.default_rng(5).poisson(image * PHOTONS) / PHOTONS
+    start = true.replace(mla_pitch=0.0646, mla_offset=(0.004, -0.003), focal_length=1.01 * true.focal_length)
+    view = View(seen, points, weights)
+    found = fit(start, view, ["mla_pitch", "mla_offset", "focal_length"], photons=PHOTONS, method="rays")
+    errors = np.array(list(found.values.values())) - (0.064, 0.0, 0.0, true.focal_length)
+    # Chi-squared of four numbers: a hundredth lies beyond 13.3.
+    assert errors @ np.linalg.solve(found.covariance, errors) < 13.3
+    # Dark pixels do not scatter, and count as if a photon were expected.
+    assert found.chi_square == pytest.approx(np.minimum(image * PHOTONS, 1).mean(), rel=0.15)
+    assert found.deviations["mla_pitch"] < 1e-4
+
+
+def test_a_fit_goes_on_where_it_was_stopped(tmp_path, monkeypatch):
+    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
+    true = small_camera(2, **HALF)
+    image, weights = by_rays(true, POINTS)
+    view, start = View(image, POINTS, weights, 0.01), true.replace(mla_pitch=0.0643)
+
+    def fitted(existing, progress, **changes):
+        with checkpoints.Checkpoint(tmp_path / "kept", existing) as kept:
+            given = {"wavelength": WAVELENGTH} | changes
+            return fit(start, view, "mla_pitch", method="rays", checkpoint=kept, progress=progress, **given)
+
+    def stop(tried, total):
+        if tried == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fitted("refuse", stop)
+    with pytest.raises(InputError, match="wavelength"):
+        fitted("resume", None, wavelength=600.0)
+    tried = []
+    found = fitted("resume", lambda done, total: tried.append(done))
+    assert tried[0] > 1
+    assert found.camera.mla_pitch == pytest.approx(0.064, abs=1e-6)
+    assert not (tmp_path / "kept").exists()
 
 
 @pytest.mark.slow
@@ -114,6 +164,8 @@ def test_lattice_from_white(numbers):
         ("f_number", {}, "f_number"),
         ("wavefront", {}, "wavefront: the camera has no coefficients"),
         ((), {}, "names = .*: name at least one"),
+        ("mla_pitch", {"method": "light"}, "method = 'light': it must be waves or rays"),
+        ("mla_pitch", {"method": "rays", "accuracy": 0.1}, "accuracy = 0.1: it is for fits by waves"),
         ("mla_pitch", {"photons": None}, "photons: tell them, or the noise"),
         ("mla_pitch", {"photons": -1}, "photons"),
         ("mla_pitch", {"bounds": {"mla_pitch": (0.07, 0.08)}}, "bounds: mla_pitch starts at 0.064: it must lie from"),
