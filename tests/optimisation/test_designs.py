@@ -86,11 +86,12 @@ class Hill:
 def test_search_finds_the_top_of_a_hill_and_keeps_to_bounds():
     seen = []
     bounds = {"mla_focal_length": (0.4, 0.6), "wavefront.11": (-1.0, 0.1)}
-    design = maximise(Hill(), CAMERA, bounds, progress=lambda tried, value, best: seen.append(value))
+    design = maximise(Hill(), CAMERA, bounds, progress=lambda tried, value, best: seen.append((value, best)))
     assert design.values["mla_focal_length"] == pytest.approx(0.47, abs=1e-4)
     assert design.values["wavefront.11"] == pytest.approx(0.1)
     assert design.camera.wavefront[:10] == (0.0,) * 10
-    assert design.tried == len(seen) and design.figure == max(seen)
+    assert design.tried == len(seen) and design.figure == max(value for value, _ in seen)
+    assert seen[-1][1] == design.camera
 
 
 @pytest.mark.parametrize(
