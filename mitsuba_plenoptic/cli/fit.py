@@ -45,6 +45,10 @@ def fit(
     radiators: Annotated[
         int, typer.Option("--radiators-per-lens", metavar="N", help="Radiators per microlens and axis.")
     ] = 8,
+    afar: Annotated[
+        bool,
+        typer.Option("--from-afar", help="Come near first, by rays with blurred captures: lengths some percent off."),
+    ] = False,
     method: Annotated[
         str, typer.Option(metavar="waves|rays", help="How light goes through the camera; rays know no diffraction.")
     ] = "waves",
@@ -84,6 +88,8 @@ def fit(
     checkpoint = require_writable(output.with_name(output.name + SUFFIX))
     with Checkpoint(checkpoint, "resume" if resume else "refuse") as kept:
         with progress_bar("Cameras") as progress, stopped_by_hand(kept, progress):
+            if afar and not resume:
+                first = fitting.come_near(first, views, names, wavelength=known, progress=progress)
             found = fitting.fit(
                 first,
                 views,

@@ -16,7 +16,7 @@ from ..capture.accuracy import check_accuracy
 from ..capture.pupil_weights import PupilWeights
 from ..errors import InputError, require_number, shown
 from ..io.checkpoints import Checkpoint, digest
-from .light import View
+from .light import View, check_views
 from .model import Model, Number, changed, numbers_of, scales, values
 from .ray_model import RayModels
 
@@ -258,13 +258,10 @@ def _digest(views: list[View]) -> str:
 
 def _check(camera: PlenopticCamera, views: list[View], photons: float | None) -> None:
     """Refuse views that do not fit together."""
-    if not views:
-        raise InputError("views: give at least one capture of known light")
+    check_views(camera, views)
     if photons is not None:
         require_number("photons", photons, positive=True)
     for view in views:
-        if view.image.shape != camera.shape:
-            raise InputError(f"image of shape {view.image.shape}: the camera records {camera.shape}")
         if view.noise is None and photons is None:
             raise InputError("photons: tell them, or the noise of every view")
 

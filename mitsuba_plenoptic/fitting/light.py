@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,6 +69,15 @@ class View:
             raise InputError(f"noise of shape {noise.shape}: it must be positive, one number or one for each pixel")
         for name, value in (("image", image), ("points", points), ("weights", weights), ("noise", noise)):
             object.__setattr__(self, name, value)
+
+
+def check_views(camera: PlenopticCamera, views: Sequence[View]) -> None:
+    """Refuse no view at all, and captures of another size than the camera's."""
+    if not views:
+        raise InputError("views: give at least one capture of known light")
+    for view in views:
+        if view.image.shape != camera.shape:
+            raise InputError(f"image of shape {view.image.shape}: the camera records {camera.shape}")
 
 
 @one_at_a_time

@@ -7,7 +7,7 @@ from wave_cases import HALF, WAVELENGTH, scattered, small_camera
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, fit
 from mitsuba_plenoptic.capture.point_rays import PointRays
 from mitsuba_plenoptic.capture.units import brightness_at, brightness_of
-from mitsuba_plenoptic.fitting import View, lattice_from_white
+from mitsuba_plenoptic.fitting import View, come_near, lattice_from_white
 from mitsuba_plenoptic.io import checkpoints
 
 TRUE = small_camera(2, **HALF)
@@ -108,6 +108,22 @@ def test_a_fit_goes_on_where_it_was_stopped(tmp_path, monkeypatch):
     assert tried[0] > 1
     assert found.camera.mla_pitch == pytest.approx(0.064, abs=1e-6)
     assert not (tmp_path / "kept").exists()
+
+
+def test_a_camera_is_found_from_afar():
+    true = PlenopticCamera(detector_width=0.512, resolution=(96, 96), **HALF)
+    rng = np.random.default_rng(3)
+    points = np.column_stack([rng.uniform(-0.4, 0.4, (60, 2)), rng.uniform(106, 112, 60)])
+    image, weights = by_rays(true, points)
+    view = View(np.random.default_rng(5).poisson(image * PHOTONS) / PHOTONS, points, weights)
+    off = {"focal_length": 0.98, "mla_distance": 1.02, "detector_distance": 1.02}
+    start = true.replace(**{name: factor * getattr(true, name) for name, factor in off.items()})
+    names = [*off, "mla_offset"]
+    near = come_near(start, view, names)
+    found = fit(near, view, names, photons=PHOTONS, method="rays")
+    for name in off:
+        assert getattr(near, name) == pytest.approx(getattr(true, name), rel=0.005)
+        assert getattr(found.camera, name) == pytest.approx(getattr(true, name), abs=4 * found.deviations[name])
 
 
 @pytest.mark.slow
