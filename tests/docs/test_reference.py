@@ -73,17 +73,18 @@ def missing_of_class(cls, name):
     ):
         parameters = list(inspect.signature(cls.__init__).parameters)[1:]
         yield from (f"{name}({parameter})" for parameter in parameters if parameter not in said)
-    for member, value in vars(cls).items():
-        function = value.__func__ if isinstance(value, (classmethod, staticmethod)) else value
+    bases = [base for base in cls.__mro__ if base.__module__.startswith("mitsuba_plenoptic")]
+    for owner, member, value in ((base, *item) for base in bases for item in vars(base).items()):
         if member.startswith("_"):
             continue
+        function = value.__func__ if isinstance(value, (classmethod, staticmethod)) else value
         if isinstance(function, property) and not function.__doc__:
             yield f"{name}.{member}: no docstring"
-        elif inspect.isfunction(function) and not _inherits(cls, member, function):
+        elif inspect.isfunction(function) and not _inherits(owner, member):
             yield from missing(function, f"{name}.{member}", frozenset(said))
 
 
-def _inherits(cls, member, function):
+def _inherits(cls, member):
     """Whether a method does what its class's base or a protocol documents."""
     return any(hasattr(base, member) for base in cls.__mro__[1:])
 
