@@ -151,6 +151,7 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     PlenopticCamera.from_sensor(sensor)
     # The wave capture's lenses are thin parabolic phases: their geometric twin leaves diffraction as the difference.
     sensor.lens_model = "parabolic"
+    sensor.parameters_changed()
     camera = PlenopticCamera.from_sensor(sensor)
     if camera.is_cropped:
         raise InputError(f"{settings.scene}: a comparison needs the full detector; remove the film's crop window")

@@ -13,7 +13,7 @@ import typer
 
 import mitsuba_plenoptic
 from mitsuba_plenoptic.cli import app
-from mitsuba_plenoptic.plugins import colours, integrator, sensor
+from mitsuba_plenoptic.plugins import camera_properties, colours, integrator
 
 ROOT = Path(__file__).parents[2]
 
@@ -113,16 +113,19 @@ def test_every_option_has_a_help():
     assert found == set() and all(command.help for command in commands.values())
 
 
+SENSOR_NAMES = {*camera_properties.NUMBERS, *camera_properties.WORDS, *camera_properties.FIXED, "focus_distance"}
+
+
 def read_by(module):
     """Names of the parameters that a plugin's file reads."""
     text = inspect.getsource(module)
-    return set(re.findall(r"read_\w+\(props,(?: NAME,)? \"(\w+)\"", text))
+    return set(re.findall(r"read_\w+\(props,(?: NAME,| plugin,)? \"(\w+)\"", text))
 
 
 @pytest.mark.parametrize(
     "name, read",
     [
-        ("plenoptic", {*sensor.NUMBERS, *sensor.WORDS, *sensor.FIXED, "focus_distance", *read_by(sensor)}),
+        ("plenoptic", SENSOR_NAMES | read_by(camera_properties)),
         ("plenoptic_wave", read_by(integrator) | read_by(colours) | {"wavelength"}),
     ],
 )
