@@ -111,61 +111,6 @@ def advance(
     return as_field(packed, spectrum.shape)
 
 
-def propagate_differentiable(
-    field: Any, shape: tuple[int, int], pitch: float, distance: float, wavelength: float
-) -> Any:
-    """Propagate a Dr.Jit complex array as `propagate` does, with gradients in both directions.
-
-    Parameters
-    ----------
-    field : Complex2f of Dr.Jit, size rows * columns
-        Left as it is.
-    shape : (int, int)
-        Rows and columns.
-    pitch, distance : float
-        Sampling distance and distance to the new plane, in millimetres.
-    wavelength : float
-        Wavelength in nanometres.
-
-    Returns
-    -------
-    Complex2f of Dr.Jit, size rows * columns
-
-    Raises
-    ------
-    InputError
-        If the size does not fit the shape, or a number is out of range.
-    """
-    if dr.width(field) != shape[0] * shape[1]:
-        raise InputError(f"field of {dr.width(field)} samples: it must have {shape[0]} x {shape[1]}")
-    return dr.custom(_AngularSpectrum, field, shape, *_check(pitch, distance, wavelength))
-
-
-class _AngularSpectrum(dr.CustomOp):
-    """One step and its adjoint, which is the step back: the transfer function has modulus one or zero."""
-
-    def eval(self, field: Any, shape: tuple[int, int], *numbers: float) -> Any:
-        self.shape = shape
-        self.pitch, self.distance, self.wavelength = numbers
-        return self._step(field, self.distance)
-
-    def _step(self, field: Any, distance: float) -> Any:
-        return unpack(_step(pack(field), self.shape, self.pitch, distance, self.wavelength))
-
-    def forward(self) -> None:
-        self.set_grad_out(self._step(self.grad_in("field"), self.distance))
-
-    def backward(self) -> None:
-        self.set_grad_in("field", self._step(self.grad_out(), -self.distance))
-
-
-def _step(packed: Any, shape: tuple[int, ...], pitch: float, distance: float, wavelength: float) -> Any:
-    """Propagate a packed field; its memory may be overwritten."""
-    packed = fft2_packed(packed, shape)
-    packed = _advance(packed, shape, pitch, distance, wavelength)
-    return fft2_packed(packed, shape, inverse=True)
-
-
 def _advance(
     packed: Any,
     shape: tuple[int, ...],
