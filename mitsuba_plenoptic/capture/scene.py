@@ -17,6 +17,15 @@ from ..runtime.variant import set_variant
 from .scene_file import check_scene_file
 
 
+def scene_names() -> list[str]:
+    """Return the names of the scenes that come with the package."""
+    return sorted(path.stem for path in _folder().glob("*.xml"))
+
+
+def _folder() -> Path:
+    return Path(str(importlib.resources.files("mitsuba_plenoptic.scenes")))
+
+
 def scene_path(name: str) -> Path:
     """Path of a scene that comes with the package, by its name without suffix.
 
@@ -30,10 +39,9 @@ def scene_path(name: str) -> Path:
     InputError
         If there is none of that name; the message lists those there are.
     """
-    folder = Path(str(importlib.resources.files("mitsuba_plenoptic.scenes")))
-    path = folder / f"{name}.xml"
+    path = _folder() / f"{name}.xml"
     if path.name != f"{name}.xml" or not path.is_file():
-        names = ", ".join(sorted(p.stem for p in folder.glob("*.xml")))
+        names = ", ".join(scene_names())
         raise InputError(f"scene = {name!r}: there is no such file, nor a built-in scene of that name ({names})")
     return path
 

@@ -129,6 +129,7 @@ def test_compare_measures_the_charts_edges(quick_waves, tmp_path):
     [
         (Settings("letters", (240.0,), variant="llvm_ad_rgb"), "one colour"),
         (Settings("letters", ()), "at least one"),
+        (Settings("letters", (240.0, 50.0)), "distance = 50: it must be greater than the focal length 80"),
         (Settings("nowhere.xml", (240.0,)), "no such file"),
         # The wall faces away from a camera behind it.
         (Settings("white", (240.0,), parameters={"resolution": "64", "wall_distance": "-10"}, spp=1), "black"),
