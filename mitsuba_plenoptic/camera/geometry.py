@@ -80,9 +80,11 @@ class CameraGeometry(CameraNumbers):
         Raises
         ------
         InputError
-            If the main lens is an objective: its image is no such cone.
+            If the distance is 0, or the main lens is an objective: its image is no such cone.
         """
         self.require_lens("defocus")
+        if distance == 0:
+            raise InputError("distance = 0: the point lies in the main lens; it has no image")
         return defocus_factor(distance, self.mla_distance, self.focal_length)
 
     def blur_diameter(self, distance: float) -> float:

@@ -75,6 +75,8 @@ def load_scene(
     """
     if isinstance(scene, Mapping):
         return _load_dictionary(scene, variant, parameters)
+    if parameters is not None and not isinstance(parameters, Mapping):
+        raise InputError(f"parameters = {shown(parameters)}: they must be values by name")
     path = _find(scene)
     set_variant(variant)
     parameters = {str(name): str(value) for name, value in (parameters or {}).items()}
@@ -143,4 +145,6 @@ def mitsuba_sentence(error: Exception) -> str:
     last = " ".join(lines[start:])
     last = re.sub(r"^\[[\w.]+:\d+\] ", "", last)
     last = re.sub(r"^(?:At|While loading|Error while loading) [^:]*?(?:\([^)]*\)|\"[^\"]*\"): ", "", last)
+    if found := re.match(r"\[(\w+)\] could not assign an object of type '(\w+)'", last):
+        return f"{found[1]}: a value of type {found[2]} is none that plugins take; give a number or text"
     return re.sub(r"^(?:[\w.]+\.)?(?:InputError|RuntimeError|ValueError|TypeError|Exception): ", "", last)

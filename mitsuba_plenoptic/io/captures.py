@@ -151,8 +151,10 @@ def write_capture(path: str | Path, capture: Capture) -> None:
     Raises
     ------
     InputError
-        If the file cannot be written.
+        If it is none, its metadata are no plain data, or the file cannot be written.
     """
+    if not isinstance(capture, Capture):
+        raise InputError(f"capture of type {type(capture).__name__}: it must be a Capture")
     camera = capture.camera
     attributes = {
         "kind": "capture",

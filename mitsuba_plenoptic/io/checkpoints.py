@@ -16,12 +16,12 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, require_count, require_number
+from ..errors import InputError, require_choice, require_count, require_number
 from ..runtime.backend import backend_of
 from ..runtime.batches import PartialSum
 from ..runtime.jobs import Snapshot
@@ -62,10 +62,11 @@ class Checkpoint:
     Raises
     ------
     InputError
-        On entering, if there is a file that may not be replaced.
+        If `existing` is another word; on entering, if there is a file that may not be replaced.
     """
 
     def __init__(self, path: str | Path, existing: Existing = "refuse") -> None:
+        require_choice("existing", existing, get_args(Existing))
         self.path = Path(path)
         self.run: dict[str, Any] = {}
         self._existing = existing

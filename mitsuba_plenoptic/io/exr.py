@@ -102,7 +102,10 @@ def _write(
             "displayWindow": _window(0, 0, *full_size),
         }
         if not written:
-            header[ATTRIBUTE] = json.dumps(attributes, sort_keys=True)
+            try:
+                header[ATTRIBUTE] = json.dumps(attributes, sort_keys=True)
+            except (TypeError, ValueError) as error:
+                raise InputError(f"{path}: what is told about the image must be plain data for JSON: {error}") from None
         planes = {key: np.ascontiguousarray(plane, dtype=np.float32) for key, plane in channels.items()}
         written.append(OpenEXR.Part(header, planes, name))
     try:

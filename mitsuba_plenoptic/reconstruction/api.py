@@ -10,7 +10,7 @@ from typing import Any, overload
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_choice, require_count, require_number
+from ..errors import InputError, require_choice, require_count, require_flag, require_number
 from ..io.captures import Capture
 from ..io.checkpoints import Checkpoint
 from ..optics import guards
@@ -204,12 +204,12 @@ def reconstruct(
     given = {
         "footprint": require_choice("footprint", footprint, FOOTPRINTS),
         "interleave": require_interleave(interleave, camera),
-        "relay": bool(relay),
+        "relay": require_flag("relay", relay),
         "response": require_response(response, capture, wavelength),
         "iterations": None if iterations is None else require_count("iterations", iterations),
-        "accelerate": bool(accelerate),
+        "accelerate": require_flag("accelerate", accelerate),
         "photons": None if photons is None else require_number("photons", photons, positive=True),
-        "volume": bool(volume),
+        "volume": require_flag("volume", volume),
         "variation": require_number("variation", variation, minimum=0, maximum=MOST_VARIATION),
     }
     if camera.main_lens is not None and method == "deconvolved" and given["response"] == "ray":

@@ -35,9 +35,14 @@ def as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) ->
 
 def require_distances(distance: Any, camera: PlenopticCamera) -> list[float]:
     """Return the distances, all of which lie before the camera."""
-    if isinstance(distance, (str, bytes)):
+    try:
+        several = np.ndim(distance) > 0
+    except ValueError:
+        # Lists of several lengths.
+        several = None
+    if several is None or isinstance(distance, (str, bytes)):
         raise InputError(f"distance = {shown(distance)}: it must be a number or several")
-    given = [distance] if np.ndim(distance) == 0 else distance
+    given = distance if several else [distance]
     distances = [require_number("distance", value, finite=False) for value in given]
     for value in distances:
         if camera.objective is None:
