@@ -13,6 +13,7 @@ import math
 import os
 import time
 import warnings
+import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -237,6 +238,8 @@ def _write_archive(path: Path, run: dict[str, Any], header: dict[str, Any], arra
 def _read(path: Path, run: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State:
     """Read the checkpoint of a run, and refuse that of another run or a damaged one."""
     try:
+        if not zipfile.is_zipfile(path):
+            raise ValueError("it is no archive, or cut off")
         with np.load(path, allow_pickle=False) as archive:
             header = json.loads(str(archive["header"]))
             differences = _differences({"format": header["format"], **header["run"]}, {"format": FORMAT, **run})

@@ -60,6 +60,26 @@ def require_apart(path: Path, *sources: Path | None) -> None:
             raise InputError(f"{path}: it is read, and would be lost; write to another file")
 
 
+def require_different(*paths: Path | None) -> None:
+    """Check that no two of the files that are to be written are the same.
+
+    Parameters
+    ----------
+    *paths : Path, or None
+        The files; None stands for one that is not asked for.
+
+    Raises
+    ------
+    InputError
+        If two are.
+    """
+    found: set[Path] = set()
+    for path in filter(None, paths):
+        if path.resolve() in found:
+            raise InputError(f"{path}: two results would be written to it; give each a name of its own")
+        found.add(path.resolve())
+
+
 def require_file(path: str | Path) -> Path:
     """Check that a file can be read.
 
