@@ -19,7 +19,7 @@ import numpy as np
 from ..errors import InputError, require_number
 from ..runtime.backend import array_module, backend, one_at_a_time
 from ..runtime.fft import Field, array_types, as_field, as_words, fft2_packed, pack, unpack
-from ..runtime.indexing import quotient
+from ..runtime.indexing import rows_and_columns
 from .phase import in_millimetres, phasor
 from .step_guard import StepGuard
 
@@ -123,9 +123,7 @@ def _advance(
     """Multiply a packed spectrum, zero frequency first, by the transfer function of free space."""
     types = array_types(packed)
     rows, columns = shape
-    index = dr.arange(types.UInt32, rows * columns)
-    row = quotient(types, index, columns)
-    column = index - row * dr.opaque(types.UInt32, columns)
+    row, column = rows_and_columns(types, rows, columns)
     down, across = pitch if isinstance(pitch, tuple) else (pitch, pitch)
     sx = _cosine(types, column, columns, across, wavelength)
     first, all_rows = part or (0, rows)
