@@ -114,16 +114,14 @@ def make_class() -> type:
          * - mla_jitter
            - |string| or |point|
            - What is irregular in the array: standard deviations "a, b" of its lenses' places along x and y, and of
-             their
-             focal lengths over these. (Default: "0, 0")
+             their focal lengths over these. (Default: "0, 0")
          * - mla_seed
            - |int|
            - Which of all such arrays it is. (Default: 0)
          * - pixel_response
            - |string|
            - Angular response of the pixels: angles of incidence in degrees, rising from 0, each followed by a response
-             from 0
-             to 1, with commas between all of them. (Default: 1 at all angles)
+             from 0 to 1, with commas between all of them. (Default: 1 at all angles)
          * - main_lens
            - |string|
            - Surfaces and glasses of a real main lens: a YAML or JSON file, beside the scene or anywhere, the name of
@@ -134,8 +132,7 @@ def make_class() -> type:
          * - glass, mla_glass
            - |string| or |float|
            - Of what the thin main lens and the microlenses are made: the name of a glass in a catalogue, an index, or
-             the
-             text of a JSON object such as ``{"index": 1.5168, "abbe": 64.2}``. Focal lengths are then those at
+             the text of a JSON object such as ``{"index": 1.5168, "abbe": 64.2}``. Focal lengths are then those at
              587.5618 nm, and every wavelength has its own. (Default: the same for all wavelengths)
          * - to_world
            - |transform|
@@ -148,7 +145,7 @@ def make_class() -> type:
            - |exposed|
          * - (Nested plugin)
            - :paramtype:`film`
-           - Its size is the detector's resolution. Its filter should be ``box``: a wider one smears the
+           - Its size is the detector's resolution. Its filter must be ``box``: a wider one smears the
              micro-images.
 
         All lengths are in scene units, taken as millimetres. A ray starts at a detector point :math:`p`,
