@@ -137,6 +137,12 @@ def test_plugins_document_what_they_read(name, read):
     assert all(text.strip() for _, _, text, *_ in rows)
 
 
+def test_the_sensor_takes_all_numbers_of_the_camera():
+    of_the_film = {"resolution", "crop_offset", "crop_size"}
+    parameters = set(inspect.signature(mitsuba_plenoptic.PlenopticCamera).parameters)
+    assert SENSOR_NAMES | read_by(camera_properties) == parameters - of_the_film
+
+
 def test_pages_made_from_the_sources():
     plugins, command = generated_reference.plugins(""), generated_reference.commands("")
     assert "``mla_pitch``" in plugins and "|" not in plugins.split("The sensor")[1].split("All lengths")[0]
