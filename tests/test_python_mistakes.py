@@ -63,6 +63,35 @@ def test_numbers_of_cameras():
             number(CAMERA, -5)
 
 
+def test_a_name_is_no_camera():
+    for work in (
+        lambda: mp.decode(IMAGE, camera="paper"),
+        lambda: mp.point_spread_function("paper", (0, 0, 240), wavelength=633),
+        lambda: Capture(IMAGE, "paper"),
+    ):
+        with pytest.raises(InputError, match="camera = 'paper': it must be a PlenopticCamera"):
+            work()
+    with pytest.raises(InputError, match="start = 'raytrix': it must be a PlenopticCamera"):
+        mp.calibrate({}, None, "raytrix")
+    with pytest.raises(InputError, match="main_lens: the camera has none with surfaces"):
+        mp.LensSystem.of(CAMERA)
+
+
+def test_captures_that_do_not_suit():
+    capture = Capture(IMAGE, CAMERA)
+    exposed = mp.expose(capture, mp.Detector(), photons=100)
+    with pytest.raises(InputError, match="capture: a detector has recorded it already"):
+        mp.expose(exposed, mp.Detector(), photons=100)
+    other = Capture(IMAGE, CAMERA.replace(mla_pitch=0.05))
+    for work in (mp.decode, mp.lightfield.micro_images):
+        with pytest.raises(InputError, match=r"white: its camera has mla_pitch = 0\.05, that of the capture 0\.064"):
+            work(capture, white=other)
+        work(capture, white=Capture(IMAGE, CAMERA))
+    mosaic = mp.expose(Capture(np.ones((64, 64, 3)), CAMERA), mp.Detector(mosaic="RGGB"), photons=100)
+    with pytest.raises(InputError, match="mosaic = RGGB"):
+        mp.decode(capture, white=mosaic)
+
+
 def test_checkpoints():
     with pytest.raises(InputError, match="existing = 'maybe': it must be one of refuse, resume, resume_if_same"):
         mp.Checkpoint("run.checkpoint", "maybe")

@@ -376,3 +376,10 @@ class PlenopticCamera(CameraGeometry):
             ratio = self.mla_glass.focal_ratio(wavelength)
             values["mla_focal_length"] = tuple(ratio * value for value in self.mla_focal_lengths)
         return self._from_names({name: value for name, value in values.items() if name not in ("glass", "mla_glass")})
+
+
+def require_camera(value: Any, name: str = "camera") -> PlenopticCamera:
+    """Return a camera, or refuse what is none, such as the name of a preset."""
+    if not isinstance(value, PlenopticCamera):
+        raise InputError(f"{name} = {shown(value)}: it must be a PlenopticCamera")
+    return value

@@ -8,9 +8,9 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, require_camera
 from ..capture.scene import mitsuba_sentence
-from ..errors import InputError, shown
+from ..errors import InputError
 from ..runtime.backend import one_at_a_time
 
 
@@ -38,8 +38,7 @@ def with_camera(scene: Any, camera: PlenopticCamera) -> Any:
     """
     if not isinstance(scene, mi.Scene):
         raise InputError(f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant")
-    if not isinstance(camera, PlenopticCamera):
-        raise InputError(f"camera = {shown(camera)}: it must be a PlenopticCamera")
+    require_camera(camera)
     # Emitters of surfaces come with their shapes.
     lamps = [lamp for lamp in scene.emitters() if not mi.has_flag(lamp.flags(), mi.EmitterFlags.Surface)]
     objects: dict[str, Any] = {}
