@@ -143,8 +143,8 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     Raises
     ------
     InputError
-        If an argument is out of range, the capture has been exposed already, or a mosaic is to record a capture that has
-        not three channels.
+        If an argument is out of range, the capture has been exposed already, or a mosaic is to record a capture that
+        has not three channels.
     """
     if not isinstance(capture, Capture) or not isinstance(detector, Detector):
         raise InputError(f"expose({shown(capture)}, {shown(detector)}): it takes a Capture and a Detector")
