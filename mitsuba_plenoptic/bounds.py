@@ -43,7 +43,6 @@ LEAST_FILL = 1e-3
 MOST_STRETCH = 10.0
 """One pitch over the other, at most."""
 
-
 MOST_JITTER = 0.1
 """Standard deviation of lenses' places, over the pitch, and of their focal lengths, over these, at most."""
 
@@ -66,8 +65,7 @@ def require_length(name: str, value: Any, *, finite: bool = True) -> float:
 
 def require_lengths(name: str, value: Any, counts: Collection[int], rule: str) -> tuple[float, ...]:
     """Return one length or several as a tuple; `counts` has the numbers of them that there may be, `rule` the words."""
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
+    value = _plain(value)
     lengths = tuple(require_length(name, number) for number in (value if isinstance(value, (tuple, list)) else [value]))
     if len(lengths) not in counts:
         raise InputError(f"{name} = {shown(value)}: it must be {rule}")
@@ -92,8 +90,7 @@ def require_place(name: str, value: Any) -> tuple[float, float]:
 
 def require_wavefront(value: Any, name: str = "wavefront") -> tuple[float, ...]:
     """Return Zernike coefficients in waves, up to 66 of them, as a tuple."""
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
+    value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) > MOST_ABERRATIONS:
         raise InputError(f"{name} = {shown(value)}: it must be at most {MOST_ABERRATIONS} numbers")
     return require_numbers(name, value, len(value), STRONGEST_ABERRATION)
@@ -101,8 +98,7 @@ def require_wavefront(value: Any, name: str = "wavefront") -> tuple[float, ...]:
 
 def require_response(value: Any, name: str = "pixel_response") -> tuple[float, ...]:
     """Return pairs of an angle in degrees, rising from 0, and a response from 0 to 1, as one tuple of numbers."""
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
+    value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) % 2 or len(value) == 2:
         raise InputError(f"{name} = {shown(value)}: it must be two or more pairs of an angle in degrees and a response")
     numbers = tuple(require_number(name, number, minimum=0, maximum=WIDEST_ANGLE) for number in value)
@@ -116,8 +112,12 @@ def require_response(value: Any, name: str = "pixel_response") -> tuple[float, .
 
 def require_numbers(name: str, value: Any, count: int, largest: float) -> tuple[float, ...]:
     """Return so many numbers as a tuple, none larger in magnitude than `largest`."""
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
+    value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) != count:
         raise InputError(f"{name} = {shown(value)}: it must be {count} numbers")
     return tuple(require_number(name, number, minimum=-largest, maximum=largest) for number in value)
+
+
+def _plain(value: Any) -> Any:
+    """Return an array of NumPy as lists, and anything else as it is."""
+    return value.tolist() if isinstance(value, np.ndarray) else value

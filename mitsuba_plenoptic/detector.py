@@ -143,7 +143,8 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     Raises
     ------
     InputError
-        If an argument is out of range, or a mosaic is to record a capture that has not three channels.
+        If an argument is out of range, the capture has been exposed already, or a mosaic is to record a capture that
+        has not three channels.
     """
     if not isinstance(capture, Capture) or not isinstance(detector, Detector):
         raise InputError(f"expose({shown(capture)}, {shown(detector)}): it takes a Capture and a Detector")
@@ -151,6 +152,8 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     seed = require_count("seed", seed, minimum=0)
     generator = np.random.default_rng(seed)
     require_demosaiced(capture)
+    if "exposure" in capture.metadata:
+        raise InputError("capture: a detector has recorded it already; expose what was rendered")
     image, wavelength = capture.image, capture.wavelength
     extra: dict[str, Any] = {}
     if detector.mosaic is not None:

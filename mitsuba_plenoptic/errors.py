@@ -123,6 +123,13 @@ def require_pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:
     return first, second
 
 
+def require_flag(name: str, value: Any) -> bool:
+    """Return a truth value as a bool; a word such as "no", which Python takes for true, is refused."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise InputError(f"{name} = {shown(value)}: it must be True or False")
+    return bool(value)
+
+
 def require_count(name: str, value: Any, *, minimum: int = 1, maximum: int | None = None) -> int:
     """Return a whole number within bounds as an int."""
     number = require_number(name, value)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 import json
 import math
+import pickle
 
 import mitsuba as mi
 import numpy as np
@@ -73,6 +76,16 @@ def test_a_camera_survives_its_other_forms(numbers):
     assert tuple(sensor.film().crop_size()) == camera.shape[::-1]
     assert sensor.film().rfilter().is_box_filter()
     np.testing.assert_array_equal(np.ravel(sensor.world_transform().translation()), [1, 2, 3])
+
+
+def test_a_camera_is_a_value():
+    camera = PlenopticCamera(main_lens="tessar", mla_glass=1.5)
+    for name in ("focal_length", "focal_lenght"):
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(camera, name, 50)
+    for same in (pickle.loads(pickle.dumps(camera)), copy.deepcopy(camera), camera.replace()):
+        assert same == camera and hash(same) == hash(camera)
+    assert camera != camera.replace(mla_glass=1.6)
 
 
 def test_json_may_leave_parameters_out():

@@ -11,7 +11,7 @@ PACKAGE = Path(mitsuba_plenoptic.__file__).parent
 
 # Each may import what stands before it; runtime and io serve all of them.
 FLOORS = (
-    "errors", "bounds", "thin_lens", "runtime", "lattice", "prescription", "objective", "given_lens", "presets",
+    "errors", "bounds", "thin_lens", "runtime", "lattice", "prescription", "objective", "presets",
     "camera", "focusing", "io", "mosaic", "detector", "optics", "design", "capture", "plugins", "lightfield",
     "calibration", "fitting", "reconstruction", "optimisation", "report", "dataset", "cli", "__main__",
 )  # fmt: skip

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, require_camera
 from ..errors import InputError
 from .adjustment import Problem, Solution, adjust, adjust_poses, information
 from .blur import Blur, fit_blur
@@ -164,7 +164,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     InputError
         If the data cannot determine a camera; the message says what they lack.
     """
-    start.require_thin("cameras are calibrated")
+    require_camera(start, "start").require_thin("cameras are calibrated")
     size = np.array(start.crop_size)
     for table in filter(None, (corners, centres)):
         require_on_detector(table, start.crop_size)

@@ -18,7 +18,7 @@ from ..optics.phase import phasor, soft_edge
 from ..optics.power import band_edge_fraction, fraction, power, rim
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, fft, fft2, pack, resting_drjit
-from ..runtime.indexing import quotient
+from ..runtime.indexing import rows_and_columns
 from .full_field_grids import BLOCK, FieldGrids, lens_of_point
 from .pupil_weights import PupilWeights
 
@@ -59,9 +59,7 @@ def pupil_field(
     types = backend().types
     count = grids.wide_pupil
     pitch = grids.pitch * grids.wide_mla / count
-    index = dr.arange(types.UInt32, count * count)
-    row = quotient(types, index, count)
-    column = index - row * dr.opaque(types.UInt32, count)
+    row, column = rows_and_columns(types, count, count)
     step = dr.opaque(types.Float64, pitch)
     Px = types.Float64(column) * step + dr.opaque(types.Float64, grids.wide_origin[0])
     Py = types.Float64(row) * step + dr.opaque(types.Float64, grids.wide_origin[1])

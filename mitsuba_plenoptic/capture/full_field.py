@@ -34,7 +34,7 @@ from ..optics.power import power
 from ..optics.telecentric import TelecentricLens
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, fft2, irfft, pack, resting_drjit, rfft
-from ..runtime.indexing import quotient
+from ..runtime.indexing import rows_and_columns
 from .arrival import SampledField, at_mla, blocks, interpolate, pupil_field
 from .full_field_grids import FieldGrids, field_grids
 from .pupil_weights import PupilWeights
@@ -185,9 +185,8 @@ def _places(grids: FieldGrids) -> Iterator[tuple[slice, Any, Any]]:
     left, top = (start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
     columns = grids.count[0]
     for block in blocks(grids.count[1]):
-        index = dr.arange(types.UInt32, (block.stop - block.start) * columns)
-        row = quotient(types, index, columns)
-        x = types.Float64(index - row * columns) * grids.pitch + dr.opaque(types.Float64, left)
+        row, column = rows_and_columns(types, block.stop - block.start, columns)
+        x = types.Float64(column) * grids.pitch + dr.opaque(types.Float64, left)
         y = types.Float64(row) * grids.pitch + dr.opaque(types.Float64, top + block.start * grids.pitch)
         yield block, x, y
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, require_camera
 from ..errors import InputError
 from ..optics import guards
 from ..optics.sampling import check_positions
@@ -81,6 +81,7 @@ def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -
 
 
 def _check(camera: PlenopticCamera, position: Any) -> NDArray[np.float64]:
+    require_camera(camera)
     point = np.asarray(position, object)
     if point.shape != (3,):
         raise InputError(f"position = {position!r}: it must be three numbers (X, Y, g)")

@@ -17,6 +17,15 @@ from ..runtime.variant import set_variant
 from .scene_file import check_scene_file
 
 
+def scene_names() -> list[str]:
+    """Return the names of the scenes that come with the package."""
+    return sorted(path.stem for path in _folder().glob("*.xml"))
+
+
+def _folder() -> Path:
+    return Path(str(importlib.resources.files("mitsuba_plenoptic.scenes")))
+
+
 def scene_path(name: str) -> Path:
     """Path of a scene that comes with the package, by its name without suffix.
 
@@ -30,10 +39,9 @@ def scene_path(name: str) -> Path:
     InputError
         If there is none of that name; the message lists those there are.
     """
-    folder = Path(str(importlib.resources.files("mitsuba_plenoptic.scenes")))
-    path = folder / f"{name}.xml"
+    path = _folder() / f"{name}.xml"
     if path.name != f"{name}.xml" or not path.is_file():
-        names = ", ".join(sorted(p.stem for p in folder.glob("*.xml")))
+        names = ", ".join(scene_names())
         raise InputError(f"scene = {name!r}: there is no such file, nor a built-in scene of that name ({names})")
     return path
 
@@ -67,6 +75,8 @@ def load_scene(
     """
     if isinstance(scene, Mapping):
         return _load_dictionary(scene, variant, parameters)
+    if parameters is not None and not isinstance(parameters, Mapping):
+        raise InputError(f"parameters = {shown(parameters)}: they must be values by name")
     path = _find(scene)
     set_variant(variant)
     parameters = {str(name): str(value) for name, value in (parameters or {}).items()}
@@ -135,4 +145,6 @@ def mitsuba_sentence(error: Exception) -> str:
     last = " ".join(lines[start:])
     last = re.sub(r"^\[[\w.]+:\d+\] ", "", last)
     last = re.sub(r"^(?:At|While loading|Error while loading) [^:]*?(?:\([^)]*\)|\"[^\"]*\"): ", "", last)
+    if found := re.match(r"\[(\w+)\] could not assign an object of type '(\w+)'", last):
+        return f"{found[1]}: a value of type {found[2]} is none that plugins take; give a number or text"
     return re.sub(r"^(?:[\w.]+\.)?(?:InputError|RuntimeError|ValueError|TypeError|Exception): ", "", last)

@@ -25,7 +25,7 @@ from ..optics.power import band_edge_fraction
 from ..optics.telecentric import TelecentricLens
 from ..runtime.backend import backend
 from ..runtime.fft import as_field, pack
-from ..runtime.indexing import quotient
+from ..runtime.indexing import rows_and_columns
 from .arrival import SampledField, onto_window
 from .full_field_grids import FieldGrids
 from .pupil_weights import PupilWeights
@@ -74,9 +74,8 @@ def _at_native_image(
     pitch = grids.pitch * grids.wide_mla / count
     step = in_millimetres(wavelength) / (count * pitch)
     numbers = []
-    index = dr.arange(types.UInt32, count * count)
-    row = quotient(types, index, count)
-    for place in (index - row * dr.opaque(types.UInt32, count), row):
+    row, column = rows_and_columns(types, count, count)
+    for place in (column, row):
         # Zero frequency first, as transforms have it.
         number = types.Float64(place)
         numbers.append(dr.select(number < (count + 1) // 2, number, number - count))
@@ -107,11 +106,10 @@ def _at_stop_image(
     types, (columns, rows) = backend().types, grids.count
     growth = -lens.pupil_distance / lens.objective.last_focal_length
     origin = tuple(start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
-    index = dr.arange(types.UInt32, columns * rows)
-    row = quotient(types, index, columns)
+    row, column = rows_and_columns(types, rows, columns)
     pupil = tuple(
         (types.Float64(number) * dr.opaque(types.Float64, grids.pitch) + dr.opaque(types.Float64, start)) * growth
-        for number, start in zip((index - row * dr.opaque(types.UInt32, columns), row), origin, strict=True)
+        for number, start in zip((column, row), origin, strict=True)
     )
     sample = grids.pitch * abs(growth)
     field = as_field(pack(_stop_field(lens, position, wavelength, pupil, sample, weights)), (rows, columns))

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 from ..io.captures import read_capture
-from ..io.files import require_writable
+from ..io.files import require_apart, require_different, require_writable
 from ..lightfield import white_image
 from ..lightfield.exchange import read_picture
 from .inputs import load_camera
@@ -87,6 +87,9 @@ def calibrate(
         raise typer.BadParameter("--evaluate prints and writes no file", param_hint="--output")
     if report is not None and (evaluate is not None or all(pictures)):
         raise typer.BadParameter("a report is of a calibration from corners", param_hint="--report")
+    require_different(output, report)
+    for path in filter(None, (output, report)):
+        require_apart(path, *sources, centres, white)
     if evaluate is not None:
         _evaluate(evaluate, camera, board, square)
     elif all(pictures) and board is not None:

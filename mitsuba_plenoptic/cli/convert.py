@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ..io.files import require_apart
 from ..lightfield.exchange import open_light_field, require_light_field_path, save_light_field
 from .inputs import named_camera
 from .options import CameraFile, LightFieldSource, Linear, Truth, ViewCount, White, output_option
@@ -44,6 +45,7 @@ def convert(
       mitsuba-plenoptic convert lytro.eslf.png --view-count 14 -o lf.mat
     """
     require_light_field_path(output)
+    require_apart(output, source, white, truth)
     lf = open_light_field(
         source, white=white, views=view_count, linear=linear, camera=named_camera(camera), truth=truth or True
     )

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from ..io.files import require_apart
 from ..lightfield import depth_error, depth_map
 from ..lightfield.depth import is_focused
 from ..lightfield.exchange import open_light_field, open_micro_images
@@ -67,7 +68,7 @@ def depth(
 
       mitsuba-plenoptic depth raw.exr -o depth.exr --near 195 --far 310
     """
-    require_picture_path(output)
+    require_apart(require_picture_path(output), source, white, truth)
     brightness = Brightness(exposure, percentile)
     known = named_camera(camera)
     lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=known, truth=truth or True)

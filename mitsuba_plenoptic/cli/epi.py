@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ..io.files import require_apart
 from ..lightfield import epipolar_image
 from ..lightfield.exchange import open_light_field
 from ..lightfield.views import AXES
@@ -45,7 +46,7 @@ def epi(
 
       mitsuba-plenoptic epi raw.exr -o epi.png --at 2.5
     """
-    require_picture_path(output)
+    require_apart(require_picture_path(output), source, white)
     brightness = Brightness(exposure, percentile)
     image = epipolar_image(
         open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera)),

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..capture.scene import load_scene
-from ..errors import InputError
+from ..errors import InputError, require_number
 from ..io.captures import read_capture
 from ..io.checkpoints import SUFFIX, Checkpoint
-from ..io.files import atomic_output, require_writable
+from ..io.files import atomic_output, require_apart, require_writable
 from ..runtime.progress import progress_bar
 from ..runtime.variant import DEFAULT_VARIANT
 from .inputs import named_camera, parse_definitions
@@ -72,7 +72,7 @@ def fit(
 
     if len(scenes) != len(captures):
         raise typer.BadParameter(f"{len(captures)} captures and {len(scenes)} scenes", param_hint="--scene")
-    require_writable(output)
+    require_apart(require_writable(output), *captures)
     read = [read_capture(path) for path in captures]
     first = named_camera(camera) or read[0].camera
     if start:
@@ -80,6 +80,9 @@ def fit(
     known = wavelength or read[0].wavelength or 633.0
     if isinstance(known, tuple):
         raise InputError(f"{captures[0]}: it has several wavelengths; a camera is fitted to captures of one")
+    # Light is found below, which takes much longer than seeing what is asked for.
+    fitting.model.numbers_of(first, names)
+    require_number("photons", photons, positive=True)
     views = []
     for name, capture in zip(scenes, read, strict=True):
         scene = load_scene(name, variant=DEFAULT_VARIANT, parameters=parse_definitions(define))

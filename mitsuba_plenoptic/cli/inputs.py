@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..camera import PlenopticCamera
 from ..capture.render import plenoptic_sensor
-from ..capture.scene import load_scene, scene_path
+from ..capture.scene import load_scene, scene_names, scene_path
 from ..capture.scene_file import check_scene_file
 from ..design import design_warnings
 from ..errors import InputError
@@ -60,6 +60,13 @@ def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamer
         from ..calibration import read_camera
 
         return read_camera(source)
+    if source.lower().endswith(".exr"):
+        raise InputError(f"{source}: it is an image; a camera is a preset, a JSON file or a scene")
+    if not Path(source).exists() and source not in scene_names():
+        raise InputError(
+            f"{source}: there is no such file, and no camera ({', '.join(PRESETS)}) or built-in scene "
+            f"({', '.join(scene_names())}) of that name"
+        )
     sensors = load_scene(source, parameters=parameters).sensors()
     if not sensors:
         raise InputError(f"{source}: it has no sensor; add one of type 'plenoptic'")

@@ -12,7 +12,7 @@ import typer
 from .. import reconstruction
 from ..errors import InputError
 from ..io.checkpoints import SUFFIX, Checkpoint
-from ..io.files import require_writable
+from ..io.files import require_apart, require_different, require_writable
 from ..reconstruction import METHODS, Reconstruction, Volume, write_volume
 from ..reconstruction.volume import SUFFIXES, require_volume_path
 from ..report.brightness import Brightness
@@ -162,6 +162,10 @@ def reconstruct(
         require_writable(require_volume_path(output, distance))
     if overview and require_writable(overview).suffix.lower() != ".png":
         raise InputError(f"{overview}: an overview is a picture; give a name that ends in .png")
+    written = [*(paths or [output]), overview]
+    require_different(*written)
+    for path in filter(None, written):
+        require_apart(path, capture, white)
     long = METHODS[method].long if method in METHODS else False
     for name, value in (("--resume", resume), ("--workers", workers), ("--scheduler", scheduler)):
         if value and not long:

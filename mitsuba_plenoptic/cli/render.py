@@ -12,7 +12,7 @@ from ..capture.estimate import estimate_capture
 from ..capture.render import render_capture
 from ..io.captures import Capture, write_capture
 from ..io.checkpoints import SUFFIX, Checkpoint
-from ..io.files import remove_leftovers, require_writable
+from ..io.files import remove_leftovers, require_different, require_writable
 from ..io.ground_truth import NAME, QUANTITIES, require_quantities, truth_path, write_ground_truth
 from ..runtime.progress import progress_bar
 from .inputs import batches_on, open_scene, parse_definitions, require_capture_output
@@ -132,6 +132,7 @@ def render(
     for path in filter(None, (output, white)):
         require_capture_output(path)
     beside = require_writable(truth_path(output))
+    require_different(output, white, beside if names else None)
     if resume:
         remove_leftovers(output)
     checkpoint = require_writable(checkpoint or output.with_name(output.name + SUFFIX))

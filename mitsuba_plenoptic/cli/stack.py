@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ..io.files import require_apart
 from ..lightfield import focal_stack
 from ..lightfield.exchange import open_light_field
 from ..lightfield.refocus import METHODS
@@ -58,7 +59,7 @@ def stack(
 
       mitsuba-plenoptic stack raw.exr -o stack.exr --distance 210 --distance 240 --distance 280
     """
-    require_picture_path(output)
+    require_apart(require_picture_path(output), source, white)
     brightness = Brightness(exposure, percentile)
     lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera))
     with progress_bar("Refocusing") as progress:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ..io.files import require_apart
 from ..lightfield import pick_views
 from ..lightfield.exchange import open_light_field
 from ..report.brightness import Brightness
@@ -44,7 +45,7 @@ def views(
 
       mitsuba-plenoptic views raw.exr -o centre.png --count 1
     """
-    require_picture_path(output)
+    require_apart(require_picture_path(output), source, white, truth)
     brightness = Brightness(exposure, percentile)
     lf = open_light_field(
         source, white=white, views=view_count, linear=linear, camera=named_camera(camera), truth=truth or True

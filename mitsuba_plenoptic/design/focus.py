@@ -24,7 +24,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..errors import require_number
 from ..thin_lens import conjugate_distance, image_distance
@@ -324,7 +323,7 @@ def suitable_oversample(camera: PlenopticCamera, distance: float, wavelength: fl
 
 def _finest(camera: PlenopticCamera, wavelength: float | None) -> float:
     """Finest detail on the detector: a pixel, or the spot of diffraction if that is wider."""
-    return max(camera.pixel_size, 0.0 if wavelength is None else spot_radius(camera, require_wavelength(wavelength)))
+    return max(camera.pixel_size, 0.0 if wavelength is None else spot_radius(camera, wavelength))
 
 
 def _covering(camera: PlenopticCamera, side: float) -> float:

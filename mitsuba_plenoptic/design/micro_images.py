@@ -7,9 +7,11 @@ import math
 
 import numpy as np
 
+from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics.lens_system import LensSystem
+from ..optics.phase import in_millimetres
 
 MOST_OVERLAP = 100_000
 """Lenses that may light one pixel."""
@@ -46,7 +48,7 @@ def spot_radius(camera: PlenopticCamera, wavelength: float) -> float:
     wavelength : float
         Wavelength in nanometres.
     """
-    return wavelength * 1e-6 * camera.detector_distance / camera.lattice.diffraction_width
+    return in_millimetres(require_wavelength(wavelength)) * camera.detector_distance / camera.lattice.diffraction_width
 
 
 def direction_count(camera: PlenopticCamera, wavelength: float | None = None) -> float:
@@ -57,13 +59,15 @@ def direction_count(camera: PlenopticCamera, wavelength: float | None = None) ->
 
 def mla_fresnel_number(camera: PlenopticCamera, wavelength: float) -> float:
     r"""Fresnel number of a microlens of width w seen from the detector, :math:`(w/2)^2 / (\lambda z)`."""
-    return (camera.lattice.aperture_width / 2) ** 2 / (wavelength * 1e-6 * camera.detector_distance)
+    return (camera.lattice.aperture_width / 2) ** 2 / (
+        in_millimetres(require_wavelength(wavelength)) * camera.detector_distance
+    )
 
 
 def main_fresnel_number(camera: PlenopticCamera, wavelength: float) -> float:
     r"""Fresnel number of the main lens seen from the MLA, :math:`(D_1/2)^2 / (\lambda b)`."""
     camera.require_lens("the Fresnel number of the main lens")
-    return camera.aperture_radius**2 / (wavelength * 1e-6 * camera.mla_distance)
+    return camera.aperture_radius**2 / (in_millimetres(require_wavelength(wavelength)) * camera.mla_distance)
 
 
 # -- light of a white scene --------------------------------------------------------------------------

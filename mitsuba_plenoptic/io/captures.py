@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..bounds import require_wavelength
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, require_camera
 from ..errors import InputError, require_choice, shown
 from .exr import read_exr, write_exr
 
@@ -55,8 +56,7 @@ class Capture:
     noise: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.camera, PlenopticCamera):
-            raise InputError(f"camera = {shown(self.camera)}: it must be a PlenopticCamera")
+        require_camera(self.camera)
         image = as_array("image", self.image)
         if image.ndim not in (2, 3) or image.shape[:2] != self.camera.shape:
             raise InputError(
@@ -133,6 +133,33 @@ def require_pixels(name: str, image: np.ndarray) -> None:
     raise InputError(f"{name}: {bad.sum()} of its pixels are {what}, the first at ({first}): all must be {rule}")
 
 
+def require_same_camera(name: str, white: Capture, cameras: Sequence[PlenopticCamera]) -> None:
+    """Refuse a white capture by another camera than a capture's, and name the first number in which it is another.
+
+    Parameters
+    ----------
+    name : str
+        What the message calls the white capture.
+    white : Capture
+        The white capture.
+    cameras : sequence of PlenopticCamera
+        Those that the capture is known by: its own, and one that is given in its place. None: nothing is known.
+
+    Raises
+    ------
+    InputError
+        If it is by none of them.
+    """
+    if not cameras or white.camera in cameras:
+        return
+    theirs, ours = white.camera.to_dict(), cameras[-1].to_dict()
+    number = next(number for number in {**ours, **theirs} if theirs.get(number) != ours.get(number))
+    raise InputError(
+        f"{name}: its camera has {number} = {shown(theirs.get(number))}, that of the capture "
+        f"{shown(ours.get(number))}: it must be by the camera of the capture"
+    )
+
+
 def write_capture(path: str | Path, capture: Capture) -> None:
     """Write a capture as float32 OpenEXR: channel Y, or R, G and B, with all about it in the header.
 
@@ -151,8 +178,10 @@ def write_capture(path: str | Path, capture: Capture) -> None:
     Raises
     ------
     InputError
-        If the file cannot be written.
+        If it is none, its metadata are no plain data, or the file cannot be written.
     """
+    if not isinstance(capture, Capture):
+        raise InputError(f"capture of type {type(capture).__name__}: it must be a Capture")
     camera = capture.camera
     attributes = {
         "kind": "capture",

@@ -13,15 +13,16 @@ import math
 import os
 import time
 import warnings
+import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, require_count, require_number
+from ..errors import InputError, require_choice, require_count, require_number
 from ..runtime.backend import backend_of
 from ..runtime.batches import PartialSum
 from ..runtime.jobs import Snapshot
@@ -62,10 +63,11 @@ class Checkpoint:
     Raises
     ------
     InputError
-        On entering, if there is a file that may not be replaced.
+        If `existing` is another word; on entering, if there is a file that may not be replaced.
     """
 
     def __init__(self, path: str | Path, existing: Existing = "refuse") -> None:
+        require_choice("existing", existing, get_args(Existing))
         self.path = Path(path)
         self.run: dict[str, Any] = {}
         self._existing = existing
@@ -236,6 +238,8 @@ def _write_archive(path: Path, run: dict[str, Any], header: dict[str, Any], arra
 def _read(path: Path, run: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State:
     """Read the checkpoint of a run, and refuse that of another run or a damaged one."""
     try:
+        if not zipfile.is_zipfile(path):
+            raise ValueError("it is no archive, or cut off")
         with np.load(path, allow_pickle=False) as archive:
             header = json.loads(str(archive["header"]))
             differences = _differences({"format": header["format"], **header["run"]}, {"format": FORMAT, **run})

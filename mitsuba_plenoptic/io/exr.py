@@ -18,6 +18,9 @@ ATTRIBUTE = "mitsuba_plenoptic"
 
 _NOISE = "noise."
 
+_MAGIC = bytes((0x76, 0x2F, 0x31, 0x01))
+"""Bytes that every OpenEXR file begins with."""
+
 # The others lose precision, which is not for captures.
 _LOSSLESS = (
     OpenEXR.NO_COMPRESSION,
@@ -99,7 +102,10 @@ def _write(
             "displayWindow": _window(0, 0, *full_size),
         }
         if not written:
-            header[ATTRIBUTE] = json.dumps(attributes, sort_keys=True)
+            try:
+                header[ATTRIBUTE] = json.dumps(attributes, sort_keys=True)
+            except (TypeError, ValueError) as error:
+                raise InputError(f"{path}: what is told about the image must be plain data for JSON: {error}") from None
         planes = {key: np.ascontiguousarray(plane, dtype=np.float32) for key, plane in channels.items()}
         written.append(OpenEXR.Part(header, planes, name))
     try:
@@ -226,7 +232,15 @@ def _part(header: dict[str, Any]) -> Part:
 
 def _damaged(path: Path, error: Exception) -> InputError:
     """Return the error for a file whose damage OpenEXR, JSON or NumPy found, by whatever type of exception."""
-    return InputError(f"{path}: it cannot be read as an OpenEXR image, or is damaged: {error}")
+    reason = str(error)
+    if reason.startswith("Unable to open"):
+        # What OpenEXR says of all files that are there but that it cannot make out.
+        with path.open("rb") as file:
+            whole = file.read(len(_MAGIC)) == _MAGIC
+        reason = (
+            "its header or the table of its lines is cut off or wrong" if whole else "it does not begin as one does"
+        )
+    return InputError(f"{path}: it cannot be read as an OpenEXR image, or is damaged: {reason}")
 
 
 def _require_lossless(part: Part) -> None:

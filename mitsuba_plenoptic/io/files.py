@@ -40,6 +40,46 @@ def require_writable(path: str | Path) -> Path:
     return path
 
 
+def require_apart(path: Path, *sources: Path | None) -> None:
+    """Check that a file that is to be written is none of those that are read, which it would take the place of.
+
+    Parameters
+    ----------
+    path : Path
+        The file to write.
+    *sources : Path, or None
+        The files that are read; None stands for one that is not given.
+
+    Raises
+    ------
+    InputError
+        If it is one of them, by whatever name.
+    """
+    for source in sources:
+        if source is not None and path.exists() and source.exists() and path.samefile(source):
+            raise InputError(f"{path}: it is read, and would be lost; write to another file")
+
+
+def require_different(*paths: Path | None) -> None:
+    """Check that no two of the files that are to be written are the same.
+
+    Parameters
+    ----------
+    *paths : Path, or None
+        The files; None stands for one that is not asked for.
+
+    Raises
+    ------
+    InputError
+        If two are.
+    """
+    found: set[Path] = set()
+    for path in filter(None, paths):
+        if path.resolve() in found:
+            raise InputError(f"{path}: two results would be written to it; give each a name of its own")
+        found.add(path.resolve())
+
+
 def require_file(path: str | Path) -> Path:
     """Check that a file can be read.
 

@@ -8,9 +8,9 @@ import numpy as np
 import scipy
 import xarray as xr
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, require_camera
 from ..errors import InputError, shown
-from ..io.captures import Capture, as_array, require_pixels
+from ..io.captures import Capture, as_array, require_pixels, require_same_camera
 from ..io.ground_truth import COORDINATES, GroundTruth, channel_planes
 from ..mosaic import require_demosaiced
 from ..runtime.limits import require_memory
@@ -70,6 +70,7 @@ def decode(
     InputError
         If neither camera nor grid is known, or the images or the ground truth do not fit each other or the camera.
     """
+    _require_suitable(white, capture, camera)
     image, camera = _checked(capture, camera, grid)
     if camera is not None and camera.objective is not None and camera.objective.is_fourier:
         for name, given in (("grid", grid), ("truth", truth)):
@@ -109,6 +110,7 @@ def checked_images(
     reference : (rows, columns, 1) float32 array
     camera : PlenopticCamera or None
     """
+    _require_suitable(white, capture, camera)
     image, camera = _checked(capture, camera, grid)
     return image, _reference(image, camera, white, grid), camera
 
@@ -122,8 +124,8 @@ def _checked(
         camera = camera or capture.camera
         capture = capture.image
     image = _image("capture", capture)
-    if camera is not None and not isinstance(camera, PlenopticCamera):
-        raise InputError(f"camera = {shown(camera)}: it must be a PlenopticCamera")
+    if camera is not None:
+        require_camera(camera)
     if grid is not None and not isinstance(grid, LensGrid):
         raise InputError(f"grid = {shown(grid)}: it must be a LensGrid")
     if camera is None and grid is None:
@@ -133,6 +135,16 @@ def _checked(
     if camera is not None and image.shape[:2] != camera.shape:
         raise InputError(f"capture of shape {image.shape[:2]}: the camera records {camera.shape}")
     return image, camera
+
+
+def _require_suitable(
+    white: Capture | np.ndarray | None, capture: Capture | np.ndarray, camera: PlenopticCamera | None
+) -> None:
+    """Refuse a white capture of a mosaic, or by another camera."""
+    if isinstance(white, Capture):
+        require_demosaiced(white)
+        own = capture.camera if isinstance(capture, Capture) else None
+        require_same_camera("white", white, [each for each in (camera, own) if each is not None])
 
 
 def _reference(

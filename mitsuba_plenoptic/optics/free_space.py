@@ -19,7 +19,7 @@ import numpy as np
 from ..errors import InputError, require_number
 from ..runtime.backend import array_module, backend, one_at_a_time
 from ..runtime.fft import Field, array_types, as_field, as_words, fft2_packed, pack, unpack
-from ..runtime.indexing import quotient
+from ..runtime.indexing import rows_and_columns
 from .phase import in_millimetres, phasor
 from .step_guard import StepGuard
 
@@ -111,61 +111,6 @@ def advance(
     return as_field(packed, spectrum.shape)
 
 
-def propagate_differentiable(
-    field: Any, shape: tuple[int, int], pitch: float, distance: float, wavelength: float
-) -> Any:
-    """Propagate a Dr.Jit complex array as `propagate` does, with gradients in both directions.
-
-    Parameters
-    ----------
-    field : Complex2f of Dr.Jit, size rows * columns
-        Left as it is.
-    shape : (int, int)
-        Rows and columns.
-    pitch, distance : float
-        Sampling distance and distance to the new plane, in millimetres.
-    wavelength : float
-        Wavelength in nanometres.
-
-    Returns
-    -------
-    Complex2f of Dr.Jit, size rows * columns
-
-    Raises
-    ------
-    InputError
-        If the size does not fit the shape, or a number is out of range.
-    """
-    if dr.width(field) != shape[0] * shape[1]:
-        raise InputError(f"field of {dr.width(field)} samples: it must have {shape[0]} x {shape[1]}")
-    return dr.custom(_AngularSpectrum, field, shape, *_check(pitch, distance, wavelength))
-
-
-class _AngularSpectrum(dr.CustomOp):
-    """One step and its adjoint, which is the step back: the transfer function has modulus one or zero."""
-
-    def eval(self, field: Any, shape: tuple[int, int], *numbers: float) -> Any:
-        self.shape = shape
-        self.pitch, self.distance, self.wavelength = numbers
-        return self._step(field, self.distance)
-
-    def _step(self, field: Any, distance: float) -> Any:
-        return unpack(_step(pack(field), self.shape, self.pitch, distance, self.wavelength))
-
-    def forward(self) -> None:
-        self.set_grad_out(self._step(self.grad_in("field"), self.distance))
-
-    def backward(self) -> None:
-        self.set_grad_in("field", self._step(self.grad_out(), -self.distance))
-
-
-def _step(packed: Any, shape: tuple[int, ...], pitch: float, distance: float, wavelength: float) -> Any:
-    """Propagate a packed field; its memory may be overwritten."""
-    packed = fft2_packed(packed, shape)
-    packed = _advance(packed, shape, pitch, distance, wavelength)
-    return fft2_packed(packed, shape, inverse=True)
-
-
 def _advance(
     packed: Any,
     shape: tuple[int, ...],
@@ -178,9 +123,7 @@ def _advance(
     """Multiply a packed spectrum, zero frequency first, by the transfer function of free space."""
     types = array_types(packed)
     rows, columns = shape
-    index = dr.arange(types.UInt32, rows * columns)
-    row = quotient(types, index, columns)
-    column = index - row * dr.opaque(types.UInt32, columns)
+    row, column = rows_and_columns(types, rows, columns)
     down, across = pitch if isinstance(pitch, tuple) else (pitch, pitch)
     sx = _cosine(types, column, columns, across, wavelength)
     first, all_rows = part or (0, rows)

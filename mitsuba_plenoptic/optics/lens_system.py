@@ -70,8 +70,14 @@ class LensSystem:
             The camera.
         wavelength : float, optional
             Wavelength in nanometres. Default: the prescription's own.
+
+        Raises
+        ------
+        InputError
+            If it has none.
         """
-        assert camera.prescription is not None
+        if camera.prescription is None:
+            raise InputError("main_lens: the camera has none with surfaces")
         return cls(camera.prescription, camera.focal_length, camera.aperture_radius, camera.mla_distance, wavelength)
 
     @functools.cached_property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -34,6 +34,12 @@ class Light:
     ratio: Any
     mla_ratio: Any
     indices: list[Any] | None
+
+    def through(self, lens: Any) -> Any:
+        """Return a main lens as these rays meet it."""
+        if self.indices is not None:
+            return replace(lens, indices=self.indices)
+        return replace(lens, focal_length=lens.focal_length * self.ratio)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, require_camera
 from ..capture.scene import mitsuba_sentence
 from ..errors import InputError
 from ..runtime.backend import one_at_a_time
@@ -34,8 +34,11 @@ def with_camera(scene: Any, camera: PlenopticCamera) -> Any:
     Raises
     ------
     InputError
-        If the first sensor's transform scales, or the camera is not one that Mitsuba can render.
+        If the scene or the camera is none, the first sensor's transform scales, or Mitsuba cannot render the camera.
     """
+    if not isinstance(scene, mi.Scene):
+        raise InputError(f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant")
+    require_camera(camera)
     # Emitters of surfaces come with their shapes.
     lamps = [lamp for lamp in scene.emitters() if not mi.has_flag(lamp.flags(), mi.EmitterFlags.Surface)]
     objects: dict[str, Any] = {}

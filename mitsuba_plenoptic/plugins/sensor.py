@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
-import json
 import math
 from typing import Any
 
@@ -13,41 +11,16 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..design import crosstalk_neighbours
 from ..errors import InputError
-from ..io.lens_file import read_lens
-from ..lattice import make_lattice
-from ..objective import Objective
-from ..optics import rays
-from ..optics.irregular import MOST_DEVIATIONS, irregularities
 from ..optics.lens_system import LensSystem
 from ..optics.telecentric import TelecentricLens
-from ..optics.thin import DistortedLens, ThinLens
-from ..prescription import Prescription
-from .dispersion import Dispersion, Light
-from .properties import read_number, read_numbers, read_plain
+from .camera_properties import FIXED, NUMBERS, POSITIVE, SEVERAL, WORDS, read_camera
+from .camera_rays import CameraRays, Pair, Traced
+from .pixel_response import angular_response
 
 NAME = "plenoptic"
 
-# Positive numbers that can be changed and differentiated through `mi.traverse`, in the order of the documentation;
-# so can those of one value or several, `mla_rotation` and `mla_offset`.
-POSITIVE = (
-    "focal_length",
-    "aperture_radius",
-    "mla_distance",
-    "mla_fill",
-    "detector_distance",
-    "detector_width",
-)
-SEVERAL = {"mla_focal_length": "mla_focal_lengths", "mla_pitch": "mla_pitches"}
-NUMBERS = (*POSITIVE, *SEVERAL, "mla_rotation", "mla_offset")
-WORDS = ("mla_lattice", "mla_aperture", "lens_model")
-FIXED = ("mla_tilt", "distortion", "mla_jitter", "mla_seed", "pixel_response")
-
 _CROSSTALK_RAYS = 2**16
-
-_RESPONSES = 1025
-"""Angles at which the pixels' response is tabulated."""
 
 _BOX = '<rfilter type="box"/>'
 
@@ -141,16 +114,14 @@ def make_class() -> type:
          * - mla_jitter
            - |string| or |point|
            - What is irregular in the array: standard deviations "a, b" of its lenses' places along x and y, and of
-             their
-             focal lengths over these. (Default: "0, 0")
+             their focal lengths over these. (Default: "0, 0")
          * - mla_seed
            - |int|
            - Which of all such arrays it is. (Default: 0)
          * - pixel_response
            - |string|
            - Angular response of the pixels: angles of incidence in degrees, rising from 0, each followed by a response
-             from 0
-             to 1, with commas between all of them. (Default: 1 at all angles)
+             from 0 to 1, with commas between all of them. (Default: 1 at all angles)
          * - main_lens
            - |string|
            - Surfaces and glasses of a real main lens: a YAML or JSON file, beside the scene or anywhere, the name of
@@ -161,8 +132,7 @@ def make_class() -> type:
          * - glass, mla_glass
            - |string| or |float|
            - Of what the thin main lens and the microlenses are made: the name of a glass in a catalogue, an index, or
-             the
-             text of a JSON object such as ``{"index": 1.5168, "abbe": 64.2}``. Focal lengths are then those at
+             the text of a JSON object such as ``{"index": 1.5168, "abbe": 64.2}``. Focal lengths are then those at
              587.5618 nm, and every wavelength has its own. (Default: the same for all wavelengths)
          * - to_world
            - |transform|
@@ -175,7 +145,7 @@ def make_class() -> type:
            - |exposed|
          * - (Nested plugin)
            - :paramtype:`film`
-           - Its size is the detector's resolution. Its filter should be ``box``: a wider one smears the
+           - Its size is the detector's resolution. Its filter must be ``box``: a wider one smears the
              micro-images.
 
         All lengths are in scene units, taken as millimetres. A ray starts at a detector point :math:`p`,
@@ -244,37 +214,7 @@ def make_class() -> type:
                 fault = f"the film's filter {film.rfilter().class_name()} smears the micro-images into each other"
                 line = _BOX if has_film else f'<film type="hdrfilm"> {_BOX} </film>'
                 raise InputError(f"{NAME}: {fault if has_film else 'it has no film'}; add the line {line}")
-            given: dict[str, Any] = {
-                **{name: read_number(props, NAME, name, None) for name in (*POSITIVE, "focus_distance")},
-                **{name: read_plain(props, name, None) for name in WORDS},
-                **{name: read_numbers(props, NAME, name) for name in SEVERAL},
-                "mla_rotation": read_plain(props, "mla_rotation", None),
-                "mla_offset": _flat(read_numbers(props, NAME, "mla_offset")),
-                "mla_tilt": _flat(read_numbers(props, NAME, "mla_tilt")),
-                "distortion": read_numbers(props, NAME, "distortion"),
-                "wavefront": read_numbers(props, NAME, "wavefront"),
-                "mla_jitter": _flat(read_numbers(props, NAME, "mla_jitter")),
-                "mla_seed": read_plain(props, "mla_seed", None),
-                "pixel_response": read_numbers(props, NAME, "pixel_response"),
-            }
-            try:
-                given["main_lens"] = _read_main_lens(props, "main_lens")
-                given["glass"] = _read_glass(props, "glass")
-                given["mla_glass"] = _read_glass(props, "mla_glass")
-                camera = PlenopticCamera(
-                    **{name: value for name, value in given.items() if value is not None},
-                    resolution=tuple(film.size()),
-                    crop_offset=tuple(film.crop_offset()),
-                    crop_size=tuple(film.crop_size()),
-                )
-            except InputError as error:
-                raise InputError(f"{NAME}: {error}") from None
-            if camera.objective is not None and camera.objective.is_fourier:
-                raise InputError(
-                    f"{NAME}: main_lens: arrangement = fourier: no stop bounds its micro-images for rays; use "
-                    "CaptureOperator with method full_field"
-                )
-            self._given = camera
+            camera = self._given = read_camera(props, NAME, film)
             for name in (*WORDS, *FIXED):
                 setattr(self, name, getattr(camera, name))
             for name in (*POSITIVE, "mla_rotation"):
@@ -305,44 +245,13 @@ def make_class() -> type:
                 raise InputError(f"{NAME}: to_world: its numbers must be finite")
             if dr.any(self.world_transform().has_scale()):
                 raise InputError(f"{NAME}: to_world: it must not scale; give lengths in scene units instead")
-            camera = self.camera
+            numbers = {name: getattr(self, name) for name in self._numbers}
             # Opaque values are kernel inputs, so that changing one does not compile the kernels again.
-            dr.make_opaque(*(getattr(self, name) for name in self._numbers))
-            # An upright lattice needs no turning, unless the gradient for its angle is asked for.
-            turned = camera.mla_rotation != 0 or dr.grad_enabled(self.mla_rotation)
-            pitches = self.mla_pitch, self.mla_pitch
-            if dr.width(self.mla_pitch) > 1:
-                pitches = dr.gather(mi.Float, self.mla_pitch, 0), dr.gather(mi.Float, self.mla_pitch, 1)
-            self._lattice = make_lattice(
-                camera.mla_lattice,
-                pitches,
-                rotation=self.mla_rotation if turned else 0.0,
-                offset=(self.mla_offset.x, self.mla_offset.y),
-                aperture=camera.mla_aperture,
-                fill=self.mla_fill,
-            )
-            aberrations = tuple(dr.gather(mi.Float, self.wavefront, i) for i in range(dr.width(self.wavefront)))
-            lens = self.focal_length, self.aperture_radius, self.mla_distance
-            if camera.objective is not None:
-                self._main_lens: Any = TelecentricLens(camera.objective)
-            elif camera.prescription is not None:
-                self._main_lens = LensSystem(camera.prescription, *lens)
-            elif any(self.distortion):
-                self._main_lens = DistortedLens(*lens, self.lens_model, aberrations, self.distortion)
-            else:
-                self._main_lens = ThinLens(*lens, self.lens_model, aberrations)
-            self._dispersion = Dispersion.of(camera)
-            self._response = _angular_response(self.pixel_response)
-            self._candidates = [mi.Float(steps) for steps in self._neighbours().T]
+            dr.make_opaque(*numbers.values())
+            self._rays = CameraRays.of(self.camera, numbers)
+            self._response = angular_response(self.pixel_response)
+            self._candidates = [mi.Float(steps) for steps in self._rays.neighbours().T]
             dr.make_opaque(*self._candidates)
-
-        def _neighbours(self, beyond: float = 0.0) -> np.ndarray:
-            """Return the lenses that are tried around the chief ray's, at the wavelength at which most can light it."""
-            camera = self.camera
-            seen = [camera] if self._dispersion is None else [camera, *self._dispersion.ends(camera)]
-            # No lens stands farther off.
-            beyond += MOST_DEVIATIONS * math.hypot(camera.mla_jitter[0], camera.mla_jitter[0])
-            return max((crosstalk_neighbours(each, beyond=beyond) for each in seen), key=len)
 
         @property
         def _numbers(self) -> tuple[str, ...]:
@@ -368,80 +277,28 @@ def make_class() -> type:
                 crop_size=tuple(film.crop_size()),
             )
 
-        def _height(self, x: Any, y: Any) -> Any:
-            """Return by how much a lens of a tilted array stands nearer to the main lens than the one on the axis."""
-            across, up = (math.tan(math.radians(angle)) for angle in self.mla_tilt)
-            return x * across + y * up
-
-        def _trace(
-            self, px: Any, py: Any, mx: Any, my: Any, cx: Any, cy: Any, f2: Any, *, light: Light | None = None
-        ) -> tuple[Any, Any, Any]:
-            """Follow the ray from p through m of the lens at c: return what `MainLens.trace` does."""
-            lens = self._main_lens
-            if light is not None:
-                f2 = f2 * light.mla_ratio
-                if light.indices is not None:
-                    lens = dataclasses.replace(lens, indices=light.indices)
-                else:
-                    lens = dataclasses.replace(lens, focal_length=lens.focal_length * light.ratio)
-            z = self.detector_distance
-            height = self._height(cx, cy) if any(self.mla_tilt) else None
-            if height is not None:
-                z = z + height
-            if self.lens_model == "ideal":
-                slope = tuple(rays.microlens_slope(p, m, c, z, f2) for p, m, c in ((px, mx, cx), (py, my, cy)))
-            else:
-                sx, sy = rays.slopes_to_cosines((mx - px) / z, (my - py) / z)
-                slope = rays.cosines_to_slopes(sx - (mx - cx) / f2, sy - (my - cy) / f2)
-            if height is not None:
-                # Where it crosses the plane of the lens on the axis.
-                mx, my = mx - height * slope[0], my - height * slope[1]
-            return lens.trace((mx, my), slope)
-
-        def _places(self, film_sample: Any, lens_sample: Any, candidates: list[Any]) -> tuple[tuple[Any, ...], Any]:
-            """Detector point, point on a lens, its centre and focal length, and which of the candidates it is."""
-            film, lattice = self.film(), self._lattice
+        def _on_detector(self, film_sample: Any) -> Pair:
+            """Return the points of the detector that are fractions of the crop window."""
+            film = self.film()
             pixel = self.detector_width / film.size()[0]
-            b, z = self._main_lens.pupil_distance, self.detector_distance
-            px, py = (
+            x, y = (
                 (film_sample[axis] * film.crop_size()[axis] + film.crop_offset()[axis] - 0.5 * film.size()[axis])
                 * pixel
                 for axis in (0, 1)
             )
-            # Behind an objective all chief rays are parallel to the axis.
-            x, y = (px, py) if self._given.objective else (rays.chief_point(p, b, z) for p in (px, py))
-            if any(self.mla_tilt):
-                nearer = 1 - self._height(x, y) / b
-                x, y = x * nearer, y * nearer
-            i, j = lattice.cell(x, y)
-            within, candidate = mi.Float(lens_sample[0]), mi.UInt32(0)
-            count = dr.width(candidates[0])
-            if count > 1:
-                scaled = within * count
-                whole = dr.minimum(dr.floor(scaled), count - 1)
-                within, candidate = scaled - whole, mi.UInt32(whole)
-                steps = (dr.gather(mi.Float, step, candidate) for step in candidates)
-                i, j = (index + step for index, step in zip((i, j), steps, strict=True))
-            cx, cy = lattice.centre(i, j)
-            dx, dy = lattice.aperture_point(within, lens_sample[1])
-            f2 = self.mla_focal_length
-            if dr.width(f2) > 1:
-                f2 = dr.gather(mi.Float, f2, mi.UInt32(lattice.lens_type(i, j)))
-            if any(self.mla_jitter):
-                right, up, longer = irregularities(self._given, i, j)
-                cx, cy, f2 = cx + right, cy + up, f2 * longer
-            return (px, py, cx + dx, cy + dy, cx, cy, f2), candidate
+            return x, y
 
         def crosstalk_missed(self) -> float:
             """Estimate from a sample of rays what fraction of the light lenses beyond those that are tried let in."""
             tried = set(zip(*(steps.numpy().astype(int).tolist() for steps in self._candidates), strict=True))
-            around = self._neighbours(beyond=max(self.camera.mla_pitches))
+            around = self._rays.neighbours(beyond=max(self._rays.camera.mla_pitches))
             random = mi.PCG32(size=_CROSSTALK_RAYS)
             film_sample, lens_sample = (
                 mi.Point2f(random.next_float32(), random.next_float32()) for _ in ("film", "lens")
             )
-            places, candidate = self._places(film_sample, lens_sample, [mi.Float(steps) for steps in around.T])
-            _, _, open_ = self._trace(*places)
+            pixel = self._on_detector(film_sample)
+            passage, candidate = self._rays.pass_array(pixel, lens_sample, [mi.Float(steps) for steps in around.T])
+            _, _, open_ = self._rays.trace(pixel, passage)
             beyond = dr.gather(mi.Bool, mi.Bool([tuple(steps) not in tried for steps in around]), candidate)
             return int(dr.count(open_ & beyond)[0]) / max(1, int(dr.count(open_)[0]))
 
@@ -450,16 +307,17 @@ def make_class() -> type:
 
             The place is a fraction of the crop window, as `sample_ray` takes it.
             """
-            (px, py, _, _, cx, cy, f2), _ = self._places(film_sample, mi.Point2f(0.5), [mi.Float(0), mi.Float(0)])
-            return self._ray(*self._trace(px, py, cx, cy, cx, cy, f2))
+            pixel = self._on_detector(film_sample)
+            passage, _ = self._rays.pass_array(pixel, mi.Point2f(0.5), [mi.Float(0), mi.Float(0)])
+            return self._in_world(self._rays.trace(pixel, passage._replace(point=passage.centre)))
 
-        def pupil_ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[Any, Any]:
+        def pupil_ray(self, pupil: Pair, place: Pair) -> tuple[Any, Any]:
             """Return the ray through a place of the microlens array and a point of the pupil, and whether it does."""
-            slope = tuple((P - m) / self._main_lens.pupil_distance for P, m in zip(pupil, place, strict=True))
-            return self._ray(*self._main_lens.trace(place, slope))
+            return self._in_world(self._rays.from_pupil(pupil, place))
 
-        def _ray(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], open_: Any) -> tuple[Any, Any]:
-            """Turn what `MainLens.trace` returns into a ray in the world."""
+        def _in_world(self, traced: Traced) -> tuple[Any, Any]:
+            """Turn a ray behind the main lens into one in the world, at the time at which the shutter opens."""
+            point, slope, open_ = traced
             to_world = self.world_transform()
             ray = mi.RayDifferential3f(
                 mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
@@ -470,18 +328,18 @@ def make_class() -> type:
         def _sample(
             self, time: Any, wavelength_sample: Any, film_sample: Any, lens_sample: Any, active: Any, differential: bool
         ) -> tuple[Any, Any]:
-            pixel = self.detector_width / self.film().size()[0]
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
             light = None
-            if self._dispersion is not None:
-                light, lens_sample, share = self._dispersion.draw(lens_sample, wavelengths)
+            if self._rays.dispersion is not None:
+                light, lens_sample, share = self._rays.dispersion.draw(lens_sample, wavelengths)
                 weight = weight * share
-            (px, py, *lens), _ = self._places(film_sample, lens_sample, self._candidates)
-            point, slope, open_ = self._trace(px, py, *lens, light=light)
+            px, py = self._on_detector(film_sample)
+            passage, _ = self._rays.pass_array((px, py), lens_sample, self._candidates)
+            point, slope, open_ = self._rays.trace((px, py), passage, light)
             open_ &= active
             if self._response is not None:
-                z = self.detector_distance
-                angle = dr.atan(dr.hypot(lens[0] - px, lens[1] - py) / z)
+                mx, my = passage.point
+                angle = dr.atan(dr.hypot(mx - px, my - py) / self.detector_distance)
                 weight = weight * self._response(angle)
             to_world = self.world_transform()
             ray = mi.RayDifferential3f() if differential else mi.Ray3f()
@@ -492,13 +350,14 @@ def make_class() -> type:
             ray.time = time
             ray.wavelengths = wavelengths
             if differential:
-                for name, dx, dy in (("x", pixel, 0), ("y", 0, pixel)):
-                    if isinstance(self._main_lens, LensSystem):
+                width = self.detector_width / self.film().size()[0]
+                for name, dx, dy in (("x", width, 0), ("y", 0, width)):
+                    if isinstance(self._rays.lens, LensSystem):
                         # Surface by surface it would cost three times as much.
                         z = self.detector_distance
-                        beside, turned = self._main_lens.beside(point, slope, (-dx / z, -dy / z))
+                        beside, turned = self._rays.lens.beside(point, slope, (-dx / z, -dy / z))
                     else:
-                        beside, turned, _ = self._trace(px + dx, py + dy, *lens, light=light)
+                        beside, turned, _ = self._rays.trace((px + dx, py + dy), passage, light)
                     setattr(ray, f"o_{name}", to_world @ mi.Point3f(*beside))
                     setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(*turned, 1)))
                 ray.has_differentials = True
@@ -550,59 +409,12 @@ def make_class() -> type:
     return PlenopticSensor
 
 
-def _read_main_lens(props: Any, name: str) -> Prescription | Objective | None:
-    """Take a main lens from a plugin's properties: a file, a bundled lens or the text of a JSON file."""
-    source = read_plain(props, name, None)
-    if source is None:
-        return None
-    if not isinstance(source, str):
-        raise InputError(f"{name} = {source!r}: it must be text: a file or a bundled lens")
-    return read_lens(source, lambda path: str(mi.file_resolver().resolve(path)))
-
-
-def _angular_response(pairs: tuple[float, ...]) -> Any:
-    """Return the function from angles of incidence, in radians, to responses; None if all are 1."""
-    if not pairs:
-        return None
-    angles, responses = (np.array(values) for values in (pairs[::2], pairs[1::2]))
-    fine = np.linspace(0, angles[-1], _RESPONSES)
-    table = mi.Float(np.interp(fine, angles, responses))
-    dr.make_opaque(table)
-    step = math.radians(float(fine[1]))
-
-    def response(angle: Any) -> Any:
-        place = dr.clip(angle / step, 0, _RESPONSES - 1)
-        low = mi.UInt32(dr.minimum(dr.floor(place), _RESPONSES - 2))
-        first, second = dr.gather(mi.Float, table, low), dr.gather(mi.Float, table, low + 1)
-        return first + (place - mi.Float(low)) * (second - first)
-
-    return response
-
-
-def _read_glass(props: Any, name: str) -> Any:
-    """Take a glass from a plugin's properties: a name, an index or the text of a JSON object."""
-    source = read_plain(props, name, None)
-    if not isinstance(source, str) or not source.lstrip().startswith("{"):
-        return source
-    try:
-        return json.loads(source)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{name}: it must be a JSON object: {error}") from None
-
-
 def _flags(name: str) -> Any:
     """Return how a number may be differentiated by rays, which know nothing of edges that move."""
     if name == "aperture_radius":
         return mi.ParamFlags.NonDifferentiable
     differentiable = mi.ParamFlags.Differentiable
     return differentiable if name == "focal_length" else differentiable | mi.ParamFlags.Discontinuous
-
-
-def _flat(offset: tuple[float, ...] | None) -> tuple[float, ...] | None:
-    """Drop the z of a point or vector, which must be 0."""
-    if offset is not None and len(offset) == 3 and offset[2] == 0:
-        return offset[:2]
-    return offset
 
 
 def _plain(values: Any, given: float | tuple[float, ...]) -> list[float]:

@@ -5,7 +5,8 @@ A new method is a new module with a function that `methods.method` registers, im
 
 # in the order in which help and messages name them
 from . import ray, coherent, partial, deconvolved  # noqa: F401, I001
-from .api import FOOTPRINTS, RESPONSES, reconstruct
+from .api import reconstruct
+from .arguments import FOOTPRINTS, RESPONSES
 from .differentiable import RayRefocus
 from .differentiable_waves import CoherentRefocus
 from .methods import METHODS

@@ -9,28 +9,29 @@ from typing import Any, overload
 
 import numpy as np
 
-from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_choice, require_count, require_number, shown
-from ..io.captures import Capture, as_array
+from ..errors import InputError, require_choice, require_count, require_flag, require_number
+from ..io.captures import Capture
 from ..io.checkpoints import Checkpoint
-from ..mosaic import require_demosaiced
 from ..optics import guards
-from ..optics.phase import in_millimetres
 from ..optics.wave_cameras import require_ideal
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
-from ..runtime.limits import largest_fitting, require_memory
-from ..thin_lens import image_distance
+from .arguments import (
+    FOOTPRINTS,
+    as_capture,
+    require_distances,
+    require_image_memory,
+    require_interleave,
+    require_response,
+    require_wavelengths,
+)
 from .deconvolution.variation import MOST as MOST_VARIATION
 from .displacement import is_known
 from .methods import METHODS, Found, Task
 from .real_lens import require_upright
 from .reference import reference_white
 from .result import Reconstruction
-
-FOOTPRINTS = ("lens", "point")
-RESPONSES = ("wave", "ray")
 
 _PROGRESS_STEPS = 100
 
@@ -191,28 +192,24 @@ def reconstruct(
     mean zero leaves no light on average.
     """
     recorded = capture
-    capture = _as_capture(capture, camera)
+    capture = as_capture(capture, camera)
     camera = capture.camera
-    if not isinstance(method, str) or method not in METHODS:
-        raise InputError(f"method = {shown(method)}: it must be one of {', '.join(METHODS)}")
+    chosen = METHODS[require_choice("method", method, METHODS)]
     if camera.objective is not None and method != "deconvolved":
         raise InputError(
             f"method = {method}: behind main_lens = {camera.objective.name} captures are deconvolved alone; use method "
             "deconvolved"
         )
-    chosen = METHODS[method]
     require_upright(camera)
-    if footprint not in FOOTPRINTS:
-        raise InputError(f"footprint = {shown(footprint)}: it must be one of {', '.join(FOOTPRINTS)}")
     given = {
-        "footprint": footprint,
-        "interleave": _interleave(interleave, camera),
-        "relay": bool(relay),
-        "response": _response(response, capture, wavelength),
+        "footprint": require_choice("footprint", footprint, FOOTPRINTS),
+        "interleave": require_interleave(interleave, camera),
+        "relay": require_flag("relay", relay),
+        "response": require_response(response, capture, wavelength),
         "iterations": None if iterations is None else require_count("iterations", iterations),
-        "accelerate": bool(accelerate),
+        "accelerate": require_flag("accelerate", accelerate),
         "photons": None if photons is None else require_number("photons", photons, positive=True),
-        "volume": bool(volume),
+        "volume": require_flag("volume", volume),
         "variation": require_number("variation", variation, minimum=0, maximum=MOST_VARIATION),
     }
     if camera.main_lens is not None and method == "deconvolved" and given["response"] == "ray":
@@ -224,7 +221,7 @@ def reconstruct(
             raise InputError(f"{name}: method {method} is too quick to need one; leave it out")
     options: dict[str, Any] = {name: given[name] for name in chosen.options}
     oversample = require_count("oversample", oversample)
-    distances = _distances(distance, camera)
+    distances = require_distances(distance, camera)
     image = capture.image if capture.image.ndim == 3 else capture.image[..., None]
     waves = chosen.waves and options.get("response") != "ray"
     if chosen.waves:
@@ -235,8 +232,8 @@ def reconstruct(
         camera = camera.replace(wavefront=())
     reference = None if white is None else reference_white(white, capture, recorded)
     drawn_back = reference is not None and is_known(camera)
-    _require_memory(camera, distances, oversample, image.shape, drawn_back)
-    wavelengths = _wavelengths(capture, wavelength, image.shape[2], camera) if waves else []
+    require_image_memory(camera, distances, oversample, image.shape, drawn_back)
+    wavelengths = require_wavelengths(capture, wavelength, image.shape[2], camera) if waves else []
 
     def report(done: float) -> None:
         if progress:
@@ -315,93 +312,5 @@ def _side_by_side(parts: list[Any]) -> list[Found]:
     ]
 
 
-def _require_memory(
-    camera: PlenopticCamera, distances: Sequence[float], oversample: int, shape: tuple[int, ...], drawn_back: bool
-) -> None:
-    """Refuse images too large, before anything is allocated."""
-    columns, rows = camera.bin_count
-    height, _, channels = shape
-
-    def memory(oversample: int) -> float:
-        across, down = float(columns * oversample), float(rows * oversample)
-        # By rays one axis is binned before the other; by waves powers are summed in double precision.
-        fits = 20 * 8 * channels * across * down if drawn_back else 0
-        return 4 * channels * across * (down * (len(distances) + 1) + height) + 12 * across * down + fits
-
-    def fitting(limit: float) -> str | None:
-        largest = largest_fitting(memory, limit, oversample)
-        return f"oversample = {largest}" if largest else None
-
-    what = f"images of {columns * oversample} x {rows * oversample} bins at {len(distances)} distances"
-    require_memory(memory(oversample), what, fitting)
-
-
-def _as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) -> Capture:
-    if isinstance(capture, Capture):
-        require_demosaiced(capture)
-        if camera is None:
-            return capture
-        return Capture(capture.image, camera, capture.wavelength, capture.model, capture.metadata)
-    if camera is None:
-        raise InputError("camera = None: a plain array needs the camera that recorded it, reconstruct(..., camera=...)")
-    return Capture(as_array("capture", capture), camera)
-
-
-def _interleave(interleave: Any, camera: PlenopticCamera) -> int | str:
-    if isinstance(interleave, str) and interleave == "auto":
-        return interleave
-    lenses = max(camera.lens_count)
-    try:
-        return require_count("interleave", interleave, maximum=lenses)
-    except InputError:
-        raise InputError(
-            f"interleave = {shown(interleave)}: it must be 'auto' or a whole number from 1 to {lenses}, "
-            "the lenses along an axis"
-        ) from None
-
-
-def _response(response: Any, capture: Capture, wavelength: Any) -> str:
-    if response is None:
-        return capture.model if wavelength is None else "wave"
-    return require_choice("response", response, RESPONSES)
-
-
-def _distances(distance: Any, camera: PlenopticCamera) -> list[float]:
-    if isinstance(distance, (str, bytes)):
-        raise InputError(f"distance = {shown(distance)}: it must be a number or several")
-    given = [distance] if np.ndim(distance) == 0 else distance
-    distances = [require_number("distance", value, finite=False) for value in given]
-    for value in distances:
-        if camera.objective is None:
-            image_distance(camera.focal_length, value)
-        elif not -camera.objective.focal_length < value < math.inf:
-            raise InputError(
-                f"distance = {value:g}: it must be a finite depth beyond the native object plane, more than "
-                f"{-camera.objective.focal_length:g}"
-            )
-    if not distances:
-        raise InputError("distance = []: give at least one")
-    return distances
-
-
 def _bin_size(camera: PlenopticCamera, distance: float) -> float:
     return camera.bin_size(1.0 if math.isinf(distance) else distance)
-
-
-def _wavelengths(capture: Capture, wavelength: Any, channels: int, camera: PlenopticCamera) -> list[float]:
-    """Wavelength of each channel; scalar waves go through lenses that are wider."""
-    given: Any = capture.wavelength if wavelength is None else wavelength
-    if given is None:
-        raise InputError(
-            "wavelength = None: a wave method needs one, the capture's or reconstruct(..., wavelength=...)"
-        )
-    values = [given] * channels if np.ndim(given) == 0 else list(given)
-    if len(values) != channels:
-        raise InputError(f"wavelength = {shown(given)}: the capture has {channels} channels; give one, or one for each")
-    found = [require_wavelength(value) for value in values]
-    if in_millimetres(max(found)) >= min(camera.mla_pitches):
-        raise InputError(
-            f"wavelength = {max(found):g} nm: it must be less than the pitch of the microlenses, "
-            f"{min(camera.mla_pitches):g} mm"
-        )
-    return found

@@ -8,10 +8,10 @@ import drjit as dr
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_count, require_number, shown
+from ..errors import InputError, require_choice, require_count, require_number
 from ..io.captures import as_array
 from ..thin_lens import image_distance
-from .api import FOOTPRINTS
+from .arguments import FOOTPRINTS
 from .radiance import is_reached
 from .ray import pupil_radius
 from .ray_adjoint import ray_sums_back
@@ -46,8 +46,7 @@ class RayRefocus:
     ) -> None:
         self._camera, self._distance = camera, require_number("distance", distance, finite=False)
         image_distance(camera.focal_length, self._distance)
-        if footprint not in FOOTPRINTS:
-            raise InputError(f"footprint = {shown(footprint)}: it must be one of {', '.join(FOOTPRINTS)}")
+        require_choice("footprint", footprint, FOOTPRINTS)
         numbers = camera, self._distance, pupil_radius(camera), footprint, require_count("oversample", oversample)
         self._numbers = numbers[1:]
         white = white_sums(*numbers)

@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..optics import rays
 from ..optics.lens_system import LensSystem
 from ..runtime.backend import array_module
-from ..runtime.indexing import quotient
+from ..runtime.indexing import rows_and_columns
 
 _LANES = 2**22
 """Rays that are followed at once."""
@@ -129,9 +129,8 @@ def _pixels(camera: PlenopticCamera, types: Any) -> Iterator[tuple[slice, Any, A
     together = max(1, _LANES // columns)
     for first in range(0, rows, together):
         last = min(rows, first + together)
-        index = dr.arange(types.UInt32, (last - first) * columns)
-        row = quotient(types, index, columns)
-        px = dr.gather(types.Float64, x, index - row * columns)
+        row, column = rows_and_columns(types, last - first, columns)
+        px = dr.gather(types.Float64, x, column)
         py = dr.gather(types.Float64, y, row + dr.opaque(types.UInt32, first))
         yield slice(first, last), px, py
 

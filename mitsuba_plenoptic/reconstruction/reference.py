@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ..camera import PlenopticCamera
 from ..errors import InputError, shown
-from ..io.captures import Capture, as_array, require_pixels
+from ..io.captures import Capture, as_array, require_pixels, require_same_camera
 from ..mosaic import require_demosaiced
 
 
@@ -42,8 +41,7 @@ def reference_white(white: Any, capture: Capture, recorded: Any) -> np.ndarray:
     if isinstance(white, Capture):
         require_demosaiced(white)
         own = [taken.camera for taken in (capture, recorded) if isinstance(taken, Capture)]
-        if white.camera not in own:
-            raise InputError(f"white: {_difference(white.camera, own[-1])}: it must be by the camera of the capture")
+        require_same_camera("white", white, own)
         _require_same_light(white, capture, image.shape[2])
     return np.ascontiguousarray(np.broadcast_to(np.atleast_3d(pixels), image.shape), np.float32)
 
@@ -60,10 +58,3 @@ def _require_same_light(white: Capture, capture: Capture, channels: int) -> None
             f"white of {shown(white.wavelength)} nm: the capture is of {shown(capture.wavelength)} nm; it must be of "
             "the same wavelengths"
         )
-
-
-def _difference(white: PlenopticCamera, own: PlenopticCamera) -> str:
-    """Name the first number in which a white capture's camera is another."""
-    theirs, ours = white.to_dict(), own.to_dict()
-    name = next(name for name in {**ours, **theirs} if theirs.get(name) != ours.get(name))
-    return f"its camera has {name} = {shown(theirs.get(name))}, that of the capture {shown(ours.get(name))}"

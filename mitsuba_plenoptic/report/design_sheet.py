@@ -8,8 +8,9 @@ from typing import NamedTuple
 from .. import design
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..optics.lens_figures import field_figures
+from ..optics.lens_figures import field_figures, lateral_colour
 from ..prescription import Prescription, paraxial
+from ..prescription.glass import LINE_C, LINE_F
 from ..thin_lens import image_distance
 from .microscope_sheet import microscope_groups
 
@@ -98,6 +99,8 @@ def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
         ("radius of the exit pupil", f"{camera.pupil_radius:.6g}", "mm", ""),
     ]
     corner = math.hypot(camera.detector_width, camera.detector_height) / 2
+    reaches = [surface.glass.reach for surface in lens.surfaces if surface.glass is not None]
+    in_colour = camera.is_dispersive and all(low <= LINE_F and high >= LINE_C for low, high in reaches)
     for figures in field_figures(camera, tuple(part * corner for part in _FIELDS)):
         at = f"{four_digits(figures.height)} mm from the axis"
         rows += [
@@ -105,6 +108,11 @@ def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
             ("light", f"{figures.light:.1%}", "", f"of that on the axis, {at}"),
             ("distortion", f"{figures.distortion:+.3%}", "", at),
         ]
+        if in_colour and figures.height > 0:
+            colour = 1e3 * lateral_colour(camera, figures.height, (LINE_C, LINE_F))
+            rows.append(
+                ("lateral colour", f"{colour:+.3g}", "um", f"line F (486 nm) farther out than C (656 nm), {at}")
+            )
     return rows
 
 

@@ -16,6 +16,7 @@ from ..capture.scene import load_scene
 from ..errors import InputError
 from ..io.captures import Capture
 from ..reconstruction import Reconstruction, reconstruct
+from ..reconstruction.arguments import require_distances
 from ..runtime.variant import DEFAULT_VARIANT, set_variant
 from .reference import pinhole_image, thin_lens_image
 from .stage_store import Progress, StageOptions, StageStore, scene_fingerprint
@@ -151,9 +152,12 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     PlenopticCamera.from_sensor(sensor)
     # The wave capture's lenses are thin parabolic phases: their geometric twin leaves diffraction as the difference.
     sensor.lens_model = "parabolic"
+    sensor.parameters_changed()
     camera = PlenopticCamera.from_sensor(sensor)
     if camera.is_cropped:
         raise InputError(f"{settings.scene}: a comparison needs the full detector; remove the film's crop window")
+    distances = sorted({*settings.distances, *settings.slider})
+    require_distances(distances, camera)
 
     base = {
         "scene": scene_fingerprint(settings.scene, settings.parameters),
@@ -193,7 +197,6 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
         {**base, "columns": OBJECT_COLUMNS},
         lambda _: (pinhole_image(scene, camera, OBJECT_COLUMNS, 64), {"kind": "photograph"}),
     )
-    distances = sorted({*settings.distances, *settings.slider})
     truths = {
         distance: store.image(
             f"thin_lens_{distance:g}",

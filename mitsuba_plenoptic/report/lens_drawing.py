@@ -45,8 +45,10 @@ def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
     Raises
     ------
     InputError
-        If its main lens is thin, or the file cannot be written.
+        If its main lens is thin, the file is no PNG by its name, or it cannot be written.
     """
+    if path.suffix.lower() != ".png":
+        raise InputError(f"{path}: a drawing is a picture; give a name that ends in .png")
     if camera.prescription is None:
         raise InputError(f"{path}: the camera has no main_lens of surfaces that could be drawn")
     corner = math.hypot(camera.detector_width, camera.detector_height) / 2

@@ -167,39 +167,3 @@ def array_types(array: Any) -> Any:
     """Dr.Jit's module of array types that go with a flat array: of its backend, with or without gradients."""
     types = backend_of(array).types
     return types.ad if dr.is_diff_v(array) else types
-
-
-class _FourierTransform(dr.CustomOp):
-    """The transform and its adjoint: for x -> F x that is F^H = rows * columns * F^-1, and the reverse."""
-
-    def eval(self, field: Any, shape: tuple[int, int], inverse: bool) -> Any:
-        self.shape, self.inverse = shape, inverse
-        return unpack(fft2_packed(pack(field), shape, inverse=inverse))
-
-    def forward(self) -> None:
-        gradient = self.grad_in("field")
-        self.set_grad_out(unpack(fft2_packed(pack(gradient), self.shape, inverse=self.inverse)))
-
-    def backward(self) -> None:
-        gradient = unpack(fft2_packed(pack(self.grad_out()), self.shape, inverse=not self.inverse))
-        samples = self.shape[0] * self.shape[1]
-        self.set_grad_in("field", gradient / samples if self.inverse else gradient * samples)
-
-
-def fft2_differentiable(field: Any, shape: tuple[int, int], *, inverse: bool = False) -> Any:
-    """Transform a Dr.Jit complex array, with gradients in both directions.
-
-    Parameters
-    ----------
-    field : Complex2f of Dr.Jit, size rows * columns
-        Left as it is.
-    shape : (int, int)
-        Rows and columns.
-    inverse : bool
-        As for `fft2`.
-
-    Returns
-    -------
-    Complex2f of Dr.Jit, size rows * columns
-    """
-    return dr.custom(_FourierTransform, field, shape, inverse)

@@ -7,6 +7,13 @@ from typing import Any
 import drjit as dr
 
 
+def rows_and_columns(types: Any, rows: int, columns: int) -> tuple[Any, Any]:
+    """Return the row and the column of each sample of an image, line by line."""
+    index = dr.arange(types.UInt32, rows * columns)
+    row = quotient(types, index, columns)
+    return row, index - row * dr.opaque(types.UInt32, columns)
+
+
 def split(types: Any, index: Any, rows: int, columns: int) -> tuple[Any, Any, Any]:
     """Take a flat index apart into that of an image, its row and its column."""
     line = quotient(types, index, columns)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-import runpy
 from pathlib import Path
-from types import SimpleNamespace
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from built_in_scenes import figures, solids
+from built_in_scenes.mesh import flat_mesh
+from make_meshes import write_all
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, load_scene, render_capture, scene_path
 
@@ -18,11 +19,6 @@ ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("letters", "white", "chart", "still_life", "vitrine", "colour_chart")
 DISTANCES = {"eight": 210.0, "f": 240.0, "hash": 280.0}
 STILL_LIFE = ("table", "backdrop", "pawn", "die", "ball", "lambda", "knot", "window", "lamp")
-
-
-@pytest.fixture(scope="module")
-def make_meshes():
-    return SimpleNamespace(**runpy.run_path(str(ROOT / "tools" / "make_meshes.py")))
 
 
 def load(name, **parameters):
@@ -142,7 +138,7 @@ def test_letters_scale_in_their_planes():
             np.testing.assert_allclose(scaled, full * [0.25, 0.25, 1], atol=1e-6)
 
 
-def test_letters_read_from_left_to_right(make_meshes):
+def test_letters_read_from_left_to_right():
     resolution = 256
     image = render(load("letters"), resolution)
     assert image.max() == pytest.approx(1, abs=1e-5)
@@ -151,7 +147,7 @@ def test_letters_read_from_left_to_right(make_meshes):
     assert len(runs) == 3
     pixel = 8.192 / 120 * 240 / resolution
     v, u = (0.5 * resolution - 0.5 - np.arange(resolution)) * pixel, (np.arange(resolution) + 0.5) * pixel
-    outlines = (make_meshes.letter_eight(), make_meshes.letter_f(), make_meshes.letter_hash())
+    outlines = (figures.letter_eight(), figures.letter_f(), figures.letter_hash())
     for run, outline, distance, place in zip(runs, outlines, DISTANCES.values(), (-3.2, 0, 3.2), strict=True):
         letter = image[:, run]
         # First and second moments tell the letters apart, and each from its mirror images.
@@ -206,7 +202,7 @@ def test_white_wall_fills_the_view(aperture):
     assert low[2] == high[2] == 300.0
 
 
-def test_chart_has_every_figure_at_every_distance(make_meshes):
+def test_chart_has_every_figure_at_every_distance():
     found = shapes(load("chart"))
     assert set(found) == {f"{kind}_{g}" for kind in ("star", "bars", "edge") for g in (210, 240, 280)}
     for name, shape in found.items():
@@ -216,7 +212,7 @@ def test_chart_has_every_figure_at_every_distance(make_meshes):
         blur = 5.0 * abs(1 - low[2] / 240)
         assert max(-low[0], high[0], -low[1], high[1]) + blur < 8.192 / 2 / 120 * low[2]
     # On a line through the middle of the coarsest upright bars: 1.5 line pairs per mm.
-    group, _ = make_meshes.bar_group(1.5, 0.0, 0.0, 0.15)
+    group, _ = figures.bar_group(1.5, 0.0, 0.0, 0.15)
     edges = sorted({u for bar in group[:3] for u, _ in bar})
     np.testing.assert_allclose(np.diff(edges), 1 / 3)
 
@@ -269,17 +265,17 @@ def test_vitrine_shows_the_knot_in_the_mirror_alone():
     assert 268 < depth["knot"].mean() < 282
 
 
-def test_flat_figures_face_the_camera_and_do_not_overlap(make_meshes):
+def test_flat_figures_face_the_camera_and_do_not_overlap():
     rng = np.random.default_rng(1)
     for outline in (
-        make_meshes.letter_eight(),
-        make_meshes.letter_f(),
-        make_meshes.letter_hash(),
-        make_meshes.siemens_star(24, 0.1, 2.0, 6),
-        make_meshes.chart_bars(),
-        make_meshes.slanted_square(3.0, 5.0),
+        figures.letter_eight(),
+        figures.letter_f(),
+        figures.letter_hash(),
+        figures.siemens_star(24, 0.1, 2.0, 6),
+        figures.chart_bars(),
+        figures.slanted_square(3.0, 5.0),
     ):
-        mesh = make_meshes.flat_mesh(outline)
+        mesh = flat_mesh(outline)
         a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
         assert (np.cross(b - a, c - a)[:, 2] < 0).all()
         points = rng.uniform(mesh.vertices.min(axis=0)[:2], mesh.vertices.max(axis=0)[:2], (5000, 2))
@@ -291,12 +287,12 @@ def test_flat_figures_face_the_camera_and_do_not_overlap(make_meshes):
         assert inside.sum(axis=0).max() == 1
 
 
-def test_solid_meshes_are_closed_and_turned_outwards(make_meshes):
+def test_solid_meshes_are_closed_and_turned_outwards():
     for mesh in (
-        make_meshes.pawn(),
-        make_meshes.rounded_die(3.4, 0.42, 4),
-        make_meshes.torus_knot(2.3, 0.42, 128, 20),
-        make_meshes.solid_lambda(4.2, 1.0),
+        solids.pawn(),
+        solids.rounded_die(3.4, 0.42, 4),
+        solids.torus_knot(2.3, 0.42, 128, 20),
+        solids.solid_lambda(4.2, 1.0),
     ):
         a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
         normal = np.cross(b - a, c - a)
@@ -307,8 +303,8 @@ def test_solid_meshes_are_closed_and_turned_outwards(make_meshes):
             assert (np.einsum("ij,ij->i", normal, mesh.normals[mesh.faces].mean(axis=1)) > 0).all()
 
 
-def test_meshes_and_textures_come_out_the_same(make_meshes, tmp_path):
-    made = {path.relative_to(tmp_path) for path in make_meshes.write_all(tmp_path)}
+def test_meshes_and_textures_come_out_the_same(tmp_path):
+    made = {path.relative_to(tmp_path) for path in write_all(tmp_path)}
     scenes = ROOT / "scenes"
     committed = {
         path.relative_to(scenes) for pattern in ("*.png", "*.hdr", "meshes/*.ply") for path in scenes.glob(pattern)

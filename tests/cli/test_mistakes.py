@@ -32,6 +32,40 @@ def test_usage_errors_point_to_the_help(line, words, raw, tmp_path, complaint):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_fit_is_checked_before_light_is_found(raw, tmp_path, complaint, monkeypatch):
+    def found(*_, **__):
+        raise AssertionError("light was found")
+
+    monkeypatch.setattr("mitsuba_plenoptic.fitting.known_view", found)
+    words = ["fit", raw, "-o", tmp_path / "camera.json", "--scene", "letters", "--number"]
+    assert "'zoom': it is none of the numbers" in complaint(*words, "zoom", "--photons", "9")
+    assert "photons = -1" in complaint(*words, "mla_pitch", "--photons", "-1")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "reconstruct {copy} -o {copy} --distance 240",
+        "reconstruct {raw} -o {link} --distance 240 --white {copy}",
+        "views {copy} -o {copy}",
+        "epi {copy} -o {link}",
+        "stack {copy} -o {copy} --distance 240",
+        "depth {raw} -o {copy} --white {copy}",
+        "expose {copy} -o {link} --photons 100",
+        "demosaic {copy} -o {copy} --mosaic RGGB",
+        "calibrate {copy} -o {copy}",
+        "fit {copy} -o {copy} --scene letters --number mla_pitch --photons 9",
+    ],
+)
+def test_what_is_read_is_not_written_over(line, raw, tmp_path, complaint):
+    copy, link = tmp_path / "copy.exr", tmp_path / "link.exr"
+    copy.write_bytes(raw.read_bytes())
+    link.symlink_to(copy)
+    said = complaint(*line.format(raw=raw, copy=copy, link=link).split())
+    assert "it is read, and would be lost; write to another file" in said
+    assert copy.read_bytes() == raw.read_bytes()
+
+
 @pytest.mark.parametrize(
     ("line", "words"),
     [
@@ -53,6 +87,14 @@ def test_usage_errors_point_to_the_help(line, words, raw, tmp_path, complaint):
         ("render nosuch -o .", "OpenEXR"),
         ("render nosuch -o {out}.png", "OpenEXR"),
         ("render nosuch -o {out}", "OpenEXR"),
+        ("render letters -o {out}.exr --camera nokia", "no camera (paper, lytro"),
+        ("render letters -o {out}.exr --camera {raw}", "it is an image; a camera is a preset"),
+        ("info nokia", "or built-in scene (beads"),
+        ("info paper_double_gauss --drawing {out}.jpg", "a drawing is a picture; give a name that ends in .png"),
+        ("render letters -o {out}.exr --white {out}.exr", "two results would be written to it"),
+        ("render letters -o {out}.exr --white {out}.truth.exr --aov depth", "two results would be written to it"),
+        ("reconstruct {raw} -o {out}.png --distance 240 --overview {out}.png", "two results would be written to it"),
+        ("calibrate c.csv -o {out}.json --report {out}.json", "two results would be written to it"),
         ("reconstruct {raw} -o {out}.exr --distance 80", "distance = 80: it must be greater than the focal length 80"),
         ("reconstruct {raw} -o {out}.exr --distance -240", "distance = -240"),
         ("reconstruct {raw} -o {out}.exr --distance nan", "distance = nan"),
@@ -129,10 +171,10 @@ def test_folder_without_permission(raw, tmp_path, complaint):
 
 DAMAGES = {
     "missing": "there is no such file",
-    "empty": "it cannot be read as an OpenEXR image",
-    "text": "it cannot be read as an OpenEXR image",
-    "truncated": "it cannot be read as an OpenEXR image",
-    "header": "it cannot be read as an OpenEXR image",
+    "empty": "it cannot be read as an OpenEXR image, or is damaged: it does not begin as one does",
+    "text": "it cannot be read as an OpenEXR image, or is damaged: it does not begin as one does",
+    "truncated": "it cannot be read as an OpenEXR image, or is damaged: its ",
+    "header": "it cannot be read as an OpenEXR image, or is damaged: its header or the table",
     "foreign": "it has no attribute 'mitsuba_plenoptic' in its header, so its camera is unknown",
     "reconstruction": "it holds a 'reconstruction', not a capture",
 }

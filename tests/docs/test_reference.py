@@ -13,7 +13,7 @@ import typer
 
 import mitsuba_plenoptic
 from mitsuba_plenoptic.cli import app
-from mitsuba_plenoptic.plugins import colours, integrator, sensor
+from mitsuba_plenoptic.plugins import camera_properties, colours, integrator
 
 ROOT = Path(__file__).parents[2]
 
@@ -73,17 +73,18 @@ def missing_of_class(cls, name):
     ):
         parameters = list(inspect.signature(cls.__init__).parameters)[1:]
         yield from (f"{name}({parameter})" for parameter in parameters if parameter not in said)
-    for member, value in vars(cls).items():
-        function = value.__func__ if isinstance(value, (classmethod, staticmethod)) else value
+    bases = [base for base in cls.__mro__ if base.__module__.startswith("mitsuba_plenoptic")]
+    for owner, member, value in ((base, *item) for base in bases for item in vars(base).items()):
         if member.startswith("_"):
             continue
+        function = value.__func__ if isinstance(value, (classmethod, staticmethod)) else value
         if isinstance(function, property) and not function.__doc__:
             yield f"{name}.{member}: no docstring"
-        elif inspect.isfunction(function) and not _inherits(cls, member, function):
+        elif inspect.isfunction(function) and not _inherits(owner, member):
             yield from missing(function, f"{name}.{member}", frozenset(said))
 
 
-def _inherits(cls, member, function):
+def _inherits(cls, member):
     """Whether a method does what its class's base or a protocol documents."""
     return any(hasattr(base, member) for base in cls.__mro__[1:])
 
@@ -112,16 +113,19 @@ def test_every_option_has_a_help():
     assert found == set() and all(command.help for command in commands.values())
 
 
+SENSOR_NAMES = {*camera_properties.NUMBERS, *camera_properties.WORDS, *camera_properties.FIXED, "focus_distance"}
+
+
 def read_by(module):
     """Names of the parameters that a plugin's file reads."""
     text = inspect.getsource(module)
-    return set(re.findall(r"read_\w+\(props,(?: NAME,)? \"(\w+)\"", text))
+    return set(re.findall(r"read_\w+\(props,(?: NAME,| plugin,)? \"(\w+)\"", text))
 
 
 @pytest.mark.parametrize(
     "name, read",
     [
-        ("plenoptic", {*sensor.NUMBERS, *sensor.WORDS, *sensor.FIXED, "focus_distance", *read_by(sensor)}),
+        ("plenoptic", SENSOR_NAMES | read_by(camera_properties)),
         ("plenoptic_wave", read_by(integrator) | read_by(colours) | {"wavelength"}),
     ],
 )
@@ -131,6 +135,12 @@ def test_plugins_document_what_they_read(name, read):
     # Mitsuba itself reads these.
     assert documented - {"(Nested plugin)", "to_world", "shutter_open", "shutter_close"} == read
     assert all(text.strip() for _, _, text, *_ in rows)
+
+
+def test_the_sensor_takes_all_numbers_of_the_camera():
+    of_the_film = {"resolution", "crop_offset", "crop_size"}
+    parameters = set(inspect.signature(mitsuba_plenoptic.PlenopticCamera).parameters)
+    assert SENSOR_NAMES | read_by(camera_properties) == parameters - of_the_film
 
 
 def test_pages_made_from_the_sources():

@@ -178,6 +178,7 @@ def test_what_a_checkpoint_says_is_checked(tmp_path, stopped, damage, words):
         (lambda content: content[:999] + bytes([content[999] ^ 1]) + content[1000:], "Bad CRC-32"),
         (lambda content: pickle.dumps(Trap()), "is not a checkpoint of this version"),
         (lambda content: b"", "is not a checkpoint of this version"),
+        (lambda content: b"text", "is damaged: it is no archive, or cut off"),
         (version_0_1, "is not a checkpoint of this version"),
     ],
 )

@@ -1,14 +1,12 @@
-"""Angular spectrum and FFT: unitarity, adjoints, closed forms and the rules on input."""
+"""Angular spectrum and FFT: unitarity, closed forms and the rules on input."""
 
-import drjit as dr
 import numpy as np
 import pytest
-from drjit.llvm.ad import Complex2f, Float
 
 from mitsuba_plenoptic import PhysicsError, PhysicsWarning
 from mitsuba_plenoptic.errors import InputError
-from mitsuba_plenoptic.optics.free_space import propagate, propagate_differentiable
-from mitsuba_plenoptic.runtime.fft import fft2, fft2_differentiable
+from mitsuba_plenoptic.optics.free_space import propagate
+from mitsuba_plenoptic.runtime.fft import fft2
 
 WAVELENGTH = 633.0
 
@@ -34,69 +32,11 @@ def smooth_field(n, pitch):
     return np.exp(-r2 / (n * pitch / 10) ** 2).astype(np.complex64)
 
 
-def to_drjit(field):
-    flat = field.reshape(-1)
-    return Complex2f(Float(flat.real.copy()), Float(flat.imag.copy()))
-
-
-def to_numpy(field, shape):
-    return (field.real.numpy() + 1j * field.imag.numpy()).reshape(shape)
-
-
-def inner(a, b):
-    """Real inner product of two complex arrays, the one that gradients belong to."""
-    return np.sum(a.real.astype(float) * b.real + a.imag.astype(float) * b.imag)
-
-
 @pytest.mark.parametrize("shape", [(64, 64), (48, 90)])
 def test_fft2_is_numpys(shape):
     field = random_field(shape)
     assert np.allclose(fft2(field.copy()), np.fft.fft2(field), atol=1e-3)
     assert np.allclose(fft2(field.copy(), inverse=True), np.fft.ifft2(field), atol=1e-6)
-
-
-@pytest.mark.parametrize("inverse", [False, True])
-def test_differentiable_fft_is_the_fft_and_leaves_its_input(inverse):
-    shape = (30, 44)
-    field = random_field(shape)
-    x = to_drjit(field)
-    y = to_numpy(fft2_differentiable(x, shape, inverse=inverse), shape)
-    expected = np.fft.ifft2(field) if inverse else np.fft.fft2(field)
-    assert np.linalg.norm(y - expected) < 1e-5 * np.linalg.norm(expected)
-    assert np.array_equal(to_numpy(x, shape), field)
-
-
-def linear_maps():
-    return [
-        lambda x, shape: fft2_differentiable(x, shape),
-        lambda x, shape: fft2_differentiable(x, shape, inverse=True),
-        lambda x, shape: propagate_differentiable(x, shape, 2e-3, 3.0, WAVELENGTH),
-        # so fine a grid that a part of the spectrum is evanescent
-        lambda x, shape: propagate_differentiable(x, shape, 2e-4, -0.01, WAVELENGTH),
-    ]
-
-
-@pytest.mark.parametrize("case", range(4))
-def test_adjoint(case):
-    """<A x, y> = <x, A' y>, backward and forward mode."""
-    shape = (36, 50)
-    linear = linear_maps()[case]
-    x, y = random_field(shape, 1), random_field(shape, 2)
-    variable = to_drjit(x)
-    dr.enable_grad(variable)
-    image = linear(variable, shape)
-    weights = to_drjit(y)
-    dr.backward(dr.sum(image.real * weights.real + image.imag * weights.imag))
-    adjoint = to_numpy(dr.grad(variable), shape)
-    forward = to_numpy(dr.detach(image), shape)
-    assert inner(forward, y) == pytest.approx(inner(x, adjoint), rel=1e-5)
-
-    variable = to_drjit(x)
-    dr.enable_grad(variable)
-    dr.set_grad(variable, to_drjit(y))
-    tangent = to_numpy(dr.forward_to(linear(variable, shape)), shape)
-    expected = to_numpy(linear(to_drjit(y), shape), shape)
-    assert np.linalg.norm(tangent - expected) < 1e-6 * np.linalg.norm(expected)
 
 
 @periodic
@@ -189,11 +129,6 @@ def test_mistakes(change, word):
     arguments = {"field": np.ones((4, 4)), "pitch": 1e-3, "distance": 1.0, "wavelength": 633.0} | change
     with pytest.raises(InputError, match=f"^{word}"):
         propagate(**arguments)
-
-
-def test_size_that_does_not_fit_the_shape():
-    with pytest.raises(InputError, match="5 x 5"):
-        propagate_differentiable(to_drjit(random_field((4, 4))), (5, 5), 1e-3, 1.0, 633.0)
 
 
 def test_against_hcipy():

@@ -13,7 +13,7 @@ from lattice_accuracy import centroids
 from scene_cases import disk
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, design, load_scene, read_capture, reconstruct, render_capture
-from mitsuba_plenoptic.camera import LATER
+from mitsuba_plenoptic.camera.plenoptic_camera import LATER
 from mitsuba_plenoptic.io.captures import Capture, write_capture
 from mitsuba_plenoptic.lightfield import white_image
 from mitsuba_plenoptic.report.reference import agreement, best_shift, thin_lens_image

@@ -7,6 +7,8 @@ import math
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera, design
+from mitsuba_plenoptic.optics.lens_figures import lateral_colour
+from mitsuba_plenoptic.prescription.glass import LINE_C, LINE_F
 from mitsuba_plenoptic.report.design_sheet import design_sheet
 
 
@@ -72,3 +74,18 @@ def test_no_plane_in_focus_or_at_infinity(mla_distance):
     text = values(camera, 633)["Main lens", "focused distance"][0]
     assert text == ("none" if mla_distance < 80 else "infinity")
     assert not math.isnan(design.refocus_range(camera, 633)[0])
+
+
+def test_lateral_colour_is_told_of_glasses_that_have_it():
+    camera = PlenopticCamera(main_lens="singlet", focal_length=80, aperture_radius=3, focus_distance=240)
+    corner = math.hypot(camera.detector_width, camera.detector_height) / 2
+    told = [float(row.value) for row in design_sheet(camera) if row.quantity == "lateral colour"]
+    # In micrometres, at 0.7 of the field and in the corner.
+    expected = [1e3 * lateral_colour(camera, part * corner, (LINE_C, LINE_F)) for part in (0.7, 1)]
+    assert told == pytest.approx(expected, rel=5e-3) and told[1] < -5
+    surfaces = camera.prescription.to_plain()
+    # A table that ends before line C, and an index that is the same for all.
+    for glass in ({"table": [[480, 1.52], [600, 1.51]]}, 1.5):
+        surfaces["surfaces"] = [each | ({"glass": glass} if "glass" in each else {}) for each in surfaces["surfaces"]]
+        sheet = design_sheet(camera.replace(main_lens=surfaces))
+        assert not [row for row in sheet if row.quantity == "lateral colour"]

@@ -11,7 +11,15 @@ import pytest
 from scene_cases import letters
 from stopped_runs import StoppedError, stopped_before
 
-from mitsuba_plenoptic import InputError, load_scene, read_capture, render_capture, scene_path, write_capture
+from mitsuba_plenoptic import (
+    InputError,
+    load_scene,
+    read_capture,
+    render_capture,
+    scene_path,
+    with_camera,
+    write_capture,
+)
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report import reproduce as reproductions
@@ -27,7 +35,7 @@ def files(folder):
     return {path.name: path.read_bytes() for path in (folder / "data").glob("*.exr")}
 
 
-def test_reproduce_writes_everything_and_then_keeps_it(quick_waves, tmp_path, capsys):
+def test_reproduce_writes_everything_and_then_keeps_it(quick_waves, tiny, tmp_path, capsys):
     assert main(["reproduce", "-o", str(tmp_path)]) == 0
     told = capsys.readouterr()
     assert "capture wave " in told.err and "partial 280 " in told.err and "kept" not in told.err
@@ -35,7 +43,11 @@ def test_reproduce_writes_everything_and_then_keeps_it(quick_waves, tmp_path, ca
     assert told.out.rstrip().endswith("report.html: open it in a browser")
     figures = {"fig2.png", "fig4.png", "methods.png", "interference.png", "captures.png"}
     assert {path.name for path in tmp_path.iterdir()} == figures | {"data", "results.json", "report.html"}
-    assert read_capture(tmp_path / "data" / "capture_ray.exr").camera.lens_model == "parabolic"
+    ray = read_capture(tmp_path / "data" / "capture_ray.exr")
+    assert ray.camera.lens_model == "parabolic"
+    # Both of its lenses are, not the microlenses alone.
+    twin = with_camera(load_scene("letters", parameters=tiny.parameters), ray.camera)
+    np.testing.assert_array_equal(ray.image, render_capture(twin, model="ray", spp=tiny.spp).image)
     assert read_capture(tmp_path / "data" / "capture_wave.exr").wavelength == 633
 
     before, report = files(tmp_path), (tmp_path / "report.html").read_bytes()
@@ -117,6 +129,7 @@ def test_compare_measures_the_charts_edges(quick_waves, tmp_path):
     [
         (Settings("letters", (240.0,), variant="llvm_ad_rgb"), "one colour"),
         (Settings("letters", ()), "at least one"),
+        (Settings("letters", (240.0, 50.0)), "distance = 50: it must be greater than the focal length 80"),
         (Settings("nowhere.xml", (240.0,)), "no such file"),
         # The wall faces away from a camera behind it.
         (Settings("white", (240.0,), parameters={"resolution": "64", "wall_distance": "-10"}, spp=1), "black"),

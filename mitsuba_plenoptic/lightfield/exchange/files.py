@@ -68,8 +68,8 @@ def open_light_field(
         _refuse(path, views=views)
         capture = read_capture(path)
         known = _ground_truth(path, capture, truth) if camera is None or not isinstance(truth, bool) else None
-        reference = None if white is None else _white(white, linear)
-        return decode(capture, camera=camera, white=reference, truth=known)
+        by = None if white is None else _white_capture(white, linear)
+        return decode(capture, camera=camera, white=by, truth=known)
     _refuse(path, truth=None if isinstance(truth, bool) else truth)
     if name.endswith(".mat"):
         _refuse(path, white=white, views=views, camera=None if camera is None else "given")
@@ -119,8 +119,8 @@ def open_micro_images(
     path = Path(path)
     if path.suffix.lower() != ".exr":
         return None
-    reference = None if white is None else _white(white, linear)
-    return micro_images(read_capture(path), camera=camera, white=reference)
+    by = None if white is None else _white_capture(white, linear)
+    return micro_images(read_capture(path), camera=camera, white=by)
 
 
 def save_light_field(path: str | Path, lf: xr.DataArray) -> None:
@@ -180,8 +180,15 @@ def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> Gro
     return found if found.camera == capture.camera else None
 
 
+def _white_capture(path: str | Path, linear: bool) -> Capture | np.ndarray:
+    """Read a white capture with its camera, or a picture, which tells none."""
+    return read_capture(path) if Path(path).suffix.lower() == ".exr" else read_picture(path, linear=linear)
+
+
 def _white(path: str | Path, linear: bool) -> np.ndarray:
-    return read_capture(path).image if Path(path).suffix.lower() == ".exr" else read_picture(path, linear=linear)
+    """Read a white image."""
+    found = _white_capture(path, linear)
+    return found.image if isinstance(found, Capture) else found
 
 
 def _refuse(path: Path, **options: object) -> None:

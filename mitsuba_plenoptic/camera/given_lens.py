@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from .bounds import require_length
-from .errors import InputError
-from .objective import Objective
-from .prescription import Glass, Prescription, bundled_prescription, paraxial
-from .prescription.glass import LINE_D
+from ..bounds import require_length
+from ..errors import InputError
+from ..objective import Objective
+from ..prescription import Glass, Prescription, bundled_prescription, paraxial
+from ..prescription.glass import LINE_D
 
 GivenLens = Prescription | Objective
 

@@ -1,0 +1,298 @@
+"""What follows from a camera's numbers and nearly everything uses: its pupil, its lattice, its pixels and bins."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import InputError
+from ..lattice import Lattice, make_lattice
+from ..objective import Objective
+from ..prescription import Prescription
+from ..thin_lens import conjugate_distance, defocus_factor, vergence
+from .given_lens import exit_pupil
+from .numbers import CameraNumbers
+
+
+@dataclass(frozen=True, init=False, repr=False)
+class CameraGeometry(CameraNumbers):
+    """A camera's numbers with those that follow from them."""
+
+    # -- main lens -----------------------------------------------------------------------------------
+
+    @property
+    def objective(self) -> Objective | None:
+        """The main lens if it is a microscope's objective."""
+        return self.main_lens if isinstance(self.main_lens, Objective) else None
+
+    @property
+    def prescription(self) -> Prescription | None:
+        """The main lens if it has surfaces."""
+        return self.main_lens if isinstance(self.main_lens, Prescription) else None
+
+    @property
+    def pupil_distance(self) -> float:
+        """Distance from the exit pupil to the MLA: :math:`b` for a thin lens, which is its own pupil.
+
+        That of the stop seen through the lens before the array is infinite behind an objective; this is then the focal
+        length of that lens, by which places on the stop are divided to have directions at the array.
+        """
+        return self.mla_distance + exit_pupil(self.main_lens, self.focal_length)[0]
+
+    @property
+    def pupil_radius(self) -> float:
+        """Radius of the exit pupil near the axis: :math:`D_1/2` for a thin lens."""
+        return self.aperture_radius * exit_pupil(self.main_lens, self.focal_length)[1]
+
+    @property
+    def aperture_diameter(self) -> float:
+        """Diameter :math:`D_1` of the main lens."""
+        return 2 * self.aperture_radius
+
+    @property
+    def f_number(self) -> float:
+        """Focal length of the main lens over its diameter."""
+        return self.focal_length / self.aperture_diameter
+
+    @property
+    def focus_distance(self) -> float:
+        """Distance of the object plane that is in focus on the MLA.
+
+        Infinite if the MLA stands in the focal plane, negative (no real plane) if it stands before that. An
+        objective's is its native object plane, at 0.
+        """
+        if isinstance(self.main_lens, Objective):
+            return 0.0
+        return conjugate_distance(self.focal_length, self.mla_distance)
+
+    def defocus(self, distance: float) -> float:
+        """Diameter of the cone from an on-axis point on the MLA over that on the main lens, with its sign.
+
+        :math:`s = 1 + b/g - b/f_1`: zero in focus, positive for points nearer than that.
+
+        Parameters
+        ----------
+        distance : float
+            Object distance from the main lens in millimetres.
+
+        Raises
+        ------
+        InputError
+            If the distance is 0, or the main lens is an objective: its image is no such cone.
+        """
+        self.require_lens("defocus")
+        if distance == 0:
+            raise InputError("distance = 0: the point lies in the main lens; it has no image")
+        return defocus_factor(distance, self.mla_distance, self.focal_length)
+
+    def blur_diameter(self, distance: float) -> float:
+        """Diameter on the MLA of the image of a point at `distance`, by rays: :math:`D_1 |s|`."""
+        if isinstance(self.main_lens, Objective):
+            return self.main_lens.blur_diameter(distance)
+        if self.main_lens is not None:
+            # The cone from the exit pupil to the image, which lies this far before the MLA.
+            power = vergence(self.focal_length, distance)
+            gap = self.mla_distance - (math.inf if power == 0 else 1 / power)
+            return 2 * self.pupil_radius * (1.0 if math.isinf(gap) else abs(gap / (self.pupil_distance - gap)))
+        return self.aperture_diameter * abs(self.defocus(distance))
+
+    # -- detector and lattice ------------------------------------------------------------------------
+
+    @property
+    def lattice(self) -> Lattice:
+        """The microlens lattice."""
+        return make_lattice(
+            self.mla_lattice,
+            self.mla_pitches,
+            rotation=self.mla_rotation,
+            offset=self.mla_offset,
+            aperture=self.mla_aperture,
+            fill=self.mla_fill,
+        )
+
+    @property
+    def lenses_like_bins(self) -> bool:
+        """Whether each lens is an upright square as large as a bin, without gaps; it may lie between bins."""
+        lattice = self.lattice
+        return lattice.separable and lattice.fills and lattice.aspect == 1
+
+    @property
+    def lenses_are_bins(self) -> bool:
+        """Whether there is a lens on each bin, which it fills."""
+        return self.lenses_like_bins and self.mla_offset == (0, 0)
+
+    @property
+    def mla_pitch(self) -> float:
+        """Pitch :math:`D_2` of the microlenses along their rows, and width of a bin of reconstructions."""
+        return self.mla_pitches[0]
+
+    @property
+    def mla_focal_length(self) -> float:
+        """Focal length :math:`f_2` of a microlens; where there are three, the first."""
+        return self.mla_focal_lengths[0]
+
+    @property
+    def pixel_size(self) -> float:
+        """Width of a pixel."""
+        return self.detector_width / self.resolution[0]
+
+    @property
+    def pupil_step(self) -> float:
+        """What a pixel covers of the pupil, seen through its lens's centre: its width times :math:`b / z`."""
+        return self.pixel_size * self.pupil_distance / self.detector_distance
+
+    @property
+    def lit_radius(self) -> float:
+        """Radius within which the pupil is seen by some of a pixel: half a pixel's width more than the pupil's own."""
+        return self.pupil_radius + self.pupil_step / 2
+
+    def pupil_shift(self, mla_focal_length: float) -> float:
+        r"""How fast the place on the pupil, seen by a point of the detector, moves with that on the lens.
+
+        :math:`\kappa = 1 + b/z - b/f_2`, which is 1 for :math:`z = f_2`; one less behind an objective, whose stop all
+        lenses see in the same directions.
+        """
+        return (
+            (self.objective is None)
+            + self.pupil_distance / self.detector_distance
+            - self.pupil_distance / mla_focal_length
+        )
+
+    @property
+    def detector_height(self) -> float:
+        """Height of the full detector."""
+        return self.pixel_size * self.resolution[1]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the recorded image."""
+        return self.crop_size[1], self.crop_size[0]
+
+    def pixel_coordinates(self, axis: int) -> np.ndarray:
+        """Coordinates of the recorded pixels' centres along x (axis 0) or y (axis 1)."""
+        pixel = np.arange(self.crop_size[axis]) + self.crop_offset[axis] + 0.5
+        return (pixel - self.resolution[axis] / 2) * self.pixel_size
+
+    @property
+    def is_cropped(self) -> bool:
+        """Whether less than the full detector is recorded."""
+        return self.crop_size != self.resolution
+
+    @property
+    def pixels_per_lens(self) -> float:
+        """Microlens pitch in pixels, the shorter one if there are two; need not be a whole number."""
+        return min(self.mla_pitches) / self.pixel_size
+
+    def require_resolved(self) -> None:
+        """Refuse a camera whose lenses are narrower than a pixel, for work that goes from lens to lens.
+
+        Raises
+        ------
+        InputError
+            If they are.
+        """
+        if self.pixels_per_lens < 1:
+            raise InputError(
+                f"mla_pitch = {min(self.mla_pitches):g}: it is less than a pixel of {self.pixel_size:g}, so that no "
+                "micro-image is resolved"
+            )
+
+    def require_lens(self, what: str) -> None:
+        """Refuse a camera behind an objective, for numbers that a lens at a finite distance has.
+
+        Parameters
+        ----------
+        what : str
+            The number, the beginning of a sentence.
+
+        Raises
+        ------
+        InputError
+            If it is one.
+        """
+        if self.objective is not None:
+            raise InputError(
+                f"main_lens = {self.objective.name}: {what} is not defined behind an objective; "
+                "mitsuba_plenoptic.design tells native_field and resolution_limit"
+            )
+
+    def require_thin(self, what: str, instead: str = "capture by rays") -> None:
+        """Refuse a camera with a real main lens, for work that knows thin ones only.
+
+        Parameters
+        ----------
+        what : str
+            The work, the beginning of a sentence.
+        instead : str
+            What can be done beside leaving the lens out.
+
+        Raises
+        ------
+        InputError
+            If it has one.
+        """
+        if self.main_lens is not None:
+            raise InputError(
+                f"main_lens = {self.main_lens.name or 'prescription'}: {what} for thin main lenses only; "
+                f"leave main_lens out, or {instead}"
+            )
+
+    @property
+    def bin_count(self) -> tuple[int, int]:
+        """Bins across a reconstruction and down it: as many squares of one pitch as fit the detector.
+
+        Rounded to even numbers: a corner of four bins lies on the axis, as one of four lenses of the default lattice
+        does, so that bins and lenses line up there. On any other lattice the bins are the same. In the Fourier
+        arrangement each lens sees the whole object: as many pixels as there are along a pitch.
+        """
+        if self.objective is not None and self.objective.is_fourier:
+            return _even_count(self.mla_pitches[0], self.pixel_size), _even_count(self.mla_pitches[1], self.pixel_size)
+        return _even_count(self.detector_width, self.mla_pitch), _even_count(self.detector_height, self.mla_pitch)
+
+    @property
+    def lens_count(self) -> tuple[int, int]:
+        """Lenses in a row of the lattice across the full detector, and rows down it.
+
+        A turned lattice has as many on the same area.
+        """
+        columns, rows = (_even_count(width, self.mla_pitch) for width in (self.detector_width, self.detector_height))
+        if self.lattice.row_distance != self.mla_pitch:
+            rows = max(1, round(self.detector_height / self.lattice.row_distance))
+        return columns, rows
+
+    @property
+    def micro_image_diameter(self) -> float:
+        """Diameter of the main lens's image under one microlens, :math:`D_1 z / b`."""
+        return 2 * self.pupil_radius * self.detector_distance / self.pupil_distance
+
+    @property
+    def micro_image_pitch(self) -> float:
+        """Distance of neighbouring micro-images of a row, :math:`D_2 (b + z) / b`; the pitch behind an objective."""
+        if self.objective is not None:
+            return self.mla_pitch
+        return self.mla_pitch * (self.pupil_distance + self.detector_distance) / self.pupil_distance
+
+    # -- object side ---------------------------------------------------------------------------------
+
+    def bin_size(self, distance: float) -> float:
+        """Width in the object plane of one bin of a reconstruction, :math:`D_2 g / b`.
+
+        Behind an objective at all depths :math:`D_2 / M`, in the Fourier arrangement that of a pixel in the object.
+
+        Parameters
+        ----------
+        distance : float
+            Object distance from the main lens in millimetres.
+        """
+        if self.objective is not None and self.objective.is_fourier:
+            return self.pixel_size / self.objective.view_scale(self.detector_distance)
+        if self.objective is not None:
+            return self.mla_pitch / self.objective.magnification
+        return self.mla_pitch * distance / self.mla_distance
+
+
+def _even_count(width: float, step: float) -> int:
+    """Return how many steps fit a width, as the nearest even number."""
+    return 2 * max(1, round(width / (2 * step)))

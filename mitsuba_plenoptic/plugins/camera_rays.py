@@ -1,0 +1,208 @@
+"""Rays of a plenoptic camera, from the detector through a microlens and the main lens to the scene, in Dr.Jit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..camera import PlenopticCamera
+from ..design import crosstalk_neighbours
+from ..lattice import Lattice, make_lattice
+from ..optics import rays
+from ..optics.irregular import MOST_DEVIATIONS, irregularities
+from ..optics.lens_system import LensSystem
+from ..optics.telecentric import TelecentricLens
+from ..optics.thin import DistortedLens, ThinLens
+from .dispersion import Dispersion, Light
+
+Pair = tuple[Any, Any]
+"""x and y in the camera frame."""
+
+Traced = tuple[tuple[Any, Any, Any], Pair, Any]
+"""Where a ray starts towards the scene, its slopes there, and whether the main lens lets it through."""
+
+
+class Passage(NamedTuple):
+    """Where rays pass the microlens array: a point of a lens, the lens's centre and its focal length."""
+
+    point: Pair
+    centre: Pair
+    focal_length: Any
+
+
+@dataclass(frozen=True)
+class CameraRays:
+    """A camera as its rays meet it. Numbers that may carry gradients are Dr.Jit's.
+
+    Attributes
+    ----------
+    camera : PlenopticCamera
+        The plain numbers, of which those that have no gradient are taken.
+    lens : MainLens
+        The main lens.
+    lattice : Lattice
+        The microlens lattice.
+    focal_lengths : Float
+        Focal lengths of the microlenses, one for each type or one for all.
+    detector_distance : Float
+        From the array to the detector.
+    dispersion : Dispersion, or None
+        Of its glasses, if rays of different colours go different ways.
+    """
+
+    camera: PlenopticCamera
+    lens: ThinLens | LensSystem | TelecentricLens
+    lattice: Lattice
+    focal_lengths: Any
+    detector_distance: Any
+    dispersion: Dispersion | None
+
+    @classmethod
+    def of(cls, camera: PlenopticCamera, numbers: dict[str, Any]) -> CameraRays:
+        """Return the rays of a camera.
+
+        Parameters
+        ----------
+        camera : PlenopticCamera
+            Its plain numbers.
+        numbers : dict
+            The same as Dr.Jit's, by name, as far as they may carry gradients.
+        """
+        # An upright lattice needs no turning, unless the gradient for its angle is asked for.
+        turned = camera.mla_rotation != 0 or dr.grad_enabled(numbers["mla_rotation"])
+        pitch, offset = numbers["mla_pitch"], numbers["mla_offset"]
+        lattice = make_lattice(
+            camera.mla_lattice,
+            (dr.gather(mi.Float, pitch, 0), dr.gather(mi.Float, pitch, 1)) if dr.width(pitch) > 1 else (pitch, pitch),
+            rotation=numbers["mla_rotation"] if turned else 0.0,
+            offset=(offset.x, offset.y),
+            aperture=camera.mla_aperture,
+            fill=numbers["mla_fill"],
+        )
+        return cls(
+            camera,
+            _main_lens(camera, numbers),
+            lattice,
+            numbers["mla_focal_length"],
+            numbers["detector_distance"],
+            Dispersion.of(camera),
+        )
+
+    def neighbours(self, beyond: float = 0.0) -> np.ndarray:
+        """Return the lenses that are tried around the chief ray's, at the wavelength at which most can light it.
+
+        Parameters
+        ----------
+        beyond : float
+            Distance in millimetres by which lenses are looked for farther out.
+        """
+        camera = self.camera
+        seen = [camera] if self.dispersion is None else [camera, *self.dispersion.ends(camera)]
+        # No lens stands farther off.
+        beyond += MOST_DEVIATIONS * math.hypot(camera.mla_jitter[0], camera.mla_jitter[0])
+        return max((crosstalk_neighbours(each, beyond=beyond) for each in seen), key=len)
+
+    def pass_array(self, pixel: Pair, lens_sample: Any, candidates: list[Any]) -> tuple[Passage, Any]:
+        """Choose where rays from points of the detector pass the array.
+
+        Parameters
+        ----------
+        pixel : (Float, Float)
+            The points.
+        lens_sample : Point2f
+            Random numbers.
+        candidates : list of two Floats
+            Lenses among which is drawn: steps in the lattice's indices from the chief ray's lens.
+
+        Returns
+        -------
+        passage : Passage
+            Where they pass it.
+        candidate : UInt32
+            Which of the candidates each has drawn.
+        """
+        lattice = self.lattice
+        b, z = self.lens.pupil_distance, self.detector_distance
+        # Behind an objective all chief rays are parallel to the axis.
+        x, y = pixel if self.camera.objective else (rays.chief_point(p, b, z) for p in pixel)
+        if any(self.camera.mla_tilt):
+            nearer = 1 - self._height(x, y) / b
+            x, y = x * nearer, y * nearer
+        i, j = lattice.cell(x, y)
+        within, candidate = mi.Float(lens_sample[0]), mi.UInt32(0)
+        count = dr.width(candidates[0])
+        if count > 1:
+            scaled = within * count
+            whole = dr.minimum(dr.floor(scaled), count - 1)
+            within, candidate = scaled - whole, mi.UInt32(whole)
+            steps = (dr.gather(mi.Float, step, candidate) for step in candidates)
+            i, j = (index + step for index, step in zip((i, j), steps, strict=True))
+        cx, cy = lattice.centre(i, j)
+        dx, dy = lattice.aperture_point(within, lens_sample[1])
+        f2 = self.focal_lengths
+        if dr.width(f2) > 1:
+            f2 = dr.gather(mi.Float, f2, mi.UInt32(lattice.lens_type(i, j)))
+        if any(self.camera.mla_jitter):
+            right, up, longer = irregularities(self.camera, i, j)
+            cx, cy, f2 = cx + right, cy + up, f2 * longer
+        return Passage((cx + dx, cy + dy), (cx, cy), f2), candidate
+
+    def trace(self, pixel: Pair, passage: Passage, light: Light | None = None) -> Traced:
+        """Follow rays from points of the detector through the array and the main lens.
+
+        Parameters
+        ----------
+        pixel : (Float, Float)
+            The points.
+        passage : Passage
+            Where they pass the array.
+        light : Light, optional
+            What each meets. Default: the light of the camera's plain numbers.
+        """
+        (px, py), (mx, my), (cx, cy), f2 = pixel, *passage
+        lens = self.lens
+        if light is not None:
+            f2 = f2 * light.mla_ratio
+            lens = light.through(lens)
+        z = self.detector_distance
+        height = self._height(cx, cy) if any(self.camera.mla_tilt) else None
+        if height is not None:
+            z = z + height
+        if self.camera.lens_model == "ideal":
+            slope = tuple(rays.microlens_slope(p, m, c, z, f2) for p, m, c in ((px, mx, cx), (py, my, cy)))
+        else:
+            sx, sy = rays.slopes_to_cosines((mx - px) / z, (my - py) / z)
+            slope = rays.cosines_to_slopes(sx - (mx - cx) / f2, sy - (my - cy) / f2)
+        if height is not None:
+            # Where it crosses the plane of the lens on the axis.
+            mx, my = mx - height * slope[0], my - height * slope[1]
+        return lens.trace((mx, my), slope)
+
+    def from_pupil(self, pupil: Pair, place: Pair) -> Traced:
+        """Follow the rays through places of the array and points of the pupil."""
+        slope = tuple((P - m) / self.lens.pupil_distance for P, m in zip(pupil, place, strict=True))
+        return self.lens.trace(place, slope)
+
+    def _height(self, x: Any, y: Any) -> Any:
+        """Return by how much a lens of a tilted array stands nearer to the main lens than the one on the axis."""
+        across, up = (math.tan(math.radians(angle)) for angle in self.camera.mla_tilt)
+        return x * across + y * up
+
+
+def _main_lens(camera: PlenopticCamera, numbers: dict[str, Any]) -> ThinLens | LensSystem | TelecentricLens:
+    """Return the main lens of a camera, as rays pass it."""
+    if camera.objective is not None:
+        return TelecentricLens(camera.objective)
+    lens = numbers["focal_length"], numbers["aperture_radius"], numbers["mla_distance"]
+    if camera.prescription is not None:
+        return LensSystem(camera.prescription, *lens)
+    wavefront = numbers.get("wavefront", mi.Float())
+    aberrations = tuple(dr.gather(mi.Float, wavefront, i) for i in range(dr.width(wavefront)))
+    if any(camera.distortion):
+        return DistortedLens(*lens, camera.lens_model, aberrations, camera.distortion)
+    return ThinLens(*lens, camera.lens_model, aberrations)
