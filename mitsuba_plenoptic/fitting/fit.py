@@ -155,8 +155,11 @@ def fit(
     x = start
     if checkpoint:
         asked = {"method": method, "wavelength": wavelength, "photons": photons, "accuracy": accuracy}
-        facts = [camera.to_dict(), [number.label for number in numbers], np.array(limits).tolist()]
-        x = trial.go_on(checkpoint, start, fit=facts, **asked, light_digest=_digest(given))
+        # Where a fit goes on is as good as where it began.
+        sought = {number.name for number in numbers}
+        held = {name: value for name, value in camera.to_dict().items() if name not in sought}
+        facts = {"numbers": [number.label for number in numbers], "bounds": dict(bounds or {}), "camera": held}
+        x = np.clip(trial.go_on(checkpoint, start, **facts, **asked, light_digest=_digest(given)), *limits)
     for _ in range(_ROUNDS if photons is not None else 1):
         noise = _noise(given, trial.expected(x), photons)
 
