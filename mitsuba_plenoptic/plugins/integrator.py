@@ -18,7 +18,7 @@ from ..capture.wave_capture import WaveCapture
 from ..errors import InputError
 from ..optics import guards
 from ..optics.spectrum import Spectrum
-from ..optics.wave_cameras import require_ideal, require_no_glass, require_round
+from ..optics.wave_cameras import require_ideal, require_no_aberrations, require_no_glass
 from ..runtime.jobs import Job
 from .colours import NAME, read_colours
 from .films import develop, develop_back, put
@@ -261,7 +261,7 @@ def make_class() -> type:
             if camera.objective is not None and self.method == "bank":
                 raise InputError(f"method = bank: it does not know main_lens = {camera.objective.name}; use patch")
             if self.method == "bank":
-                require_round(camera)
+                require_no_aberrations(camera)
                 require_no_glass(camera, "method bank takes the same focal lengths for all wavelengths; use patch, or")
             spectrum = self.spectrum_of(sensor)
             wavelengths = self.wavelengths if spectrum is None else spectrum.wavelengths

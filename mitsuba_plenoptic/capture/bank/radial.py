@@ -82,8 +82,14 @@ def defocus(lens: UniformLens, distances: Any) -> Any:
 
 
 def distance_of(lens: UniformLens, vergence: Any) -> Any:
-    """Return the distance of the scene points whose images have these vergences; what is beyond infinity is there."""
-    return 1 / np.maximum(lens.vergence(math.inf) - vergence, 1 / _FARTHEST)
+    """Return the distance of the scene points whose images have these vergences; what is beyond infinity is there.
+
+    To a lens without power all light with an image comes converging: its points lie behind the lens.
+    """
+    nearness = lens.vergence(math.inf) - vergence
+    if lens.vergence(math.inf) <= 1 / _FARTHEST:
+        return 1 / nearness
+    return 1 / np.maximum(nearness, 1 / _FARTHEST)
 
 
 def axial_ray(lens: UniformLens, rho: Any, distances: Any) -> tuple[Any, Any]:
