@@ -150,13 +150,16 @@ def local_point(camera: PlenopticCamera, inverse: Any, edges: Any) -> tuple[Any,
         For each edge 1 where it is and less within, linear beside it; and its derivatives by the place on the array.
     """
     pitch, a, b = max(camera.mla_pitches), camera.pupil_radius, camera.pupil_distance
-    (xx, _), (_, yy) = inverse
+    (xx, xy), (yx, yy) = inverse
     defocus = 2 / (xx + yy)
     within, outward = None, None
     for value, (gx, gy) in edges:
         steepness = dr.maximum(dr.hypot(gx, gy), 1e-6)
-        away = (1 - value) / (steepness * pitch)
         towards = gx / steepness, gy / steepness
+        away = (1 - value) / (steepness * pitch)
+        # 1/J along normal on array
+        nn = abs(towards[0]*(xx*towards[0]+xy*towards[1]) + towards[1]*(yx*towards[0]+yy*towards[1])) * abs(defocus)
+        away = dr.select(away > 0, away * dr.sqrt(nn), away)
         if within is None:
             within, outward = away, towards
         else:
