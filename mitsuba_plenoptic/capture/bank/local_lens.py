@@ -132,8 +132,10 @@ def local_vergences(camera: PlenopticCamera, vergences: tuple[float, float]) -> 
     """Return between which vergences the local camera's bank must serve images between some of a camera's own."""
     if camera.prescription is None:
         return vergences
+    system = LensSystem.of(camera)
+    nearest = float(system.vergence(max(system.front_bounds[1])))
     more = Spread.of(camera).most * max(camera.mla_pitches) / (2 * camera.pupil_radius) / camera.pupil_distance
-    low, high = sorted(float(at_pupil(camera, vergence)) for vergence in vergences)
+    low, high = (float(at_pupil(camera, max(vergence, nearest))) for vergence in sorted(vergences))
     return low - more, high + more
 
 
