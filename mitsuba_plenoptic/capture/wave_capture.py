@@ -235,7 +235,11 @@ class WaveCapture:
             banks = [[replace(bank, table=replace(bank.table)) for bank in of_channel] for of_channel in banks]
         # Neighbouring seeds must not share runs.
         seeds = np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
-        options: dict[str, Any] = {"wavelength": self.wavelengths[0], "accuracy": self.accuracy, "spp": -(-paths // runs)}
+        options: dict[str, Any] = {
+            "wavelength": self.wavelengths[0],
+            "accuracy": self.accuracy,
+            "spp": -(-paths // runs),
+        }
         return [LensRaySum(self.camera, self.sight, banks, seed=run_seed, **options) for run_seed in seeds]
 
     def _sums(

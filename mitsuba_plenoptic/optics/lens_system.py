@@ -260,7 +260,9 @@ class LensSystem:
         tx, ty = slope
         N = _rsqrt(1 + tx * tx + ty * ty)
         x, y = (m / self.scale for m in place)
-        return sequential.follow(self._backwards, (x, y, -self.back_distance / self.scale), (tx * N, ty * N, N), squares)
+        return sequential.follow(
+            self._backwards, (x, y, -self.back_distance / self.scale), (tx * N, ty * N, N), squares
+        )
 
     @property
     def _light(self) -> float:

@@ -68,7 +68,10 @@ def derivatives(light: LensLight, pupil: tuple[Any, Any], step: float) -> tuple[
     """Return the derivatives, by Px and Py, of x and of y where rays through places of the exit pupil come."""
     x, y = pupil
     along, across = (
-        [(high - low) * (0.5 / step) for high, low in zip(light.land(ahead, None), light.land(behind, None), strict=True)]
+        [
+            (high - low) * (0.5 / step)
+            for high, low in zip(light.land(ahead, None), light.land(behind, None), strict=True)
+        ]
         for ahead, behind in (((x + step, y), (x - step, y)), ((x, y + step), (x, y - step)))
     )
     return (along[0], across[0]), (along[1], across[1])
@@ -157,11 +160,11 @@ def local_point(camera: PlenopticCamera, inverse: Any, edges: Any) -> tuple[Any,
     within, outward = None, None
     for value, (gx, gy) in edges:
         steepness = dr.maximum(dr.hypot(gx, gy), 1e-6)
-        towards = gx / steepness, gy / steepness
+        nx, ny = towards = gx / steepness, gy / steepness
         away = (1 - value) / (steepness * pitch)
-        # 1/J along normal on array
-        nn = abs(towards[0]*(xx*towards[0]+xy*towards[1]) + towards[1]*(yx*towards[0]+yy*towards[1])) * abs(defocus)
-        away = dr.select(away > 0, away * dr.sqrt(nn), away)
+        # Ripples go by the curvature across the edge.
+        across = abs(nx * (xx * nx + xy * ny) + ny * (yx * nx + yy * ny)) * abs(defocus)
+        away = dr.select(away > 0, away * dr.sqrt(across), away)
         if within is None:
             within, outward = away, towards
         else:

@@ -25,7 +25,7 @@ from .convolution import Convolution
 from .lens_bank import LensBank, finest_pitch
 from .local_lens import local_camera, local_vergences
 from .rays import Rays, Traced
-from .real_rays import RealRays, passed_power
+from .real_rays import PassedPower, RealRays
 from .table import SHADOW
 
 _PAIRS = 2**17
@@ -61,7 +61,7 @@ class BankPlan:
         self.banks = [LensBank.learn(local, wavelength, accuracy, between, kind, pitch) for kind in types]
         self.convolution = Convolution(camera, self.banks, order=4)
         self._chunks = self._sort(most_blur(camera, vergence))
-        self._power = passed_power(self._lens) if isinstance(self._lens, FittedLens) else None
+        self._power = PassedPower.of(self._lens) if isinstance(self._lens, FittedLens) else None
 
     def _sort(self, blur: NDArray[np.float64]) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
         """Cut the points into chunks, each with the lenses around a point's own that it may light."""
@@ -85,10 +85,8 @@ class BankPlan:
     def rays(self, chunk: int) -> Rays | RealRays:
         """Describe the rays of a chunk."""
         points, around = self._chunks[chunk]
-        if isinstance(self._lens, FittedLens):
-            return RealRays(
-                self._camera, self._lens, self._power, self.banks, self.convolution.pitch, self._points[points], around
-            )
+        if self._power is not None:
+            return RealRays(self._camera, self._power, self.banks, self.convolution.pitch, self._points[points], around)
         weights = self._pupil_weights and self._pupil_weights.take(points)
         return Rays(self._camera, self.banks, self.convolution.pitch, self._points[points], around, weights)
 

@@ -20,6 +20,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
+from ...optics.lens_system import LensSystem
 from ...optics.main_lens import UniformLens, main_lens
 from ...optics.phase import in_millimetres
 
@@ -81,7 +82,7 @@ def defocus(lens: UniformLens, distances: Any) -> Any:
     return 1 - lens.pupil_distance * lens.vergence(distances)
 
 
-def distance_of(lens: UniformLens, vergence: Any) -> Any:
+def distance_of(lens: UniformLens | LensSystem, vergence: Any) -> Any:
     """Return the distance of the scene points whose images have these vergences; what is beyond infinity is there.
 
     To a lens without power all light with an image comes converging: its points lie behind the lens.

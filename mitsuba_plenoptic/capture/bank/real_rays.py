@@ -6,7 +6,7 @@ of its pupil point does.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,11 +40,10 @@ _FIELDS, _DEPTHS, _ACROSS = 13, 5, 96
 
 @dataclass(frozen=True)
 class RealRays:
-    """Rays from some points through the centres of the lenses around their images; `power` as of `passed_power`."""
+    """Rays from some points through the centres of the lenses around their images."""
 
     camera: PlenopticCamera
-    lens: FittedLens
-    power: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    power: PassedPower
     banks: list[LensBank]
     pitch: float
     points: NDArray[np.float64]
@@ -57,7 +56,7 @@ class RealRays:
 
     def trace(self) -> Traced:
         """Find where the rays arrive, and what they bring of each kernel."""
-        types, camera, lens = array_module(), self.camera, self.lens
+        types, camera, lens = array_module(), self.camera, self.power.lens
         lattice, b = camera.lattice, lens.pupil_distance
         index = dr.arange(types.UInt32, len(self.points) * len(self.around))
         number = quotient(types, index, len(self.around))
@@ -80,7 +79,7 @@ class RealRays:
         at = _Landing.of(light, P, float(lens.pupil_radius))
         (xx, xy), (yx, yy) = at.inverse
         power = dr.square(light.amplitude(at.within, None)) * abs(xx * yy - xy * yx)
-        power *= value(float(lattice.lens_area) / self.power(self.points), number)
+        power *= value(float(lattice.lens_area) / self.power.at(self.points), number)
         pupil = local_point(camera, at.inverse, at.edges(light))
         place = [c + (c - p) * (self.banks[0].arrival / b) for c, p in zip(centre, P, strict=True)]
         return collect(camera, self.banks, self.pitch, (i, j), number, place, power, pupil)
@@ -146,25 +145,39 @@ def _edge(stop: PupilPolynomial, P: Any) -> tuple[Any, Any, Any]:
     return value, gx / (2 * value), gy / (2 * value)
 
 
-def passed_power(lens: FittedLens) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    """Return the function from points (n, 3) to the integral of the squared amplitude over the open pupil, (n,)."""
-    scales, entrance = lens.fitted.aberration.scales, lens.fitted.pupils.entrance
-    fields = np.linspace(0, scales.field, _FIELDS)
-    nearness = scales.middle + scales.half * np.linspace(-1, 1, _DEPTHS)
-    axis, step = np.linspace(-1, 1, _ACROSS, retstep=True)
-    x, y = (values.reshape(1, -1) * lens.pupil_radius for values in np.meshgrid(axis, axis))
-    step *= lens.pupil_radius
-    powers = np.empty((_FIELDS, _DEPTHS))
-    for depth, near in enumerate(nearness):
-        distance = 1 / (near or 1 / FAR)
-        points = np.column_stack([0 * fields, fields * distance, np.full(_FIELDS, distance + entrance)])
-        light = lens.bind(points)
-        cover = np.clip(light.inside((x, y)) / step + 0.5, 0, 1)
-        powers[:, depth] = (cover * light.amplitude((x, y), None) ** 2).sum(1) * step**2
-    spline = scipy.interpolate.RectBivariateSpline(fields, nearness, powers)
+@dataclass(frozen=True)
+class PassedPower:
+    """The integral of the squared amplitude over the open pupil.
 
-    def power(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        field, near = lens.fitted.pupils.field(points)
-        return np.asarray(spline(np.hypot(*field.T), near, grid=False))
+    Attributes
+    ----------
+    lens : FittedLens
+        The lens.
+    spline : scipy.interpolate.RectBivariateSpline
+        The integral over the field and the nearness of points.
+    """
 
-    return power
+    lens: FittedLens
+    spline: Any
+
+    @classmethod
+    def of(cls, lens: FittedLens) -> PassedPower:
+        """Compute it all over the field and the distances that the lens is fitted for."""
+        scales, entrance = lens.fitted.aberration.scales, lens.fitted.pupils.entrance
+        fields = np.linspace(0, scales.field, _FIELDS)
+        nearness = scales.middle + scales.half * np.linspace(-1, 1, _DEPTHS)
+        axis, step = np.linspace(-lens.pupil_radius, lens.pupil_radius, _ACROSS, retstep=True)
+        x, y = (values.reshape(1, -1) for values in np.meshgrid(axis, axis))
+        powers = np.empty((_FIELDS, _DEPTHS))
+        for depth, near in enumerate(nearness):
+            distance = 1 / (near or 1 / FAR)
+            points = np.column_stack([0 * fields, fields * distance, np.full(_FIELDS, distance + entrance)])
+            light = lens.bind(points)
+            cover = np.clip(light.inside((x, y)) / step + 0.5, 0, 1)
+            powers[:, depth] = (cover * light.amplitude((x, y), None) ** 2).sum(1) * step**2
+        return cls(lens, scipy.interpolate.RectBivariateSpline(fields, nearness, powers))
+
+    def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return it for scene points (n, 3); (n,)."""
+        field, nearness = self.lens.fitted.pupils.field(points)
+        return np.asarray(self.spline(np.hypot(*field.T), nearness, grid=False))
