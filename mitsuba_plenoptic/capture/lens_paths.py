@@ -1,4 +1,4 @@
-r"""Where rays from microlenses' centres go, and what the bank is asked for them: through thin main lenses and real ones.
+r"""Where rays from microlenses' centres go, and what the bank is asked for them; main lenses are thin or real.
 
 Behind a real lens neighbouring rays are followed, too. With :math:`u = s + x / g` where a ray of slope s, which crosses
 the plane z = 0 at x, meets the plane at the distance g; P its place on the exit pupil, and c that on the array: light
@@ -291,7 +291,7 @@ def _circles(h: NDArray, x: NDArray, y: NDArray, edge: NDArray) -> tuple[NDArray
         found.append((height**2, middle / height if height else np.nan, np.sqrt((1 - t) / p + middle**2)))
     square, middle, radius = np.array(found).T
     known = np.isfinite(middle)
-    powers = min(_POWERS, np.count_nonzero(known)) - 1
+    powers = min(_POWERS, int(np.count_nonzero(known))) - 1
     return np.polyfit(square[known], middle[known], powers), np.polyfit(square, radius, powers)
 
 

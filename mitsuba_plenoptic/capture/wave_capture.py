@@ -213,9 +213,10 @@ class WaveCapture:
         """
         paths = spp * self.passes
         runs = min(runs, paths)
-        if self._several_ways():
+        prescription = self.camera.prescription
+        if prescription is not None and self._several_ways():
             raise InputError(
-                f"method = bank: main_lens = {self.camera.prescription.name or 'prescription'} disperses light, of "
+                f"method = bank: main_lens = {prescription.name or 'prescription'} disperses light, of "
                 "which a bank records one wavelength; use patch, or one wavelength"
             )
         between = self.sight.vergences(lens_of_rays(self.camera))

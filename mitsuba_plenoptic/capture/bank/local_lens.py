@@ -43,6 +43,9 @@ _STEP = 1e-3
 _BLUR = 8.0
 """Lenses of blur, on both sides of focus, at which that is done: there the bank begins to be used."""
 
+LINES = 486.1327, 656.2725
+"""Wavelengths in nanometres between which dispersion counts, beside a lens's own: the lines F and C."""
+
 _NEAREST = 2.0
 """Nearest points there, over the distance of the lens's front from the entrance pupil."""
 
@@ -79,7 +82,7 @@ def derivatives(light: LensLight, pupil: tuple[Any, Any], step: float) -> tuple[
 
 @dataclass(frozen=True)
 class Spread:
-    """By how much points are blurred otherwise, at places on the pupil and the detector, than near the axis.
+    """By how much points are blurred otherwise, by places on pupil and detector and wavelength, than near the axis.
 
     Attributes
     ----------
@@ -105,22 +108,24 @@ def _spread(camera: PlenopticCamera) -> Spread:
     per_lens = max(camera.mla_pitches) / (2 * camera.pupil_radius)
     nearest = 1 / (_NEAREST * (max(system.front_bounds[1]) - pupils.entrance))
     less, most = [], 0.0
+    own_light = system.prescription.wavelength
+    wavelengths = (own_light, *LINES) if camera.is_dispersive else (own_light,)
     for sign in (1, -1):
         vergence = (1 - sign * _BLUR * per_lens) / camera.pupil_distance
         nearness = (pupils.at_infinity - vergence) * pupils.magnification**2
         nearness = min(max(nearness, 1 / FAR), nearest)
-        found = _blurs(camera, pupils, nearness)
+        found = np.concatenate([_blurs(camera, pupils, nearness, wavelength).ravel() for wavelength in wavelengths])
         own = (1 - camera.pupil_distance * pupils.convergence(nearness)) / per_lens
         less.append(max(0.0, float((sign * (own - found)).max())))
         most = max(most, float(np.abs(own - found).max()))
     return Spread((less[0], less[1]), most)
 
 
-def _blurs(camera: PlenopticCamera, pupils: Pupils, nearness: float) -> NDArray[np.float64]:
+def _blurs(camera: PlenopticCamera, pupils: Pupils, nearness: float, wavelength: float) -> NDArray[np.float64]:
     """Return the blurs in lenses, along both axes of the astigmatism, of points all over the field, (2, n)."""
-    farthest = farthest_points(camera, camera.prescription.wavelength, (1 / nearness + pupils.entrance,))
+    farthest = farthest_points(camera, wavelength, (1 / nearness + pupils.entrance,))
     points = farthest * np.array([1.0, 0.0, 1.0]) + np.linspace(0, 1, _FIELDS)[:, None] * farthest * [0.0, 1.0, 0.0]
-    light = lens_of_waves(camera, points, camera.prescription.wavelength).bind(points)
+    light = lens_of_waves(camera, points, wavelength).bind(points)
     assert isinstance(light, LensLight)
     axis = np.linspace(-1, 1, _ACROSS) * camera.pupil_radius
     x, y = (values.reshape(1, -1) for values in np.meshgrid(axis, axis))
@@ -157,7 +162,8 @@ def local_point(camera: PlenopticCamera, inverse: Any, edges: Any) -> tuple[Any,
     pitch, a, b = max(camera.mla_pitches), camera.pupil_radius, camera.pupil_distance
     (xx, xy), (yx, yy) = inverse
     defocus = 2 / (xx + yy)
-    within, outward = None, None
+    within: Any = None
+    outward: Any = None
     for value, (gx, gy) in edges:
         steepness = dr.maximum(dr.hypot(gx, gy), 1e-6)
         nx, ny = towards = gx / steepness, gy / steepness
@@ -170,7 +176,7 @@ def local_point(camera: PlenopticCamera, inverse: Any, edges: Any) -> tuple[Any,
         else:
             nearer = away < within
             within = dr.select(nearer, away, within)
-            outward = tuple(dr.select(nearer, new, old) for new, old in zip(towards, outward, strict=True))
+            outward = [dr.select(nearer, new, old) for new, old in zip(towards, outward, strict=True)]
     # On the array the edge lies on the other side of the pupil's image if the light has crossed before.
     radius = dr.maximum(a - within * pitch / abs(defocus), 0) * dr.sign(defocus)
     return radius * outward[0], radius * outward[1], (1 - defocus) / b

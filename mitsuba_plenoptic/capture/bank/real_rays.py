@@ -1,7 +1,7 @@
 r"""The rays from points through a real main lens and the centres of the lenses that they light; see `rays`.
 
-Path, amplitude and edges are those that are fitted to the lens (`FittedLens`), and each ray brings what the `local_lens`
-of its pupil point does.
+Path, amplitude and edges are those that are fitted to the lens (`FittedLens`), and what each ray brings is told by
+`local_lens`.
 """
 
 from __future__ import annotations
