@@ -19,7 +19,16 @@ from ..io.checkpoints import digest
 from ..optics.fitted_lens import lens_of_rays
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job, Task
-from .bank import LensBank, finest_pitch, local_camera, local_vergences, near_weight
+from .bank import (
+    TOLERANCE,
+    LensBank,
+    finest_pitch,
+    less_than_told,
+    local_camera,
+    local_vergences,
+    near_weight,
+    require_served,
+)
 from .choice import Probes, bank_is_better
 from .estimate import estimate_waves
 from .lens_rays import LensRaySum
@@ -149,6 +158,7 @@ class WaveCapture:
             self.occlusion
             and self.camera.objective is None
             and not self._several_ways()
+            and less_than_told(self.camera, max(self.wavelengths)) <= TOLERANCE
             and not any(self.camera.wavefront)
             and not (self.camera.glass or self.camera.mla_glass)
             and bank_is_better(self.camera, self.sight, max(self.wavelengths), per_lens, self.accuracy, seed)
@@ -219,6 +229,7 @@ class WaveCapture:
                 f"method = bank: main_lens = {prescription.name or 'prescription'} disperses light, of "
                 "which a bank records one wavelength; use patch, or one wavelength"
             )
+        require_served(self.camera, self.wavelengths[0])
         between = self.sight.vergences(lens_of_rays(self.camera))
         if (near_weight(self.camera, np.array(between), self.accuracy) == 1).all():
             return []  # all that can be seen is in focus

@@ -72,7 +72,8 @@ def make_class() -> type:
            - |string|
            - ``patch``: each radiator's field on the part of the microlens array that it lights. ``bank``: so near
              focus only; beyond some lenses of blur, by one ray from each pixel through each lens's centre and a bank
-             of kernels of single lenses, at the price of a capture by rays. ``full_field``: on all of the array, the
+             of kernels of single lenses, at the price of a capture by rays; in one wavelength where glasses of a
+             ``main_lens`` disperse light. ``full_field``: on all of the array, the
              slow reference. ``auto``: the quicker one of the first two. (Default: ``auto``)
          * - occlusion
            - |bool|

@@ -149,6 +149,15 @@ def test_light_of_a_vignetted_lens_has_the_energy_of_rays():
     assert waves == pytest.approx(rays, rel=0.015)
 
 
+def test_light_that_the_lens_focuses_elsewhere_is_refused():
+    points = [(0, 0, 150)]
+    single = behind("singlet", 4)
+    with pytest.raises(
+        InputError, match=r"wavelength = 850: method = bank: main_lens = .* blurs its light over .* less"
+    ):
+        CaptureOperator(single, points, wavelength=850, method="bank", accuracy=0.03).estimate()
+
+
 def test_what_is_not_known_is_refused():
     camera = behind(lenses=4)
     with pytest.raises(InputError, match="pupil_weights: method bank takes none behind a main_lens; use patch"):

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
+from ...errors import InputError
 from ...optics.fitted_lens import FAR, farthest_points, lens_of_waves
 from ...optics.lens_light import LensLight
 from ...optics.lens_system import LensSystem
@@ -46,8 +47,11 @@ _BLUR = 8.0
 LINES = 486.1327, 656.2725
 """Wavelengths in nanometres between which dispersion counts, beside a lens's own: the lines F and C."""
 
-_NEAREST = 2.0
-"""Nearest points there, over the distance of the lens's front from the entrance pupil."""
+TOLERANCE = 0.25
+"""Lenses by which light of other wavelengths may be blurred less than theirs."""
+
+_NEAREST = 0.1
+"""Distance of the nearest points that count from the lens's front and from its entrance pupil, over focal lengths."""
 
 
 def local_camera(camera: PlenopticCamera) -> PlenopticCamera:
@@ -97,19 +101,61 @@ class Spread:
 
     @classmethod
     def of(cls, camera: PlenopticCamera) -> Spread:
-        """Trace rays to find that of a camera with a real main lens, all over its detector."""
-        return _spread(camera.replace(crop_offset=(0, 0), crop_size=camera.resolution))
+        """Trace rays to find that of a camera with a real main lens, all over its detector, between `LINES`."""
+        assert camera.prescription is not None
+        own = camera.prescription.wavelength
+        return _spread(_whole(camera), (own, *LINES) if camera.is_dispersive else (own,))
+
+
+def require_served(camera: PlenopticCamera, wavelength: float) -> None:
+    """Refuse a wavelength whose light a real main lens blurs less than `Spread` tells.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+
+    Raises
+    ------
+    InputError
+        If it does.
+    """
+    less = less_than_told(camera, wavelength)
+    if less > TOLERANCE:
+        name = camera.prescription.name if camera.prescription is not None else ""
+        raise InputError(
+            f"wavelength = {wavelength:g}: method = bank: main_lens = {name or 'prescription'} blurs its light over "
+            f"{less:.2g} lenses less than that of {LINES[0]:.0f} to {LINES[1]:.0f} nm; use patch"
+        )
+
+
+def less_than_told(camera: PlenopticCamera, wavelength: float) -> float:
+    """Return by how many lenses a wavelength's light is blurred less than `Spread` tells."""
+    if camera.prescription is None or not camera.is_dispersive or LINES[0] <= wavelength <= LINES[1]:
+        return 0.0
+    told, own = Spread.of(camera), _spread(_whole(camera), (wavelength,))
+    return max(new - old for new, old in zip(own.less, told.less, strict=True))
+
+
+def _nearest(system: LensSystem) -> float:
+    """Return the distance of the nearest points that count in the camera frame; in the pupil itself nothing images."""
+    front = max(*system.front_bounds[1], Pupils.of(system).entrance)
+    return float(front + _NEAREST * system.focal_length)
+
+
+def _whole(camera: PlenopticCamera) -> PlenopticCamera:
+    return camera.replace(crop_offset=(0, 0), crop_size=camera.resolution)
 
 
 @functools.lru_cache(maxsize=16)
-def _spread(camera: PlenopticCamera) -> Spread:
+def _spread(camera: PlenopticCamera, wavelengths: tuple[float, ...]) -> Spread:
     system = LensSystem.of(camera)
     pupils = Pupils.of(system)
     per_lens = max(camera.mla_pitches) / (2 * camera.pupil_radius)
-    nearest = 1 / (_NEAREST * (max(system.front_bounds[1]) - pupils.entrance))
+    nearest = 1 / (_nearest(system) - pupils.entrance)
     less, most = [], 0.0
-    own_light = system.prescription.wavelength
-    wavelengths = (own_light, *LINES) if camera.is_dispersive else (own_light,)
     for sign in (1, -1):
         vergence = (1 - sign * _BLUR * per_lens) / camera.pupil_distance
         nearness = (pupils.at_infinity - vergence) * pupils.magnification**2
@@ -141,7 +187,7 @@ def local_vergences(camera: PlenopticCamera, vergences: tuple[float, float]) -> 
     if camera.prescription is None:
         return vergences
     system = LensSystem.of(camera)
-    nearest = float(system.vergence(max(system.front_bounds[1])))
+    nearest = float(system.vergence(_nearest(system)))
     more = Spread.of(camera).most * max(camera.mla_pitches) / (2 * camera.pupil_radius) / camera.pupil_distance
     low, high = (float(at_pupil(camera, max(vergence, nearest))) for vergence in sorted(vergences))
     return low - more, high + more

@@ -23,7 +23,7 @@ from ..pupil_weights import PupilWeights
 from .blend import most_blur
 from .convolution import Convolution
 from .lens_bank import LensBank, finest_pitch
-from .local_lens import local_camera, local_vergences
+from .local_lens import local_camera, local_vergences, require_served
 from .rays import Rays, Traced
 from .real_rays import PassedPower, RealRays
 from .table import SHADOW
@@ -53,6 +53,7 @@ class BankPlan:
         accuracy: float,
     ) -> None:
         self._camera, self._points, self._pupil_weights = camera, points, pupil_weights
+        require_served(camera, wavelength)
         self._lens = lens_of_waves(camera, points, wavelength)
         vergence = self._lens.vergence(points[:, 2])
         between = local_vergences(camera, (float(vergence.min()), float(vergence.max())))
