@@ -12,7 +12,8 @@ from mitsuba_plenoptic.capture.bank import LensBank, local_camera, local_vergenc
 from mitsuba_plenoptic.capture.bank.blend import blur_of, least_blur, most_blur
 from mitsuba_plenoptic.capture.bank.local_lens import Spread, at_pupil, derivatives, local_point
 from mitsuba_plenoptic.capture.bank.plan import BankPlan
-from mitsuba_plenoptic.capture.lens_paths import _edges, paths_of
+from mitsuba_plenoptic.capture.lens_paths import paths_of
+from mitsuba_plenoptic.capture.pupil_edges import PupilEdges
 from mitsuba_plenoptic.optics.fitted_lens import lens_of_rays, lens_of_waves
 from mitsuba_plenoptic.optics.lens_system import LensSystem
 from mitsuba_plenoptic.runtime.backend import array_module
@@ -109,7 +110,7 @@ def test_rays_find_the_derivatives_and_edges_that_fitted_paths_have():
 
 def test_edges_hold_what_is_open():
     camera = behind("cooke_triplet", 128, aperture_radius=7)
-    lens, edges = LensSystem.of(camera), _edges(camera)
+    lens, edges = LensSystem.of(camera), PupilEdges.of(camera)
     axis = np.linspace(-1.2, 1.2, 81) * camera.pupil_radius
     x, y = (values.ravel() for values in np.meshgrid(axis, axis))
     for height in (0.0, 2.0, 4.0):
