@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..optics.fitted_lens import lens_of_rays
-from ..optics.main_lens import main_lens
+from ..optics.fitted_lens import farthest_points, lens_of_rays, lens_of_waves
+from ..optics.main_lens import MainLens, main_lens
 from ..optics.open_pupil import pupil_bound
 from .accuracy import WAVES_PER_ERROR
 from .bank import near_weight
@@ -93,7 +93,7 @@ def bank_is_better(
     """
     if accuracy == 0:
         return False
-    lens = main_lens(camera)
+    lens = lens_of_rays(camera)
 
     def too_large(vergences: NDArray[np.floating], found: float) -> bool:
         ends = np.array([vergences.min(), vergences.max()], np.float64)
@@ -116,11 +116,20 @@ def bank_is_better(
         return True
     blurred = np.maximum(1, np.abs(blur_of(camera, probes.vergence)) / _BLUR) ** 2
     distances = distance_of(lens, probes.vergence[lit].astype(np.float64))
-    patterns = min(found, patterns_at(camera, lens, distances, window, wavelength, accuracy * WAVES_PER_ERROR))
+    waves = _lens_of_waves(camera, distances, wavelength)
+    patterns = min(found, patterns_at(camera, waves, distances, window, wavelength, accuracy * WAVES_PER_ERROR))
     return patterns * float((far * blurred)[lit].mean()) > worth
+
+
+def _lens_of_waves(camera: PlenopticCamera, distances: NDArray[np.float64], wavelength: float) -> MainLens:
+    """Return the main lens for all points at some distances that a detector sees."""
+    if camera.prescription is None:
+        return main_lens(camera)
+    ends = farthest_points(camera, wavelength, (float(distances.min()), float(distances.max())))
+    return lens_of_waves(camera, ends, wavelength)
 
 
 def _most_work(camera: PlenopticCamera) -> float:
     """Return the largest work of a radiator over that of one blurred over `_BLUR` lenses, for light from infinity."""
-    blur = abs(blur_of(camera, main_lens(camera).vergence(math.inf)))
+    blur = abs(blur_of(camera, lens_of_rays(camera).vergence(math.inf)))
     return float(max(1.0, blur / _BLUR) ** 2)

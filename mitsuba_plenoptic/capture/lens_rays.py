@@ -28,10 +28,10 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import rays
-from ..optics.thin import ThinLens
 from ..runtime.batches import Box, Part, PartialSum
 from ..runtime.fft import busy_drjit
 from .bank import Convolution, LensBank, margin_of, near_weight
+from .lens_paths import Path, paths_of
 from .sight import Sight
 
 _BLOCK_BYTES = 2**29
@@ -40,11 +40,8 @@ _BLOCK_BYTES = 2**29
 _LANES = 2**21
 """Rays that are traced at once, about."""
 
-_RIM = 1.1
-"""Distance from the axis in the pupil, in its radii, beyond which fewer rays are traced."""
-
 _FEWER = 16
-"""By how much fewer."""
+"""By how much fewer rays are traced where light comes by diffraction alone."""
 
 _TRIAL, _FEW_BINS, _MANY_BINS, _TRIALS = 512, 2**14, 2**16, 2
 """Pixels across whose convolution, and bins whose rays are timed for an estimate; how often the many are."""
@@ -67,6 +64,8 @@ class LensRaySum:
         Finds the light along rays.
     banks : sequence of sequence of LensBank
         For each channel, for each lens type.
+    wavelength : float
+        Wavelength in nanometres by which rays are traced through a real main lens.
     accuracy : float
         Allowed relative error, by which it is decided which light is left to exact point spreads.
     spp : int
@@ -83,6 +82,7 @@ class LensRaySum:
         sight: Sight,
         banks: Sequence[Sequence[LensBank]],
         *,
+        wavelength: float,
         accuracy: float,
         spp: int,
         seed: int,
@@ -93,8 +93,7 @@ class LensRaySum:
         self.channels = len(banks)
         rows, columns = camera.shape
         self.box = Box(0, 0, columns, rows)
-        # The aberrations of the parabolic phase that waves pass displace the spots.
-        self._lens = ThinLens(camera.focal_length, camera.aperture_radius, camera.mla_distance, "parabolic")
+        self._paths = paths_of(camera, [bank for of_channel in banks for bank in of_channel], wavelength)
         margin = max(margin_of(of_channel) for of_channel in banks)
         left, top = (offset * self._parts - margin for offset in camera.crop_offset)
         self._bins = Box(left, top, columns * self._parts + 2 * margin, rows * self._parts + 2 * margin)
@@ -132,8 +131,8 @@ class LensRaySum:
     def _candidates(self) -> NDArray[np.int64]:
         """Lenses that can light a detector bin, in steps from that of its chief ray."""
         camera = self._camera
-        scale = camera.detector_distance / (camera.mla_distance + camera.detector_distance)
-        return camera.lattice.neighbours(self._widest * scale)
+        scale = camera.detector_distance / (self._paths.pupil_distance + camera.detector_distance)
+        return camera.lattice.neighbours(self._paths.widest * scale)
 
     def cost(self) -> tuple[float, float]:
         """Estimate the time, in seconds, from some of the rays and tiles, and tell the bytes that it takes."""
@@ -183,19 +182,9 @@ class LensRaySum:
         return round(self._camera.pixel_size / self._pitch)
 
     @property
-    def _rim(self) -> float:
-        """Distance from the axis in the pupil beyond which fewer rays are traced."""
-        return min(_RIM * self._camera.aperture_radius, self._widest)
-
-    @property
     def _few(self) -> int:
         """How many rays to each bin and lens are traced there."""
         return -(-self._spp // _FEWER)
-
-    @cached_property
-    def _widest(self) -> float:
-        """Distance from the axis in the pupil beyond which no ray counts."""
-        return max(bank.widest for of_channel in self._banks for bank in of_channel)
 
     def _trace_bins(
         self, box: Box, bins: Any, candidates: NDArray[np.int64], seeds: np.random.SeedSequence
@@ -208,11 +197,9 @@ class LensRaySum:
         sums = [dr.zeros(mi.Float, count * sum(bank.rank for bank in banks)) for banks in self._banks]
         dr.eval(bins, sums)
         for steps in candidates:
-            (Px, Py), _, _ = self._pupil_points(box, bins, steps)
-            square = Px * Px + Py * Py
-            inner = square < self._rim**2
+            pupil, centre, _, _ = self._pupil_points(box, bins, steps)
             # Beyond the rim there is little light, for which few rays do.
-            for kept, spp in ((inner, self._spp), (~inner & (square < self._widest**2), self._few)):
+            for kept, spp in zip(self._paths.lit(pupil, centre), (self._spp, self._few), strict=True):
                 lit = dr.compress(kept)
                 step = max(1, _LANES // spp)
                 for start in range(0, dr.width(lit), step):
@@ -228,10 +215,10 @@ class LensRaySum:
 
     def _pupil_points(
         self, box: Box, bins: Any, steps: NDArray[np.int64], jitter: Any = None
-    ) -> tuple[tuple[Any, Any], tuple[Any, Any], Any]:
-        """Return where rays through the centre of a lens near the bins' own pass the pupil; slopes; lens types."""
+    ) -> tuple[tuple[Any, Any], tuple[Any, Any], tuple[Any, Any], Any]:
+        """Return where rays through the centre of a lens near the bins' own pass the pupil; centres, slopes, types."""
         camera, lattice = self._camera, self._camera.lattice
-        b, z = camera.mla_distance, self._banks[0][0].arrival
+        b, z = self._paths.pupil_distance, self._banks[0][0].arrival
         # Opaque numbers do not compile the kernels again.
         columns = dr.opaque(mi.UInt32, box.columns)
         left, top = (dr.opaque(mi.Int32, number) for number in (box.left, box.top))
@@ -245,15 +232,13 @@ class LensRaySum:
         centre = lattice.centre(i, j)
         place = middle if jitter is None else [p + (jitter[axis] - 0.5) * self._pitch for axis, p in enumerate(middle)]
         slope = tuple((c - p) / z for c, p in zip(centre, place, strict=True))
-        (Px, Py, _), slope, _ = self._lens.trace(centre, slope)
-        return (Px, Py), slope, lattice.lens_type(i, j) if len(self._banks[0]) > 1 else None
+        pupil = tuple(rays.pupil_point(c, s, b) for c, s in zip(centre, slope, strict=True))
+        return pupil, centre, slope, lattice.lens_type(i, j) if len(self._banks[0]) > 1 else None
 
-    def _counts(self, pupil: tuple[Any, Any], distance: Any) -> Any:
+    def _counts(self, path: Path, distance: Any) -> Any:
         """Whether what rays meet at some distances is out of focus, and brings light where they pass the pupil."""
-        vergence = self._lens.vergence(distance)
-        return (near_weight(self._camera, vergence, self._accuracy) < 1) & (
-            dr.hypot(*pupil) < self._camera.aperture_radius + self._banks[0][0].reach(vergence)
-        )
+        vergence = path.vergence(distance)
+        return (near_weight(self._camera, vergence, self._accuracy) < 1) & path.reaches(vergence)
 
     def _trace_lit(self, box: Box, bins: Any, steps: NDArray[np.int64], spp: int, seed: int) -> _Traced:
         """Trace the rays of some bins through one of the lenses near them; those of a bin follow each other."""
@@ -264,14 +249,15 @@ class LensRaySum:
         jitter = mi.Point2f(
             *(sample * step + mi.sample_tea_float32(own, shift ^ axis) for axis, step in enumerate(_JITTER))
         )
-        pupil, slope, lens_type = self._pupil_points(box, own, steps, jitter - dr.floor(jitter))
-        radiance, distance = self._sight.look((*pupil, 0.0), slope, seed, partial(self._counts, pupil))
-        vergence = self._lens.vergence(distance)
+        pupil, centre, slope, lens_type = self._pupil_points(box, own, steps, jitter - dr.floor(jitter))
+        path = self._paths.follow(pupil, centre, slope)
+        radiance, distance = self._sight.look(path.point, path.slope, seed, partial(self._counts, path))
+        vergence = path.vergence(distance)
         finite = dr.all([dr.isfinite(light) for light in radiance], axis=0)
         # A pixel is the mean of its bins, of which the convolution takes the sum.
         part = (self._pitch / self._camera.pixel_size) ** 2 / spp
         weight = (1 - near_weight(self._camera, vergence, self._accuracy)) * part
-        traced = _Traced(*pupil, vergence, [weight * light for light in radiance], lens_type)
+        traced = _Traced(*path.asked(distance, vergence), [weight * light for light in radiance], lens_type)
         dr.eval(finite, traced)
         if not dr.all(finite):
             raise InputError("scene: the radiance of some rays is NaN or infinite: all must be finite")
@@ -319,10 +305,9 @@ class _Traced:
 
     Attributes
     ----------
-    Px, Py : Float
-        Where they pass the pupil, in the camera's frame.
-    vergence : Float
-        Of the image of what they meet, in 1/mm.
+    Px, Py, vergence : Float
+        By which `LensBank.coefficients` knows them: where they pass the pupil of a thin main lens, in the camera's
+        frame, and the vergence of the image of what they meet, in 1/mm.
     light : list of Float
         For each channel, what they bring to a pixel.
     lens_type : Float, optional

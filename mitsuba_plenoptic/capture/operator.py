@@ -16,10 +16,10 @@ from ..errors import InputError, shown
 from ..io.checkpoints import digest
 from ..objective import Objective
 from ..optics import guards
-from ..optics.main_lens import main_lens
+from ..optics.fitted_lens import lens_of_rays
 from ..optics.sampling import check_positions
 from ..optics.spectrum import Spectrum
-from ..optics.wave_cameras import require_ideal, require_no_glass, require_round
+from ..optics.wave_cameras import require_ideal, require_no_aberrations, require_no_glass
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job, LongSum, Task
@@ -120,8 +120,8 @@ class CaptureOperator:
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
         require_ideal(camera)
-        if camera.prescription is not None and method == "full_field" and pupil_weights is not None:
-            raise InputError("pupil_weights: method full_field takes none behind a main_lens; use patch")
+        if camera.prescription is not None and method in ("full_field", "bank") and pupil_weights is not None:
+            raise InputError(f"pupil_weights: method {method} takes none behind a main_lens; use patch")
         self.camera, self.points = camera, check_positions(points, camera)
         self._wavelength = None if wavelength is None else require_wavelength(wavelength)
         self._spectrum = spectrum
@@ -130,7 +130,7 @@ class CaptureOperator:
         if camera.objective is not None:
             _require_followed(camera.objective, method)
         if method == "bank":
-            require_round(camera)
+            require_no_aberrations(camera)
             require_no_glass(camera, "method bank takes the same focal lengths for all wavelengths; use patch, or")
         self._method, self._accuracy = method, check_accuracy(accuracy)
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
@@ -495,7 +495,7 @@ def _portions(camera: PlenopticCamera, points: NDArray[np.float64], method: str,
     """Yield how the spreads of points are computed: by a bank only where it is right."""
     near = np.ones(len(points))
     if method == "bank":
-        near = near_weight(camera, main_lens(camera).vergence(points[:, 2]), accuracy)
+        near = near_weight(camera, lens_of_rays(camera).vergence(points[:, 2]), accuracy)
         far = np.flatnonzero(near < 1)
         if len(far):
             yield Portion("bank", far, 1 - near[far])

@@ -12,6 +12,7 @@ import mitsuba as mi
 
 from ..bounds import SHORTEST
 from ..errors import InputError
+from ..optics.lens_system import LensSystem
 from ..optics.main_lens import MainLens
 from . import child
 from .chains import Optics
@@ -74,7 +75,7 @@ class Sight:
                 "cut-outs, masks and media, and without an environment; capture by rays"
             )
 
-    def vergences(self, lens: MainLens) -> tuple[float, float]:
+    def vergences(self, lens: MainLens | LensSystem) -> tuple[float, float]:
         """Return the vergences of the images of the nearest and the farthest point that can be seen to shine."""
         box, to_camera = self.optics.scene.bbox(), self.sensor.world_transform().inverse()
         nearest = farthest = math.inf

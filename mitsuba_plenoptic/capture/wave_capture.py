@@ -14,11 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..errors import InputError
 from ..io.checkpoints import digest
-from ..optics.main_lens import main_lens
+from ..optics.fitted_lens import lens_of_rays
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job, Task
-from .bank import LensBank, finest_pitch, near_weight
+from .bank import (
+    TOLERANCE,
+    LensBank,
+    finest_pitch,
+    less_than_told,
+    local_camera,
+    local_vergences,
+    near_weight,
+    require_served,
+)
 from .choice import Probes, bank_is_better
 from .estimate import estimate_waves
 from .lens_rays import LensRaySum
@@ -146,12 +156,18 @@ class WaveCapture:
         # A bank takes the main lens to be thin and round, and of the same focal length for all channels.
         better = (
             self.occlusion
-            and self.camera.main_lens is None
+            and self.camera.objective is None
+            and not self._several_ways()
+            and less_than_told(self.camera, max(self.wavelengths)) <= TOLERANCE
             and not any(self.camera.wavefront)
             and not (self.camera.glass or self.camera.mla_glass)
             and bank_is_better(self.camera, self.sight, max(self.wavelengths), per_lens, self.accuracy, seed)
         )
         return "bank" if better else "patch"
+
+    def _several_ways(self) -> bool:
+        """Whether light of different channels takes different ways through a real main lens."""
+        return self.camera.prescription is not None and self.camera.is_dispersive and len(set(self.wavelengths)) > 1
 
     def _near(self, method: str) -> Any:
         """Return the function that tells how much of the light needs exact point spreads, None if all does."""
@@ -207,13 +223,21 @@ class WaveCapture:
         """
         paths = spp * self.passes
         runs = min(runs, paths)
-        between = self.sight.vergences(main_lens(self.camera))
+        prescription = self.camera.prescription
+        if prescription is not None and self._several_ways():
+            raise InputError(
+                f"method = bank: main_lens = {prescription.name or 'prescription'} disperses light, of "
+                "which a bank records one wavelength; use patch, or one wavelength"
+            )
+        require_served(self.camera, self.wavelengths[0])
+        between = self.sight.vergences(lens_of_rays(self.camera))
         if (near_weight(self.camera, np.array(between), self.accuracy) == 1).all():
             return []  # all that can be seen is in focus
         types = range(len(self.camera.mla_focal_lengths))
-        pitch = finest_pitch(self.camera, self.wavelengths)
+        pitch, local = finest_pitch(self.camera, self.wavelengths), local_camera(self.camera)
+        between = local_vergences(self.camera, between)
         banks = [
-            [LensBank.learn(self.camera, wavelength, self.accuracy, between, type_, pitch, blank) for type_ in types]
+            [LensBank.learn(local, wavelength, self.accuracy, between, type_, pitch, blank) for type_ in types]
             # What one wavelength takes tells well enough what others do.
             for wavelength in (self.wavelengths[:1] if blank else self.wavelengths)
         ]
@@ -223,7 +247,11 @@ class WaveCapture:
             banks = [[replace(bank, table=replace(bank.table)) for bank in of_channel] for of_channel in banks]
         # Neighbouring seeds must not share runs.
         seeds = np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
-        options: dict[str, Any] = {"accuracy": self.accuracy, "spp": -(-paths // runs)}
+        options: dict[str, Any] = {
+            "wavelength": self.wavelengths[0],
+            "accuracy": self.accuracy,
+            "spp": -(-paths // runs),
+        }
         return [LensRaySum(self.camera, self.sight, banks, seed=run_seed, **options) for run_seed in seeds]
 
     def _sums(

@@ -175,14 +175,45 @@ class LensSystem:
     ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
         """Follow a ray from a place on the MLA to the scene, as `MainLens.trace` tells."""
         point, direction, is_open, _ = self._follow(place, slope)
+        return *self._in_camera(point, direction), is_open
+
+    def _in_camera(self, point: Any, direction: Any) -> tuple[tuple[Any, Any, Any], tuple[Any, Any]]:
         x, y, z = (self.scale * value for value in point)
         L, M, N = direction
-        return (x, y, self.front + z), (L / N, M / N), is_open
+        return (x, y, self.front + z), (L / N, M / N)
 
     def ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
         """Follow the ray that comes from a place on the MLA through a point of the exit pupil, as `trace` does."""
         tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, place, strict=True))
         return self.trace(place, (tx, ty))
+
+    def ray_and_edges(
+        self, pupil: tuple[Any, Any], place: tuple[Any, Any], surfaces: Sequence[int]
+    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], list[Any]]:
+        """Follow a ray as `ray` does, and tell how far from the axis it meets some surfaces, over their edges.
+
+        Parameters
+        ----------
+        pupil : (array, array)
+            Point of the exit pupil.
+        place : (array, array)
+            Place on the MLA.
+        surfaces : sequence of int
+            Their numbers in the order of the scene's light.
+
+        Returns
+        -------
+        point, slope
+            As of `trace`.
+        edges : list of arrays
+            One for each of the surfaces: 1 on its edge.
+        """
+        squares: list[Any] = []
+        tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, place, strict=True))
+        point, direction, _, _ = self._follow(place, (tx, ty), squares)
+        lens = self._backwards
+        edges = [_sqrt(squares[-1 - k]) * (1 / lens[-1 - k].semi_aperture) for k in surfaces]
+        return *self._in_camera(point, direction), edges
 
     def beside(
         self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], change: tuple[Any, Any]
@@ -230,12 +261,14 @@ class LensSystem:
             slope, other = slope - step, slope
         return slope
 
-    def _follow(self, place: tuple[Any, Any], slope: tuple[Any, Any]) -> Any:
+    def _follow(self, place: tuple[Any, Any], slope: tuple[Any, Any], squares: list[Any] | None = None) -> Any:
         """Return what `sequential.follow` does for rays from the MLA, in lengths of the prescription."""
         tx, ty = slope
         N = _rsqrt(1 + tx * tx + ty * ty)
         x, y = (m / self.scale for m in place)
-        return sequential.follow(self._backwards, (x, y, -self.back_distance / self.scale), (tx * N, ty * N, N))
+        return sequential.follow(
+            self._backwards, (x, y, -self.back_distance / self.scale), (tx * N, ty * N, N), squares
+        )
 
     @property
     def _light(self) -> float:
@@ -289,3 +322,7 @@ def _rsqrt(value: Any) -> Any:
     if dr.is_array_v(value):
         return dr.rsqrt(value)
     return 1 / math.sqrt(value) if isinstance(value, float) else 1 / np.sqrt(value)
+
+
+def _sqrt(value: Any) -> Any:
+    return dr.sqrt(value) if dr.is_array_v(value) else np.sqrt(value)

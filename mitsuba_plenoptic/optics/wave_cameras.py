@@ -43,8 +43,8 @@ def require_regular(camera: PlenopticCamera) -> None:
             raise InputError(f"{name} = {getattr(camera, name)}: it is for rays; work by rays, or leave it out")
 
 
-def require_round(camera: PlenopticCamera) -> None:
-    """Refuse, for work by a kernel bank, a camera whose main lens is not thin or has aberrations.
+def require_no_aberrations(camera: PlenopticCamera) -> None:
+    """Refuse, for work by a kernel bank, a camera whose thin main lens has aberrations.
 
     Parameters
     ----------
@@ -56,8 +56,6 @@ def require_round(camera: PlenopticCamera) -> None:
     InputError
         If it has.
     """
-    if camera.main_lens is not None:
-        camera.require_thin("method bank is", "use method patch")
     if any(camera.wavefront):
         raise InputError("wavefront: method bank needs a main lens without aberrations; use patch, or set them to 0")
 

@@ -18,7 +18,7 @@ from ..capture.wave_capture import WaveCapture
 from ..errors import InputError
 from ..optics import guards
 from ..optics.spectrum import Spectrum
-from ..optics.wave_cameras import require_ideal, require_no_glass, require_round
+from ..optics.wave_cameras import require_ideal, require_no_aberrations, require_no_glass
 from ..runtime.jobs import Job
 from .colours import NAME, read_colours
 from .films import develop, develop_back, put
@@ -72,7 +72,8 @@ def make_class() -> type:
            - |string|
            - ``patch``: each radiator's field on the part of the microlens array that it lights. ``bank``: so near
              focus only; beyond some lenses of blur, by one ray from each pixel through each lens's centre and a bank
-             of kernels of single lenses, at the price of a capture by rays. ``full_field``: on all of the array, the
+             of kernels of single lenses, at the price of a capture by rays; in one wavelength where glasses of a
+             ``main_lens`` disperse light. ``full_field``: on all of the array, the
              slow reference. ``auto``: the quicker one of the first two. (Default: ``auto``)
          * - occlusion
            - |bool|
@@ -263,7 +264,7 @@ def make_class() -> type:
             if camera.objective is not None and self.method == "bank":
                 raise InputError(f"method = bank: it does not know main_lens = {camera.objective.name}; use patch")
             if self.method == "bank":
-                require_round(camera)
+                require_no_aberrations(camera)
                 require_no_glass(camera, "method bank takes the same focal lengths for all wavelengths; use patch, or")
             spectrum = self.spectrum_of(sensor)
             wavelengths = self.wavelengths if spectrum is None else spectrum.wavelengths

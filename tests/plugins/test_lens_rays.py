@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import (
-    CaptureOperator,
     InputError,
     PlenopticCamera,
     decode,
@@ -171,16 +170,5 @@ def test_what_knows_thin_lenses_only_refuses_the_capture(tmp_path):
     capture = render_capture(white_scene(camera), spp=4)
     write_capture(tmp_path / "raw.exr", capture)
     assert read_capture(tmp_path / "raw.exr").camera == camera
-    for refused, what in (
-        (lambda: decode(capture), "white images are computed"),
-        (
-            lambda: CaptureOperator(camera, [(0, 0, 240)], wavelength=633, method="bank"),
-            "method bank is",
-        ),
-        (
-            lambda: render_capture(white_scene(camera), model="wave", wavelength=633, method="bank"),
-            "method bank is",
-        ),
-    ):
-        with pytest.raises(InputError, match=f"main_lens = Plano-convex singlet: {what} for thin main lenses only"):
-            refused()
+    with pytest.raises(InputError, match="main_lens = Plano-convex singlet: white images are computed for thin main"):
+        decode(capture)

@@ -3,5 +3,27 @@
 from .blend import near_weight
 from .convolution import Convolution, margin_of
 from .lens_bank import LensBank, finest_pitch
+from .local_lens import (
+    TOLERANCE,
+    at_pupil,
+    less_than_told,
+    local_camera,
+    local_point,
+    local_vergences,
+    require_served,
+)
 
-__all__ = ["Convolution", "LensBank", "finest_pitch", "margin_of", "near_weight"]
+__all__ = [
+    "TOLERANCE",
+    "Convolution",
+    "LensBank",
+    "at_pupil",
+    "finest_pitch",
+    "less_than_told",
+    "local_camera",
+    "local_point",
+    "local_vergences",
+    "margin_of",
+    "near_weight",
+    "require_served",
+]

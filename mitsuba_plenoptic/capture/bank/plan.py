@@ -13,18 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...optics.main_lens import main_lens
-from ...optics.rays import conjugate_coordinate
+from ...optics.fitted_lens import FittedLens, lens_of_waves
 from ...optics.sampling import check_memory
 from ...runtime.batches import BatchMap, Box, Part, PartialSum, add
 from ...runtime.fft import resting_drjit
 from ...runtime.jobs import Job
 from ..patch_plan import Cost
 from ..pupil_weights import PupilWeights
-from .blend import blur_of
+from .blend import most_blur
 from .convolution import Convolution
 from .lens_bank import LensBank, finest_pitch
+from .local_lens import local_camera, local_vergences, require_served
 from .rays import Rays, Traced
+from .real_rays import PassedPower, RealRays
 from .table import SHADOW
 
 _PAIRS = 2**17
@@ -52,18 +53,21 @@ class BankPlan:
         accuracy: float,
     ) -> None:
         self._camera, self._points, self._pupil_weights = camera, points, pupil_weights
-        vergence = main_lens(camera).vergence(points[:, 2])
-        between = float(vergence.min()), float(vergence.max())
+        require_served(camera, wavelength)
+        self._lens = lens_of_waves(camera, points, wavelength)
+        vergence = self._lens.vergence(points[:, 2])
+        between = local_vergences(camera, (float(vergence.min()), float(vergence.max())))
         types = range(len(camera.mla_focal_lengths))
-        pitch = finest_pitch(camera, (wavelength,))
-        self.banks = [LensBank.learn(camera, wavelength, accuracy, between, kind, pitch) for kind in types]
+        pitch, local = finest_pitch(camera, (wavelength,)), local_camera(camera)
+        self.banks = [LensBank.learn(local, wavelength, accuracy, between, kind, pitch) for kind in types]
         self.convolution = Convolution(camera, self.banks, order=4)
-        self._chunks = self._sort(np.abs(blur_of(camera, vergence)))
+        self._chunks = self._sort(most_blur(camera, vergence))
+        self._power = PassedPower.of(self._lens) if isinstance(self._lens, FittedLens) else None
 
     def _sort(self, blur: NDArray[np.float64]) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
         """Cut the points into chunks, each with the lenses around a point's own that it may light."""
         step = np.ceil(np.log(blur) / math.log(_BLUR_STEP)).astype(np.int64)
-        image = conjugate_coordinate(self._points[:, :2], self._points[:, 2:], self._camera.mla_distance)
+        image = self._lens.images(self._points)
         zone = np.floor(image / (_ZONE * self._camera.mla_pitch)).astype(np.int64)
         order = np.lexsort((zone[:, 0], zone[:, 1], step))
         keys = np.column_stack([step, zone])[order]
@@ -79,9 +83,11 @@ class BankPlan:
         """Return the sum of the point spreads with these weights, (n, channels), yet to be computed."""
         return BankSum(self, weights)
 
-    def rays(self, chunk: int) -> Rays:
+    def rays(self, chunk: int) -> Rays | RealRays:
         """Describe the rays of a chunk."""
         points, around = self._chunks[chunk]
+        if self._power is not None:
+            return RealRays(self._camera, self._power, self.banks, self.convolution.pitch, self._points[points], around)
         weights = self._pupil_weights and self._pupil_weights.take(points)
         return Rays(self._camera, self.banks, self.convolution.pitch, self._points[points], around, weights)
 
@@ -163,7 +169,7 @@ class BankSum:
 class _Scatter:
     """Rays to be added, with weights (points, channels)."""
 
-    rays: Rays
+    rays: Rays | RealRays
     weights: NDArray[np.float32]
 
     @property
@@ -187,7 +193,7 @@ def _add(traced: Traced, weights: NDArray[np.float32]) -> Part:
 class _Gather:
     """Rays to be multiplied with images, (channels, ranks, rows, columns), of the samples of a box."""
 
-    rays: Rays
+    rays: Rays | RealRays
     box: Box
     images: NDArray[np.float32]
 

@@ -20,6 +20,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
+from ...optics.lens_system import LensSystem
 from ...optics.main_lens import UniformLens, main_lens
 from ...optics.phase import in_millimetres
 
@@ -81,9 +82,15 @@ def defocus(lens: UniformLens, distances: Any) -> Any:
     return 1 - lens.pupil_distance * lens.vergence(distances)
 
 
-def distance_of(lens: UniformLens, vergence: Any) -> Any:
-    """Return the distance of the scene points whose images have these vergences; what is beyond infinity is there."""
-    return 1 / np.maximum(lens.vergence(math.inf) - vergence, 1 / _FARTHEST)
+def distance_of(lens: UniformLens | LensSystem, vergence: Any) -> Any:
+    """Return the distance of the scene points whose images have these vergences; what is beyond infinity is there.
+
+    To a lens without power all light with an image comes converging: its points lie behind the lens.
+    """
+    nearness = lens.vergence(math.inf) - vergence
+    if lens.vergence(math.inf) <= 1 / _FARTHEST:
+        return 1 / nearness
+    return 1 / np.maximum(nearness, 1 / _FARTHEST)
 
 
 def axial_ray(lens: UniformLens, rho: Any, distances: Any) -> tuple[Any, Any]:

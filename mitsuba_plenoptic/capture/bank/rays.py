@@ -86,23 +86,56 @@ class Rays:
             power *= self.pupil_weights.at(number, *pupil, lens.pupil_radius, seen)[0]
             mean = self.pupil_weights.means(_POINTS)
             power *= value(1 / np.where(mean > 0, mean, np.inf), number)
-        kind = lattice.lens_type(i, j) if len(self.banks) > 1 else types.Float64(0)
-        coefficients = []
-        for lens_type, bank in enumerate(self.banks):
-            factor = types.Float(dr.select(kind == lens_type, power, 0))
-            found = bank.coefficients(types.Float(P[0]), types.Float(P[1]), types.Float(vergence))
-            coefficients += [part * factor for part in found]
-        size = (camera.detector_width, camera.detector_height)
-        place = [
-            (c + (c - p) * (self.banks[0].arrival / b) + width / 2) / self.pitch - 0.5
-            for c, p, width in zip(centre, P, size, strict=True)
-        ]
-        dr.eval(coefficients, place, number)
-        host = backend()
-        arrays = [host.to_host(host.from_drjit(array)) for array in (*place, number, *coefficients)]
-        table = np.stack(arrays[3:], axis=-1)
-        lit = np.flatnonzero(table.any(1))
-        return Traced(arrays[0][lit], arrays[1][lit], arrays[2][lit], table[lit])
+        place = [c + (c - p) * (self.banks[0].arrival / b) for c, p in zip(centre, P, strict=True)]
+        return collect(camera, self.banks, self.pitch, (i, j), number, place, power, (*P, vergence))
+
+
+def collect(
+    camera: PlenopticCamera,
+    banks: list[LensBank],
+    pitch: float,
+    cell: tuple[Any, Any],
+    number: Any,
+    place: list[Any],
+    power: Any,
+    pupil: tuple[Any, Any, Any],
+) -> Traced:
+    """Evaluate what some rays bring, and keep those that bring any.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    banks : list of LensBank
+        One for each type of lenses.
+    pitch : float
+        Distance of the samples in millimetres.
+    cell : (array, array)
+        Indices of the lenses that the rays pass.
+    number : UInt32 array
+        Numbers of their points.
+    place : list of arrays
+        x and y of where they arrive on the detector.
+    power : array
+        The fraction of the point's power that is a full lens's.
+    pupil : (array, array, array)
+        Pupil points and vergences, as of `LensBank.coefficients`.
+    """
+    types = array_module()
+    kind = camera.lattice.lens_type(*cell) if len(banks) > 1 else types.Float64(0)
+    coefficients = []
+    for lens_type, bank in enumerate(banks):
+        factor = types.Float(dr.select(kind == lens_type, power, 0))
+        found = bank.coefficients(*(types.Float(value) for value in pupil))
+        coefficients += [part * factor for part in found]
+    size = (camera.detector_width, camera.detector_height)
+    place = [(m + width / 2) / pitch - 0.5 for m, width in zip(place, size, strict=True)]
+    dr.eval(coefficients, place, number)
+    host = backend()
+    arrays = [host.to_host(host.from_drjit(array)) for array in (*place, number, *coefficients)]
+    table = np.stack(arrays[3:], axis=-1)
+    lit = np.flatnonzero(table.any(1))
+    return Traced(arrays[0][lit], arrays[1][lit], arrays[2][lit], table[lit])
 
 
 def _landing(lens: UniformLens, P: list[Any], point: Any) -> tuple[tuple[Any, Any], tuple[Any, ...]]:
