@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from dataclasses import fields as fields_of
@@ -18,7 +19,7 @@ from ...runtime.batches import Part
 from ...runtime.fft import Field, as_field, as_words, pack, unpack
 from ..patch import PatchBatch
 from ..patch_batches import Fields
-from ..patch_factors import PatchFactors
+from ..patch_factors import Elements, PatchFactors
 from .chain import Changes, Factors, Way, step_changes
 from .field_memory import Memory
 from .numbers import VaryingNumbers
@@ -46,12 +47,16 @@ class _Drawn:
             fields.pupil_weights,
             numbers.types,
         )
-        elements = numbers.elements(fields.grid, made.highest)
-        pupil, power = made.pupil(elements)
-        scale = made.scale(elements, power)
-        along_x, along_y = (made.along(elements, axis, scale) for axis in (0, 1))
-        lenses = None if made.separable else made.lenses(elements)
-        return cls(pupil, along_x, along_y, lenses, made.transfer(elements)), made
+
+        def elements(shape: tuple[int, ...]) -> Elements:
+            return numbers.elements(fields.grid, made.highest, math.prod(shape))
+
+        of_pupil, of_axis, _, of_lenses, of_transfer = _shapes(fields, made)
+        pupil, power = made.pupil(elements(of_pupil))
+        scale = made.scale(elements(of_pupil[:1]), power)
+        along_x, along_y = (made.along(elements(of_axis), axis, scale) for axis in (0, 1))
+        lenses = None if made.separable else made.lenses(elements(of_lenses))
+        return cls(pupil, along_x, along_y, lenses, made.transfer(elements(of_transfer))), made
 
     @property
     def parts(self) -> list[Any]:
@@ -90,9 +95,11 @@ def _plain(batch: PatchBatch) -> list[Field | None]:
     return [batch.pupil, batch.along_x, batch.along_y, batch.lenses, batch.transfer.T]
 
 
-def _moved_lattice(fields: Fields, numbers: VaryingNumbers | None) -> list[list[Field | None]]:
+def _moved_lattice(
+    fields: Fields, numbers: VaryingNumbers | None, copies: list[SpreadCopies]
+) -> list[list[Field | None]]:
     """Return the changes of the factors of a batch as the lattice moves along its own x, and along its y."""
-    if numbers is None:
+    if numbers is None or not any(own.moving for own in copies):
         return []
     moves = []
     for vector in ((1.0, 0.0), (0.0, 1.0)):
@@ -161,7 +168,7 @@ class Push:
     def prepare(self) -> Callable[[], Part]:
         """Make the fields and the changes of their factors, and return the function that adds what they give."""
         changes = [_changed(self.fields, numbers) for numbers in self.directions]
-        lattice = _moved_lattice(self.fields, self.offset)
+        lattice = _moved_lattice(self.fields, self.offset, self.copies)
         return partial(_push, self, self.fields.make(np.ones(len(self.copies))), changes, lattice)
 
 
@@ -179,7 +186,7 @@ def _push(push: Push, batch: PatchBatch, changes: list[list[Field | None]], latt
         windows = copies.windows(batch.corner[radiator], batch.samples, box, finer)
         for first, (direction, slopes) in enumerate(zip(changes, push.slopes, strict=True)):
             terms = [(_slope(way, Changes(*_of_radiator(direction, batch, radiator))), np.ones(len(windows)))]
-            if copies.moved and slopes.any():
+            if copies.moving and slopes.any():
                 steps = step_changes(factors.transfer, arrays)
                 for axis in (0, 1):
                     parts = [(slopes[0, to, axis], move) for to, move in enumerate(moves)]
@@ -266,7 +273,7 @@ class Pull:
 
     def prepare(self) -> Callable[[], Pulled]:
         """Make the fields, and return the function that goes back."""
-        lattice = _moved_lattice(self.fields, self.offset)
+        lattice = _moved_lattice(self.fields, self.offset, self.copies)
         return partial(_pull, self, self.fields.make(np.ones(len(self.copies))), lattice)
 
     def gather(self, pulled: Pulled, numbers: VaryingNumbers) -> None:
@@ -280,6 +287,9 @@ class Pull:
                 total = total + dr.sum(numbers.types.Float64(products))
         if dr.grad_enabled(total):
             dr.backward(total)
+            # What the kernels read of the cotangents must not be dropped before.
+            dr.eval()
+            dr.sync_thread()
 
 
 def _pull(pull: Pull, batch: PatchBatch, lattice: list[list[Field | None]]) -> Pulled:
@@ -299,10 +309,11 @@ def _pull(pull: Pull, batch: PatchBatch, lattice: list[list[Field | None]]) -> P
         rows, columns = _directions(batch, radiator)
         way = Way(Factors(*_of_radiator(plain, batch, radiator)), finer, memory, returning[rows, columns])
         windows = copies.windows(batch.corner[radiator], batch.samples, box, finer)
-        gradient, *moments = gathered(tile, windows, copies, pull.shifted and copies.moved, arrays)
-        behind = [way.behind(Changes(*_of_radiator(move, batch, radiator))) for move in lattice if moments]
+        gradient, *moments = gathered(tile, windows, copies, pull.shifted and copies.moving, arrays)
+        moved = [way.moved(Changes(*_of_radiator(move, batch, radiator))) for move in lattice if moments]
         for axis, moment in enumerate(moments):
-            lenses, steps = way.products(memory.product(way.field, moment), behind)
+            with memory.lent():
+                lenses, steps = way.products(memory.product(way.field, moment), moved)
             products[0, : len(lenses), axis] += lenses
             products[1, :, axis] += np.array(steps) / pitch
         if spreads is not None:

@@ -108,7 +108,6 @@ class Way:
         self._transfer, self._returning, self._finer = factors.transfer, returning, finer
         self._memory, self._arrays = memory, memory.arrays
         self._passage: _Passage = (_Product if factors.lenses is None else _Plane)(factors, memory)
-        self._stepped: list[Field] = []
         self.field = self._to_detector(memory.product(self._passage.spectrum, factors.transfer))
 
     @property
@@ -125,10 +124,10 @@ class Way:
         )
         return None if spectrum is None else self._to_detector(spectrum)
 
-    def behind(self, change: Changes) -> Field:
-        """Return the change of the field behind the MLA, as `products` takes it; zero where there is none."""
+    def moved(self, change: Changes) -> Field:
+        """Return the change of the spectrum that goes to the detector, as `products` takes it; zero if there is none."""
         behind = self._passage.behind(change)
-        return self._passage.from_spectrum(self._arrays.zeros_like(self._transfer)) if behind is None else behind
+        return self._arrays.zeros_like(self._transfer) if behind is None else self._passage.to_spectrum(behind)
 
     def back(self, field: Field, transfer: bool = True) -> Changes:
         """Return the cotangents of the factors from that of the field, whose memory is used.
@@ -140,28 +139,25 @@ class Way:
         behind = self._passage.from_spectrum(self._before_space(spectrum))
         return Changes(*self._passage.back(behind), own)
 
-    def products(self, field: Field, behind: list[Field]) -> tuple[list[float], list[float]]:
+    def products(self, field: Field, moved: list[Field]) -> tuple[list[float], list[float]]:
         """Multiply a cotangent of the field, whose memory is used, with some of the field's changes.
 
         Returns
         -------
         list of float
-            The products with changes `behind` the MLA.
+            The products with changes `moved` of the spectrum.
         list of float
             Those with the change by a step of one sample of the patch along x, and along y.
         """
-        arrays = self._arrays
+        arrays, own, steps = self._arrays, self._passage.spectrum, []
         spectrum = self._before_space(self._from_detector(field))
-        if not self._stepped:
-            cycles, own = _cycles(len(self._transfer), arrays), self._passage.spectrum
-            self._stepped = [self._memory.product(own, part) for part in (cycles, cycles[:, None])]
-        # With the transfer function in the cotangent, the field is that before it.
-        steps = [-2 * math.pi * float(arrays.vdot(spectrum, stepped).imag) for stepped in self._stepped]
-        found: list[float] = []
-        if behind:
-            cotangent = self._passage.from_spectrum(spectrum)
-            found = [float(arrays.vdot(cotangent, change).real) for change in behind]
-        return found, steps
+        cycles = _cycles(len(self._transfer), arrays)
+        for part in (cycles, cycles[:, None]):
+            with self._memory.lent():
+                # With the transfer function in the cotangent, the field is that before it.
+                stepped = self._memory.product(own, part)
+                steps.append(-2 * math.pi * float(arrays.vdot(spectrum, stepped).imag))
+        return [float(arrays.vdot(spectrum, change).real) for change in moved], steps
 
     def _before_space(self, spectrum: Field) -> Field:
         """Take a cotangent of the spectrum on the detector, whose memory is used, to that behind the MLA."""

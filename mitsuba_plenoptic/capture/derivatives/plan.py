@@ -52,7 +52,7 @@ class DerivativePlan(PatchPlan):
         shared = camera.prescription is None and derivatives_share(accuracy, len(points))
         band = derivative_band_for(accuracy, len(points))
         super().__init__(camera, points, pupil_weights, wavelength, accuracy, band=band, shared=shared)
-        self._wavelength, self._finer = wavelength, 1 if shared else 2
+        self._wavelength, self._accuracy, self._finer = wavelength, accuracy, 1 if shared else 2
         low, size = self._finer * self._placement.corner, self._finer * self._placement.samples[:, None]
         reached = self._finer * self._shifts
         pattern = np.repeat(np.arange(len(self._first)), self._last - self._first)
@@ -92,9 +92,10 @@ class DerivativePlan(PatchPlan):
         moves, shifts = ([name for name in some if name in names] for some in (MOVES, MOVED_COPIES))
         samples = self._recorder.spread(image)
         chunks, items = self.lit_chunks(weights)
+        moving = self.moving(weights)
         offset = self.offset_for(names)
         varies = varying_factors(self._fields(chunks[0][:1]), numbers) if chunks else ()
-        batches = (self._pull(chunk, weights, offset, samples, bool(shifts), bool(moves), varies) for chunk in chunks)
+        batches = (self._pull(chunk, weights, moving, offset, samples, bool(shifts), bool(moves), varies) for chunk in chunks)
         waiting: list[Pull] = []
 
         def kept() -> Iterator[Pull]:
@@ -124,18 +125,35 @@ class DerivativePlan(PatchPlan):
             return None
         return VaryingNumbers(self._camera, self._wavelength, ["mla_offset"])
 
-    def lit(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> tuple[Fields, list[SpreadCopies]]:
-        """Describe those spreads of a chunk that have any weight, and their copies."""
+    def moving(self, weights: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell of which spreads the copies' own changes are counted.
+
+        They are in proportion to the copies' weights and distances. Those of spreads that have few copies, or near
+        ones, take as long as others: the least of them are left out, which together are the accuracy's share of all.
+        """
+        distances = np.abs(self._shifts * self._per_sample).sum(1) * np.abs(weights[self._order]).sum(1)
+        amounts = np.add.reduceat(distances, self._first) if len(self._first) else distances
+        order = np.argsort(amounts, kind="stable")
+        counted = np.zeros(len(amounts), bool)
+        counted[order] = np.cumsum(amounts[order]) > self._accuracy * amounts.sum()
+        return counted
+
+    def lit(
+        self, chunk: NDArray[np.int64], weights: NDArray[np.float64], moving: NDArray[np.bool_]
+    ) -> tuple[Fields, list[SpreadCopies]]:
+        """Describe those spreads of a chunk that have any weight, and their copies; `moving` is as from there."""
         kept, copies = [], []
         for pattern, shifts, factors in self._lit_copies(chunk, weights):
             kept.append(pattern)
-            copies.append(SpreadCopies(shifts, shifts * self._per_sample, factors.astype(np.float32)))
+            places = shifts * self._per_sample
+            copies.append(SpreadCopies(shifts, places, factors.astype(np.float32), bool(moving[pattern])))
         return self._fields(np.array(kept, np.int64)), copies
 
     def _pull(
         self,
         chunk: NDArray[np.int64],
         weights: NDArray[np.float64],
+        moving: NDArray[np.bool_],
         offset: VaryingNumbers | None,
         samples: Any,
         shifted: bool,
@@ -143,7 +161,7 @@ class DerivativePlan(PatchPlan):
         varies: tuple[bool, ...],
     ) -> Pull:
         """Describe a batch, with the samples that it reaches; what lies beyond the recorded ones is zero."""
-        fields, copies = self.lit(chunk, weights)
+        fields, copies = self.lit(chunk, weights, moving)
         placement = fields.placement
         box = covered(placement.corner, int(placement.samples[0]), copies, self._finer)
         low = np.array([box.left, box.top])
@@ -179,11 +197,12 @@ class PushSum:
             for changes in self._directions
         )
         offset = plan.offset_for(name for changes in self._directions for name in changes)
+        moving = plan.moving(self._weights)
         for chunk in self._chunks[first:]:
             numbers = tuple(VaryingNumbers(plan._camera, plan._wavelength, changes) for changes in self._directions)
             for varying, changes in zip(numbers, self._directions, strict=True):
                 varying.set_tangents(changes)
-            fields, copies = plan.lit(chunk, self._weights)
+            fields, copies = plan.lit(chunk, self._weights, moving)
             yield Push(fields, copies, plan._finer, numbers, slopes, offset)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:

@@ -32,16 +32,14 @@ class SpreadCopies:
         The same on the microlens array, in millimetres.
     weights : float32 array (copies, channels)
         Factors on the intensity.
+    moving : bool
+        Whether what copies change otherwise than their spread is counted.
     """
 
     shifts: NDArray[np.int64]
     places: NDArray[np.float64]
     weights: NDArray[np.float32]
-
-    @property
-    def moved(self) -> bool:
-        """Whether any copy lies elsewhere than the spread itself."""
-        return bool(self.shifts.any())
+    moving: bool
 
     def windows(self, corner: NDArray[np.int64], samples: int, box: Box, finer: int) -> list[Window]:
         """Return what each copy of a patch takes of a box of the grid, which is finer than the patches."""
