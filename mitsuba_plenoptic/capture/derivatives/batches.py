@@ -20,7 +20,7 @@ from ...runtime.fft import Field, as_field, as_words, pack, unpack
 from ..patch import PatchBatch
 from ..patch_batches import Fields
 from ..patch_factors import Elements, PatchFactors
-from .chain import Changes, Factors, Way, step_changes
+from .chain import Changes, Factors, Way
 from .field_memory import Memory
 from .numbers import VaryingNumbers
 from .spread_copies import SpreadCopies, SpreadSum, Window, covered, gathered
@@ -92,7 +92,9 @@ def _directions(made: Any, radiator: int) -> tuple[slice, slice]:
 
 def _plain(batch: PatchBatch) -> list[Field | None]:
     """Return the factors of a batch as `_of_radiator` takes them."""
-    return [batch.pupil, batch.along_x, batch.along_y, batch.lenses, batch.transfer.T]
+    # Fields are multiplied with it row by row.
+    transfer = batch.libraries.arrays.ascontiguousarray(batch.transfer.T)
+    return [batch.pupil, batch.along_x, batch.along_y, batch.lenses, transfer]
 
 
 def _moved_lattice(
@@ -147,10 +149,12 @@ class Push:
         As of `Way`.
     directions : tuple of VaryingNumbers
         Of the camera, with the tangents set, for each change.
-    slopes : tuple of float64 arrays (2, 2, 2)
-        For each direction, A and B of `copies.copy_slopes`.
+    slopes : tuple of float64 arrays (2, 2)
+        For each direction, A of `copies.copy_slopes`.
     offset : VaryingNumbers, optional
         Those of which ``mla_offset`` varies; None where no A is needed.
+    placed : bool
+        Whether the point spreads are added times the copies' places along x and y, too.
     """
 
     fields: Fields
@@ -159,6 +163,7 @@ class Push:
     directions: tuple[VaryingNumbers, ...]
     slopes: tuple[NDArray[np.float64], ...]
     offset: VaryingNumbers | None
+    placed: bool
 
     @property
     def samples(self) -> int:
@@ -176,32 +181,27 @@ def _push(push: Push, batch: PatchBatch, changes: list[list[Field | None]], latt
     """Add the changes, direction by direction, and the point spreads last."""
     arrays, finer, channels = batch.libraries.arrays, push.finer, push.copies[0].weights.shape[1]
     box = covered(batch.corner, batch.samples, push.copies, finer)
-    sums = arrays.zeros(((len(changes) + 1) * channels, box.rows, box.columns), np.float32)
-    plain, pitch, memory = _plain(batch), push.fields.grid.pitch, Memory(arrays)
+    parts = len(changes) + (3 if push.placed else 1)
+    sums = arrays.zeros((parts, channels, box.rows, box.columns), np.float32)
+    plain, memory = _plain(batch), Memory(arrays)
     for radiator, copies in enumerate(push.copies):
         memory.restart()
-        factors = Factors(*_of_radiator(plain, batch, radiator))
-        way = Way(factors, finer, memory)
+        way = Way(Factors(*_of_radiator(plain, batch, radiator)), finer, memory)
         moves = [Changes(*_of_radiator(move, batch, radiator)) for move in lattice]
         windows = copies.windows(batch.corner[radiator], batch.samples, box, finer)
-        for first, (direction, slopes) in enumerate(zip(changes, push.slopes, strict=True)):
-            terms = [(_slope(way, Changes(*_of_radiator(direction, batch, radiator))), np.ones(len(windows)))]
+        one = np.ones(len(windows))
+        for part, direction, slopes in zip(sums, changes, push.slopes, strict=False):
+            terms = [(_slope(way, Changes(*_of_radiator(direction, batch, radiator))), one)]
             if copies.moving and slopes.any():
-                steps = step_changes(factors.transfer, arrays)
                 for axis in (0, 1):
-                    parts = [(slopes[0, to, axis], move) for to, move in enumerate(moves)]
-                    parts += [(slopes[1, to, axis] / pitch[to], step) for to, step in enumerate(steps)]
-                    terms.append((_slope(way, _combined(parts, arrays)), copies.places[:, axis]))
+                    combined = _combined(list(zip(slopes[:, axis].tolist(), moves, strict=True)), arrays)
+                    terms.append((_slope(way, combined), copies.places[:, axis]))
             lit = [(slope, given) for slope, given in terms if slope is not None]
-            _add(sums[first * channels : (first + 1) * channels], lit, copies, windows, arrays)
-        _add(
-            sums[len(changes) * channels :],
-            [(way.intensity, np.ones(len(windows)))],
-            copies,
-            windows,
-            arrays,
-        )
-    return Part(box, sums)
+            _add(part, lit, copies, windows, arrays)
+        intensity = way.intensity
+        for part, given in zip(sums[len(changes) :], (one, *copies.places.T), strict=False):
+            _add(part, [(intensity, given)], copies, windows, arrays)
+    return Part(box, sums.reshape(-1, box.rows, box.columns))
 
 
 def _slope(way: Way, change: Changes) -> Any:
@@ -228,10 +228,10 @@ class Pulled:
     ----------
     factors : list of complex64 arrays, or None
         Cotangents of its factors.
-    products : float64 array (2, 2, 2)
-        The gradient times what the spreads show of a moved lattice and of a shift, as `copies.copy_slopes` has them.
+    products : float64 array (2, 2)
+        The gradient times what the spreads show of a moved lattice, as A of `copies.copy_slopes` has it.
     spreads : Part, optional
-        The point spreads with their weights.
+        The point spreads, as they were asked for.
     """
 
     factors: list[Field | None]
@@ -249,10 +249,9 @@ class Pull:
         As of `Push`.
     tile : float32 array (channels, rows, columns)
         The gradient with respect to the samples that they reach.
-    shifted : bool
-        Whether the products are asked for.
-    summed : bool
-        Whether the point spreads are.
+    summed : {0, 1, 3}
+        Which sums of the point spreads are asked for: none, that with their weights, or also those with these times
+        the copies' places along x and y.
     varies : tuple of bool
         Of which of the factors the cotangents are, as `varying_factors` tells.
     """
@@ -262,8 +261,7 @@ class Pull:
     finer: int
     offset: VaryingNumbers | None
     tile: NDArray[np.float32]
-    shifted: bool
-    summed: bool
+    summed: int
     varies: tuple[bool, ...]
 
     @property
@@ -301,21 +299,19 @@ def _pull(pull: Pull, batch: PatchBatch, lattice: list[list[Field | None]]) -> P
         arrays.zeros(part.shape, np.complex64) if part is not None and varies else None
         for part, varies in zip(plain, pull.varies, strict=True)
     ]
-    returning = arrays.conj(batch.transfer.T)
-    spreads = SpreadSum(box, batch, pull.copies, finer) if pull.summed else None
-    products, pitch, memory = np.zeros((2, 2, 2)), pull.fields.grid.pitch, Memory(arrays)
+    returning = arrays.conj(plain[-1])
+    spreads = SpreadSum(box, batch, [own.summed(pull.summed) for own in pull.copies], finer) if pull.summed else None
+    products, memory = np.zeros((2, 2)), Memory(arrays)
     for radiator, copies in enumerate(pull.copies):
         memory.restart()
         rows, columns = _directions(batch, radiator)
         way = Way(Factors(*_of_radiator(plain, batch, radiator)), finer, memory, returning[rows, columns])
         windows = copies.windows(batch.corner[radiator], batch.samples, box, finer)
-        gradient, *moments = gathered(tile, windows, copies, pull.shifted and copies.moving, arrays)
+        gradient, *moments = gathered(tile, windows, copies, bool(lattice) and copies.moving, arrays)
         moved = [way.moved(Changes(*_of_radiator(move, batch, radiator))) for move in lattice if moments]
         for axis, moment in enumerate(moments):
             with memory.lent():
-                lenses, steps = way.products(memory.product(way.field, moment), moved)
-            products[0, : len(lenses), axis] += lenses
-            products[1, :, axis] += np.array(steps) / pitch
+                products[:, axis] += way.products(memory.product(way.field, moment), moved)
         if spreads is not None:
             spreads.add(radiator, way.intensity)
         *targets, total = result

@@ -12,7 +12,6 @@ for each of the pupil's directions along y, and is never on the array along both
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -126,8 +125,9 @@ class Way:
 
     def moved(self, change: Changes) -> Field:
         """Return the change of the spectrum that goes to the detector, as `products` takes it; zero if there is none."""
-        behind = self._passage.behind(change)
-        return self._arrays.zeros_like(self._transfer) if behind is None else self._passage.to_spectrum(behind)
+        with self._memory.lent():
+            behind = self._passage.behind(change)
+            return self._arrays.zeros_like(self._transfer) if behind is None else self._passage.to_spectrum(behind)
 
     def back(self, field: Field, transfer: bool = True) -> Changes:
         """Return the cotangents of the factors from that of the field, whose memory is used.
@@ -139,25 +139,10 @@ class Way:
         behind = self._passage.from_spectrum(self._before_space(spectrum))
         return Changes(*self._passage.back(behind), own)
 
-    def products(self, field: Field, moved: list[Field]) -> tuple[list[float], list[float]]:
-        """Multiply a cotangent of the field, whose memory is used, with some of the field's changes.
-
-        Returns
-        -------
-        list of float
-            The products with changes `moved` of the spectrum.
-        list of float
-            Those with the change by a step of one sample of the patch along x, and along y.
-        """
-        arrays, own, steps = self._arrays, self._passage.spectrum, []
+    def products(self, field: Field, moved: list[Field]) -> list[float]:
+        """Multiply a cotangent of the field, whose memory is used, with changes `moved` of the spectrum."""
         spectrum = self._before_space(self._from_detector(field))
-        cycles = _cycles(len(self._transfer), arrays)
-        for part in (cycles, cycles[:, None]):
-            with self._memory.lent():
-                # With the transfer function in the cotangent, the field is that before it.
-                stepped = self._memory.product(own, part)
-                steps.append(-2 * math.pi * float(arrays.vdot(spectrum, stepped).imag))
-        return [float(arrays.vdot(spectrum, change).real) for change in moved], steps
+        return [float(self._arrays.vdot(spectrum, change).real) for change in moved]
 
     def _before_space(self, spectrum: Field) -> Field:
         """Take a cotangent of the spectrum on the detector, whose memory is used, to that behind the MLA."""
@@ -177,20 +162,6 @@ class Way:
         n, arrays = len(self._transfer), self._arrays
         columns = arrays.ascontiguousarray(_forward(field, 1)[:, :n])
         return arrays.ascontiguousarray(_forward(columns, 0)[:n])
-
-
-def step_changes(transfer: Field, arrays: Any = np) -> tuple[Changes, Changes]:
-    """Return what moves a field by a step of one sample of the patch against x, and against y."""
-    turns = 2j * math.pi * _cycles(len(transfer), arrays)
-    return (
-        Changes(transfer=(transfer * turns).astype(np.complex64)),
-        Changes(transfer=(transfer * turns[:, None]).astype(np.complex64)),
-    )
-
-
-def _cycles(count: int, arrays: Any) -> Any:
-    """Return the cycles a sample of each frequency of a patch: the chief ray's, which no intensity feels, has none."""
-    return ((arrays.arange(count) - count // 2) / count).astype(np.float32)
 
 
 class _Product:
@@ -223,7 +194,8 @@ class _Product:
     def back(self, behind: Field) -> tuple[Field, Field, Field, None]:
         f, conj, size = self._factors, self._arrays.conj, len(self._factors.pupil)
         columns = conj(self._columns, out=self._columns)
-        along_y = self._arrays.einsum("ij,ij->i", columns, behind)
+        with self._memory.lent():
+            along_y = self._memory.product(columns, behind).sum(1)
         behind *= conj(f.along_y)[:, None]
         rows = self._arrays.ascontiguousarray(_forward(behind, 0)[:size])
         rows = _inverse(self._memory.widened(rows, self._mla_samples, 1), 1)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
+from ...lattice import turn
 from ...runtime.backend import backend
 from ...runtime.batches import BatchMap, PartialSum, add
 from ...runtime.jobs import Job
@@ -17,14 +18,17 @@ from ..accuracy import derivative_band_for, derivatives_share
 from ..patch_batches import Fields
 from ..patch_plan import PatchPlan
 from ..pupil_weights import PupilWeights
-from ..recorder import Recorder
+from ..recorder import STEPS, Recorder
 from .batches import Pull, Push, varying_factors
-from .copies import MOVED_COPIES, MOVED_LENSES, copy_slopes
+from .copies import MOVED_COPIES, MOVED_LENSES, SHIFTED_COPIES, copy_slopes
 from .numbers import MOVES, VaryingNumbers
 from .spread_copies import SpreadCopies, covered
 
 Direction = dict[str, NDArray[np.float64]]
 """Changes of numbers, by name."""
+
+_LEFT_OUT = 0.25
+"""Share of what copies show of a moved lattice that is left out, over the accuracy."""
 
 
 class DerivativePlan(PatchPlan):
@@ -89,13 +93,15 @@ class DerivativePlan(PatchPlan):
             The radiators that are done before, and those of the whole job.
         """
         numbers = VaryingNumbers(self._camera, self._wavelength, names)
-        moves, shifts = ([name for name in some if name in names] for some in (MOVES, MOVED_COPIES))
+        moves, copied = ([name for name in some if name in names] for some in (MOVES, MOVED_COPIES))
+        shifted = self._shifted(names)
+        summed = 3 if shifted else bool(moves)
         samples = self._recorder.spread(image)
         chunks, items = self.lit_chunks(weights)
         moving = self.moving(weights)
         offset = self.offset_for(names)
         varies = varying_factors(self._fields(chunks[0][:1]), numbers) if chunks else ()
-        batches = (self._pull(chunk, weights, moving, offset, samples, bool(shifts), bool(moves), varies) for chunk in chunks)
+        batches = (self._pull(chunk, weights, moving, offset, samples, summed, varies) for chunk in chunks)
         waiting: list[Pull] = []
 
         def kept() -> Iterator[Pull]:
@@ -104,20 +110,34 @@ class DerivativePlan(PatchPlan):
                 yield batch
 
         products, box = np.zeros((2, 2, 2)), self._recorder.box
-        sums: Any = backend().arrays.zeros((image.shape[2], box.rows, box.columns), np.float32) if moves else None
+        sums: Any = backend().arrays.zeros((summed * image.shape[2], box.rows, box.columns), np.float32)
         for pulled in job.each(kept(), items.tolist(), done + self._count - int(items.sum()), total):
             waiting.pop(0).gather(pulled, numbers)
-            products += pulled.products
+            products[0] += pulled.products
             if pulled.spreads is not None:
                 add(pulled.spreads, box, sums)
+        plain, *placed = np.split(sums, summed) if summed else [sums]
+        for axis, part in enumerate(placed):
+            products[1, :, axis] = self._unturned([self._along(part, image, move) for move in STEPS])
         gradients = numbers.gradients()
-        for name in shifts:
+        for name in copied:
             slopes = copy_slopes(self._camera, self._wavelength, name)
             gradients[name] = gradients[name] + np.einsum("cijk,ijk->c", slopes, products)
         for name in moves:
-            moved = self._recorder.record(sums, name)
-            gradients[name] = gradients[name] + float(np.einsum("ijk,ijk->", moved, image, dtype=np.float64))
+            gradients[name] = gradients[name] + self._along(plain, image, name)
         return gradients
+
+    def _along(self, sums: Any, image: NDArray[np.float32], move: str) -> float:
+        """Multiply an image with the change of that of some sums where the pixels move."""
+        return float(np.einsum("ijk,ijk->", self._recorder.record(sums, move), image, dtype=np.float64))
+
+    def _unturned(self, vector: list[float]) -> NDArray[np.float64]:
+        """Turn a vector of the camera's frame into one of the lattice's."""
+        return np.array(turn(vector[0], vector[1], -self._grid.rotation))
+
+    def _shifted(self, names: Iterable[str]) -> bool:
+        """Tell whether copies shift with some numbers."""
+        return bool(self._shifts.any()) and any(name in SHIFTED_COPIES for name in names)
 
     def offset_for(self, names: Iterable[str]) -> VaryingNumbers | None:
         """Return the numbers of which ``mla_offset`` varies, if the copies' changes by some numbers ask for it."""
@@ -126,16 +146,16 @@ class DerivativePlan(PatchPlan):
         return VaryingNumbers(self._camera, self._wavelength, ["mla_offset"])
 
     def moving(self, weights: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Tell of which spreads the copies' own changes are counted.
+        """Tell of which spreads the copies show how the lattice moves against their points.
 
-        They are in proportion to the copies' weights and distances. Those of spreads that have few copies, or near
-        ones, take as long as others: the least of them are left out, which together are the accuracy's share of all.
+        They show it in proportion to their weights and distances. Spreads that have few copies, or near ones, take as
+        long as others: the least of them are left out, which together are a small share of all.
         """
         distances = np.abs(self._shifts * self._per_sample).sum(1) * np.abs(weights[self._order]).sum(1)
         amounts = np.add.reduceat(distances, self._first) if len(self._first) else distances
         order = np.argsort(amounts, kind="stable")
         counted = np.zeros(len(amounts), bool)
-        counted[order] = np.cumsum(amounts[order]) > self._accuracy * amounts.sum()
+        counted[order] = np.cumsum(amounts[order]) > _LEFT_OUT * self._accuracy * amounts.sum()
         return counted
 
     def lit(
@@ -156,8 +176,7 @@ class DerivativePlan(PatchPlan):
         moving: NDArray[np.bool_],
         offset: VaryingNumbers | None,
         samples: Any,
-        shifted: bool,
-        summed: bool,
+        summed: int,
         varies: tuple[bool, ...],
     ) -> Pull:
         """Describe a batch, with the samples that it reaches; what lies beyond the recorded ones is zero."""
@@ -166,11 +185,11 @@ class DerivativePlan(PatchPlan):
         box = covered(placement.corner, int(placement.samples[0]), copies, self._finer)
         low = np.array([box.left, box.top])
         tile = self._tile(samples, low, low + np.array([box.columns, box.rows]))
-        return Pull(fields, copies, self._finer, offset, tile, shifted, summed, varies)
+        return Pull(fields, copies, self._finer, offset, tile, summed, varies)
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
         """Return the bytes that derivatives take, of all channels in all directions, or refuse them."""
-        return super().check_memory(batch_map, channels + 1 if self._finer == 1 else 4 * channels)
+        return super().check_memory(batch_map, channels + 3 if self._finer == 1 else 4 * channels)
 
 
 class PushSum:
@@ -180,12 +199,10 @@ class PushSum:
         self._plan, self._weights, self._directions = plan, weights, directions
         self._chunks, self.items = plan.lit_chunks(weights)
         self.arrays: Any = backend().arrays
-        self.box, self.channels = plan._recorder.box, (len(directions) + 1) * weights.shape[1]
-
-    def batches(self, first: int) -> Iterator[Push]:
-        """Yield the batches from one on, in their order."""
-        plan = self._plan
-        slopes = tuple(
+        self._placed = plan._shifted(name for changes in directions for name in changes)
+        self.box = plan._recorder.box
+        self.channels = (len(directions) + (3 if self._placed else 1)) * weights.shape[1]
+        self._slopes = [
             sum(
                 (
                     np.tensordot(change, copy_slopes(plan._camera, plan._wavelength, name), 1)
@@ -194,8 +211,12 @@ class PushSum:
                 ),
                 start=np.zeros((2, 2, 2)),
             )
-            for changes in self._directions
-        )
+            for changes in directions
+        ]
+
+    def batches(self, first: int) -> Iterator[Push]:
+        """Yield the batches from one on, in their order."""
+        plan, slopes = self._plan, tuple(lattice for lattice, _ in self._slopes)
         offset = plan.offset_for(name for changes in self._directions for name in changes)
         moving = plan.moving(self._weights)
         for chunk in self._chunks[first:]:
@@ -203,16 +224,23 @@ class PushSum:
             for varying, changes in zip(numbers, self._directions, strict=True):
                 varying.set_tangents(changes)
             fields, copies = plan.lit(chunk, self._weights, moving)
-            yield Push(fields, copies, plan._finer, numbers, slopes, offset)
+            yield Push(fields, copies, plan._finer, numbers, slopes, offset, self._placed)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
         """Integrate over the recorded pixels, and add what their own moves change."""
         recorder, channels = self._plan._recorder, self._weights.shape[1]
-        image = recorder.record(total.sums[:-channels])
-        for first, changes in enumerate(self._directions):
+        count = len(self._directions) * channels
+        image, plain = recorder.record(total.sums[:count]), total.sums[count : count + channels]
+        for first, (changes, (_, shifts)) in enumerate(zip(self._directions, self._slopes, strict=True)):
+            own = image[..., first * channels : (first + 1) * channels]
             for name in MOVES:
                 change = changes.get(name, np.zeros(1))
                 if change.any():
-                    moved = recorder.record(total.sums[-channels:], name)
-                    image[..., first * channels : (first + 1) * channels] += float(change[0]) * moved
+                    own += float(change[0]) * recorder.record(plain, name)
+            if self._placed and shifts.any():
+                placed = np.split(total.sums[count + channels :], 2)
+                turned = np.array(turn(*shifts, self._plan._grid.rotation))
+                for move, factors in zip(STEPS, turned, strict=True):
+                    moved = sum(float(factor) * part for factor, part in zip(factors, placed, strict=True))
+                    own += recorder.record(moved, move)
         return image
