@@ -83,7 +83,7 @@ LIMITS = {
 ABERRATIONS = 36
 
 
-def _difference(camera: PlenopticCamera, point: np.ndarray, name: str, change: Any, step: float) -> np.ndarray:
+def difference(camera: PlenopticCamera, point: np.ndarray, name: str, change: Any, step: float) -> np.ndarray:
     """Central difference of the full field."""
     base = field_grids(camera, point, WAVELENGTH, FINER, WINDOW)
     sides = []
@@ -133,7 +133,7 @@ def against_full_field(names: set[str]) -> list[accuracy.Row]:
             found = operator.derivative([1.0], {name: change})
             step = STEPS.get(name, STEP) * size / float(np.linalg.norm(found))
             label = f"wavefront {change.index(1.0) + 1}" if name == "wavefront" else name
-            error = _error(found, _difference(camera, point, name, change, step))
+            error = _error(found, difference(camera, point, name, change, step))
             rows.append({"case": case, "number": label, "step": step, "error": error, "limit": limit})
             print(f"{case}, {label}: {error:.3%}", flush=True)
     return rows
@@ -151,7 +151,7 @@ def walls() -> list[accuracy.Row]:
         unit = float(brightness_slopes(HALF, [name])[name].sum()) * image
         found = operator.derivative(weights, {name: 1.0}).astype(np.float64)
         step = WALL_STEP * float(np.linalg.norm(image) / np.linalg.norm(found))
-        expected = sum(_difference(HALF, point, name, 1.0, step).astype(np.float64) for point in points)
+        expected = sum(difference(HALF, point, name, 1.0, step).astype(np.float64) for point in points)
         error = _error(found + unit, expected + unit)
         rows.append({"case": f"wall of {len(points)} points", "number": name, "error": error, "limit": limit})
         print(f"wall, {name}: {error:.3%}", flush=True)

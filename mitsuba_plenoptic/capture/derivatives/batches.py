@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from dataclasses import fields as fields_of
 from functools import partial
 from typing import Any
 
@@ -124,17 +123,6 @@ def _changed(fields: Fields, numbers: VaryingNumbers) -> list[Field | None]:
     return [change if change is not None and change.any() else None for change in changes]
 
 
-def _combined(changes: list[tuple[float, Changes]], arrays: Any) -> Changes:
-    """Return a sum of changes with factors."""
-    total: dict[str, Field] = {}
-    for factor, change in changes:
-        for part in fields_of(change):
-            value = getattr(change, part.name)
-            if value is not None and factor:
-                total[part.name] = total.get(part.name, 0) + arrays.float32(factor) * value
-    return Changes(**total)
-
-
 @dataclass(frozen=True)
 class Push:
     """Changes of point spreads and of their copies, to be added with weights, and the point spreads beside them.
@@ -187,27 +175,21 @@ def _push(push: Push, batch: PatchBatch, changes: list[list[Field | None]], latt
     for radiator, copies in enumerate(push.copies):
         memory.restart()
         way = Way(Factors(*_of_radiator(plain, batch, radiator)), finer, memory)
-        moves = [Changes(*_of_radiator(move, batch, radiator)) for move in lattice]
         windows = copies.windows(batch.corner[radiator], batch.samples, box, finer)
-        one = np.ones(len(windows))
+        one, moved = np.ones(len(windows)), []
+        if copies.moving:
+            moved = [way.moved(Changes(*_of_radiator(move, batch, radiator))) for move in lattice]
         for part, direction, slopes in zip(sums, changes, push.slopes, strict=False):
-            terms = [(_slope(way, Changes(*_of_radiator(direction, batch, radiator))), one)]
-            if copies.moving and slopes.any():
-                for axis in (0, 1):
-                    combined = _combined(list(zip(slopes[:, axis].tolist(), moves, strict=True)), arrays)
-                    terms.append((_slope(way, combined), copies.places[:, axis]))
+            terms = [(way.tangent(Changes(*_of_radiator(direction, batch, radiator))), one)]
+            for axis in (0, 1) if moved and slopes.any() else ():
+                both = sum(arrays.float32(slope) * move for slope, move in zip(slopes[:, axis], moved, strict=True))
+                terms.append((way.slope(both), copies.places[:, axis]))
             lit = [(slope, given) for slope, given in terms if slope is not None]
             _add(part, lit, copies, windows, arrays)
         intensity = way.intensity
         for part, given in zip(sums[len(changes) :], (one, *copies.places.T), strict=False):
             _add(part, [(intensity, given)], copies, windows, arrays)
     return Part(box, sums.reshape(-1, box.rows, box.columns))
-
-
-def _slope(way: Way, change: Changes) -> Any:
-    """Return the change of the intensity with changes of the factors, None where there is none."""
-    field = way.tangent(change)
-    return None if field is None else 2 * (way.field.real * field.real + way.field.imag * field.imag)
 
 
 def _add(
@@ -311,11 +293,11 @@ def _pull(pull: Pull, batch: PatchBatch, lattice: list[list[Field | None]]) -> P
         moved = [way.moved(Changes(*_of_radiator(move, batch, radiator))) for move in lattice if moments]
         for axis, moment in enumerate(moments):
             with memory.lent():
-                products[:, axis] += way.products(memory.product(way.field, moment), moved)
+                products[:, axis] += way.products(moment, moved)
         if spreads is not None:
             spreads.add(radiator, way.intensity)
         *targets, total = result
-        *own, transfer = way.back(memory.product(way.field, gradient), total is not None).parts
+        *own, transfer = way.back(gradient, total is not None).parts
         for target, part in zip(targets, own, strict=True):
             if target is not None:
                 target[radiator] = part

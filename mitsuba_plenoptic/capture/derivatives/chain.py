@@ -12,6 +12,7 @@ for each of the pupil's directions along y, and is never on the array along both
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -19,6 +20,10 @@ import numpy as np
 
 from ...runtime.fft import Field, fft
 from .field_memory import Memory
+
+
+_BLOCK = 2**16
+"""Samples of the field on the detector that are multiplied and transformed at a time: they stay in a core's cache."""
 
 
 @dataclass(frozen=True)
@@ -114,34 +119,45 @@ class Way:
         """The square of the field, float32."""
         return self.field.real**2 + self.field.imag**2
 
-    def tangent(self, change: Changes) -> Field | None:
-        """Return the change of the field with changes of the factors, None where it does not change."""
+    def tangent(self, change: Changes) -> Any:
+        """Return the change of the intensity with changes of the factors, None where it does not change."""
         behind = self._passage.behind(change)
         spectrum = _total(
             None if behind is None else self._memory.product(self._passage.to_spectrum(behind), self._transfer),
             None if change.transfer is None else self._memory.product(self._passage.spectrum, change.transfer),
         )
-        return None if spectrum is None else self._to_detector(spectrum)
+        return None if spectrum is None else self._intensity_change(self._to_detector(spectrum))
+
+    def _intensity_change(self, change: Field) -> Any:
+        """Return the change of the intensity with one of the field."""
+        return 2 * (self.field.real * change.real + self.field.imag * change.imag)
 
     def moved(self, change: Changes) -> Field:
         """Return the change of the spectrum that goes to the detector, as `products` takes it; zero if there is none."""
+        result = self._memory.take(self._transfer.shape)
         with self._memory.lent():
             behind = self._passage.behind(change)
-            return self._arrays.zeros_like(self._transfer) if behind is None else self._passage.to_spectrum(behind)
+            result[...] = 0 if behind is None else self._passage.to_spectrum(behind)
+        return result
 
-    def back(self, field: Field, transfer: bool = True) -> Changes:
-        """Return the cotangents of the factors from that of the field, whose memory is used.
+    def slope(self, moved: Field) -> Any:
+        """Return the change of the intensity with a change `moved` of the spectrum."""
+        with self._memory.lent():
+            return self._intensity_change(self._to_detector(self._memory.product(moved, self._transfer)))
+
+    def back(self, gradient: Any, transfer: bool = True) -> Changes:
+        """Return the cotangents of the factors from half the gradient with respect to the intensity.
 
         That of the transfer function is left out unless it is asked for.
         """
-        spectrum = self._from_detector(field)
+        spectrum = self._from_detector(gradient)
         own = self._memory.back(self._passage.spectrum, spectrum) if transfer else None
         behind = self._passage.from_spectrum(self._before_space(spectrum))
         return Changes(*self._passage.back(behind), own)
 
-    def products(self, field: Field, moved: list[Field]) -> list[float]:
-        """Multiply a cotangent of the field, whose memory is used, with changes `moved` of the spectrum."""
-        spectrum = self._before_space(self._from_detector(field))
+    def products(self, gradient: Any, moved: list[Field]) -> list[float]:
+        """Multiply half the gradient with respect to the intensity with changes `moved` of the spectrum."""
+        spectrum = self._before_space(self._from_detector(gradient))
         return [float(self._arrays.vdot(spectrum, change).real) for change in moved]
 
     def _before_space(self, spectrum: Field) -> Field:
@@ -157,10 +173,12 @@ class Way:
         columns = _inverse(self._memory.widened(spectrum, size, 0), 0)
         return _inverse(self._memory.widened(columns, size, 1), 1)
 
-    def _from_detector(self, field: Field) -> Field:
-        """Apply the adjoint of `_to_detector`."""
-        n, arrays = len(self._transfer), self._arrays
-        columns = arrays.ascontiguousarray(_forward(field, 1)[:, :n])
+    def _from_detector(self, gradient: Any) -> Field:
+        """Apply the adjoint of `_to_detector` to the field times a gradient."""
+        (size, _), n, arrays = self.field.shape, len(self._transfer), self._arrays
+        columns, rows = self._memory.take((size, n)), max(1, _BLOCK // size)
+        for block in (slice(first, first + rows) for first in range(0, size, rows)):
+            columns[block] = _forward(self.field[block] * gradient[block], 1)[:, :n]
         return arrays.ascontiguousarray(_forward(columns, 0)[:n])
 
 

@@ -27,7 +27,7 @@ from .spread_copies import SpreadCopies, covered
 Direction = dict[str, NDArray[np.float64]]
 """Changes of numbers, by name."""
 
-_LEFT_OUT = 0.25
+_LEFT_OUT = 0.1
 """Share of what copies show of a moved lattice that is left out, over the accuracy."""
 
 
@@ -117,8 +117,10 @@ class DerivativePlan(PatchPlan):
             if pulled.spreads is not None:
                 add(pulled.spreads, box, sums)
         plain, *placed = np.split(sums, summed) if summed else [sums]
-        for axis, part in enumerate(placed):
-            products[1, :, axis] = self._unturned([self._along(part, image, move) for move in STEPS])
+        if placed:
+            stepped = [self._recorder.spread(image, move) for move in STEPS]
+            for axis, part in enumerate(placed):
+                products[1, :, axis] = self._unturned([float((step * part).sum(dtype=np.float64)) for step in stepped])
         gradients = numbers.gradients()
         for name in copied:
             slopes = copy_slopes(self._camera, self._wavelength, name)
