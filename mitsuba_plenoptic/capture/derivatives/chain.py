@@ -12,15 +12,11 @@ for each of the pupil's directions along y, and is never on the array along both
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import numpy as np
-
 from ...runtime.fft import Field, fft
 from .field_memory import Memory
-
 
 _BLOCK = 2**16
 """Samples of the field on the detector that are multiplied and transformed at a time: they stay in a core's cache."""
@@ -133,7 +129,7 @@ class Way:
         return 2 * (self.field.real * change.real + self.field.imag * change.imag)
 
     def moved(self, change: Changes) -> Field:
-        """Return the change of the spectrum that goes to the detector, as `products` takes it; zero if there is none."""
+        """Return the change of the spectrum that goes to the detector, as `products` takes it; zero for none."""
         result = self._memory.take(self._transfer.shape)
         with self._memory.lent():
             behind = self._passage.behind(change)

@@ -30,7 +30,7 @@ class Memory:
 
     @contextmanager
     def lent(self) -> Iterator[None]:
-        """Take back at the end what is taken meanwhile: few fields that are used again stay in the processor's cache."""
+        """Take back at the end what is taken meanwhile: few fields, used again, stay in the processor's cache."""
         used = self._used.copy()
         yield
         self._used = used
