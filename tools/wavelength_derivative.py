@@ -8,7 +8,8 @@ and cut to a band; free space is an angular spectrum, cut at some steepest direc
 nanometres. The grids stay where they are. It is done for three steepest directions, and what the sums themselves move
 by between these is printed beside how far the derivative of captures, and the difference of the full field as
 `derivative_accuracy.py` takes it, are off. Images must agree to 0.2 %, and derivatives to what the sums move by or to
-1.5 %. Writes ``wavelength_derivative.json`` to the folder that ``--output`` names; exits with 1 where a limit is not kept.
+1.5 %. Writes ``wavelength_derivative.json`` to the folder that ``--output`` names; exits with 1 where a limit is not
+kept.
 """
 
 from __future__ import annotations
