@@ -10,8 +10,8 @@ the microlenses fold back, and what wraps round a window, changes fastest with t
 changes the grids grow with it, and where wavelength or pitch do, the count of microlens orders is held.
 
 A wall of points is differentiated, too, as a capture in its own unit at accuracy 0.02, where the changes of single
-spreads nearly cancel; its differences are by full fields of all points. Inside the micro-images of white, the derivatives by
-pitch and `mla_distance` must nearly vanish.
+spreads nearly cancel; its differences are by full fields of all points. Inside the micro-images of white, the
+derivatives by pitch and `mla_distance` must nearly vanish.
 """
 
 from __future__ import annotations

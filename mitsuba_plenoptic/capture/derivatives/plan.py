@@ -241,8 +241,8 @@ class PushSum:
                     own += float(change[0]) * recorder.record(plain, name)
             if self._placed and shifts.any():
                 placed = np.split(total.sums[count + channels :], 2)
-                turned = np.array(turn(*shifts, self._plan._grid.rotation))
+                turned = np.array(turn(shifts[0], shifts[1], self._plan._grid.rotation))
                 for move, factors in zip(STEPS, turned, strict=True):
-                    moved = sum(float(factor) * part for factor, part in zip(factors, placed, strict=True))
-                    own += recorder.record(moved, move)
+                    along_x, along_y = (float(factor) * part for factor, part in zip(factors, placed, strict=True))
+                    own += recorder.record(along_x + along_y, move)
         return image
