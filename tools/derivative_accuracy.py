@@ -11,7 +11,7 @@ changes the grids grow with it, and where wavelength or pitch do, the count of m
 
 A wall of points is differentiated, too, as a capture in its own unit at accuracy 0.02, where the changes of single
 spreads nearly cancel; its differences are by full fields of all points. Inside the micro-images of white, the
-derivatives by pitch and `mla_distance` must nearly vanish.
+derivatives by pitch and `mla_distance` must nearly vanish; that table alone takes ten minutes (`--only white`).
 """
 
 from __future__ import annotations
