@@ -10,7 +10,8 @@ the microlenses fold back, and what wraps round a window, changes fastest with t
 changes the grids grow with it, and where wavelength or pitch do, the count of microlens orders is held.
 
 A wall of points is differentiated, too, as a capture in its own unit at accuracy 0.02, where the changes of single
-spreads nearly cancel; its differences are by full fields of all points.
+spreads nearly cancel; its differences are by full fields of all points. Inside the micro-images of white, the
+derivatives by pitch and `mla_distance` must nearly vanish; that table alone takes ten minutes (`--only white`).
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from typing import Any
 
 import accuracy
 import numpy as np
+from scipy import ndimage
 
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.capture.derivatives import brightness_slopes
@@ -46,6 +48,12 @@ WALL = {"mla_distance": 0.03, "mla_pitch": 0.08, "detector_distance": 0.08}
 """Limits for a wall, whose derivatives are small differences of large ones."""
 
 WALL_ACCURACY, WALL_STEP = 0.02, 0.004
+
+WHITE = {"mla_pitch": 0.05, "mla_distance": 0.05}
+"""Limits, inside micro-images of white, for derivatives over the largest at the micro-images' edges."""
+
+WHITE_PER_LENS, WHITE_EDGE = 12, 2
+"""Radiators along a lens, and pixels within the edge of a micro-image that are no part of its inside."""
 
 HALF = PlenopticCamera(
     focal_length=40, aperture_radius=2.5, mla_distance=60, detector_width=0.128, resolution=(64, 64)
@@ -83,7 +91,7 @@ LIMITS = {
 ABERRATIONS = 36
 
 
-def _difference(camera: PlenopticCamera, point: np.ndarray, name: str, change: Any, step: float) -> np.ndarray:
+def difference(camera: PlenopticCamera, point: np.ndarray, name: str, change: Any, step: float) -> np.ndarray:
     """Central difference of the full field."""
     base = field_grids(camera, point, WAVELENGTH, FINER, WINDOW)
     sides = []
@@ -133,7 +141,7 @@ def against_full_field(names: set[str]) -> list[accuracy.Row]:
             found = operator.derivative([1.0], {name: change})
             step = STEPS.get(name, STEP) * size / float(np.linalg.norm(found))
             label = f"wavefront {change.index(1.0) + 1}" if name == "wavefront" else name
-            error = _error(found, _difference(camera, point, name, change, step))
+            error = _error(found, difference(camera, point, name, change, step))
             rows.append({"case": case, "number": label, "step": step, "error": error, "limit": limit})
             print(f"{case}, {label}: {error:.3%}", flush=True)
     return rows
@@ -151,10 +159,31 @@ def walls() -> list[accuracy.Row]:
         unit = float(brightness_slopes(HALF, [name])[name].sum()) * image
         found = operator.derivative(weights, {name: 1.0}).astype(np.float64)
         step = WALL_STEP * float(np.linalg.norm(image) / np.linalg.norm(found))
-        expected = sum(_difference(HALF, point, name, 1.0, step).astype(np.float64) for point in points)
+        expected = sum(difference(HALF, point, name, 1.0, step).astype(np.float64) for point in points)
         error = _error(found + unit, expected + unit)
         rows.append({"case": f"wall of {len(points)} points", "number": name, "error": error, "limit": limit})
         print(f"wall, {name}: {error:.3%}", flush=True)
+    return rows
+
+
+def whites() -> list[accuracy.Row]:
+    """Differentiate a white capture in its own unit: it stays white inside the micro-images, whatever pitch and b."""
+    camera = HALF.replace(mla_offset=(HALF.mla_pitch / 2,) * 2, detector_width=HALF.mla_pitch, resolution=(32, 32))
+    place = ((np.arange(3 * WHITE_PER_LENS) + 0.5) / WHITE_PER_LENS - 1.5) * camera.mla_pitch
+    x, y = (part.ravel() for part in np.meshgrid(place, place))
+    points = np.column_stack([-x * 116 / camera.mla_distance, -y * 116 / camera.mla_distance, np.full(x.size, 116.0)])
+    # finer than from where spreads are shared
+    operator = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0.0039)
+    weights, rows = np.ones(len(points)), []
+    image = operator.forward(weights).astype(np.float64)
+    lit = image > 0.9 * np.median(image[image > 0.5 * image.max()])
+    inside = ndimage.binary_erosion(lit, iterations=WHITE_EDGE)
+    for name, limit in WHITE.items():
+        unit = float(brightness_slopes(camera, [name])[name].sum()) * image
+        change = operator.derivative(weights, {name: 1.0}).astype(np.float64) + unit
+        error = float(np.sqrt((change[inside] ** 2).mean()) / np.abs(change).max())
+        rows.append({"case": f"white, {inside.sum()} pixels inside", "number": name, "error": error, "limit": limit})
+        print(f"white, {name}: {error:.3%}", flush=True)
     return rows
 
 
@@ -214,7 +243,7 @@ def main() -> None:
     """Measure all cases and write the tables."""
     parser = accuracy.options("derivative_accuracy", __doc__)
     parser.add_argument("--cost", action="store_true", help="what derivatives take, instead of how true they are")
-    parser.add_argument("--only", choices=("adjoint", "full_field", "wall"), help="one of the tables")
+    parser.add_argument("--only", choices=("adjoint", "full_field", "wall", "white"), help="one of the tables")
     parser.add_argument("--numbers", help="by which derivatives are compared with full fields; default: all")
     arguments = accuracy.start(parser)
     if arguments.cost:
@@ -231,7 +260,7 @@ def main() -> None:
         )
         return
     names = set(arguments.numbers.split(",")) if arguments.numbers else {*LIMITS, "wavefront"}
-    tables = {"adjoint": adjoints, "full_field": partial(against_full_field, names), "wall": walls}
+    tables = {"adjoint": adjoints, "full_field": partial(against_full_field, names), "wall": walls, "white": whites}
     results = {name: table() for name, table in tables.items() if arguments.only in (None, name)}
     for row in (row for rows in results.values() for row in rows):
         row["verdict"] = "kept" if row["error"] <= row["limit"] else "beyond"
@@ -240,6 +269,7 @@ def main() -> None:
         "adjoint": "## Reverse against forward, over the product of the norms\n",
         "full_field": "## Against central differences of the full field, relative L2\n",
         "wall": "## Of a wall, against central differences of the full fields, relative L2\n",
+        "white": "## Inside micro-images of white, root mean square over the largest at their edges\n",
     }
     texts = [text for name, rows in results.items() for text in (titles[name], accuracy.markdown(columns, rows))]
     accuracy.finish(arguments, results, "# Accuracy of derivatives\n", *texts)

@@ -115,7 +115,8 @@ class CellSum:
         inner = np.indices(self._cells.count.tolist()).reshape(2, -1)
         x, y = places.T[..., None] + inner[:, None]
         copy, channel = np.nonzero(weights)
-        rows = (channel[:, None] * self._shape[0] + x[copy]) * self._shape[1] + y[copy]
+        # One channel after the other of the same cell: what is added to them stays in the processor's cache.
+        rows = (x[copy] * self._shape[1] + y[copy]) * self._channels + channel[:, None]
         columns = np.broadcast_to(number * inner.shape[1] + np.arange(inner.shape[1]), rows.shape)
         values = np.broadcast_to(weights[copy, channel][:, None], rows.shape)
         self._entries.append((rows.ravel(), columns.ravel(), values.ravel()))
@@ -144,4 +145,5 @@ class CellSum:
         """Return the sum, (channels, samples along x, along y)."""
         self.add()
         x, y = self._size.tolist()
-        return self._cells.join(self._sums, self._channels, self._shape)[:, :x, :y]
+        sums = self._sums.reshape(*self._shape.tolist(), self._channels, *self._cells.width.tolist())
+        return self._cells.join(sums.transpose(2, 0, 1, 3, 4), self._channels, self._shape)[:, :x, :y]

@@ -27,6 +27,15 @@ class MovedPixels:
         self._terms = terms
 
     @classmethod
+    def shifted(cls, pixels: PixelIntegrals, axis: int) -> MovedPixels:
+        """Let all pixels move by 1 along x (axis 0) or y."""
+        along_x, along_y = pixels.axes
+        speed = np.ones(pixels.axes[axis].count + 1)
+        if axis == 0:
+            return cls([(weights(along_y), _at_edges(along_x, speed))])
+        return cls([(_at_edges(along_y, speed), weights(along_x))])
+
+    @classmethod
     def widened(cls, pixels: PixelIntegrals, middle: tuple[float, float], width: float) -> MovedPixels:
         """Let the detector grow about its middle, by 1 for its width."""
         along_x, along_y = pixels.axes

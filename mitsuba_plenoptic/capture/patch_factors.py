@@ -44,6 +44,8 @@ class Microlenses(Protocol):
 class Elements:
     """The optical elements that a field passes; numbers are floats or Dr.Jit numbers, which may carry gradients.
 
+    Numbers of Dr.Jit may be there once, or once for each lane of the factor that is made of them.
+
     Attributes
     ----------
     lens : MainLens or VaryingLens
@@ -226,16 +228,16 @@ class PatchFactors:
         _, radiator, sample = split(types, index, count, self.mla_samples)
         m = self._each(self._corner[:, axis], radiator)
         m += types.Float64(sample) * self._constant(float(self._mla_pitch[axis]))
-        mu = (m - self._each(placement.image[:, axis], radiator)) * elements.growth
+        image, growth = self._each(placement.image[:, axis], radiator), elements.growth
+        mu = (m - image) * growth
         # path from the pupil: (mu^2 - (s mu)^2) / 2 R, of which the part along the other axis is tiny
         b = self._constant(elements.lens.pupil_distance)
-        growth = elements.growth
-        square = types.Float64((placement.image**2).sum(1)) * growth * growth + b * b
-        own = types.Float64(np.ascontiguousarray(placement.image[:, axis]) ** 2) * growth * growth
+        square = self._each((placement.image**2).sum(1), radiator) * growth * growth + b * b
+        own = image * image * growth * growth
         spread = (1 - own / square) / (2 * self._constant(in_millimetres(elements.wavelength)))
         curvature = spread * elements.lens.curvature(square)
         shift = ((placement.first - self.chief)[:, axis] + self.samples // 2) / self.mla_samples
-        waves = mu * mu * self._each(curvature, radiator) + types.Float64(sample) * self._each(shift, radiator)
+        waves = mu * mu * curvature + types.Float64(sample) * self._each(shift, radiator)
         factor = phasor(waves)
         if self.separable:
             factor *= elements.microlenses.along(m * growth, axis)

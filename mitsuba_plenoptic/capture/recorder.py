@@ -17,6 +17,9 @@ from .moved_pixels import MovedPixels
 from .pixels import PixelIntegrals
 from .turned_samples import TurnedSamples
 
+STEPS = ("x", "y")
+"""Moves of all pixels by a millimetre along x, and along y."""
+
 _EDGE = 8
 """Samples around a window that its pixels' integrals feel."""
 
@@ -76,9 +79,9 @@ class Recorder:
         ----------
         sums : float32 array (channels, rows, columns)
             Intensity per square millimetre on the samples of `box`.
-        move : {"detector_width", "mla_rotation", "wavelength"}, optional
+        move : {"detector_width", "mla_rotation", "wavelength", "x", "y"}, optional
             What changes by 1 while the samples stay as they are: the detector's width, its angle against the lattice,
-            or the wavelength with which their distances grow.
+            the wavelength with which their distances grow, or the place of the detector along x or y.
 
         Returns
         -------
@@ -136,6 +139,8 @@ class Recorder:
         """Return the integrals over the pixels, or over the lines by which these grow where they move."""
         if move is None:
             return self._integrals
+        if move in STEPS:
+            return MovedPixels.shifted(self._integrals, STEPS.index(move))
         width = self._camera.detector_width
         axis = width / 2, self._camera.detector_height / 2
         if move == "mla_rotation":

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from dataclasses import fields as fields_of
 from functools import partial
 from typing import Any
 
@@ -18,8 +18,8 @@ from ...runtime.batches import Part
 from ...runtime.fft import Field, as_field, as_words, pack, unpack
 from ..patch import PatchBatch
 from ..patch_batches import Fields
-from ..patch_factors import PatchFactors
-from .chain import Changes, Factors, Way, step_changes
+from ..patch_factors import Elements, PatchFactors
+from .chain import Changes, Factors, Way
 from .field_memory import Memory
 from .numbers import VaryingNumbers
 from .spread_copies import SpreadCopies, SpreadSum, Window, covered, gathered
@@ -46,12 +46,16 @@ class _Drawn:
             fields.pupil_weights,
             numbers.types,
         )
-        elements = numbers.elements(fields.grid, made.highest)
-        pupil, power = made.pupil(elements)
-        scale = made.scale(elements, power)
-        along_x, along_y = (made.along(elements, axis, scale) for axis in (0, 1))
-        lenses = None if made.separable else made.lenses(elements)
-        return cls(pupil, along_x, along_y, lenses, made.transfer(elements)), made
+
+        def elements(shape: tuple[int, ...]) -> Elements:
+            return numbers.elements(fields.grid, made.highest, math.prod(shape))
+
+        of_pupil, of_axis, _, of_lenses, of_transfer = _shapes(fields, made)
+        pupil, power = made.pupil(elements(of_pupil))
+        scale = made.scale(elements(of_pupil[:1]), power)
+        along_x, along_y = (made.along(elements(of_axis), axis, scale) for axis in (0, 1))
+        lenses = None if made.separable else made.lenses(elements(of_lenses))
+        return cls(pupil, along_x, along_y, lenses, made.transfer(elements(of_transfer))), made
 
     @property
     def parts(self) -> list[Any]:
@@ -87,12 +91,16 @@ def _directions(made: Any, radiator: int) -> tuple[slice, slice]:
 
 def _plain(batch: PatchBatch) -> list[Field | None]:
     """Return the factors of a batch as `_of_radiator` takes them."""
-    return [batch.pupil, batch.along_x, batch.along_y, batch.lenses, batch.transfer.T]
+    # Fields are multiplied with it row by row.
+    transfer = batch.libraries.arrays.ascontiguousarray(batch.transfer.T)
+    return [batch.pupil, batch.along_x, batch.along_y, batch.lenses, transfer]
 
 
-def _moved_lattice(fields: Fields, numbers: VaryingNumbers | None) -> list[list[Field | None]]:
+def _moved_lattice(
+    fields: Fields, numbers: VaryingNumbers | None, copies: list[SpreadCopies]
+) -> list[list[Field | None]]:
     """Return the changes of the factors of a batch as the lattice moves along its own x, and along its y."""
-    if numbers is None:
+    if numbers is None or not any(own.moving for own in copies):
         return []
     moves = []
     for vector in ((1.0, 0.0), (0.0, 1.0)):
@@ -115,17 +123,6 @@ def _changed(fields: Fields, numbers: VaryingNumbers) -> list[Field | None]:
     return [change if change is not None and change.any() else None for change in changes]
 
 
-def _combined(changes: list[tuple[float, Changes]], arrays: Any) -> Changes:
-    """Return a sum of changes with factors."""
-    total: dict[str, Field] = {}
-    for factor, change in changes:
-        for part in fields_of(change):
-            value = getattr(change, part.name)
-            if value is not None and factor:
-                total[part.name] = total.get(part.name, 0) + arrays.float32(factor) * value
-    return Changes(**total)
-
-
 @dataclass(frozen=True)
 class Push:
     """Changes of point spreads and of their copies, to be added with weights, and the point spreads beside them.
@@ -140,10 +137,12 @@ class Push:
         As of `Way`.
     directions : tuple of VaryingNumbers
         Of the camera, with the tangents set, for each change.
-    slopes : tuple of float64 arrays (2, 2, 2)
-        For each direction, A and B of `copies.copy_slopes`.
+    slopes : tuple of float64 arrays (2, 2)
+        For each direction, A of `copies.copy_slopes`.
     offset : VaryingNumbers, optional
         Those of which ``mla_offset`` varies; None where no A is needed.
+    placed : bool
+        Whether the point spreads are added times the copies' places along x and y, too.
     """
 
     fields: Fields
@@ -152,6 +151,7 @@ class Push:
     directions: tuple[VaryingNumbers, ...]
     slopes: tuple[NDArray[np.float64], ...]
     offset: VaryingNumbers | None
+    placed: bool
 
     @property
     def samples(self) -> int:
@@ -161,7 +161,7 @@ class Push:
     def prepare(self) -> Callable[[], Part]:
         """Make the fields and the changes of their factors, and return the function that adds what they give."""
         changes = [_changed(self.fields, numbers) for numbers in self.directions]
-        lattice = _moved_lattice(self.fields, self.offset)
+        lattice = _moved_lattice(self.fields, self.offset, self.copies)
         return partial(_push, self, self.fields.make(np.ones(len(self.copies))), changes, lattice)
 
 
@@ -169,38 +169,27 @@ def _push(push: Push, batch: PatchBatch, changes: list[list[Field | None]], latt
     """Add the changes, direction by direction, and the point spreads last."""
     arrays, finer, channels = batch.libraries.arrays, push.finer, push.copies[0].weights.shape[1]
     box = covered(batch.corner, batch.samples, push.copies, finer)
-    sums = arrays.zeros(((len(changes) + 1) * channels, box.rows, box.columns), np.float32)
-    plain, pitch, memory = _plain(batch), push.fields.grid.pitch, Memory(arrays)
+    parts = len(changes) + (3 if push.placed else 1)
+    sums = arrays.zeros((parts, channels, box.rows, box.columns), np.float32)
+    plain, memory = _plain(batch), Memory(arrays)
     for radiator, copies in enumerate(push.copies):
         memory.restart()
-        factors = Factors(*_of_radiator(plain, batch, radiator))
-        way = Way(factors, finer, memory)
-        moves = [Changes(*_of_radiator(move, batch, radiator)) for move in lattice]
+        way = Way(Factors(*_of_radiator(plain, batch, radiator)), finer, memory)
         windows = copies.windows(batch.corner[radiator], batch.samples, box, finer)
-        for first, (direction, slopes) in enumerate(zip(changes, push.slopes, strict=True)):
-            terms = [(_slope(way, Changes(*_of_radiator(direction, batch, radiator))), np.ones(len(windows)))]
-            if copies.moved and slopes.any():
-                steps = step_changes(factors.transfer, arrays)
-                for axis in (0, 1):
-                    parts = [(slopes[0, to, axis], move) for to, move in enumerate(moves)]
-                    parts += [(slopes[1, to, axis] / pitch[to], step) for to, step in enumerate(steps)]
-                    terms.append((_slope(way, _combined(parts, arrays)), copies.places[:, axis]))
+        one, moved = np.ones(len(windows)), []
+        if copies.moving:
+            moved = [way.moved(Changes(*_of_radiator(move, batch, radiator))) for move in lattice]
+        for part, direction, slopes in zip(sums, changes, push.slopes, strict=False):
+            terms = [(way.tangent(Changes(*_of_radiator(direction, batch, radiator))), one)]
+            for axis in (0, 1) if moved and slopes.any() else ():
+                both = sum(arrays.float32(slope) * move for slope, move in zip(slopes[:, axis], moved, strict=True))
+                terms.append((way.slope(both), copies.places[:, axis]))
             lit = [(slope, given) for slope, given in terms if slope is not None]
-            _add(sums[first * channels : (first + 1) * channels], lit, copies, windows, arrays)
-        _add(
-            sums[len(changes) * channels :],
-            [(way.intensity, np.ones(len(windows)))],
-            copies,
-            windows,
-            arrays,
-        )
-    return Part(box, sums)
-
-
-def _slope(way: Way, change: Changes) -> Any:
-    """Return the change of the intensity with changes of the factors, None where there is none."""
-    field = way.tangent(change)
-    return None if field is None else 2 * (way.field.real * field.real + way.field.imag * field.imag)
+            _add(part, lit, copies, windows, arrays)
+        intensity = way.intensity
+        for part, given in zip(sums[len(changes) :], (one, *copies.places.T), strict=False):
+            _add(part, [(intensity, given)], copies, windows, arrays)
+    return Part(box, sums.reshape(-1, box.rows, box.columns))
 
 
 def _add(
@@ -221,10 +210,10 @@ class Pulled:
     ----------
     factors : list of complex64 arrays, or None
         Cotangents of its factors.
-    products : float64 array (2, 2, 2)
-        The gradient times what the spreads show of a moved lattice and of a shift, as `copies.copy_slopes` has them.
+    products : float64 array (2, 2)
+        The gradient times what the spreads show of a moved lattice, as A of `copies.copy_slopes` has it.
     spreads : Part, optional
-        The point spreads with their weights.
+        The point spreads, as they were asked for.
     """
 
     factors: list[Field | None]
@@ -242,10 +231,9 @@ class Pull:
         As of `Push`.
     tile : float32 array (channels, rows, columns)
         The gradient with respect to the samples that they reach.
-    shifted : bool
-        Whether the products are asked for.
-    summed : bool
-        Whether the point spreads are.
+    summed : {0, 1, 3}
+        Which sums of the point spreads are asked for: none, that with their weights, or also those with these times
+        the copies' places along x and y.
     varies : tuple of bool
         Of which of the factors the cotangents are, as `varying_factors` tells.
     """
@@ -255,8 +243,7 @@ class Pull:
     finer: int
     offset: VaryingNumbers | None
     tile: NDArray[np.float32]
-    shifted: bool
-    summed: bool
+    summed: int
     varies: tuple[bool, ...]
 
     @property
@@ -266,7 +253,7 @@ class Pull:
 
     def prepare(self) -> Callable[[], Pulled]:
         """Make the fields, and return the function that goes back."""
-        lattice = _moved_lattice(self.fields, self.offset)
+        lattice = _moved_lattice(self.fields, self.offset, self.copies)
         return partial(_pull, self, self.fields.make(np.ones(len(self.copies))), lattice)
 
     def gather(self, pulled: Pulled, numbers: VaryingNumbers) -> None:
@@ -280,6 +267,9 @@ class Pull:
                 total = total + dr.sum(numbers.types.Float64(products))
         if dr.grad_enabled(total):
             dr.backward(total)
+            # What the kernels read of the cotangents must not be dropped before.
+            dr.eval()
+            dr.sync_thread()
 
 
 def _pull(pull: Pull, batch: PatchBatch, lattice: list[list[Field | None]]) -> Pulled:
@@ -291,24 +281,23 @@ def _pull(pull: Pull, batch: PatchBatch, lattice: list[list[Field | None]]) -> P
         arrays.zeros(part.shape, np.complex64) if part is not None and varies else None
         for part, varies in zip(plain, pull.varies, strict=True)
     ]
-    returning = arrays.conj(batch.transfer.T)
-    spreads = SpreadSum(box, batch, pull.copies, finer) if pull.summed else None
-    products, pitch, memory = np.zeros((2, 2, 2)), pull.fields.grid.pitch, Memory(arrays)
+    returning = arrays.conj(plain[-1])
+    spreads = SpreadSum(box, batch, [own.summed(pull.summed) for own in pull.copies], finer) if pull.summed else None
+    products, memory = np.zeros((2, 2)), Memory(arrays)
     for radiator, copies in enumerate(pull.copies):
         memory.restart()
         rows, columns = _directions(batch, radiator)
         way = Way(Factors(*_of_radiator(plain, batch, radiator)), finer, memory, returning[rows, columns])
         windows = copies.windows(batch.corner[radiator], batch.samples, box, finer)
-        gradient, *moments = gathered(tile, windows, copies, pull.shifted and copies.moved, arrays)
-        behind = [way.behind(Changes(*_of_radiator(move, batch, radiator))) for move in lattice if moments]
+        gradient, *moments = gathered(tile, windows, copies, bool(lattice) and copies.moving, arrays)
+        moved = [way.moved(Changes(*_of_radiator(move, batch, radiator))) for move in lattice if moments]
         for axis, moment in enumerate(moments):
-            lenses, steps = way.products(memory.product(way.field, moment), behind)
-            products[0, : len(lenses), axis] += lenses
-            products[1, :, axis] += np.array(steps) / pitch
+            with memory.lent():
+                products[:, axis] += way.products(moment, moved)
         if spreads is not None:
             spreads.add(radiator, way.intensity)
         *targets, total = result
-        *own, transfer = way.back(memory.product(way.field, gradient), total is not None).parts
+        *own, transfer = way.back(gradient, total is not None).parts
         for target, part in zip(targets, own, strict=True):
             if target is not None:
                 target[radiator] = part

@@ -12,14 +12,14 @@ for each of the pupil's directions along y, and is never on the array along both
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import numpy as np
-
 from ...runtime.fft import Field, fft
 from .field_memory import Memory
+
+_BLOCK = 2**16
+"""Samples of the field on the detector that are multiplied and transformed at a time: they stay in a core's cache."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,6 @@ class Way:
         self._transfer, self._returning, self._finer = factors.transfer, returning, finer
         self._memory, self._arrays = memory, memory.arrays
         self._passage: _Passage = (_Product if factors.lenses is None else _Plane)(factors, memory)
-        self._stepped: list[Field] = []
         self.field = self._to_detector(memory.product(self._passage.spectrum, factors.transfer))
 
     @property
@@ -116,52 +115,46 @@ class Way:
         """The square of the field, float32."""
         return self.field.real**2 + self.field.imag**2
 
-    def tangent(self, change: Changes) -> Field | None:
-        """Return the change of the field with changes of the factors, None where it does not change."""
+    def tangent(self, change: Changes) -> Any:
+        """Return the change of the intensity with changes of the factors, None where it does not change."""
         behind = self._passage.behind(change)
         spectrum = _total(
             None if behind is None else self._memory.product(self._passage.to_spectrum(behind), self._transfer),
             None if change.transfer is None else self._memory.product(self._passage.spectrum, change.transfer),
         )
-        return None if spectrum is None else self._to_detector(spectrum)
+        return None if spectrum is None else self._intensity_change(self._to_detector(spectrum))
 
-    def behind(self, change: Changes) -> Field:
-        """Return the change of the field behind the MLA, as `products` takes it; zero where there is none."""
-        behind = self._passage.behind(change)
-        return self._passage.from_spectrum(self._arrays.zeros_like(self._transfer)) if behind is None else behind
+    def _intensity_change(self, change: Field) -> Any:
+        """Return the change of the intensity with one of the field."""
+        return 2 * (self.field.real * change.real + self.field.imag * change.imag)
 
-    def back(self, field: Field, transfer: bool = True) -> Changes:
-        """Return the cotangents of the factors from that of the field, whose memory is used.
+    def moved(self, change: Changes) -> Field:
+        """Return the change of the spectrum that goes to the detector, as `products` takes it; zero for none."""
+        result = self._memory.take(self._transfer.shape)
+        with self._memory.lent():
+            behind = self._passage.behind(change)
+            result[...] = 0 if behind is None else self._passage.to_spectrum(behind)
+        return result
+
+    def slope(self, moved: Field) -> Any:
+        """Return the change of the intensity with a change `moved` of the spectrum."""
+        with self._memory.lent():
+            return self._intensity_change(self._to_detector(self._memory.product(moved, self._transfer)))
+
+    def back(self, gradient: Any, transfer: bool = True) -> Changes:
+        """Return the cotangents of the factors from half the gradient with respect to the intensity.
 
         That of the transfer function is left out unless it is asked for.
         """
-        spectrum = self._from_detector(field)
+        spectrum = self._from_detector(gradient)
         own = self._memory.back(self._passage.spectrum, spectrum) if transfer else None
         behind = self._passage.from_spectrum(self._before_space(spectrum))
         return Changes(*self._passage.back(behind), own)
 
-    def products(self, field: Field, behind: list[Field]) -> tuple[list[float], list[float]]:
-        """Multiply a cotangent of the field, whose memory is used, with some of the field's changes.
-
-        Returns
-        -------
-        list of float
-            The products with changes `behind` the MLA.
-        list of float
-            Those with the change by a step of one sample of the patch along x, and along y.
-        """
-        arrays = self._arrays
-        spectrum = self._before_space(self._from_detector(field))
-        if not self._stepped:
-            cycles, own = _cycles(len(self._transfer), arrays), self._passage.spectrum
-            self._stepped = [self._memory.product(own, part) for part in (cycles, cycles[:, None])]
-        # With the transfer function in the cotangent, the field is that before it.
-        steps = [-2 * math.pi * float(arrays.vdot(spectrum, stepped).imag) for stepped in self._stepped]
-        found: list[float] = []
-        if behind:
-            cotangent = self._passage.from_spectrum(spectrum)
-            found = [float(arrays.vdot(cotangent, change).real) for change in behind]
-        return found, steps
+    def products(self, gradient: Any, moved: list[Field]) -> list[float]:
+        """Multiply half the gradient with respect to the intensity with changes `moved` of the spectrum."""
+        spectrum = self._before_space(self._from_detector(gradient))
+        return [float(self._arrays.vdot(spectrum, change).real) for change in moved]
 
     def _before_space(self, spectrum: Field) -> Field:
         """Take a cotangent of the spectrum on the detector, whose memory is used, to that behind the MLA."""
@@ -176,25 +169,13 @@ class Way:
         columns = _inverse(self._memory.widened(spectrum, size, 0), 0)
         return _inverse(self._memory.widened(columns, size, 1), 1)
 
-    def _from_detector(self, field: Field) -> Field:
-        """Apply the adjoint of `_to_detector`."""
-        n, arrays = len(self._transfer), self._arrays
-        columns = arrays.ascontiguousarray(_forward(field, 1)[:, :n])
+    def _from_detector(self, gradient: Any) -> Field:
+        """Apply the adjoint of `_to_detector` to the field times a gradient."""
+        (size, _), n, arrays = self.field.shape, len(self._transfer), self._arrays
+        columns, rows = self._memory.take((size, n)), max(1, _BLOCK // size)
+        for block in (slice(first, first + rows) for first in range(0, size, rows)):
+            columns[block] = _forward(self.field[block] * gradient[block], 1)[:, :n]
         return arrays.ascontiguousarray(_forward(columns, 0)[:n])
-
-
-def step_changes(transfer: Field, arrays: Any = np) -> tuple[Changes, Changes]:
-    """Return what moves a field by a step of one sample of the patch against x, and against y."""
-    turns = 2j * math.pi * _cycles(len(transfer), arrays)
-    return (
-        Changes(transfer=(transfer * turns).astype(np.complex64)),
-        Changes(transfer=(transfer * turns[:, None]).astype(np.complex64)),
-    )
-
-
-def _cycles(count: int, arrays: Any) -> Any:
-    """Return the cycles a sample of each frequency of a patch: the chief ray's, which no intensity feels, has none."""
-    return ((arrays.arange(count) - count // 2) / count).astype(np.float32)
 
 
 class _Product:
@@ -227,7 +208,8 @@ class _Product:
     def back(self, behind: Field) -> tuple[Field, Field, Field, None]:
         f, conj, size = self._factors, self._arrays.conj, len(self._factors.pupil)
         columns = conj(self._columns, out=self._columns)
-        along_y = self._arrays.einsum("ij,ij->i", columns, behind)
+        with self._memory.lent():
+            along_y = self._memory.product(columns, behind).sum(1)
         behind *= conj(f.along_y)[:, None]
         rows = self._arrays.ascontiguousarray(_forward(behind, 0)[:size])
         rows = _inverse(self._memory.widened(rows, self._mla_samples, 1), 1)

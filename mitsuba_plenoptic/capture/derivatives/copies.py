@@ -31,7 +31,10 @@ from ...camera import PlenopticCamera
 MOVED_LENSES = ("mla_pitch", "mla_distance", "mla_rotation")
 """Numbers by which the lattice moves against the points: A is not zero."""
 
-MOVED_COPIES = (*MOVED_LENSES, "detector_distance", "wavelength")
+SHIFTED_COPIES = ("mla_distance", "mla_rotation", "detector_distance", "wavelength")
+"""Numbers by which copies shift: B is not zero."""
+
+MOVED_COPIES = ("mla_pitch", *SHIFTED_COPIES)
 """Numbers by which copies change otherwise than their spreads."""
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -10,7 +13,7 @@ from ...runtime.fft import Field
 
 
 class Memory:
-    """Memory for the fields of one radiator after another, in the order in which they ask for it.
+    """Memory for the fields of one radiator after another, by their shapes.
 
     Fields of some MiB that are made and dropped go back to the system each time, and clearing them anew for the next
     radiator takes longer than their transforms.
@@ -18,21 +21,27 @@ class Memory:
 
     def __init__(self, arrays: Any = np) -> None:
         self.arrays = arrays
-        self._fields: list[Field] = []
-        self._next = 0
+        self._fields: dict[tuple[int, ...], list[Field]] = {}
+        self._used: Counter[tuple[int, ...]] = Counter()
 
     def restart(self) -> None:
         """Let the next radiator have all of it."""
-        self._next = 0
+        self._used.clear()
+
+    @contextmanager
+    def lent(self) -> Iterator[None]:
+        """Take back at the end what is taken meanwhile: few fields, used again, stay in the processor's cache."""
+        used = self._used.copy()
+        yield
+        self._used = used
 
     def take(self, shape: tuple[int, ...]) -> Field:
         """Return a complex64 array that holds anything."""
-        if self._next == len(self._fields):
-            self._fields.append(self.arrays.empty(shape, np.complex64))
-        elif self._fields[self._next].shape != shape:
-            self._fields[self._next] = self.arrays.empty(shape, np.complex64)
-        self._next += 1
-        return self._fields[self._next - 1]
+        fields, used = self._fields.setdefault(shape, []), self._used[shape]
+        if used == len(fields):
+            fields.append(self.arrays.empty(shape, np.complex64))
+        self._used[shape] += 1
+        return fields[used]
 
     def product(self, one: Field, other: Field) -> Field:
         """Return the product of two arrays."""

@@ -165,25 +165,36 @@ class VaryingNumbers:
             if name in self._varies:
                 dr.enable_grad(self._numbers[name])
 
-    def elements(self, grid: Grid, cosine: float) -> Elements:
-        """Return the elements of the camera in the frame of a grid, with microlenses up to a direction cosine."""
-        get, camera = self._numbers, grid.camera
+    def elements(self, grid: Grid, cosine: float, lanes: int) -> Elements:
+        """Return the elements of the camera in the frame of a grid, with microlenses up to a direction cosine.
+
+        Each number that varies is there once for each of some lanes: so the gradients of all of them are scattered by
+        one kernel, where each single number would end a kernel of its own, which computes all anew.
+        """
+        camera = grid.camera
+        get = {name: [self._over(name, part, lanes) for part in self._numbers[name]] for name in NUMBERS}
         aberration = None
         if "wavefront" in self._varies:
-            aberration = partial(varying_path, dr.concat(get["wavefront"]), camera.pupil_radius)
+            aberration = partial(varying_path, dr.concat(self._numbers["wavefront"]), camera.pupil_radius)
         # The array stays where it is in the frame of the grid, and the scene turns.
         turned: Any = get["mla_rotation"][0] - grid.rotation if "mla_rotation" in self._varies else 0.0
-        lens = self._lens(grid, turned)
+        lens = self._lens(get, grid, turned)
         angle = get["mla_rotation"][0] if "mla_rotation" in self._varies else grid.rotation
-        lattice = self._lattice(camera, turn(get["mla_offset"][0], get["mla_offset"][1], -angle))
+        lattice = self._lattice(get, camera, turn(get["mla_offset"][0], get["mla_offset"][1], -angle))
         wavelength = get["wavelength"][0]
         microlenses = VaryingMicrolenses(camera, grid.wavelength, cosine, lattice, get["mla_focal_length"], wavelength)
         growth: Any = wavelength / grid.wavelength if "wavelength" in self._varies else 1.0
         return Elements(lens, microlenses, wavelength, get["detector_distance"][0], turned, growth, aberration)
 
-    def _lens(self, grid: Grid, turned: Any) -> MainLens | VaryingLens:
+    def _over(self, name: str, number: Any, lanes: int) -> Any:
+        """Return a number for each lane, if it varies."""
+        if name not in self._varies or name == "wavefront":
+            return number
+        return dr.gather(self.types.Float64, number, dr.zeros(self.types.UInt32, lanes))
+
+    def _lens(self, get: dict[str, list[Any]], grid: Grid, turned: Any) -> MainLens | VaryingLens:
         """Return the main lens, before which the scene may turn."""
-        get, camera = self._numbers, grid.camera
+        camera = grid.camera
         if isinstance(grid.lens, FittedLens):
             varying = {name: get[name][0] for name in LENS_NUMBERS if name in self._varies}
             return VaryingLens(grid.lens, get["mla_distance"][0], varying, turned)
@@ -197,13 +208,14 @@ class VaryingNumbers:
 
     def brightness(self, camera: PlenopticCamera) -> Any:
         """Return what `units.brightness` does."""
-        get, lattice = self._numbers, self._lattice(camera, (0.0, 0.0))
+        get = self._numbers
+        lattice = self._lattice(get, camera, (0.0, 0.0))
         pixel = get["detector_width"][0] / camera.resolution[0]
         return brightness(lattice, get["aperture_radius"][0], get["detector_distance"][0], pixel)
 
-    def _lattice(self, camera: PlenopticCamera, offset: Any) -> Any:
+    def _lattice(self, get: dict[str, list[Any]], camera: PlenopticCamera, offset: Any) -> Any:
         """Return the upright lattice with an offset."""
-        pitches, fill = tuple(self._numbers["mla_pitch"]), self._numbers["mla_fill"][0]
+        pitches, fill = tuple(get["mla_pitch"]), get["mla_fill"][0]
         return make_lattice(camera.mla_lattice, pitches, offset=offset, aperture=camera.mla_aperture, fill=fill)
 
     def set_tangents(self, changes: dict[str, NDArray[np.float64]]) -> None:

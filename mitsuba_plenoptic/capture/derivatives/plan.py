@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
+from ...lattice import turn
 from ...runtime.backend import backend
 from ...runtime.batches import BatchMap, PartialSum, add
 from ...runtime.jobs import Job
@@ -17,14 +18,17 @@ from ..accuracy import derivative_band_for, derivatives_share
 from ..patch_batches import Fields
 from ..patch_plan import PatchPlan
 from ..pupil_weights import PupilWeights
-from ..recorder import Recorder
+from ..recorder import STEPS, Recorder
 from .batches import Pull, Push, varying_factors
-from .copies import MOVED_COPIES, MOVED_LENSES, copy_slopes
+from .copies import MOVED_COPIES, MOVED_LENSES, SHIFTED_COPIES, copy_slopes
 from .numbers import MOVES, VaryingNumbers
 from .spread_copies import SpreadCopies, covered
 
 Direction = dict[str, NDArray[np.float64]]
 """Changes of numbers, by name."""
+
+_LEFT_OUT = 0.1
+"""Share of what copies show of a moved lattice that is left out, over the accuracy."""
 
 
 class DerivativePlan(PatchPlan):
@@ -52,7 +56,7 @@ class DerivativePlan(PatchPlan):
         shared = camera.prescription is None and derivatives_share(accuracy, len(points))
         band = derivative_band_for(accuracy, len(points))
         super().__init__(camera, points, pupil_weights, wavelength, accuracy, band=band, shared=shared)
-        self._wavelength, self._finer = wavelength, 1 if shared else 2
+        self._wavelength, self._accuracy, self._finer = wavelength, accuracy, 1 if shared else 2
         low, size = self._finer * self._placement.corner, self._finer * self._placement.samples[:, None]
         reached = self._finer * self._shifts
         pattern = np.repeat(np.arange(len(self._first)), self._last - self._first)
@@ -89,12 +93,15 @@ class DerivativePlan(PatchPlan):
             The radiators that are done before, and those of the whole job.
         """
         numbers = VaryingNumbers(self._camera, self._wavelength, names)
-        moves, shifts = ([name for name in some if name in names] for some in (MOVES, MOVED_COPIES))
+        moves, copied = ([name for name in some if name in names] for some in (MOVES, MOVED_COPIES))
+        shifted = self._shifted(names)
+        summed = 3 if shifted else bool(moves)
         samples = self._recorder.spread(image)
         chunks, items = self.lit_chunks(weights)
+        moving = self.moving(weights)
         offset = self.offset_for(names)
         varies = varying_factors(self._fields(chunks[0][:1]), numbers) if chunks else ()
-        batches = (self._pull(chunk, weights, offset, samples, bool(shifts), bool(moves), varies) for chunk in chunks)
+        batches = (self._pull(chunk, weights, moving, offset, samples, summed, varies) for chunk in chunks)
         waiting: list[Pull] = []
 
         def kept() -> Iterator[Pull]:
@@ -103,20 +110,36 @@ class DerivativePlan(PatchPlan):
                 yield batch
 
         products, box = np.zeros((2, 2, 2)), self._recorder.box
-        sums: Any = backend().arrays.zeros((image.shape[2], box.rows, box.columns), np.float32) if moves else None
+        sums: Any = backend().arrays.zeros((summed * image.shape[2], box.rows, box.columns), np.float32)
         for pulled in job.each(kept(), items.tolist(), done + self._count - int(items.sum()), total):
             waiting.pop(0).gather(pulled, numbers)
-            products += pulled.products
+            products[0] += pulled.products
             if pulled.spreads is not None:
                 add(pulled.spreads, box, sums)
+        plain, *placed = np.split(sums, summed) if summed else [sums]
+        if placed:
+            stepped = [self._recorder.spread(image, move) for move in STEPS]
+            for axis, part in enumerate(placed):
+                products[1, :, axis] = self._unturned([float((step * part).sum(dtype=np.float64)) for step in stepped])
         gradients = numbers.gradients()
-        for name in shifts:
+        for name in copied:
             slopes = copy_slopes(self._camera, self._wavelength, name)
             gradients[name] = gradients[name] + np.einsum("cijk,ijk->c", slopes, products)
         for name in moves:
-            moved = self._recorder.record(sums, name)
-            gradients[name] = gradients[name] + float(np.einsum("ijk,ijk->", moved, image, dtype=np.float64))
+            gradients[name] = gradients[name] + self._along(plain, image, name)
         return gradients
+
+    def _along(self, sums: Any, image: NDArray[np.float32], move: str) -> float:
+        """Multiply an image with the change of that of some sums where the pixels move."""
+        return float(np.einsum("ijk,ijk->", self._recorder.record(sums, move), image, dtype=np.float64))
+
+    def _unturned(self, vector: list[float]) -> NDArray[np.float64]:
+        """Turn a vector of the camera's frame into one of the lattice's."""
+        return np.array(turn(vector[0], vector[1], -self._grid.rotation))
+
+    def _shifted(self, names: Iterable[str]) -> bool:
+        """Tell whether copies shift with some numbers."""
+        return bool(self._shifts.any()) and any(name in SHIFTED_COPIES for name in names)
 
     def offset_for(self, names: Iterable[str]) -> VaryingNumbers | None:
         """Return the numbers of which ``mla_offset`` varies, if the copies' changes by some numbers ask for it."""
@@ -124,35 +147,51 @@ class DerivativePlan(PatchPlan):
             return None
         return VaryingNumbers(self._camera, self._wavelength, ["mla_offset"])
 
-    def lit(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> tuple[Fields, list[SpreadCopies]]:
-        """Describe those spreads of a chunk that have any weight, and their copies."""
+    def moving(self, weights: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell of which spreads the copies show how the lattice moves against their points.
+
+        They show it in proportion to their weights and distances. Spreads that have few copies, or near ones, take as
+        long as others: the least of them are left out, which together are a small share of all.
+        """
+        distances = np.abs(self._shifts * self._per_sample).sum(1) * np.abs(weights[self._order]).sum(1)
+        amounts = np.add.reduceat(distances, self._first) if len(self._first) else distances
+        order = np.argsort(amounts, kind="stable")
+        counted = np.zeros(len(amounts), bool)
+        counted[order] = np.cumsum(amounts[order]) > _LEFT_OUT * self._accuracy * amounts.sum()
+        return counted
+
+    def lit(
+        self, chunk: NDArray[np.int64], weights: NDArray[np.float64], moving: NDArray[np.bool_]
+    ) -> tuple[Fields, list[SpreadCopies]]:
+        """Describe those spreads of a chunk that have any weight, and their copies; `moving` is as from there."""
         kept, copies = [], []
         for pattern, shifts, factors in self._lit_copies(chunk, weights):
             kept.append(pattern)
-            copies.append(SpreadCopies(shifts, shifts * self._per_sample, factors.astype(np.float32)))
+            places = shifts * self._per_sample
+            copies.append(SpreadCopies(shifts, places, factors.astype(np.float32), bool(moving[pattern])))
         return self._fields(np.array(kept, np.int64)), copies
 
     def _pull(
         self,
         chunk: NDArray[np.int64],
         weights: NDArray[np.float64],
+        moving: NDArray[np.bool_],
         offset: VaryingNumbers | None,
         samples: Any,
-        shifted: bool,
-        summed: bool,
+        summed: int,
         varies: tuple[bool, ...],
     ) -> Pull:
         """Describe a batch, with the samples that it reaches; what lies beyond the recorded ones is zero."""
-        fields, copies = self.lit(chunk, weights)
+        fields, copies = self.lit(chunk, weights, moving)
         placement = fields.placement
         box = covered(placement.corner, int(placement.samples[0]), copies, self._finer)
         low = np.array([box.left, box.top])
         tile = self._tile(samples, low, low + np.array([box.columns, box.rows]))
-        return Pull(fields, copies, self._finer, offset, tile, shifted, summed, varies)
+        return Pull(fields, copies, self._finer, offset, tile, summed, varies)
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
         """Return the bytes that derivatives take, of all channels in all directions, or refuse them."""
-        return super().check_memory(batch_map, channels + 1 if self._finer == 1 else 4 * channels)
+        return super().check_memory(batch_map, channels + 3 if self._finer == 1 else 4 * channels)
 
 
 class PushSum:
@@ -162,12 +201,10 @@ class PushSum:
         self._plan, self._weights, self._directions = plan, weights, directions
         self._chunks, self.items = plan.lit_chunks(weights)
         self.arrays: Any = backend().arrays
-        self.box, self.channels = plan._recorder.box, (len(directions) + 1) * weights.shape[1]
-
-    def batches(self, first: int) -> Iterator[Push]:
-        """Yield the batches from one on, in their order."""
-        plan = self._plan
-        slopes = tuple(
+        self._placed = plan._shifted(name for changes in directions for name in changes)
+        self.box = plan._recorder.box
+        self.channels = (len(directions) + (3 if self._placed else 1)) * weights.shape[1]
+        self._slopes = [
             sum(
                 (
                     np.tensordot(change, copy_slopes(plan._camera, plan._wavelength, name), 1)
@@ -176,24 +213,36 @@ class PushSum:
                 ),
                 start=np.zeros((2, 2, 2)),
             )
-            for changes in self._directions
-        )
+            for changes in directions
+        ]
+
+    def batches(self, first: int) -> Iterator[Push]:
+        """Yield the batches from one on, in their order."""
+        plan, slopes = self._plan, tuple(lattice for lattice, _ in self._slopes)
         offset = plan.offset_for(name for changes in self._directions for name in changes)
+        moving = plan.moving(self._weights)
         for chunk in self._chunks[first:]:
             numbers = tuple(VaryingNumbers(plan._camera, plan._wavelength, changes) for changes in self._directions)
             for varying, changes in zip(numbers, self._directions, strict=True):
                 varying.set_tangents(changes)
-            fields, copies = plan.lit(chunk, self._weights)
-            yield Push(fields, copies, plan._finer, numbers, slopes, offset)
+            fields, copies = plan.lit(chunk, self._weights, moving)
+            yield Push(fields, copies, plan._finer, numbers, slopes, offset, self._placed)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
         """Integrate over the recorded pixels, and add what their own moves change."""
         recorder, channels = self._plan._recorder, self._weights.shape[1]
-        image = recorder.record(total.sums[:-channels])
-        for first, changes in enumerate(self._directions):
+        count = len(self._directions) * channels
+        image, plain = recorder.record(total.sums[:count]), total.sums[count : count + channels]
+        for first, (changes, (_, shifts)) in enumerate(zip(self._directions, self._slopes, strict=True)):
+            own = image[..., first * channels : (first + 1) * channels]
             for name in MOVES:
                 change = changes.get(name, np.zeros(1))
                 if change.any():
-                    moved = recorder.record(total.sums[-channels:], name)
-                    image[..., first * channels : (first + 1) * channels] += float(change[0]) * moved
+                    own += float(change[0]) * recorder.record(plain, name)
+            if self._placed and shifts.any():
+                placed = np.split(total.sums[count + channels :], 2)
+                turned = np.array(turn(shifts[0], shifts[1], self._plan._grid.rotation))
+                for move, factors in zip(STEPS, turned, strict=True):
+                    along_x, along_y = (float(factor) * part for factor, part in zip(factors, placed, strict=True))
+                    own += recorder.record(along_x + along_y, move)
         return image

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,16 +32,20 @@ class SpreadCopies:
         The same on the microlens array, in millimetres.
     weights : float32 array (copies, channels)
         Factors on the intensity.
+    moving : bool
+        Whether what they show of a lattice that moves against their points is counted.
     """
 
     shifts: NDArray[np.int64]
     places: NDArray[np.float64]
     weights: NDArray[np.float32]
+    moving: bool
 
-    @property
-    def moved(self) -> bool:
-        """Whether any copy lies elsewhere than the spread itself."""
-        return bool(self.shifts.any())
+    def summed(self, sums: int) -> SpreadCopies:
+        """Return them with the weights as often as sums are asked for: for three, those times the places come next."""
+        factors = [np.ones(len(self.places)), *self.places.T][:sums]
+        weights = np.hstack([self.weights * factor[:, None].astype(np.float32) for factor in factors])
+        return replace(self, weights=weights)
 
     def windows(self, corner: NDArray[np.int64], samples: int, box: Box, finer: int) -> list[Window]:
         """Return what each copy of a patch takes of a box of the grid, which is finer than the patches."""
