@@ -55,9 +55,6 @@ SPREAD, BOUND, SETTLED = 0.25, 0.2, 0.05
 WALL = 110.0
 """Distance of the wall, whose points are blurred over three to four lenses."""
 
-TOGETHER = 3
-"""Directions that are differentiated at a time: the fields of all would not fit into the memory that is allowed."""
-
 STEPS, BIAS_STEPS, FAR_STEPS = 2, 4, 8
 
 NOISES = 1000
@@ -189,11 +186,7 @@ class Study:
             self.slopes = np.load(file)["slopes"]
             return
         model = Model(self.camera, self.views(self.images, self.lights), WAVELENGTH, arguments.derivatives)
-        parts = []
-        for first in range(0, len(self.numbers), TOGETHER):
-            parts.append(model.derivatives(self.numbers[first : first + TOGETHER], self.images))
-            print(f"derivatives by {first + len(parts[-1])} of {len(self.numbers)} numbers", flush=True)
-        self.slopes = np.concatenate(parts) * self.unit[:, None, None, None]
+        self.slopes = model.derivatives(self.numbers, self.images) * self.unit[:, None, None, None]
         np.savez(file, key=self.key, slopes=self.slopes)
 
     def _rows(self, images: Array) -> tuple[Array, Array]:

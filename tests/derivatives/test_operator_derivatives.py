@@ -13,6 +13,7 @@ from mitsuba_plenoptic.capture.full_field_grids import field_grids
 from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.errors import InputError
 from mitsuba_plenoptic.optics.spectrum import Spectrum
+from mitsuba_plenoptic.runtime.jobs import Job
 
 CAMERAS = {
     "rectangular": {"mla_pitch": (0.064, 0.05), "mla_offset": (0.0, 0.013)},
@@ -149,3 +150,18 @@ def test_several_directions_at_once_are_the_derivatives_by_each():
         )
     with pytest.raises(InputError, match=r"^directions: give at least one"):
         operator.jacobian(weights, [])
+
+
+def test_directions_that_do_not_fit_into_memory_are_taken_in_turn(monkeypatch):
+    """Of two wavelengths, each mixed into its channels."""
+    camera = small_camera(2, **HALF)
+    points = scattered(2, distances=(112.0, 128.0), image=0.05)
+    operator = CaptureOperator(camera, points, spectrum=Spectrum.lines(550.0, WAVELENGTH), accuracy=0.1)
+    weights = np.random.default_rng(1).uniform(0.5, 1, (2, 2))
+    directions = [{"mla_pitch": 1e-3}, {"mla_offset": (1e-3, 0)}, {"focal_length": 0.1}]
+    together = operator.jacobian(weights, directions)
+    monkeypatch.setattr("mitsuba_plenoptic.capture.derivatives.plan.MEMORY_LIMIT", 1.0)
+    told = []
+    found = operator.jacobian(weights, directions, job=Job(progress=lambda *done: told.append(done)))
+    np.testing.assert_allclose(found, together, rtol=1e-5, atol=1e-6 * abs(together).max())
+    assert told[-1] == (12, 12)

@@ -64,16 +64,23 @@ class Differentials:
         """
         _require_threads(job)
 
+        # As many directions at once as fit into memory.
+        parts: list[tuple[float, list[int], list[int]]] = []
+        for wavelength, some in groups(wavelengths):
+            step = self._planned(wavelength).together(job.workers, len(some), len(directions))
+            numbers = list(range(len(directions)))
+            parts += [(wavelength, some, numbers[first : first + step]) for first in range(0, len(directions), step)]
+
         def tasks() -> Iterator[Task]:
-            for wavelength, some in groups(wavelengths):
-                plan = self._plan(wavelength, job, len(directions) * len(some))
-                push = partial(plan.push, weights[:, some], directions)
-                own = np.kron(np.eye(len(directions), dtype=np.float32), matrix[:, some])
+            for wavelength, some, which in parts:
+                plan = self._plan(wavelength, job, len(which) * len(some))
+                push = partial(plan.push, weights[:, some], [directions[number] for number in which])
+                own = np.kron(np.eye(len(directions), dtype=np.float32)[:, which], matrix[:, some])
                 yield Task(len(self._points), push, partial(mix, matrix=own))
 
         with guards.watch():
             shape = (*self._camera.shape, len(directions) * len(matrix))
-            return job.run(tasks(), shape, self._items(wavelengths))
+            return job.run(tasks(), shape, len(parts) * len(self._points))
 
     @single_threaded_blas()
     def pull(
@@ -111,10 +118,15 @@ class Differentials:
 
     def _plan(self, wavelength: float, job: Job, channels: int) -> DerivativePlan:
         """Return the plan at a wavelength, or refuse what it takes."""
+        plan = self._planned(wavelength)
+        plan.check_memory(job.workers, channels)
+        return plan
+
+    def _planned(self, wavelength: float) -> DerivativePlan:
+        """Return the plan at a wavelength, made where there is none yet."""
         if wavelength not in self._plans:
             numbers = self._camera, self._points, self._pupil_weights, wavelength, self._accuracy
             self._plans[wavelength] = DerivativePlan(*numbers)
-        self._plans[wavelength].check_memory(job.workers, channels)
         return self._plans[wavelength]
 
 

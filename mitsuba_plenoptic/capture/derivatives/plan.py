@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...lattice import turn
+from ...optics.sampling import MEMORY_LIMIT
 from ...runtime.backend import backend
 from ...runtime.batches import BatchMap, PartialSum, add
 from ...runtime.jobs import Job
+from ...runtime.limits import largest_fitting, memory_limit
 from ..accuracy import derivative_band_for, derivatives_share
 from ..patch_batches import Fields
 from ..patch_plan import PatchPlan
@@ -191,7 +193,19 @@ class DerivativePlan(PatchPlan):
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
         """Return the bytes that derivatives take, of all channels in all directions, or refuse them."""
-        return super().check_memory(batch_map, channels + 3 if self._finer == 1 else 4 * channels)
+        return super().check_memory(batch_map, self._kept(channels))
+
+    def together(self, batch_map: BatchMap, channels: int, directions: int) -> int:
+        """Return in how many of some directions sums of so many channels are differentiated at once: 1 at least."""
+
+        def memory(count: int) -> float:
+            return self.memory(batch_map, self._kept(count * channels))
+
+        return max(1, largest_fitting(memory, min(MEMORY_LIMIT, memory_limit()), directions))
+
+    def _kept(self, channels: int) -> int:
+        """Return how many images are kept for the derivatives of so many channels."""
+        return channels + 3 if self._finer == 1 else 4 * channels
 
 
 class PushSum:
