@@ -23,9 +23,10 @@ from ..lattice import Lattice, make_lattice
 from ..optics import rays
 from ..optics.fitted_lens import lens_of_waves
 from ..optics.main_lens import MainLens
+from ..optics.sampling import check_memory
 from ..optics.thin import ThinLens
 from ..optics.wave_cameras import require_no_glass
-from ..runtime.backend import array_module
+from ..runtime.backend import array_module, one_at_a_time
 from .pupil_weights import PupilWeights
 
 _PER_PIXEL, _ENOUGH = 4.0, 96.0
@@ -37,8 +38,8 @@ _PER_LENS, _FEWEST = 12.0, 16.0
 _STEPS_OF_COUNTS = 2
 """Steps, to each doubling, of how many rays lie across the pupil: few kernels are compiled."""
 
-_TOGETHER = 1 << 22
-"""Rays that are followed at once."""
+_TOGETHER, _RAY_BYTES = 1 << 22, 100
+"""Rays that are followed at once, unless a point has more, and what each takes."""
 
 _REACH = 0.75
 """Distance from a cell, in pitches, of the centres of all lenses that it touches."""
@@ -65,7 +66,8 @@ class PointRays:
     ------
     InputError
         If the camera has an array that is tilted, irregular or has gaps, pixels that answer to angles differently, a
-        thin lens that distorts, glass or an objective, or a point does not lie before its lens.
+        thin lens that distorts, glass or an objective, a point does not lie before its lens, or one is so far out of
+        focus that its rays do not fit into memory.
     """
 
     def __init__(
@@ -83,7 +85,10 @@ class PointRays:
         sharp = np.clip(_PER_PIXEL * pixels, _FEWEST, np.maximum(_ENOUGH, pixels))
         steps = np.ceil(_STEPS_OF_COUNTS * np.log2(np.maximum(sharp, _PER_LENS * lenses)))
         self._across = np.ceil(2 ** (steps / _STEPS_OF_COUNTS)).astype(int)
+        most = int(self._across.max(initial=0))
+        check_memory(_RAY_BYTES * float(most) ** 2, f"points by {most} x {most} rays")
 
+    @one_at_a_time
     def image(self, camera: PlenopticCamera, weights: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the fraction of each point's light in each pixel, weighted and added; (rows, columns).
 

@@ -11,7 +11,7 @@ from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from .light import View, check_views
 from .model import Number, changed, numbers_of, scales, values
-from .ray_model import RayModels
+from .ray_model import RayModels, check_numbers
 
 _BLURS = (2.0, 1.0, 0.5, 0.25, 0.125)
 """Standard deviations of the Gaussians that blur captures, in microlenses, one after the other."""
@@ -62,6 +62,7 @@ def come_near(
     given = [views] if isinstance(views, View) else list(views)
     check_views(camera, given)
     numbers = numbers_of(camera, names)
+    check_numbers(numbers)
     models = RayModels(camera, given, require_wavelength(wavelength))
     blurs = np.maximum(np.array(_BLURS) * camera.pixels_per_lens, _SHARPEST)
     found, tried = camera, 0

@@ -18,7 +18,7 @@ from ..errors import InputError, require_number, shown
 from ..io.checkpoints import Checkpoint, digest
 from .light import View, check_views
 from .model import Model, Number, changed, numbers_of, scales, values
-from .ray_model import RayModels
+from .ray_model import RayModels, check_numbers
 
 _ROUNDS = 2
 """How often the noise of photons is taken from the model anew."""
@@ -150,6 +150,8 @@ def fit(
         if not low <= value <= high:
             raise InputError(f"bounds: {number.label} starts at {value:g}: it must lie from {low:g} to {high:g}")
     images = np.stack([view.image for view in given]).astype(np.float64)
+    if method == "rays":
+        check_numbers(numbers)
     model = _model_of(method, camera, given, require_wavelength(wavelength), check_accuracy(accuracy))
     trial = _Trials(camera, numbers, model, progress)
     x = start

@@ -11,11 +11,18 @@ from ..camera import PlenopticCamera
 from ..capture.point_rays import PointRays
 from ..capture.pupil_weights import PupilWeights
 from ..capture.units import brightness_at
+from ..errors import InputError
 from .light import View
 from .model import Number, changed, scales, values
 
 _STEP = 3e-3
 """Change of a number to either side for its derivative, in `scales`: what rays do is continuous, and far finer."""
+
+
+def check_numbers(numbers: Sequence[Number]) -> None:
+    """Refuse numbers of which rays from points know nothing."""
+    if any(number.name == "mla_fill" for number in numbers):
+        raise InputError("mla_fill: rays from points know no gaps between lenses; fit it by waves")
 
 
 class RayModels:

@@ -21,7 +21,9 @@ CAMERAS = {
 }
 
 
-@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "double Gauss" else []) for name in CAMERAS]
+)
 def test_against_rays_through_the_sensor(name):
     """A wall of several shades, as the radiators that rays find on it."""
     numbers, distance, limit = CAMERAS[name]
