@@ -153,7 +153,7 @@ class WaveCapture:
         if self.method != "auto":
             return self.method
         per_lens = self.passes * self.radiators_per_lens**2
-        # A bank takes the main lens to be thin and round, and of the same focal length for all channels.
+        # A bank takes the main lens to be round, without added aberrations, and the same for all channels.
         better = (
             self.occlusion
             and self.camera.objective is None
