@@ -42,6 +42,7 @@ def test_walls_are_those_of_exact_sums(distance):
     assert image.sum() == pytest.approx(exact.sum(), rel=0.004)
 
 
+@pytest.mark.slow
 def test_adjoint_is_the_transpose():
     camera, generator = behind(lenses=12), np.random.default_rng(0)
     points = wall(camera, 216.0, per_lens=2)
@@ -83,6 +84,7 @@ def test_of_two_edges_the_nearer_counts():
         assert (Px[0], Py[0]) == pytest.approx((0.9 * a, 0), abs=1e-4)
 
 
+@pytest.mark.slow
 def test_rays_find_the_derivatives_and_edges_that_fitted_paths_have():
     """Two ways to the same: from the array by neighbouring rays, and from the point by polynomials."""
     camera, types = behind("cooke_triplet", 128, aperture_radius=6), mi.Float

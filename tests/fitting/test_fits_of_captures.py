@@ -110,6 +110,7 @@ def test_a_fit_goes_on_where_it_was_stopped(tmp_path, monkeypatch):
     assert not (tmp_path / "kept").exists()
 
 
+@pytest.mark.slow
 def test_a_camera_is_found_from_afar():
     true = PlenopticCamera(detector_width=0.512, resolution=(96, 96), **HALF)
     rng = np.random.default_rng(3)
