@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
+from ..errors import InputError
 from .light import View, check_views
 from .model import Number, changed, numbers_of, scales, values
 from .ray_model import RayModels, check_numbers
@@ -61,6 +62,8 @@ def come_near(
     """
     given = [views] if isinstance(views, View) else list(views)
     check_views(camera, given)
+    if not all(view.image.max() > 0 for view in given):
+        raise InputError("image: it is black: nothing can be found by it")
     numbers = numbers_of(camera, names)
     check_numbers(numbers)
     models = RayModels(camera, given, require_wavelength(wavelength))

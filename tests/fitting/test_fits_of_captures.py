@@ -140,6 +140,11 @@ def test_a_camera_behind_a_real_lens_is_found():
     assert found.camera.focal_length == pytest.approx(true.focal_length, abs=0.02 * found.deviations["focal_length"])
 
 
+def test_nothing_is_found_by_black_captures():
+    with pytest.raises(InputError, match="image: it is black"):
+        come_near(TRUE, View(np.zeros(TRUE.shape), POINTS, np.ones(len(POINTS))), "mla_distance")
+
+
 def test_cameras_behind_objectives_are_refused():
     camera = PlenopticCamera.preset("lfm")
     with pytest.raises(InputError, match=r"main_lens = .*: cameras are fitted for thin main lenses only"):

@@ -26,10 +26,9 @@ def blur_of(camera: PlenopticCamera, vergence: Any) -> Any:
     vergence : float or array
         Vergence of the point's image, in 1/mm.
     """
+    lens: Any = main_lens(camera) if camera.prescription is None else camera
     if camera.prescription is not None:
         vergence = at_pupil(camera, vergence)
-        return (1 - camera.pupil_distance * vergence) * (2 * camera.pupil_radius / max(camera.mla_pitches))
-    lens = main_lens(camera)
     return (1 - lens.pupil_distance * vergence) * (2 * lens.pupil_radius / max(camera.mla_pitches))
 
 
