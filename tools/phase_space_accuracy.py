@@ -41,6 +41,12 @@ BLURS = (0.0, 0.5, -1.0, 2.0, -4.5)
 GRID = 0.5
 """Step of the kernels' grid in pixels."""
 
+STEPS = 1.1347241384015194 ** -np.arange(1.0, 6.0)
+"""Steps of an additive sequence that fills five dimensions evenly: powers of 1 over the root of x^6 = x + 1."""
+
+BOXES = ((1.25, 0.9, 0.35), (2.0, 0.07, 0.4), (0.0, 0.03, 0.25))
+"""Boxes about a lens from which rays are drawn: width in apertures, 0 for the window; parts of the rays, and near the rim of the pupil."""
+
 
 def main() -> int:
     """Compare, and write table and pictures."""
@@ -149,7 +155,7 @@ def reference(camera: PlenopticCamera, wall: Wall) -> np.ndarray:
     return np.asarray(operator.forward(wall.weight), dtype=float)
 
 
-def capture(plan: PhaseSpace, camera: PlenopticCamera, wall: Wall, samples: int) -> tuple[np.ndarray, np.ndarray]:
+def capture(plan: PhaseSpace, camera: PlenopticCamera, wall: Wall, samples: int, seed: int = 5) -> tuple[np.ndarray, np.ndarray]:
     """Capture the wall by signed rays and by rays, in units of the wall's weight."""
     f1, b, z, f2 = camera.focal_length, camera.mla_distance, camera.detector_distance, camera.mla_focal_length
     lattice, step = plan.lattice, camera.pixel_size * GRID
@@ -180,34 +186,50 @@ def capture(plan: PhaseSpace, camera: PlenopticCamera, wall: Wall, samples: int)
     cx, cy = mi.Float(cx[lens]), mi.Float(cy[lens])
     px, py = mi.Float((column + 0.5) * step + corner[0] - cx.numpy()), mi.Float((row + 0.5) * step + corner[1] - cy.numpy())
     coefficients = plan.bind()
-    # Points of the window, most of them about the lens.
-    inner = 1.1 * lattice.aperture_reach * 2 if plan.lattice.aperture == "circle" else 1.25 * max(lattice.aperture_widths)
-    wide = plan.window_size
-    share = 0.75
-    shift = [mi.PCG32(size=len(lens), initstate=5 + k).next_float32() for k in range(2)]
+    # Points of the window, most of them about the lens, but near the pupil's rim, where it spreads rays far.
+    width = 2 * lattice.aperture_reach if lattice.aperture == "circle" else max(lattice.aperture_widths)
+    at_rim = dr.square(px - cx * (z / b)) + dr.square(py - cy * (z / b)) > (0.88 * radius * z / b) ** 2
+    parts = [dr.select(at_rim, rim, other) for _, other, rim in BOXES]
+    sides = [(scale * width,) * 2 if scale else plan.window_size for scale, _, _ in BOXES]
+    chance = mi.PCG32(size=len(lens), initstate=seed)
+    shift = [chance.next_float32() for _ in STEPS]
     sums = [dr.zeros(mi.Float, len(lens)) for _ in range(len(plan.exponents) + 1)]
+    dr.eval(shift, parts)
+    cell_x, cell_y = px, py
     for index in range(samples):
-        r = [fraction(shift[k] + dr.opaque(mi.Float, (index * alpha) % 1)) for k, alpha in enumerate((0.7548776662466927, 0.5698402909980532))]
-        sides = wide if index % 4 == 3 else (inner, inner)
-        u, v = ((s - 0.5) * dr.opaque(mi.Float, side) for s, side in zip(r, sides, strict=True))
-        density = (1 - share) / (wide[0] * wide[1]) + dr.select(
-            (dr.abs(u) < inner / 2) & (dr.abs(v) < inner / 2), share / inner**2, 0
+        r = [fraction(start + dr.opaque(mi.Float, (index * alpha) % 1)) for start, alpha in zip(shift, STEPS, strict=True)]
+        px, py = cell_x + (r[3] - 0.5) * step, cell_y + (r[4] - 0.5) * step
+        first, second = r[2] < parts[0], r[2] < parts[0] + parts[1]
+        u, v = (
+            (r[k] - 0.5) * dr.select(first, sides[0][k], dr.select(second, sides[1][k], sides[2][k])) for k in range(2)
         )
+        density = mi.Float(0)
+        for part, side in zip(parts, sides, strict=True):
+            held = (dr.abs(u) <= side[0] / 2) & (dr.abs(v) <= side[1] / 2)
+            density += dr.select(held, part / (side[0] * side[1]), 0)
         mx, my = lattice.from_frame(u, v)
         # By direction cosines, as parabolic phase elements turn rays.
-        tx, ty = rays.slopes_to_cosines((mx - px) / z, (my - py) / z)
-        tx, ty = rays.cosines_to_slopes(tx - mx / f2, ty - my / f2)
-        P = rays.pupil_point(cx + mx, tx, b), rays.pupil_point(cy + my, ty, b)
-        sx, sy = rays.slopes_to_cosines(tx, ty)
+        # What the pupil spreads into the lens passes it, and lands, as a ray through its nearest point does.
+        nx, ny = lattice.from_frame(*(dr.clip(s, -side / 2, side / 2) for s, side in zip((u, v), lattice.aperture_widths, strict=True)))
+        tx, ty = (nx - px) / z, (ny - py) / z
+        beam = 1 + tx * tx + ty * ty
+        tx, ty = rays.slopes_to_cosines(tx, ty)
+        tx, ty = tx - nx / f2, ty - ny / f2
+        # Area on the pupil over that on the detector, in units of (b / z)^2: light is neither lost nor gained.
+        beam = dr.square(beam * (1 - tx * tx - ty * ty))
+        tx, ty = rays.cosines_to_slopes(tx, ty)
+        P = rays.pupil_point(cx + nx, tx, b), rays.pupil_point(cy + ny, ty, b)
+        sx, sy = rays.slopes_to_cosines((P[0] - cx - mx) / b, (P[1] - cy - my) / b)
         sx, sy = rays.cosines_to_slopes(sx - P[0] / f1, sy - P[1] / f1)
         X, Y = P[0] + wall.distance * sx, P[1] + wall.distance * sy
-        radiance = wall.radiance(-X * b / wall.distance, -Y * b / wall.distance) / density
+        radiance = wall.radiance(-X * b / wall.distance, -Y * b / wall.distance) / (density * beam)
         active = (P[0] ** 2 + P[1] ** 2 <= radius**2) & (radiance != 0)
-        values = coefficients((mx, my), P, active)
+        jitter = tuple(chance.next_float32() for _ in range(4))
+        values = coefficients((mx, my), P, jitter, active)
         own = lattice.in_aperture(mx, my) & active
         for n, value in enumerate([*values, dr.select(own, mi.Float(1), 0)]):
             sums[n] = dr.fma(dr.select(active, value, 0), radiance, sums[n])
-        dr.eval(sums)
+        dr.eval(sums, chance)
     scale = (b / z) ** 2 * step**2 / (math.pi * radius**2 * camera.mla_pitch**2 * samples)
     place = (row * shape[1] + column).astype(int)
     images = np.stack([np.bincount(place, np.asarray(s, float), shape[0] * shape[1]).reshape(shape) for s in sums]) * scale

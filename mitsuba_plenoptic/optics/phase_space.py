@@ -242,11 +242,18 @@ class RayCoefficients:
 
     def __init__(self, plan: PhaseSpace) -> None:
         self.plan = plan
-        self._table = mi.Float(plan.table.ravel())
+        # Coefficients are read four at a time.
+        padding = [(0, 0)] * 4 + [(0, -len(plan.exponents) % 4)]
+        self._table = mi.Float(np.pad(plan.table, padding).ravel())
         self._radius = float(main_lens(plan.camera).pupil_radius)
 
-    def __call__(self, point: tuple[Any, Any], pupil: tuple[Any, Any], active: Any) -> list[Any]:
+    def __call__(
+        self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
+    ) -> list[Any]:
         """Return the coefficients of rays from points of a lens through points of the pupil.
+
+        Each ray takes one node of the table, by chance, so that the mean is what linear interpolation between the
+        sixteen nodes around it gives.
 
         Parameters
         ----------
@@ -254,47 +261,42 @@ class RayCoefficients:
             Where the ray meets the array, from the centre of a lens.
         pupil : (Float, Float)
             Where it meets the pupil.
+        jitter : four Float
+            Random numbers from 0 to 1.
         active : Bool
-            Rays that are wanted; of others, and of those beside the pupil or the window, the coefficients are 0.
+            Rays that are wanted; of others, and of those outside the pupil or the window, the coefficients are 0.
         """
         plan = self.plan
         radial, angular, rows, columns, count = plan.shape
-        lattice = plan.lattice
-        (u, v), (Pu, Pv) = lattice.to_frame(*point), lattice.to_frame(*pupil)
-        # A quarter of the pupil stands for all of it, mirrored as lenses are.
-        turned_u, turned_v = Pu < 0, Pv < 0
-        distance = dr.sqrt(Pu * Pu + Pv * Pv)
-        active = active & (distance <= self._radius)
-        radius = (1 - dr.sqrt(dr.maximum(1 - distance / self._radius, 0))) * (radial - 1)
-        angle = dr.atan2(dr.abs(Pv), dr.abs(Pu)) * ((angular - 1) * 2 / math.pi)
+        (u, v), (Pu, Pv) = plan.lattice.to_frame(*point), plan.lattice.to_frame(*pupil)
         width, height = plan.window_size
-        column = dr.select(turned_u, -u, u) * (columns / width) + (columns / 2 - 0.5)
-        row = dr.select(turned_v, -v, v) * (rows / height) + (rows / 2 - 0.5)
-        active &= (dr.abs(u) <= width / 2) & (dr.abs(v) <= height / 2)
-        nodes = [_linear(radius, radial), _linear(angle, angular), _linear(row, rows, True), _linear(column, columns, True)]
-        sums = [mi.Float(0) for _ in range(count)]
-        for corner in range(16):
-            index, weight = mi.Int(0), mi.Float(1)
-            for axis, size in enumerate((radial, angular, rows, columns)):
-                pair = nodes[axis][corner >> axis & 1]
-                index, weight = index * size + pair[0], weight * pair[1]
-            start = mi.UInt(index * count)
-            for n in range(count):
-                sums[n] = dr.fma(dr.gather(mi.Float, self._table, start + n, active), weight, sums[n])
-        return [
-            dr.select(turned_u ^ turned_v if i % 2 and j % 2 else turned_u if i % 2 else turned_v if j % 2 else False, -value, value)
-            for (i, j), value in zip(plan.exponents, sums, strict=True)
+        distance = dr.sqrt(Pu * Pu + Pv * Pv) / self._radius
+        active = active & (distance <= 1) & (dr.abs(u) <= width / 2) & (dr.abs(v) <= height / 2)
+        # A quarter of the pupil stands for all of it, mirrored as lenses are.
+        mirrored = Pu < 0, Pv < 0
+        u, v = (dr.select(turned, -place, place) for turned, place in zip(mirrored, (u, v), strict=True))
+        places = (
+            (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * (radial - 1),
+            dr.atan2(dr.abs(Pv), dr.abs(Pu)) * ((angular - 1) * 2 / math.pi),
+            v * (rows / height) + (rows / 2 - 0.5),
+            u * (columns / width) + (columns / 2 - 0.5),
+        )
+        nodes = [mi.Int(dr.floor(place + chance)) for place, chance in zip(places, jitter, strict=True)]
+        index = dr.minimum(nodes[0], radial - 1) * angular + dr.minimum(nodes[1], angular - 1)
+        # The window repeats.
+        for node, size in ((nodes[2], rows), (nodes[3], columns)):
+            index = index * size + dr.select(node < 0, node + size, dr.select(node >= size, node - size, node))
+        packets = -(-count // 4)
+        values = [
+            value
+            for packet in range(packets)
+            for value in dr.gather(mi.Vector4f, self._table, mi.UInt(index * packets + packet), active)
         ]
-
-
-def _linear(place: Any, count: int, wraps: bool = False) -> list[tuple[Any, Any]]:
-    """Return the two nodes about a place, and their weights."""
-    low = dr.floor(place) if wraps else dr.clip(dr.floor(place), 0, count - 2)
-    fraction = place - low
-    node = mi.Int(low)
-    if not wraps:
-        return [(node, 1 - fraction), (node + 1, fraction)]
-    return [((node + count) % count, 1 - fraction), ((node + 1 + count) % count, fraction)]
+        signs = [dr.select(turned, -1.0, 1.0) for turned in mirrored]
+        return [
+            value * (signs[0] if i % 2 else 1.0) * (signs[1] if j % 2 else 1.0)
+            for (i, j), value in zip(plan.exponents, values, strict=False)
+        ]
 
 
 @dr.syntax
