@@ -23,7 +23,11 @@ if __name__ == "__main__":
     project = tomllib.loads((HERE / "pyproject.toml").read_text())["project"]
     setup(
         # The scenes stay at the top of the repository, where users edit them, and are installed within the package.
-        packages=[*find_packages(include=["mitsuba_plenoptic*"]), "mitsuba_plenoptic.scenes"],
+        packages=[
+            *find_packages(include=["mitsuba_plenoptic*"]),
+            "mitsuba_plenoptic.scenes",
+            "mitsuba_plenoptic.scenes.meshes",
+        ],
         package_dir={"mitsuba_plenoptic.scenes": "scenes"},
         long_description=with_absolute_links((HERE / "README.md").read_text(), project["urls"]["Source"]),
         long_description_content_type="text/markdown",
