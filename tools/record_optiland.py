@@ -34,8 +34,13 @@ SAMPLES = {
 FILES = {"cooke_triplet.zmx": (1.0, 20.0), "double_gauss.seq": (1.0, 14.0), "asphere.zmx": (25.4, 3.0)}
 """Lens files among the records, with the millimetres in their unit, which Optiland leaves aside, and the field."""
 
-GLASSES = ("BK7", "N-BK7", "F2", "F5", "N-SK2", "N-SK16", "SK16", "N-SSK2", "SF5", "N-SF5", "E-SF5", "J-SF5")
-"""Names of glasses, which are recorded of every catalogue that has one."""
+GLASSES = (
+    "BK7", "E-SF5", "F2", "F5", "J-SF5", "N-BK7", "N-SF5", "N-SK16", "N-SK2", "N-SSK2", "S-LAH53", "SF5", "SK16",
+)  # fmt: skip
+"""Names of glasses, which are recorded of every maker's catalogue that has one."""
+
+CRYSTALS = ("main/CaF2/Malitson.yml",)
+"""Files of other materials."""
 
 WAVELENGTHS = (486.1327, 587.5618, 656.2725)
 """In nanometres, for the bundled lenses; of files their own."""
@@ -131,6 +136,11 @@ def file_results(name: str) -> Any:
     return found
 
 
+def _is_recorded(file: str, name: str) -> bool:
+    """Whether the stand-in has an entry of the catalogue."""
+    return (file.startswith("glass/") and name in GLASSES) or file in CRYSTALS
+
+
 def write_stand_in(folder: Path) -> None:
     """Write the glasses' catalogue entries as they are, and their indices at the wavelengths of our tables."""
     from optiland.materials import MaterialFile
@@ -138,7 +148,7 @@ def write_stand_in(folder: Path) -> None:
     original = resources.files("optiland.database")
     with (original / "catalog_nk.csv").open(encoding="utf-8") as file:
         reader = csv.DictReader(file)
-        rows = [row for row in reader if row["filename_no_ext"] in GLASSES and row["filename"].startswith("glass/")]
+        rows = [row for row in reader if _is_recorded(row["filename"], row["filename_no_ext"])]
     shutil.rmtree(folder / "data-nk", ignore_errors=True)
     with (folder / "catalog_nk.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, reader.fieldnames or (), lineterminator="\n")
