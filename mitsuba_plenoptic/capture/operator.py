@@ -214,7 +214,8 @@ class CaptureOperator:
 
         Points, weights and the relative power over each pupil are held, and so is that of all light through the pupil.
         Behind a real main lens, for up to 512 points, or at accuracies below 0.004, each has a spread of its own; more
-        share them as `forward` does, each copy with what its own lenses change. Derivatives by method "patch" only.
+        share them as `forward` does, each copy with what its own lenses change. By method "patch" only, and not for
+        cameras behind an objective.
 
         Parameters
         ----------
@@ -315,8 +316,7 @@ class CaptureOperator:
         """Return the derivatives of the sums, or refuse methods that have none."""
         if self._method != "patch":
             raise InputError(f"method = {self._method}: it has no derivatives; use patch")
-        if self.camera.objective is not None:
-            self.camera.require_thin("derivatives by waves are found", "differentiate by rays")
+        self.camera.require_no_objective("derivatives by waves are found")
         require_no_glass(self.camera, "there are no derivatives of cameras that disperse light;")
         if self._spectrum is not None and self._spectrum.nodes:
             raise InputError(

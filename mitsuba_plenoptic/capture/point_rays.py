@@ -118,8 +118,7 @@ def _require_known(camera: PlenopticCamera) -> None:
         if any(getattr(camera, name)):
             raise InputError(f"{name} = {getattr(camera, name)}: points are followed through cameras without it only")
     require_no_glass(camera, "points are followed at one wavelength;")
-    if camera.objective is not None:
-        camera.require_thin("points are followed by rays")
+    camera.require_no_objective("points are followed by rays")
     if not camera.lattice.fills:
         raise InputError(
             f"mla_fill = {camera.mla_fill:g}, mla_aperture = {camera.mla_aperture}: points are followed by rays "

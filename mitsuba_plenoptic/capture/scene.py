@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.resources
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,7 +22,9 @@ def scene_names() -> list[str]:
 
 
 def _folder() -> Path:
-    return Path(str(importlib.resources.files("mitsuba_plenoptic.scenes")))
+    """Folder of the built-in scenes: in the installed package, or at the top of a clone, where users edit them."""
+    installed = Path(__file__).parents[1] / "scenes"
+    return installed if installed.is_dir() else installed.parents[1] / "scenes"
 
 
 def scene_path(name: str) -> Path:

@@ -200,8 +200,7 @@ def make_class() -> type:
                 raise InputError(f"{NAME}: there are no gradients of captures of bands or responses; leave them out")
             names, others = numbers_and_others(params, sensor)
             camera = PlenopticCamera.from_sensor(sensor)
-            if camera.objective is not None:
-                camera.require_thin("captures by waves are differentiated")
+            camera.require_no_objective("captures by waves are differentiated")
             seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
             spp = spp or sensor.sampler().sample_count()
             capture = self._capture(scene, sensor)
