@@ -1,7 +1,7 @@
 """Samples in HDF5 files: a group for each, of the sample's number in six digits, with its arrays and its facts.
 
-The group's attribute ``digests`` has the digest of each array, JSON by name, so that a damaged sample is never taken
-for a whole one. The same samples give the same bytes.
+Its ``digests``, JSON by the names of the others, are compared whenever an array is read, so that a damaged sample is
+never taken for a whole one. The same samples give the same bytes.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..io.checkpoints import digest
@@ -37,13 +38,18 @@ def write_samples(path: Path, samples: Iterable[Sample]) -> None:
     with atomic_output(path) as temporary, h5py.File(temporary, "w") as file:
         for sample in samples:
             group = file.create_group(group_name(sample.index))
-            arrays = {name: np.asarray(array, np.float32) for name, array in sample.arrays.items()}
-            # Text of any length: attributes end at 64 KiB.
-            facts = json.dumps(sample.facts, sort_keys=True).encode()
-            arrays[_FACTS] = np.frombuffer(facts, np.uint8)
+            arrays: dict[str, NDArray[Any]] = {
+                name: np.asarray(array, np.float32) for name, array in sample.arrays.items()
+            }
+            arrays[_FACTS] = _as_bytes(sample.facts)
+            arrays[_DIGESTS] = _as_bytes({name: digest(array) for name, array in arrays.items()})
             for name, array in arrays.items():
                 group.create_dataset(name, data=array)
-            group.attrs[_DIGESTS] = json.dumps({name: digest(array) for name, array in arrays.items()}, sort_keys=True)
+
+
+def _as_bytes(values: dict[str, Any]) -> NDArray[np.uint8]:
+    """Return JSON of any length: attributes of HDF5 end at 64 KiB."""
+    return np.frombuffer(json.dumps(values, sort_keys=True).encode(), np.uint8)
 
 
 def open_shard(path: Path) -> Any:
@@ -85,14 +91,17 @@ def read_sample(file: Any, path: Path, index: int, names: Collection[str] | None
         if not isinstance(file.get(group_name(index), getlink=True), h5py.HardLink):
             raise InputError(f"it has no sample {index}")
         group = file[group_name(index)]
-        digests = json.loads(group.attrs[_DIGESTS])
-        arrays = {}
-        for name in digests if names is None else [*names, _FACTS]:
+
+        def read(name: str) -> NDArray[Any]:
             stored = stored_array(group, name)
             if stored is None:
                 raise InputError(f"sample {index}: it has no {name}; it has {', '.join(group)}")
             require_memory(float(stored.size) * stored.dtype.itemsize, f"{name} of sample {index}")
-            arrays[name] = stored[()]
+            return np.asarray(stored[()])
+
+        digests, arrays = json.loads(read(_DIGESTS).tobytes()), {}
+        for name in digests if names is None else [*names, _FACTS]:
+            arrays[name] = read(name)
             if digest(arrays[name]) != digests[name]:
                 raise ValueError(f"{name} is not what was written")
         facts = json.loads(arrays.pop(_FACTS).tobytes())

@@ -144,7 +144,7 @@ def test_a_rerun_renders_damaged_samples_again(made, tmp_path, capsys):
     assert main(["dataset", str(recipe), "-o", str(folder)]) == 0
     said = capsys.readouterr().err
     assert "sample 1 is damaged: ray is not what was written; it is rendered again" in said
-    assert "sample 2 is damaged: facts" in said
+    assert "sample 2 is damaged: facts is not what was written" in said
     assert "shard-00002.h5: its checksum differs" in said
     assert files(folder) == files(made)
     (folder / "shards/shard-00002.h5").write_bytes(content[:100])
@@ -189,7 +189,7 @@ def test_a_second_process_in_the_folder_is_refused(made, tmp_path, capsys):
 def test_what_is_asked_for_and_not_there_is_named(made):
     with pytest.raises(IndexError):
         DataSet(made)[5]
-    with pytest.raises(InputError, match="sample 0: it has no wave; it has depth, facts"):
+    with pytest.raises(InputError, match="sample 0: it has no wave; it has depth, digests, facts"):
         DataSet(made, ["wave"])[0]
     assert [sample.index for sample in pickle.loads(pickle.dumps(DataSet(made, ["ray"])))] == [0, 1, 2, 3, 4]
 
