@@ -174,9 +174,9 @@ def white_radiance(light: np.ndarray, computed: np.ndarray, radius: np.ndarray) 
         If the white is dark, or a lens has less than an eighth of the light of the brightest. Below a half there is a
         warning.
     """
-    whole = computed >= _WHOLE * computed.max(initial=0)
+    whole = (computed > 0) & (computed >= _WHOLE * computed.max(initial=0))
     ratio = light[whole] / computed[whole, None]
-    brightest = ratio.max(axis=0)
+    brightest = ratio.max(axis=0, initial=0)
     if not (brightest > 0).all():
         raise InputError("white: it is dark: it must be a capture of something evenly white")
     least = (ratio / brightest).min(axis=1)
