@@ -132,7 +132,7 @@ def locked(folder: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            path.unlink()
+            path.unlink(missing_ok=True)
 
 
 def claim(folder: Path, recipe: Recipe) -> Layout:
