@@ -17,13 +17,15 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_count, require_number, shown
-from ..io.files import atomic_output, require_file
+from ..io.files import atomic_output, read_text
 from ..optics.distortion import undistort
 from ..presets import PRESETS
 from .fit import Calibration
 from .model import NAMES
 from .numbers import camera_of
 from .observations import Board, LensIndex
+
+_LARGEST_FILE = 2**24
 
 _PIXELS = "u is the column and v the row in the recorded picture; (0, 0) is the centre of its first pixel"
 _POSES = "by frame: rotation vector in radians and place of corner 0 in mm, from the board's to the camera frame"
@@ -87,9 +89,9 @@ def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
     """
     if str(source) in PRESETS and not Path(source).is_file():
         return PlenopticCamera.preset(str(source)), None
-    path = require_file(source)
+    path = Path(source)
+    text = read_text(path, _LARGEST_FILE)
     try:
-        text = path.read_text(encoding="utf-8")
         values = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: it is no JSON file: {error}") from None

@@ -18,8 +18,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..errors import InputError, require_count, require_number
-from ..io.files import require_file
-from .foreign_centres import read_foreign_centres
+from ..io.files import read_text
+from .foreign_centres import LARGEST_FILE, read_foreign_centres
 from .model import Observations
 
 CORNER_COLUMNS = ("k", "l", "u", "v", "cluster", "frame")
@@ -140,21 +140,19 @@ def read_table(path: str | Path, names: tuple[str, ...], optional: tuple[str, ..
     InputError
         If the file or a column is missing, or a value is not a finite number, or not whole where it must be.
     """
-    path = require_file(path)
+    path = Path(path)
+    first, _, rest = read_text(path, LARGEST_FILE).partition("\n")
+    header = [name.strip() for name in first.split(",")]
+    missing = [name for name in names if name not in header]
+    if missing:
+        raise InputError(f"{path}: it has no column {missing[0]}; it needs {', '.join(names)}")
+    names += tuple(name for name in optional if name in header)
+    lines = [line for line in rest.splitlines() if line.strip()]
+    if not lines:
+        raise InputError(f"{path}: it has no rows")
     try:
-        with path.open(encoding="utf-8-sig") as file:
-            header = [name.strip() for name in file.readline().split(",")]
-            missing = [name for name in names if name not in header]
-            if missing:
-                raise InputError(f"{path}: it has no column {missing[0]}; it needs {', '.join(names)}")
-            names += tuple(name for name in optional if name in header)
-            lines = [line for line in file if line.strip()]
-        if not lines:
-            raise InputError(f"{path}: it has no rows")
         rows = np.loadtxt(lines, delimiter=",", usecols=[header.index(name) for name in names], ndmin=2)
-    except (ValueError, UnicodeDecodeError) as error:
-        if isinstance(error, InputError):
-            raise
+    except ValueError as error:
         raise InputError(f"{path}: it is no table of numbers: {error}") from None
     return _checked(path, dict(zip(names, rows.T, strict=True)), header=1)
 

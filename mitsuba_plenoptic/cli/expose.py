@@ -73,4 +73,8 @@ def expose(
     exposed = record(read_capture(capture), detector, photons=photons, seed=seed)
     (write_raw if output.suffix.lower() in RAW_SUFFIXES else write_capture)(output, exposed)
     electrons = detector.quantum_efficiency * photons
-    typer.echo(f"{output}: {electrons:.4g} electrons in a pixel of value 1; a full well is {full_well:g}")
+    saturated, rows, columns = exposed.metadata["exposure"]["saturated_pixels"], *exposed.image.shape[:2]
+    typer.echo(
+        f"{output}: {electrons:.4g} electrons in a pixel of value 1; a full well is {full_well:g}; "
+        f"{saturated} pixels ({saturated / (rows * columns):.2%}) are saturated"
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +16,8 @@ from ..errors import InputError, require_choice, shown
 from .exr import read_exr, write_exr
 
 MODELS = ("ray", "wave")
+
+_MOST_SATURATED = 0.01
 
 BRIGHTEST = 1e30
 """Magnitude of a pixel at most: what is summed and squared of it stays within single precision's 3e38."""
@@ -133,13 +136,11 @@ def require_pixels(name: str, image: np.ndarray) -> None:
     raise InputError(f"{name}: {bad.sum()} of its pixels are {what}, the first at ({first}): all must be {rule}")
 
 
-def require_same_camera(name: str, white: Capture, cameras: Sequence[PlenopticCamera]) -> None:
-    """Refuse a white capture by another camera than a capture's, and name the first number in which it is another.
+def require_suitable_white(white: Capture, cameras: Sequence[PlenopticCamera]) -> None:
+    """Refuse a white capture by another camera than a capture's, or with many saturated pixels.
 
     Parameters
     ----------
-    name : str
-        What the message calls the white capture.
     white : Capture
         The white capture.
     cameras : sequence of PlenopticCamera
@@ -148,14 +149,22 @@ def require_same_camera(name: str, white: Capture, cameras: Sequence[PlenopticCa
     Raises
     ------
     InputError
-        If it is by none of them.
+        If it is by none of them, with the first parameter that differs; or if more than 1 % of its pixels are
+        saturated.
     """
+    exposure = white.metadata.get("exposure")
+    saturated = exposure.get("saturated_pixels", 0) if isinstance(exposure, dict) else 0
+    pixels = math.prod(white.camera.shape)
+    if isinstance(saturated, (int, float)) and saturated > _MOST_SATURATED * pixels:
+        raise InputError(
+            f"white: {saturated} of its {pixels} pixels are saturated: they must be at most {_MOST_SATURATED:.0%}"
+        )
     if not cameras or white.camera in cameras:
         return
     theirs, ours = white.camera.to_dict(), cameras[-1].to_dict()
     number = next(number for number in {**ours, **theirs} if theirs.get(number) != ours.get(number))
     raise InputError(
-        f"{name}: its camera has {number} = {shown(theirs.get(number))}, that of the capture "
+        f"white: its camera has {number} = {shown(theirs.get(number))}, that of the capture "
         f"{shown(ours.get(number))}: it must be by the camera of the capture"
     )
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,8 +20,15 @@ ATTRIBUTE = "mitsuba_plenoptic"
 
 _NOISE = "noise."
 
+_LARGEST_HEADER = 2**26
+
 _MAGIC = bytes((0x76, 0x2F, 0x31, 0x01))
 """Bytes that every OpenEXR file begins with."""
+
+_LONGEST_NAME = 256
+
+_SEVERAL_PARTS = 0x1000
+"""Bit of the version that says so."""
 
 # The others lose precision, which is not for captures.
 _LOSSLESS = (
@@ -216,11 +225,34 @@ def read_parts(path: Path) -> list[Part]:
     InputError
         If the file is no OpenEXR file, or its header is damaged.
     """
+    _require_small_header(path)
     try:
         with native_output_dropped(), OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
             return [_part(part.header) for part in file.parts]
     except Exception as error:
         raise _damaged(path, error) from None
+
+
+def _require_small_header(path: Path) -> None:
+    """Refuse a file whose attributes are too large to be read whole; whether they are right is for OpenEXR to find."""
+    with path.open("rb") as file:
+
+        def text() -> bytes:
+            return b"".join(itertools.islice(iter(lambda: file.read(1).strip(b"\0"), b""), _LONGEST_NAME))
+
+        several = bool(int.from_bytes(file.read(8)[4:], "little") & _SEVERAL_PARTS)
+        # A name, a type, a size and a value each; no name ends a part, and no attribute at all the last one of several.
+        attributes = 0
+        while file.tell() <= _LARGEST_HEADER:
+            if text():
+                text()
+                file.seek(int.from_bytes(file.read(4), "little"), os.SEEK_CUR)
+                attributes += 1
+            elif several and attributes:
+                attributes = 0
+            else:
+                return
+    raise InputError(f"{path}: its header claims more than {_LARGEST_HEADER} bytes: it may have at most as many")
 
 
 def _part(header: dict[str, Any]) -> Part:

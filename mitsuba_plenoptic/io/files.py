@@ -100,6 +100,38 @@ def require_file(path: str | Path) -> Path:
     return path
 
 
+def require_size(path: str | Path, largest: int) -> Path:
+    """Check that a file can be read and has at most `largest` bytes, before any of them is read.
+
+    Raises
+    ------
+    InputError
+        As `require_file` does, or if it is larger.
+    """
+    path = require_file(path)
+    size = path.stat().st_size
+    if size > largest:
+        raise InputError(f"{path}: {size} bytes: it may have at most {largest}")
+    return path
+
+
+def read_text(path: str | Path, largest: int) -> str:
+    """Read a text file in UTF-8, with a byte-order mark or without one, of at most `largest` bytes.
+
+    Raises
+    ------
+    InputError
+        As `require_size` does, or if it is not such a text.
+    """
+    path = require_size(path, largest)
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: it is not text in UTF-8: {error}") from None
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from None
+
+
 def _path(path: str | Path) -> Path:
     if not isinstance(path, (str, Path)) or "\0" in str(path):
         raise InputError(f"path = {shown(path)}: it must be the name of a file")

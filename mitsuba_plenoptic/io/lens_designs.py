@@ -17,7 +17,7 @@ import numpy as np
 from ..errors import InputError
 from ..prescription import Prescription
 from ..prescription.glass import tabulated_glass
-from .files import require_file
+from .files import require_size
 
 SUFFIXES = {".zmx": "load_zemax_file", ".seq": "load_codev_file"}
 """Endings of the files that are read, and what of Optiland reads them."""
@@ -39,9 +39,7 @@ def read_design(path: str | Path) -> Prescription:
         If Optiland is not installed or cannot read the file, it holds what a `Prescription` cannot, or it does not tell
         a surface's semi-aperture.
     """
-    path = require_file(path)
-    if path.stat().st_size > _LARGEST:
-        raise InputError(f"{path}: {path.stat().st_size} bytes: it may have at most {_LARGEST}")
+    path = require_size(path, _LARGEST)
     try:
         reader = getattr(importlib.import_module("optiland.fileio"), SUFFIXES[path.suffix.lower()])
     except ImportError:

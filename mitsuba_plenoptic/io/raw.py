@@ -167,6 +167,7 @@ def _response(exposure: dict[str, Any]) -> tuple[float, float, float, float]:
 
 def _read(path: Path) -> tuple[NDArray[Any], str]:
     """Return the pixels of a picture and its description."""
+    require_memory(2 * path.stat().st_size, f"{path}: {path.stat().st_size} bytes")
     try:
         if path.suffix.lower() == ".png":
             with Image.open(path, formats=["PNG"]) as picture:

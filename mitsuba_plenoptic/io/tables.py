@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .files import require_file
+from .files import read_text
 
 _LARGEST_FILE = 2**22
 
@@ -27,13 +27,10 @@ def read_table(path: str | Path) -> NDArray[np.float64]:
         If there is no such file, it is larger, or what follows the first line are not finite numbers, as many in each
         row.
     """
-    path = require_file(path)
-    if path.stat().st_size > _LARGEST_FILE:
-        raise InputError(f"{path}: {path.stat().st_size} bytes: it may have at most {_LARGEST_FILE}")
+    lines = [line for line in read_text(path, _LARGEST_FILE).splitlines()[1:] if line.strip()]
     try:
-        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines()[1:] if line.strip()]
         rows = np.loadtxt(lines, delimiter=",", ndmin=2) if lines else np.empty((0, 0))
-    except (ValueError, OSError) as error:
+    except ValueError as error:
         raise InputError(f"{path}: it is no table of numbers: {error}") from None
     if not len(rows):
         raise InputError(f"{path}: it has no rows below its line of names")

@@ -8,9 +8,9 @@ from typing import Any
 import yaml
 
 from ..errors import InputError
-from .files import require_file
+from .files import read_text
 
-_LARGEST_FILE = 2**16
+LARGEST_FILE = 2**16
 
 
 class _Loader(yaml.SafeLoader):
@@ -37,14 +37,10 @@ def read_yaml(path: str | Path) -> Any:
     InputError
         If there is no such file, it is larger, it is not YAML, or a name is given twice.
     """
-    path = require_file(path)
-    if path.stat().st_size > _LARGEST_FILE:
-        raise InputError(f"{path}: {path.stat().st_size} bytes: it may have at most {_LARGEST_FILE}")
+    text = read_text(path, LARGEST_FILE)
     try:
-        return yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
+        return yaml.load(text, Loader=_Loader)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: it is not YAML: {' '.join(str(error).split())}") from None

@@ -139,8 +139,10 @@ def reconstruct(
         Bins per lens along each axis. A focused camera tells more than one apart:
         `mitsuba_plenoptic.design.suitable_oversample` and ``mitsuba-plenoptic info`` say how many.
     white : Capture or array, optional
-        What the same camera recorded of a scene of uniform radiance 1, by the same wavelengths, in one channel or as
-        many as the capture has. It is refocused in the same way, and images are divided by it; those of unfocused
+        What the same camera recorded of something evenly white that fills the view, by the same wavelengths, in one
+        channel or as many as the capture has. It is scaled to a radiance of 1, channel by channel, so that images
+        stay in units of the capture (see `mitsuba_plenoptic.lightfield.white.white_radiance`). It is refocused in the
+        same way, and images are divided by it; those of unfocused
         cameras behind thin main lenses are also drawn back, to first order, to where their light comes from, which
         borders, diffraction and interference displace (see `mitsuba_plenoptic.reconstruction.displacement`). This takes
         the time of one refocusing for the white and of two more for each distance. Default: what the camera would
@@ -200,6 +202,8 @@ def reconstruct(
             f"method = {method}: behind main_lens = {camera.objective.name} captures are deconvolved alone; use method "
             "deconvolved"
         )
+    if white is not None and method == "deconvolved":
+        raise InputError("white: method deconvolved knows the light of every bin itself; it takes no white capture")
     require_upright(camera)
     given = {
         "footprint": require_choice("footprint", footprint, FOOTPRINTS),
@@ -230,9 +234,8 @@ def reconstruct(
     if chosen.waves and not chosen.as_it_is:
         # Images are formed by the lens as it should be.
         camera = camera.replace(wavefront=())
+    require_image_memory(camera, distances, oversample, image.shape, white is not None and is_known(camera))
     reference = None if white is None else reference_white(white, capture, recorded)
-    drawn_back = reference is not None and is_known(camera)
-    require_image_memory(camera, distances, oversample, image.shape, drawn_back)
     wavelengths = require_wavelengths(capture, wavelength, image.shape[2], camera) if waves else []
 
     def report(done: float) -> None:

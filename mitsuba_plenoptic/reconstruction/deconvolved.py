@@ -44,8 +44,6 @@ def refocus(task: Task, **options: Any) -> list[Found]:
     list of Found
         Radiance, and what is known of it.
     """
-    if task.white is not None:
-        raise InputError("white: method deconvolved knows the light of every bin itself; it takes no white capture")
     noise = Noise.of(task.exposure, options["photons"])
     _require_light(task.image, noise)
     if options["volume"]:

@@ -154,7 +154,7 @@ class TestDecode:
         assert (lf * lf.weight).sum().item() == pytest.approx(image.sum(), rel=1e-4)
 
     def test_a_given_white_image_is_divided_by(self):
-        vignette = np.linspace(0.3, 1.0, 512, dtype=np.float32)
+        vignette = 1.02 - np.linspace(-0.5, 0.5, 512, dtype=np.float32) ** 2
         white = white_image(PAPER) * vignette
         lf = decode(0.7 * white, camera=PAPER, white=Capture(white, PAPER))
         np.testing.assert_allclose(lf.values[lf.weight.values > 0], 0.7, atol=1e-4)

@@ -40,6 +40,7 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
         If the file does not exist, is neither, is damaged, or would take more memory than is allowed.
     """
     path = require_file(path)
+    require_memory(2 * path.stat().st_size, f"{path}: {path.stat().st_size} bytes")
     if path.suffix.lower() in TIFF:
         return _read_tiff(path, linear)
     try:

@@ -15,7 +15,8 @@ from typing import Any
 import yaml
 
 from ...errors import InputError, require_number
-from ...io.files import require_file
+from ...io.files import read_text
+from ...io.yaml_file import LARGEST_FILE
 
 # Names that are not parameters of the scene.
 WAVELENGTH, DISTANCE = "wavelength", "distance"
@@ -23,20 +24,14 @@ WAVELENGTH, DISTANCE = "wavelength", "distance"
 Grid = Mapping[str, Sequence[float]]
 
 _MOST_POINTS = 100_000
-_LARGEST_FILE = 2**16
 
 
 def read_grid(path: Path) -> dict[str, list[Any]]:
     """Read a grid from YAML: names, each with a list of numbers, or with one."""
-    path = require_file(path)
-    if path.stat().st_size > _LARGEST_FILE:
-        raise InputError(f"{path}: {path.stat().st_size} bytes: a grid has at most {_LARGEST_FILE}")
+    text = read_text(path, LARGEST_FILE)
     try:
-        text = path.read_text()
         node = yaml.compose(text, Loader=yaml.SafeLoader)
         content = yaml.safe_load(text)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: it is not YAML: {' '.join(str(error).split())}") from None
     if not isinstance(content, dict):
