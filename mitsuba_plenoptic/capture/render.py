@@ -99,7 +99,8 @@ def render_capture(
         require_samples(spp)
     wavelengths, spectrum = None, None
     if hasattr(integrator, "wavelengths"):
-        wavelengths, spectrum = integrator.channel_wavelengths(chosen), integrator.spectrum_of(chosen)
+        spectrum = integrator.spectrum_of(scene, chosen)
+        wavelengths = integrator.wavelengths if spectrum is None else spectrum.centroids()
     _require_film_memory(camera, spp)
     # Of two sensors with the same camera, the checkpoint of one is none of the other.
     which = {} if sensor == 0 else {"sensor": sensor if isinstance(sensor, int) else chosen.id()}

@@ -245,8 +245,9 @@ def catalogue_glass(
         raise InputError(f"{where} = {shown(name)}: {', '.join(chosen)} have one: write {chosen[0]}:{own}")
     if not chosen:
         searched = "no catalogue has" if makers is None else f"{', '.join(makers)}: no such catalogue has"
-        like = [f"{entry.maker}:{entry.name}" for entry in found.values()]
-        like += [f"{entry.maker}:{entry.name}" for entry in _catalogued() if plain and plain in entry.name.lower()]
+        # The same name from other makers, then longer names.
+        glasses = [entry for entry in _catalogued() if entry.file.startswith("glass/") and plain in entry.name.lower()]
+        like = [f"{entry.maker}:{entry.name}" for entry in [*found.values(), *(glasses if plain else ())]]
         hint = f", as there is {', '.join(dict.fromkeys(like[:3]))}" if like else ""
         raise InputError(
             f"{where} = {shown(name)}: {searched} a glass of just that name; give another{hint}, or index and abbe"
