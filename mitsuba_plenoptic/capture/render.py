@@ -200,6 +200,8 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
     if is_wave and not wave:
         return integrator
     own = integrator.parameters() if is_wave else {}
+    # What is None is not given; Mitsuba's loader would end the process.
+    wave = {name: value for name, value in wave.items() if value is not None}
     child = integrator.child if is_wave else integrator
     try:
         return mi.load_dict({"type": "plenoptic_wave", **own, **wave, "child": child})

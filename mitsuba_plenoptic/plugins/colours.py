@@ -33,6 +33,8 @@ class Colours:
     ----------
     wavelengths : tuple of float
         Of each channel of light in nanometres; with responses those of the default.
+    given : bool
+        Whether they are given, or those of the default.
     bandwidth : float, or None
         Full width of the band around each.
     responses : str, or None
@@ -46,6 +48,7 @@ class Colours:
     """
 
     wavelengths: tuple[float, ...]
+    given: bool
     bandwidth: float | None
     responses: str | None
     table: NDArray[np.float64] | None
@@ -77,7 +80,7 @@ class Colours:
             (centre,) = self.wavelengths
             low, high = centre - width / 2, centre + width / 2
             return Spectrum.smooth(lambda places: np.full((1, len(places)), 1 / width), low, high, count, tables)
-        if self.responses == SRGB or (mi.is_spectral and channels == 3):
+        if self.responses == SRGB or (mi.is_spectral and channels == 3 and not self.given):
             return colour.srgb(self.count, tables)
         return None
 
@@ -104,9 +107,9 @@ class Colours:
     def parameters(self) -> dict[str, Any]:
         """Return them by name, as ``mi.load_dict`` takes them."""
         made: dict[str, Any] = {}
-        if self.responses is None:
+        if self.responses is None and (self.given or not mi.is_spectral):
             made["wavelength"] = ", ".join(f"{wavelength:g}" for wavelength in self.wavelengths)
-        else:
+        elif self.responses is not None:
             made |= {"responses": self.responses, "wavelength_count": self.count}
         if self.bandwidth is not None:
             made["bandwidth"] = self.bandwidth
@@ -152,7 +155,7 @@ def read_colours(props: Any) -> Colours:
             require_number(f"{NAME}: bandwidth", bandwidth, maximum=wavelength)
     elif nodes is not None and responses is None and not mi.is_spectral:
         raise InputError(f"{NAME}: nodes = {nodes}: of use with bandwidth or responses only")
-    return Colours(wavelengths, bandwidth, responses, table, count, nodes)
+    return Colours(wavelengths, "wavelength" in props, bandwidth, responses, table, count, nodes)
 
 
 def _read_wavelengths(props: Any) -> tuple[float, ...]:

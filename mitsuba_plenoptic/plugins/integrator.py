@@ -57,7 +57,7 @@ def make_class() -> type:
            - Instead of ``wavelength``, what the film's channels answer to: ``srgb``, the colour matching functions of
              CIE 1931 in linear sRGB, or a table of a detector, a CSV file with a wavelength in nanometres and one or
              three responses to a row, below a line of names or without. (Default in spectral variants with a film of
-             colours: ``srgb``)
+             colours, where no ``wavelength`` is given: ``srgb``)
          * - wavelength_count
            - |int|
            - With ``responses``: at how many wavelengths light is taken, up to 1024; more where the table, or in
