@@ -61,7 +61,8 @@ def _tables(thing: Any) -> dict[str, Table]:
         if f"{stem}.wavelengths" in parameters:
             found[stem] = np.array(parameters[f"{stem}.wavelengths"], np.float64), values
         elif f"{stem}.range" in parameters:
-            found[stem] = np.linspace(*parameters[f"{stem}.range"], len(values)), values
+            low, high = (float(end) for end in parameters[f"{stem}.range"])
+            found[stem] = np.linspace(low, high, len(values)), values
     return found
 
 

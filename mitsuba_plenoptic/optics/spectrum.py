@@ -324,7 +324,7 @@ def _nodes(
         return np.divide(wrong, whole, out=np.zeros_like(wrong), where=whole > 0)
 
     parts = {(0, len(edges) - 1): errors(0, len(edges) - 1)}
-    while (total := sum(parts.values())).max() > _WRONG:
+    while (total := np.sum(list(parts.values()), axis=0)).max() > _WRONG:
         worst = int(np.argmax(total))
         first, last = max((part for part in parts if part[1] - part[0] > 1), key=lambda part: parts[part][worst])
         between = first + 1 + int(np.argmax(turns[worst, first : last - 1]))
