@@ -103,9 +103,10 @@ class PlenopticCamera(CameraGeometry):
         path.
     main_lens : Prescription, Objective, str, path or dict, optional
         Surfaces and glasses of a real main lens: a prescription, the name of a file or of a bundled one, see
-        `read_prescription`, or what `Prescription.from_plain` takes. Or a microscope's objective, as such or as what `Objective.from_plain` takes:
-        the origin of the camera frame is then its native object plane, `focal_length` and `aperture_radius` are its
-        own, and `mla_distance` is the focal length of the lens before the array. Default: a thin lens.
+        `read_prescription`, or what `Prescription.from_plain` takes. Or a microscope's objective, as such, as a file or
+        as what `Objective.from_plain` takes: the origin of the camera frame is then its native object plane,
+        `focal_length` and `aperture_radius` are its own, and `mla_distance` is the focal length of the lens before the
+        array. Default: a thin lens.
     glass, mla_glass : Glass, str, float or dict, optional
         Of what the thin main lens and the microlenses are made, or what `Glass.from_plain` takes: `focal_length` and
         `mla_focal_length` are then those at 587.5618 nm (the line d), and other wavelengths have others, see

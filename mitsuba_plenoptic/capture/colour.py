@@ -9,6 +9,7 @@ be (the rule of Mallett and Yuksel 2019, "Spectral primary decomposition for ren
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -70,7 +71,7 @@ def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: NDArr
     """Refuse wavelengths at which a spectrum of the scene has no values, which Mitsuba takes for 0.
 
     A number or a colour as radiance stands for the spectrum of D65, which Mitsuba has from 360 to 830 nm; so it has
-    black bodies. A table that emits may end where there is no light; one of a surface has no such reason.
+    black bodies. A table that emits may end where there is no light. One of a surface may end with 0.
 
     Parameters
     ----------
@@ -86,14 +87,8 @@ def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: NDArr
     InputError
         Naming emitter or surface, and wavelength, where the channels answer to it.
     """
-    places, weights = np.array(wavelengths), np.abs(responses).sum(axis=0)
-    visible = float(mi.MI_CIE_MIN), float(mi.MI_CIE_MAX)
-
-    def beyond(low: float, high: float) -> float | None:
-        outside = (places < low) | (places > high)
-        return float(places[outside][0]) if weights[outside].sum() > _UNKNOWN * weights.sum() else None
-
-    if (wavelength := beyond(*visible)) is not None:
+    places, visible = np.array(wavelengths), (float(mi.MI_CIE_MIN), float(mi.MI_CIE_MAX))
+    if (wavelength := _beyond(places, responses, *visible)) is not None:
         for emitter in scene.emitters():
             parameters = mi.traverse(emitter)
             for key in parameters.keys():  # noqa: SIM118 (Mitsuba's mapping is no iterable)
@@ -103,9 +98,10 @@ def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: NDArr
                         f"{visible[0]:g} to {visible[1]:g} nm only, as have D65, for which numbers and colours stand, "
                         'and black bodies: give it a table or <spectrum name="radiance" value="1"/>'
                     )
-    for shape in {shape.bsdf().ptr: shape for shape in scene.shapes()}.values():
-        for name, (table, _) in _tables(shape.bsdf()).items():
-            if (wavelength := beyond(table[0], table[-1])) is not None:
+    for shape in {shape.bsdf().ptr: shape for shape in scene.shapes() if shape.bsdf() is not None}.values():
+        for name, (table, values) in _tables(shape.bsdf()).items():
+            low, high = table[0] if values[0] else -math.inf, table[-1] if values[-1] else math.inf
+            if (wavelength := _beyond(places, responses, low, high)) is not None:
                 raise InputError(
                     f"wavelength = {wavelength:g}: the {name} of surface {shape.id()} is a table from {table[0]:g} to "
                     f"{table[-1]:g} nm: it must reach to the wavelength"
@@ -115,12 +111,17 @@ def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: NDArr
 def require_upsampled(spectrum: Spectrum) -> None:
     """Refuse responses to what colours have no spectrum for, beyond that of D65."""
     low, high = float(mi.MI_CIE_MIN), float(mi.MI_CIE_MAX)
-    for wavelength, answers in zip(spectrum.wavelengths, np.abs(spectrum.matrix()).sum(0) > 0, strict=True):
-        if answers and not low <= wavelength <= high:
-            raise InputError(
-                f"responses: they answer to {wavelength:.4g} nm; colours have the spectrum of D65, from {low:g} to "
-                f"{high:g} nm: end the table there, or use a spectral variant"
-            )
+    if (wavelength := _beyond(np.array(spectrum.wavelengths), spectrum.matrix(), low, high)) is not None:
+        raise InputError(
+            f"responses: they answer to {wavelength:.4g} nm; colours have the spectrum of D65, from {low:g} to "
+            f"{high:g} nm: end the table there, or use a spectral variant"
+        )
+
+
+def _beyond(wavelengths: NDArray[np.float64], responses: NDArray[np.float32], low: float, high: float) -> float | None:
+    """Return a wavelength beyond bounds if more than a hundredth of the channels' responses are to such ones."""
+    outside, weights = (wavelengths < low) | (wavelengths > high), np.abs(responses).sum(axis=0)
+    return float(wavelengths[outside][0]) if weights[outside].sum() > _UNKNOWN * weights.sum() else None
 
 
 def _srgb_responses(wavelengths: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ import yaml
 
 from ..errors import InputError
 from ..objective import Objective
-from ..prescription import Prescription, bundled_prescription
+from ..prescription import BUNDLED, Prescription, bundled_prescription
 from .codev_file import read_codev
 from .files import require_file
 from .yaml_file import read_yaml
@@ -39,8 +39,7 @@ def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> Prescr
     text = str(source)
     if text.lstrip().startswith("{"):
         return lens_from_plain(_parsed(text))
-    path = Path(resolve(text))
-    if not path.exists():
+    if text in BUNDLED or not _is_there(path := Path(resolve(text))):
         return bundled_prescription(text)
     if (read := DESIGNS.get(path.suffix.lower())) is not None:
         return read(path)
@@ -56,8 +55,8 @@ def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -
     Parameters
     ----------
     source : str or Path
-        A YAML or JSON file, a Zemax ``.zmx`` or CODE V ``.seq`` file; the name of a bundled lens, where there is no
-        such file; or the text of a JSON file.
+        The name of a bundled lens; a YAML or JSON file, a Zemax ``.zmx`` or CODE V ``.seq`` file; or the text of a JSON
+        file. The file of a bundled lens, such as ``tessar.yaml``, is found where there is no file of that name.
     resolve : callable, optional
         Finds a file by its name, for example beside a scene.
 
@@ -70,6 +69,14 @@ def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -
     if isinstance(lens, Objective):
         raise InputError(f"{source}: it is an objective; a lens with surfaces is needed")
     return lens
+
+
+def _is_there(path: Path) -> bool:
+    """Whether something has that name; text that can be no file's name is nothing's."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
 
 
 def lens_from_plain(value: Any) -> Prescription | Objective:

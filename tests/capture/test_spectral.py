@@ -251,6 +251,16 @@ def test_light_that_mitsuba_does_not_know_is_refused(radiance, board, message):
     assert "\n" not in str(refused.value)
 
 
+def test_colours_have_no_infrared(tmp_path):
+    """In rgb variants colours become spectra of D65, which has none of what a silicon detector's table reaches to."""
+    table = tmp_path / "silicon.csv"
+    table.write_text("400,1,1,1\n1000,1,1,1\n")
+    with pytest.raises(
+        InputError, match=r"they answer to 8\d\d.* nm; colours have the spectrum of D65, from 360 to 830"
+    ):
+        render_capture(wall("llvm_ad_rgb"), model="wave", spp=1, radiators_per_lens=1, responses=str(table))
+
+
 @pytest.mark.slow
 def test_bands_of_an_rgb_variant(tmp_path):
     scene = wall("llvm_ad_rgb")

@@ -220,6 +220,7 @@ def test_what_a_codev_file_may_not_hold(tmp_path, old, new, message):
 FOR_OPTILAND = CODEV.replace("516800.641700", "1.5168:64.17").replace("  A 1.5E-6 ; B -2e-9\n", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name, text", [("lens.zmx", ZEMAX), ("lens.seq", FOR_OPTILAND)])
 def test_optiland_reads_the_same_lens(tmp_path, name, text):
     fileio = pytest.importorskip("optiland.fileio")
@@ -274,8 +275,12 @@ def test_own_files_hold_numbers_as_json_writes_them(tmp_path, monkeypatch, name)
     monkeypatch.chdir(tmp_path)
     lens = read_prescription(name)
     assert PlenopticCamera(main_lens=name).main_lens == PlenopticCamera(main_lens=tmp_path / name).main_lens == lens
-    with pytest.raises(InputError, match=r"main_lens = 'none.yaml': there is no such file, and the bundled lenses are"):
-        PlenopticCamera(main_lens="none.yaml")
+    for none in ("none.yaml", "x" * 5000, "a\0b"):
+        with pytest.raises(InputError, match="there is no such file, and the bundled lenses are"):
+            PlenopticCamera(main_lens=none)
+    # What else lies about does not hide a bundled lens.
+    (tmp_path / "tessar").mkdir()
+    assert PlenopticCamera(main_lens="tessar").main_lens.name == "Tessar"
 
 
 def test_surfaces_may_touch_and_stops_may_stand_within_a_hollow(tmp_path):
