@@ -92,6 +92,8 @@ class _Reader:
         self.stop: Line | None = None
         self.surfaces: list[DesignSurface] = []
         self.ended = False
+        # What has been given of a surface once.
+        self.taken: set[str] = set()
         # Where a thickness is found by a solve, and not as it is written, unless that is of the last surface.
         self.solved: dict[int, Line] = {}
 
@@ -105,7 +107,7 @@ class _Reader:
         elif keyword in ("CUF", "DAR"):
             line.require_zero("only surfaces around one axis are read")
         elif keyword in _TERMS and len(keyword) == 1:
-            self._surface(line).asphere[_TERMS.index(keyword)] = line.value(1)
+            self._surface(line).asphere[_TERMS.index(keyword)] = self._only_value(line)
         elif (method := getattr(self, f"_take_{keyword.lower()}", None)) is not None:
             method(line)
         else:
@@ -131,6 +133,16 @@ class _Reader:
             self.surfaces[number].stop = True
         wavelength = self.wavelengths[self.primary - 1]
         return to_prescription(self.path, self.name, wavelength, self.unit, self.surfaces[1:-1])
+
+    def _only_value(self, line: Line, index: int = 1) -> float:
+        """Return the number that ends a surface's command, which must be given once."""
+        keyword = line.words[0].upper()
+        if keyword in self.taken:
+            raise line.refused(f"{keyword} is given twice")
+        self.taken.add(keyword)
+        if len(line.words) != index + 1:
+            raise line.refused("it must be one number; semicolons separate commands")
+        return line.value(index)
 
     def _surface(self, line: Line) -> DesignSurface:
         if not self.surfaces:
@@ -197,6 +209,7 @@ class _Reader:
                 raise line.refused("air must precede the first surface")
             surface.glass = _glass(line, line.words[3].strip("'\""))
         self.surfaces.append(surface)
+        self.taken.clear()
 
     def _take_sto(self, line: Line) -> None:
         if len(line.words) == 1:
@@ -209,14 +222,14 @@ class _Reader:
     _take_stop = _take_sto
 
     def _take_k(self, line: Line) -> None:
-        self._surface(line).conic = line.value(1)
+        self._surface(line).conic = self._only_value(line)
 
     def _take_cir(self, line: Line) -> None:
         kind = line.word(1).upper()
         if kind == "EDG":
             return  # Where the glass ends, beyond what light passes.
         if kind == "CLR" or len(line.words) == 2:
-            self._surface(line).semi_aperture = line.value(len(line.words) - 1)
+            self._surface(line).semi_aperture = self._only_value(line, 1 + (kind == "CLR"))
         else:
             raise line.refused("apertures must be CIR and their radius: obscurations and holes are not read")
 

@@ -51,7 +51,7 @@ def read_zemax(path: str | Path) -> Prescription:
         for number, line in enumerate(text.splitlines(), start=1)
         if line.split()
     ]
-    last = max((line.number for line in lines if line.words[0] == "SURF"), default=0)
+    last = max((line.number for line in lines if line.words[0].upper() == "SURF"), default=0)
     for line in lines:
         reader.take(line, closing=line.number > last)
     return reader.prescription()
@@ -72,20 +72,28 @@ class _Reader:
         self.parameters: list[list[Line]] = []
         # Glasses are looked up when all catalogues are known, and the last surface is known to be the image.
         self.glasses: dict[int, Line] = {}
+        # What has been given of the file, or of a surface, once.
+        self.taken: set[tuple[str, ...]] = set()
 
     def take(self, line: Line, *, closing: bool) -> None:
         """Take a line; behind the last surface, `closing`, there are merit functions and tolerances, too."""
-        keyword = line.words[0]
+        keyword = line.words[0].upper()
         if keyword in _WITHOUT_EFFECT:
             return
         header = getattr(self, f"_header_{keyword.lower()}", None)
         of_surface = getattr(self, f"_surface_{keyword.lower()}", None)
+        if header is None and (of_surface is None or not self.surfaces):
+            if not closing:
+                raise line.refused(f"{keyword} is not understood: without it the lens might be another")
+            return
+        own = keyword, *(line.words[1:2] if keyword in ("PARM", "WAVM") else ())
+        if own in self.taken:
+            raise line.refused(f"{' '.join(own)} is given twice")
+        self.taken.add(own)
         if header is not None:
             header(line)
-        elif of_surface is not None and self.surfaces:
+        elif of_surface is not None:
             of_surface(line, self.surfaces[-1])
-        elif not closing:
-            raise line.refused(f"{keyword} is not understood: without it the lens might be another")
 
     def prescription(self) -> Prescription:
         """Return the lens between object and image."""
@@ -179,6 +187,7 @@ class _Reader:
         self.surfaces.append(DesignSurface())
         self.kinds.append("STANDARD")
         self.parameters.append([])
+        self.taken.clear()
 
     def _surface_type(self, line: Line, surface: DesignSurface) -> None:
         if line.word(1) not in _SURFACES:

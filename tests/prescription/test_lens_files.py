@@ -174,6 +174,8 @@ def test_forms_of_glass_and_curvature(tmp_path):
         ("DISZ 60", "DISZ 60\n  GLAS ___BLANK 1 0 1.5 50", "air must follow the last surface"),
         ("DISZ INFINITY", "DISZ INFINITY\n  GLAS ___BLANK 1 0 1.5 50", "air must precede the first surface"),
         ("SURF 2", "SURF 3", "surfaces must be numbered from 0"),
+        ("CONI -0.5", "CONI -0.5\n  CURV 0.03", "'CURV 0.03': CURV is given twice"),
+        ("PARM 3 ", "PARM 2 ", "PARM 2 is given twice"),
     ],
 )
 def test_what_a_zemax_file_may_not_hold(tmp_path, old, new, message):
@@ -199,6 +201,8 @@ def test_what_a_zemax_file_may_not_hold(tmp_path, old, new, message):
         ("CCY 0", "CUY UMY -0.25", "CUY is not understood"),
         ("CCY 0", "CIR OBS 3", "obscurations and holes are not read"),
         ("CCY 0", "REX 3", "REX is not understood"),
+        ("K -0.5\n", "K -0.5 A 1E-6\n", "it must be one number; semicolons separate commands"),
+        ("CCY 0", "CIR 9", "'CIR 9': CIR is given twice"),
         ("CCY 0", "PIM", "only the last thickness, up to the image, may be found by a solve"),
         ("CCY 0", "ZOO 3", "ZOO is not understood"),
         ("CCY 0", "TEM 60", "indices are those at 20 to 25 degrees"),
