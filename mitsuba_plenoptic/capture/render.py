@@ -268,6 +268,9 @@ def _split(image: np.ndarray, channels: int) -> tuple[np.ndarray, np.ndarray]:
     if channels < deviation.shape[2]:
         weights = [mi.luminance(mi.ScalarColor3f(unit)) for unit in np.eye(3).tolist()]
         deviation = deviation @ np.array(weights, np.float32)
+    elif deviation.shape[2] < channels:
+        # One wavelength fills all channels of a film of colours.
+        deviation = np.repeat(deviation, channels, axis=2)
     return image, deviation
 
 

@@ -215,6 +215,7 @@ def test_a_given_wavelength_is_that_of_a_film_of_colours():
     rows = {"type": "regular", "wavelength_min": 500.0, "wavelength_max": 700.0, "values": "1, 3"}
     colours, grey = (render_capture(lamp(rows, pixel_format=kind), **options) for kind in ("rgb", "luminance"))
     assert colours.wavelength == grey.wavelength == 600
+    assert render_capture(lamp(rows, pixel_format="rgb"), **options | {"spp": 2}, noise=True).noise.shape == (64, 64, 3)
     assert colours.image[..., 2].mean() == pytest.approx(grey.image.mean(), rel=1e-5)
 
 
