@@ -111,7 +111,7 @@ class _Reader:
         elif (method := getattr(self, f"_take_{keyword.lower()}", None)) is not None:
             method(line)
         else:
-            raise line.refused(f"{keyword} is not understood: without it the lens might be another")
+            raise line.refused(f"{keyword} is not understood, and leaving it out could change the lens")
 
     def prescription(self) -> Prescription:
         """Return the lens between object and image."""

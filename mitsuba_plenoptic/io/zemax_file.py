@@ -84,7 +84,7 @@ class _Reader:
         of_surface = getattr(self, f"_surface_{keyword.lower()}", None)
         if header is None and (of_surface is None or not self.surfaces):
             if not closing:
-                raise line.refused(f"{keyword} is not understood: without it the lens might be another")
+                raise line.refused(f"{keyword} is not understood, and leaving it out could change the lens")
             return
         own = keyword, *(line.words[1:2] if keyword in ("PARM", "WAVM") else ())
         if own in self.taken:

@@ -223,7 +223,7 @@ class Prescription:
                 place = float(np.sqrt(squares[np.argmax(gaps < -_TOUCHING * edge)]))
                 raise InputError(
                     f"main_lens: surfaces {first + 1} and {second + 1} cross {place:.4g} mm from the axis: they must "
-                    f"not within their semi-apertures, of which the smaller is {edge:.4g}"
+                    f"stay apart within the smaller of their semi-apertures, {edge:.4g}"
                 )
 
     def _before(self, index: int) -> Glass | None:

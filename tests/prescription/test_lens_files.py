@@ -157,7 +157,7 @@ def test_forms_of_glass_and_curvature(tmp_path):
         ("PARM 1 0", "PARM 1 1e-4", "there must be no term of the second power"),
         ("PARM 3 ", "PARM 9 ", "an even asphere has the parameters 1 to 8"),
         ("DIAM 9 1", "CLAP 3 8 0\n  DIAM 9 1", "'CLAP 3 8 0': obscurations are not read"),
-        ("DIAM 9 1", "OBSC 0 3 0\n  DIAM 9 1", "OBSC is not understood: without it the lens might be another"),
+        ("DIAM 9 1", "OBSC 0 3 0\n  DIAM 9 1", "OBSC is not understood, and leaving it out could change the lens"),
         ("DIAM 9 1", "SQAP 8 8 0\n  DIAM 9 1", "SQAP is not understood"),
         ("DIAM 9 1", "CLAP 0 8 0\n  OBDC 0 1\n  DIAM 9 1", "'OBDC 0 1': decentred apertures are not read"),
         ("DIAM 9 1", "DIAM 0 1", "surface 2 has no semi-aperture"),
