@@ -326,12 +326,13 @@ def _nodes(
     parts = {(0, len(edges) - 1): errors(0, len(edges) - 1)}
     while (total := np.sum(list(parts.values()), axis=0)).max() > _WRONG:
         worst = int(np.argmax(total))
-        first, last = max((part for part in parts if part[1] - part[0] > 1), key=lambda part: parts[part][worst])
+        divisible = [part for part in parts if part[1] - part[0] > 1]
+        if not divisible or len(parts) > MOST_WAVELENGTHS // 2:
+            break
+        first, last = max(divisible, key=lambda part: parts[part][worst])
         between = first + 1 + int(np.argmax(turns[worst, first : last - 1]))
         del parts[first, last]
         parts |= {part: errors(*part) for part in ((first, between), (between, last))}
-        if len(parts) > MOST_WAVELENGTHS // 2:
-            break
     rules = [rule(edges[first], edges[last]) for first, last in sorted(parts)]
     found = np.concatenate([places for places, _ in rules]), np.concatenate([weights for _, weights in rules])
     if len(found[0]) > MOST_WAVELENGTHS:

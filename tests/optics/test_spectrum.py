@@ -99,6 +99,12 @@ def test_tables_of_light_are_integrated_right(table):
     assert smooth == Spectrum.smooth(bell, 400, 700, 31)
 
 
+def test_tables_too_rough_are_refused():
+    table = np.arange(400.0, 700, 0.2), np.random.default_rng(0).random(1500)
+    with pytest.raises(InputError, match="more than 1024 wavelengths: sample them more coarsely"):
+        Spectrum.smooth(bell, 400, 700, 31, [table])
+
+
 def test_a_detector_of_narrow_filters(tmp_path):
     """The channels' responses to a line are those of the table, though all nodes of Gauss would miss them."""
     table = tmp_path / "filters.csv"
