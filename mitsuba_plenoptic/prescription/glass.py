@@ -228,11 +228,13 @@ def catalogue_glass(
     maker, _, own = name.rpartition(":")
     if maker:
         makers = [maker]
-    if not _catalogued():
+    try:
+        importlib.import_module("optiland.materials")
+    except ImportError:
         raise InputError(
             f"{where} = {shown(name)}: glasses by name need Optiland; pip install 'mitsuba-plenoptic[lenses]', or give "
             "index and abbe"
-        )
+        ) from None
     plain = own.lower() if with_hyphens else own.lower().replace("-", "")
     found = {
         entry.maker: entry
@@ -245,9 +247,10 @@ def catalogue_glass(
         raise InputError(f"{where} = {shown(name)}: {', '.join(chosen)} have one: write {chosen[0]}:{own}")
     if not chosen:
         searched = "no catalogue has" if makers is None else f"{', '.join(makers)}: no such catalogue has"
-        # The same name from other makers, then longer names.
-        glasses = [entry for entry in _catalogued() if entry.file.startswith("glass/") and plain in entry.name.lower()]
-        like = [f"{entry.maker}:{entry.name}" for entry in [*found.values(), *(glasses if plain else ())]]
+        # The same name from other makers, who measured a crystal of that name, then longer names.
+        measured = [entry for entry in _catalogued() if plain == entry.maker.lower()]
+        longer = [entry for entry in _catalogued() if entry.file.startswith("glass/") and plain in entry.name.lower()]
+        like = [f"{entry.maker}:{entry.name}" for entry in [*found.values(), *measured, *longer] if plain]
         hint = f", as there is {', '.join(dict.fromkeys(like[:3]))}" if like else ""
         raise InputError(
             f"{where} = {shown(name)}: {searched} a glass of just that name; give another{hint}, or index and abbe"
@@ -283,10 +286,7 @@ def _catalogued() -> tuple[_Entry, ...]:
 
     They are looked up here, since Optiland itself finds N-SF5 by the name SF5, and names that are alike.
     """
-    try:
-        text = (resources.files("optiland.database") / "catalog_nk.csv").read_text(encoding="utf-8")
-    except ImportError:
-        return ()
+    text = (resources.files("optiland.database") / "catalog_nk.csv").read_text(encoding="utf-8")
     found = {}
     for row in csv.DictReader(text.splitlines()):
         file = row["filename"]

@@ -1,6 +1,7 @@
 """Lens files of other programs, and our own: read rightly, or refused by file, line and rule."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -247,6 +248,7 @@ def test_glasses_of_catalogues_by_just_their_names(tmp_path):
         ("SF", "no catalogue has a glass of just that name"),
         ("BK7", "no catalogue has a glass of just that name; give another, as there is schott:N-BK7"),
         ("F2", "schott, hikari, cdgm have one: write schott:F2"),
+        ("CaF2", "give another, as there is CaF2:"),
         ("schott:S-LAH53", "no such catalogue has a glass of just that name; give another, as there is ohara:S-LAH53"),
     ]:
         with pytest.raises(InputError, match=message):
@@ -260,6 +262,12 @@ def test_glasses_of_catalogues_by_just_their_names(tmp_path):
         read(tmp_path, named.format("UNOBTAINIUM"))
     hyphens = read(tmp_path, CODEV.replace("516800.641700", "NSSK2_SCHOTT"), "lens.seq")
     assert hyphens.surfaces[0].glass.at(587.5618) == pytest.approx(1.62229, abs=1e-5)
+
+
+def test_glasses_by_name_need_optiland(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "optiland.materials", None)
+    with pytest.raises(InputError, match=r"lens\.zmx, line 27: glass = 'F2': glasses by name need Optiland; pip"):
+        read(tmp_path, ZEMAX.replace("GLAS ___BLANK 1", "GLAS F2 0"))
 
 
 OWN = {
