@@ -45,8 +45,8 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
     Raises
     ------
     InputError
-        If the camera has no such lens, the group is none, or there is no place for it at which the distance is in
-        focus; where there are several, the one nearest to where it stands is taken.
+        If the camera has no such lens, the group is none, its surfaces would cross others, or there is no place for it
+        at which the distance is in focus; where there are several, the one nearest to where it stands is taken.
     """
     lens = camera.prescription
     if lens is None:
@@ -87,6 +87,7 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
     shift = float(scipy.optimize.brentq(missed, shifts[nearest], shifts[nearest + 1], xtol=1e-12))
     focal_length, b = behind(shift)
     new = moved(shift)
+    new.require_apart()
     return camera.replace(
         main_lens=new,
         focal_length=scale * focal_length,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 from ..bounds import require_numbers, require_response, require_wavefront
@@ -100,11 +101,12 @@ class PlenopticCamera(CameraGeometry):
         Aberrations of the main lens: coefficients of Zernike polynomials over its pupil in Noll's order, beginning with
         piston, each in waves of 633 nm root mean square; up to 66, those left out are 0. Other wavelengths see the same
         path.
-    main_lens : Prescription, Objective, str or dict, optional
-        Surfaces and glasses of a real main lens: a prescription, the name of a bundled one, or what
-        `Prescription.from_plain` takes. Or a microscope's objective, as such or as what `Objective.from_plain` takes:
-        the origin of the camera frame is then its native object plane, `focal_length` and `aperture_radius` are its
-        own, and `mla_distance` is the focal length of the lens before the array. Default: a thin lens.
+    main_lens : Prescription, Objective, str, path or dict, optional
+        Surfaces and glasses of a real main lens: a prescription, the name of a file or of a bundled one, see
+        `read_prescription`, or what `Prescription.from_plain` takes. Or a microscope's objective, as such, as a file or
+        as what `Objective.from_plain` takes: the origin of the camera frame is then its native object plane,
+        `focal_length` and `aperture_radius` are its own, and `mla_distance` is the focal length of the lens before the
+        array. Default: a thin lens.
     glass, mla_glass : Glass, str, float or dict, optional
         Of what the thin main lens and the microlenses are made, or what `Glass.from_plain` takes: `focal_length` and
         `mla_focal_length` are then those at 587.5618 nm (the line d), and other wavelengths have others, see
@@ -152,7 +154,7 @@ class PlenopticCamera(CameraGeometry):
         lens_model: str = "ideal",
         distortion: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
         wavefront: Sequence[float] = (),
-        main_lens: Prescription | Objective | str | dict[str, Any] | None = None,
+        main_lens: Prescription | Objective | str | Path | dict[str, Any] | None = None,
         glass: Glass | str | float | dict[str, Any] | None = None,
         mla_glass: Glass | str | float | dict[str, Any] | None = None,
         mla_jitter: Sequence[float] = (0.0, 0.0),

@@ -99,7 +99,8 @@ def render_capture(
         require_samples(spp)
     wavelengths, spectrum = None, None
     if hasattr(integrator, "wavelengths"):
-        wavelengths, spectrum = integrator.channel_wavelengths(chosen), integrator.spectrum_of(chosen)
+        spectrum = integrator.spectrum_of(scene, chosen)
+        wavelengths = integrator.wavelengths if spectrum is None else spectrum.centroids()
     _require_film_memory(camera, spp)
     # Of two sensors with the same camera, the checkpoint of one is none of the other.
     which = {} if sensor == 0 else {"sensor": sensor if isinstance(sensor, int) else chosen.id()}
@@ -199,6 +200,8 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
     if is_wave and not wave:
         return integrator
     own = integrator.parameters() if is_wave else {}
+    # What is None is not given; Mitsuba's loader would end the process.
+    wave = {name: value for name, value in wave.items() if value is not None}
     child = integrator.child if is_wave else integrator
     try:
         return mi.load_dict({"type": "plenoptic_wave", **own, **wave, "child": child})
@@ -265,6 +268,9 @@ def _split(image: np.ndarray, channels: int) -> tuple[np.ndarray, np.ndarray]:
     if channels < deviation.shape[2]:
         weights = [mi.luminance(mi.ScalarColor3f(unit)) for unit in np.eye(3).tolist()]
         deviation = deviation @ np.array(weights, np.float32)
+    elif deviation.shape[2] < channels:
+        # One wavelength fills all channels of a film of colours.
+        deviation = np.repeat(deviation, channels, axis=2)
     return image, deviation
 
 

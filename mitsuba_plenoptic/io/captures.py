@@ -35,7 +35,7 @@ class Capture:
     camera : PlenopticCamera
         The camera; its `shape` is the image's.
     wavelength : float or tuple of three floats, optional
-        Wavelength in nanometres, 1 to 1e6, one for all channels or one for each; None for a ray capture.
+        Wavelength in nanometres, 200 to 2500, one for all channels or one for each; None for a ray capture.
     model : {"ray", "wave"}
         How light was propagated.
     metadata : dict

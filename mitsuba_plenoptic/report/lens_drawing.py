@@ -11,9 +11,9 @@ from matplotlib.ticker import MaxNLocator
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..optics import sequential
 from ..optics.lens_figures import field_figures, ray_paths, spot
 from ..optics.lens_system import LensSystem
+from ..prescription.data import height
 from ..prescription.glass import LINE_C, LINE_D, LINE_F
 from .drawing import Canvas
 
@@ -70,7 +70,7 @@ def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> 
     profiles = []
     for surface, vertex, given in zip(surfaces, vertices, lens.prescription.surfaces, strict=True):
         radius = np.linspace(-1, 1, 65) * given.semi_aperture
-        profiles.append((vertex - lens.scale * sequential.height(surface, radius**2), lens.scale * radius))
+        profiles.append((vertex - lens.scale * height(surface, radius**2), lens.scale * radius))
     for number, given in enumerate(lens.prescription.surfaces):
         (z, y), stop = profiles[number], number == lens.prescription.stop
         if given.glass is not None:

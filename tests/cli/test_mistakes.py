@@ -111,6 +111,8 @@ def test_what_is_read_is_not_written_over(line, raw, tmp_path, complaint):
         ("info nosuch.exr", "there is no such file"),
         ("info letters --wavelength -633", "wavelength = -633"),
         ("info letters --wavelength nan", "wavelength = nan"),
+        ("info letters --wavelength 5320", "it looks like angstroms, 532 nm"),
+        ("info letters --wavelength 0.633", "it looks like micrometres, 633 nm"),
         ("views {raw} -o {out}.tif", ".png"),
         ("views {raw} -o {out}.png --count 99", "count = 99"),
         ("views nosuch.exr -o {out}.png", "nosuch.exr"),

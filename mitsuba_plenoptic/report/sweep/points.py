@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from ...bounds import require_wavelength
 from ...camera import PlenopticCamera
 from ...capture.render import render_capture
-from ...errors import InputError, require_choice, require_number
+from ...errors import InputError, require_choice
 from ...io.captures import Capture
 from ...reconstruction import METHODS
 from ...runtime.batches import BatchMap
@@ -76,7 +77,7 @@ class Points:
         """Make every camera once, before the work, and see that they record images of one size."""
         require_choice("method", self.settings.method, METHODS)
         for wavelength in self.axes.get(WAVELENGTH, ()):
-            require_number(WAVELENGTH, wavelength, positive=True)
+            require_wavelength(wavelength)
         sizes: dict[tuple[tuple[str, str], ...], tuple[int, ...]] = {}
         for point in self:
             parameters = self.parameters(point)
