@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import InputError, shown
+from ..errors import InputError, require_choice, suggest_keywords
 from ..io.checkpoints import digest
 from ..objective import Objective
 from ..optics import guards
@@ -106,6 +106,7 @@ class CaptureOperator:
         If an input has a wrong shape or value.
     """
 
+    @suggest_keywords
     def __init__(
         self,
         camera: PlenopticCamera,
@@ -125,8 +126,7 @@ class CaptureOperator:
         self.camera, self.points = camera, check_positions(points, camera)
         self._wavelength = None if wavelength is None else require_wavelength(wavelength)
         self._spectrum = spectrum
-        if not isinstance(method, str) or method not in PLANS:
-            raise InputError(f"method = {shown(method)}: it must be one of {', '.join(METHODS)}")
+        require_choice("method", method, METHODS)
         if camera.objective is not None:
             _require_followed(camera.objective, method)
         if method == "bank":

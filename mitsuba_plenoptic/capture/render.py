@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 from collections.abc import Callable
 from typing import Any
@@ -10,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_count
+from ..errors import InputError, require_choice, require_count, suggest_keywords
 from ..io.captures import MODELS, Capture
 from ..io.checkpoints import Checkpoint
 from ..optics import guards
@@ -19,7 +20,7 @@ from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job
 from ..runtime.limits import largest_fitting, require_memory
 from .noise import PARTS, PassSpread, require_samples
-from .scene import mitsuba_sentence
+from .scene import KNOWN_PARAMETERS, mitsuba_sentence
 
 # Rays traced at once: their random states take 16 bytes each, so that the paper's 4096 x 4096 pixels with one
 # sample each stay at 0.25 GiB beside the film.
@@ -34,6 +35,7 @@ _PIXEL_BYTES = 4 * 4 * 4
 _RAY_BYTES = 16
 
 
+@functools.partial(suggest_keywords, others=KNOWN_PARAMETERS["plenoptic_wave"])
 @one_at_a_time
 def render_capture(
     scene: Any,
@@ -187,8 +189,8 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
     integrator = scene.integrator()
     if integrator is None:
         raise InputError("scene: it has no integrator; add one, for example of type 'path'")
-    if model is not None and model not in MODELS:
-        raise InputError(f"model = {model!r}: it must be one of {', '.join(MODELS)}")
+    if model is not None:
+        require_choice("model", model, MODELS)
     is_wave = hasattr(integrator, "wavelengths")
     if not is_wave and model != "wave":
         if wave:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_choice
+from ..errors import InputError, require_choice, suggest_keywords
 from ..io.captures import Capture
 from ..mosaic import MOSAICS, filters, mosaic_of, require_demosaiced
 from ..optics import rays
@@ -38,6 +38,7 @@ _LIT = 1e-3
 """Part of the weight of the brightest pixel of white below which a colour is not known."""
 
 
+@suggest_keywords
 def demosaic(
     capture: Capture,
     *,

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from ..errors import require_choice, require_count, require_number
+from ..errors import require_choice, require_count, require_number, suggest_keywords
 from .geometry import require_light_field
 
 AXES = ("horizontal", "vertical")
 
 
+@suggest_keywords
 def view(lf: xr.DataArray, *, u: float = 0.0, v: float = 0.0) -> xr.DataArray:
     """Return the sub-aperture view nearest to a point of the pupil.
 
@@ -91,6 +92,7 @@ def lens_mosaic(lf: xr.DataArray) -> np.ndarray:
     return values.transpose(2, 0, 3, 1, *range(4, values.ndim)).reshape(t * v, s * u, *values.shape[4:])
 
 
+@suggest_keywords
 def epipolar_image(
     lf: xr.DataArray, axis: str = "horizontal", *, at: float = 0.0, through: float = 0.0
 ) -> xr.DataArray:

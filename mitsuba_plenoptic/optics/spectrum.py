@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
-from ..errors import InputError, require_count, require_number
+from ..errors import InputError, require_count, require_number, suggest_keywords
 from ..io.tables import read_table
 
 MOST_WAVELENGTHS = 1024
@@ -30,6 +30,7 @@ WAVELENGTHS = 31
 """Wavelengths at which smooth responses are taken by default: every 10 nm of what is visible, about."""
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Spectrum:
     """Some wavelengths, and the channels that record them.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..bounds import LONGEST, SHORTEST, require_wavelength
-from ..errors import InputError, require_number, shown
+from ..errors import InputError, require_known, require_number, shown
 from .glass import LINE_D, Glass
 
 MOST_SURFACES = 100
@@ -82,8 +82,7 @@ class Surface:
         """
         if not isinstance(value, dict):
             raise InputError(f"{where} = {shown(value)}: it must be numbers by name, such as radius")
-        for name in sorted(set(map(str, value)) - _NAMES):
-            raise InputError(f"{where}: {name}: it is not one of {', '.join(sorted(_NAMES))}")
+        require_known(f"{where}: ", value, sorted(_NAMES))
         if "semi_aperture" not in value:
             raise InputError(f"{where}: semi_aperture: it is missing; it tells up to where light passes")
         radius = require_number(f"{where}: radius", value.get("radius", math.inf), finite=False)

@@ -10,7 +10,7 @@ from typing import Any, overload
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_choice, require_count, require_flag, require_number
+from ..errors import InputError, require_choice, require_count, require_flag, require_number, suggest_keywords
 from ..io.captures import Capture
 from ..io.checkpoints import Checkpoint
 from ..optics import guards
@@ -82,6 +82,7 @@ def reconstruct(
     checkpoint: Checkpoint | None = ...,
     batch_map: BatchMap | None = ...,
 ) -> list[Reconstruction]: ...
+@suggest_keywords
 @one_at_a_time
 def reconstruct(
     capture: Capture | np.ndarray,
