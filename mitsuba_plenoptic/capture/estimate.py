@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, suggest_keywords
+from ..errors import suggest_keywords
 from ..optics.rays import conjugate_coordinate
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
@@ -23,7 +23,7 @@ from .lens_window import LensWindow
 from .operator import CaptureOperator
 from .patch_plan import Cost
 from .radiators import RADIATOR_BYTES, Radiators
-from .render import chosen_integrator, film_memory, plenoptic_sensor, sample_count
+from .render import chosen_integrator, film_memory, plenoptic_sensor, require_taken, sample_count
 from .scene import KNOWN_PARAMETERS
 
 _BLOCK = 16
@@ -76,11 +76,10 @@ def estimate_capture(
     sensor = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(sensor)
     integrator = chosen_integrator(scene, model, wave)
+    require_taken(integrator, batch_map=batch_map)
     spp = sample_count(sensor, spp)
     if hasattr(integrator, "wavelengths"):
         return integrator.estimate(scene, sensor, seed=seed, spp=spp, job=Job(batch_map=batch_map))
-    if batch_map:
-        raise InputError("batch_map: workers are of use for model 'wave' only")
     rate = _rays_per_second(scene, sensor, integrator, camera.shape, spp, seed)
     return Cost(0, 0, float(camera.shape[0]) * camera.shape[1] * spp / rate, film_memory(camera, spp))
 

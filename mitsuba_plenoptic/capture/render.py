@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_choice, require_count, suggest_keywords
+from ..errors import InputError, argument, require_choice, require_count, suggest_keywords
 from ..io.captures import MODELS, Capture
 from ..io.checkpoints import Checkpoint
 from ..optics import guards
@@ -95,6 +95,7 @@ def render_capture(
     chosen = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(chosen)
     integrator = chosen_integrator(scene, model, wave)
+    require_taken(integrator, checkpoint=checkpoint, batch_map=batch_map)
     spp = sample_count(chosen, spp)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
     if noise:
@@ -109,8 +110,6 @@ def render_capture(
     deviation = None
     with guards.watch() as fractions:
         if wavelengths is None:
-            if batch_map:
-                raise InputError("batch_map: workers are of use for model 'wave' only")
             guards.judge(guards.CROSSTALK, chosen.crosstalk_missed())
             image, deviation = _render_passes(scene, chosen, integrator, camera, spp, seed, progress, noise)
         else:
@@ -163,6 +162,23 @@ def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
     return sensors[number]
 
 
+def is_wave_capture(scene: Any, model: str | None) -> bool:
+    """Whether a scene is captured by waves: by this model, or where none is given by its integrator's."""
+    return model == "wave" or (model is None and hasattr(scene.integrator(), "wavelengths"))
+
+
+def require_taken(integrator: Any, **given: Any) -> None:
+    """Refuse arguments that a ray capture would ignore; None stands for one that is not given."""
+    if not hasattr(integrator, "wavelengths"):
+        _refuse_by_rays(**given)
+
+
+def _refuse_by_rays(**given: Any) -> None:
+    for name, value in given.items():
+        if value is not None:
+            raise InputError(f"{argument(name)}: a ray capture does not take it; it is for {argument('model')} wave")
+
+
 def sample_count(sensor: Any, spp: int | None) -> int:
     """Return the samples that are asked for, or those of the sensor's sampler."""
     return require_count("spp", sensor.sampler().sample_count() if spp is None else spp, maximum=MOST_SAMPLES)
@@ -193,10 +209,10 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
         require_choice("model", model, MODELS)
     is_wave = hasattr(integrator, "wavelengths")
     if not is_wave and model != "wave":
-        if wave:
-            raise InputError(f"{', '.join(wave)}: of use for model 'wave' only")
+        _refuse_by_rays(**wave)
         return integrator
     if model == "ray":
+        _refuse_by_rays(**wave)
         return integrator.child
     if is_wave and not wave:
         return integrator

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import re
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
@@ -12,7 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import InputError
+from ..errors import InputError, at_shell
 from . import (
     calibrate,
     compare,
@@ -36,6 +37,10 @@ from . import (
 PROGRAM = "mitsuba-plenoptic"
 
 app = typer.Typer(rich_markup_mode="rich", pretty_exceptions_enable=False)
+
+
+# Options that are not called as the arguments of the library that they are for.
+_OPTIONS = {"views": "--view-count", "names": "--number", "parameters": "-D", "batch_map": "--workers"}
 
 
 def _print_version(wanted: bool) -> None:
@@ -92,16 +97,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     A user's mistake gives one line on standard error and status 2; an exception that is a mistake of ours
     passes through with its traceback.
     """
+    words = list(sys.argv[1:] if arguments is None else arguments)
     with warnings.catch_warnings(), _remarks():
         warnings.showwarning = _print_warning
         try:
             # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
-            status = typer.main.get_command(app).main(
-                None if arguments is None else list(arguments), prog_name=PROGRAM, standalone_mode=False
-            )
+            with at_shell(_OPTIONS):
+                status = typer.main.get_command(app).main(words, prog_name=PROGRAM, standalone_mode=False)
             return status if isinstance(status, int) else 0
         except InputError as error:
-            return _fail(str(error))
+            return _fail(_with_options(str(error), words))
         except OSError as error:
             named = f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
             return _fail(named)
@@ -130,6 +135,20 @@ def _remarks() -> Iterator[None]:
     finally:
         logger.setLevel(level)
         logger.removeHandler(handler)
+
+
+def _with_options(message: str, words: Sequence[str]) -> str:
+    """Spell the arguments that a message is about, ``name = value: ...``, as options where the command has such."""
+    command = next((found for word in words if (found := typer.main.get_group(app).commands.get(word))), None)
+    own = [option for one in command.params for option in one.opts] if command else []
+
+    def spelled(found: re.Match[str]) -> str:
+        option = _OPTIONS.get(found[1], f"--{found[1].replace('_', '-')}")
+        # At a shell what is not given has no value.
+        return (option if found[2] else f"{option} = ") if option in own else found[0]
+
+    about, colon, rule = message.partition(": ")
+    return re.sub(r"\b(?<!-)([a-z]\w*) = (None\b)?", spelled, about) + colon + rule
 
 
 def _fail(message: str) -> int:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
+from ..errors import InputError
 from ..io.captures import read_capture
 from ..io.files import require_apart, require_different, require_writable
 from ..lightfield import white_image
@@ -91,15 +92,25 @@ def calibrate(
     for path in filter(None, (output, report)):
         require_apart(path, *sources, centres, white)
     if evaluate is not None:
+        _refuse("an evaluation", centres=centres, white=white, linear=linear)
         _evaluate(evaluate, camera, board, square)
     elif all(pictures) and board is not None:
-        _detect(sources, output, camera, calibration.Board.parse(board, square or 1.0), centres, white, linear)
+        _refuse("detecting corners", square=square)
+        _detect(sources, output, camera, calibration.Board.parse(board, 1.0), centres, white, linear)
     elif all(pictures):
+        _refuse("finding centres in white images", camera=camera, square=square, centres=centres, white=white)
         _centres(sources, output, linear)
     elif len(sources) > 1:
         raise typer.BadParameter("give one table of corners, or pictures", param_hint="SOURCE")
     else:
+        _refuse("a calibration from corners", white=white, linear=linear)
         _calibrate(sources[0], output, camera, board, square, centres, report)
+
+
+def _refuse(work: str, **options: object) -> None:
+    for name, value in options.items():
+        if value:
+            raise InputError(f"--{name}: {work} does not take it; leave it out")
 
 
 def _board(board: str | None, square: float | None) -> Board:

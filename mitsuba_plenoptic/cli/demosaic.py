@@ -11,7 +11,7 @@ from ..errors import InputError
 from ..io.captures import write_capture
 from ..io.files import require_apart
 from ..mosaic import MOSAICS
-from .inputs import named_camera, read_recorded, require_capture_output
+from .inputs import named_camera, read_recorded, require_capture_output, require_linear
 from .options import CameraFile, CaptureFile, CaptureOutput, Linear, number
 
 
@@ -59,6 +59,7 @@ def demosaic(
     # Brings libraries that take a while to load.
     from ..lightfield import demosaic as interpolate
 
+    require_linear(linear, capture, white)
     known = named_camera(camera)
     if black_level and not (linear and known):
         raise InputError(f"--black-level {black_level:g}: it is for raw pictures with --linear and --camera")

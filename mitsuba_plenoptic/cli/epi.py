@@ -11,9 +11,8 @@ from ..io.files import require_apart
 from ..lightfield import epipolar_image
 from ..lightfield.exchange import open_light_field
 from ..lightfield.views import AXES
-from ..report.brightness import Brightness
 from ..report.output_files import require_picture_path, write_epipolar_image
-from .inputs import named_camera
+from .inputs import brightness_of, named_camera
 from .options import CameraFile, Exposure, LightFieldSource, Linear, Percentile, ViewCount, White, number, output_option
 
 
@@ -47,7 +46,7 @@ def epi(
       mitsuba-plenoptic epi raw.exr -o epi.png --at 2.5
     """
     require_apart(require_picture_path(output), source, white)
-    brightness = Brightness(exposure, percentile)
+    brightness = brightness_of(exposure, percentile, output)
     image = epipolar_image(
         open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera)),
         axis,

@@ -114,7 +114,7 @@ def test_what_is_read_is_not_written_over(line, raw, tmp_path, complaint):
         ("views {raw} -o {out}.tif", ".png"),
         ("views {raw} -o {out}.png --count 99", "count = 99"),
         ("views nosuch.exr -o {out}.png", "nosuch.exr"),
-        ("views {raw} -o {out}.png --view-count 3", "views = 3"),
+        ("views {raw} -o {out}.png --view-count 3", "--view-count = 3: of no use for"),
         ("epi {raw} -o {out}.png --axis sideways", "axis = 'sideways'"),
         ("stack {raw} -o {out}.png --distance 70", "focal length"),
         ("stack {raw} -o {out}.png --distance 240 --method magic", "method = 'magic'"),

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from ...camera import PlenopticCamera
-from ...errors import InputError
+from ...errors import InputError, argument
 from ...io.captures import Capture, read_capture
 from ...io.files import require_writable
 from ...io.ground_truth import NAME, SUFFIX, GroundTruth, read_ground_truth
@@ -64,6 +64,8 @@ def open_light_field(
         _refuse(path, camera=None if camera is None else "given")
     if white is not None and views is not None:
         raise InputError(f"{path}: a white image and a number of views exclude each other")
+    if not any(str(one).lower().endswith((".png", *TIFF)) for one in (path, white)):
+        _refuse(path, linear=linear or None)
     if name.endswith(".exr"):
         _refuse(path, views=views)
         capture = read_capture(path)
@@ -86,7 +88,8 @@ def open_light_field(
             return decode(read_picture(path, linear=linear), camera=camera, white=reference)
         if reference is None:
             raise InputError(
-                f"{path}: give the white image or the camera of a raw picture, or the number of views of a mosaic"
+                f"{path}: give {argument('white')} or {argument('camera')} for a raw picture, or {argument('views')} "
+                "for a mosaic of views"
             )
         return decode(read_picture(path, linear=linear), white=reference, grid=estimate_lens_grid(reference))
     raise InputError(f"{path}: a capture or light field has a name that ends in .exr, .nc, .zarr, .mat, .png or .tiff")
