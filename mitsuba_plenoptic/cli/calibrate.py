@@ -129,10 +129,10 @@ def _camera(camera: str | None) -> str:
     return camera
 
 
-def _output(output: Path | None) -> Path:
+def _output(output: Path | None, suffix: str) -> Path:
     if output is None:
         raise typer.BadParameter("name the file to write", param_hint="--output")
-    return require_writable(output)
+    return require_writable(output, suffix)
 
 
 def _evaluate(path: Path, camera: str | None, board: str | None, square: float | None) -> None:
@@ -163,7 +163,7 @@ def _detect(
 ) -> None:
     from .. import calibration
 
-    output, known = _output(output), None
+    output, known = _output(output, ".csv"), None
     if camera is not None:
         known, index = load_camera(camera, {})
         middles = calibration.camera_centres(known, index)
@@ -192,7 +192,7 @@ def _detect(
 def _centres(paths: list[Path], output: Path | None, linear: bool) -> None:
     from .. import calibration
 
-    output = _output(output)
+    output = _output(output, ".csv")
     found = calibration.find_centres(*(_picture(path, linear) for path in paths))
     calibration.write_centres(output, found)
     along, across = found.grid.spacing
@@ -215,13 +215,13 @@ def _calibrate(
 ) -> None:
     from .. import calibration
 
-    output = _output(output)
+    output = _output(output, ".json")
     start, _ = load_camera(_camera(camera), {})
     size = _board(board, square)
     corners = calibration.read_corners(path, size, start.crop_size)
     middles = None if centres is None else calibration.read_centres(centres)
     if report:
-        require_writable(report)
+        require_writable(report, ".html")
     found = calibration.calibrate(corners, size, start, middles)
     calibration.write_calibration(output, found, size)
     if report:

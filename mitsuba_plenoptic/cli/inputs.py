@@ -17,7 +17,6 @@ from ..capture.scene_file import check_scene_file
 from ..design import design_warnings
 from ..errors import InputError, did_you_mean
 from ..io.captures import Capture, read_capture
-from ..io.files import require_writable
 from ..io.raw import RAW_SUFFIXES, read_raw, scaled_from, tells_detector
 from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
@@ -33,17 +32,6 @@ _COLOURS = "llvm_ad_rgb"
 """Variant for films that record colours."""
 
 _log = logging.getLogger(__name__)
-
-
-def require_capture_output(path: Path, others: tuple[str, ...] = ()) -> None:
-    """Check, before a long computation, that a capture can be written to a file, whose name ends in ``.exr``.
-
-    Or in one of `others`.
-    """
-    if path.suffix.lower() not in (".exr", *others):
-        suffixes = " or ".join((".exr", *others))
-        raise InputError(f"{path}: a capture is written as OpenEXR; give a name that ends in {suffixes}")
-    require_writable(path)
 
 
 def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamera, LensIndex | None]:

@@ -169,9 +169,9 @@ def reconstruct(
     whole = output.suffix.lower() in SUFFIXES
     paths = [] if whole else reconstruction_paths(output, distance)
     if whole:
-        require_writable(require_volume_path(output, distance))
-    if overview and require_writable(overview).suffix.lower() != ".png":
-        raise InputError(f"{overview}: an overview is a picture; give a name that ends in .png")
+        require_volume_path(output, distance)
+    if overview:
+        require_writable(overview, ".png")
     written = [*(paths or [output]), overview]
     require_different(*written)
     for path in filter(None, written):

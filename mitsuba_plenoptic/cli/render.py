@@ -17,7 +17,7 @@ from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import remove_leftovers, require_different, require_writable
 from ..io.ground_truth import NAME, QUANTITIES, require_quantities, truth_path, write_ground_truth
 from ..runtime.progress import progress_bar
-from .inputs import batches_on, open_scene, parse_definitions, require_capture_output
+from .inputs import batches_on, open_scene, parse_definitions
 from .options import (
     CameraFile,
     Definitions,
@@ -135,7 +135,7 @@ def render(
     # Before the rendering, which may take long.
     names = None if aov is None else require_quantities(name.strip() for name in aov.split(","))
     for path in filter(None, (output, white)):
-        require_capture_output(path)
+        require_writable(path, ".exr")
     beside = require_writable(truth_path(output))
     require_different(output, white, beside if names else None)
     kept = Checkpoint(

@@ -109,7 +109,7 @@ def _write(
         planes = {key: np.ascontiguousarray(plane, dtype=np.float32) for key, plane in channels.items()}
         written.append(OpenEXR.Part(header, planes, name))
     try:
-        with atomic_output(path) as temporary:
+        with atomic_output(path, ".exr") as temporary:
             OpenEXR.File(written).write(str(temporary))
     except (RuntimeError, OSError) as error:
         raise InputError(f"{path}: it cannot be written: {error}") from None

@@ -12,7 +12,7 @@ import yaml
 from ..errors import InputError
 from ..objective import Objective
 from ..prescription import Prescription, bundled_prescription
-from .files import require_file
+from .files import atomic_output, require_file
 from .lens_designs import SUFFIXES, read_design
 from .yaml_file import read_yaml
 
@@ -97,4 +97,5 @@ def write_prescription(path: str | Path, lens: Prescription) -> None:
     lens : Prescription
         The lens.
     """
-    Path(path).write_text(yaml.safe_dump(lens.to_plain(), sort_keys=False), encoding="utf-8")
+    with atomic_output(path, ".yaml", ".yml", ".json") as temporary:
+        temporary.write_text(yaml.safe_dump(lens.to_plain(), sort_keys=False), encoding="utf-8")

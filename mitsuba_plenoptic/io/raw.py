@@ -62,10 +62,10 @@ def write_raw(path: str | Path, capture: Capture) -> None:
             raise InputError(f"{path}: raw pictures of three channels are written as .tiff")
         information = PngInfo()
         information.add_text(_KEY, text)
-        with atomic_output(path) as temporary:
+        with atomic_output(path, *RAW_SUFFIXES) as temporary:
             Image.fromarray(numbers).save(temporary, format="PNG", pnginfo=information)
         return
-    with atomic_output(path) as temporary:
+    with atomic_output(path, *RAW_SUFFIXES) as temporary:
         photometric = "rgb" if numbers.ndim == 3 else "minisblack"
         tifffile.imwrite(temporary, numbers, photometric=photometric, description=text, metadata=None)
 

@@ -164,9 +164,7 @@ def require_light_field_path(path: str | Path) -> Path:
     InputError
         If the name's suffix is unknown or the file cannot be written.
     """
-    if not Path(path).name.lower().endswith((".nc", ".zarr", ".mat", ".png")):
-        raise InputError(f"{path}: give a name that ends in .nc, .zarr, .mat, .eslf.png or .png")
-    return require_writable(path)
+    return require_writable(path, ".nc", ".zarr", ".mat", ".eslf.png", ".png")
 
 
 def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> GroundTruth | None:

@@ -91,5 +91,8 @@ def write_picture(path: str | Path, image: np.ndarray) -> None:
     """Write linear values (rows, columns[, 3]), clipped to 0 to 1, as a PNG of 16 bits a channel in sRGB encoding."""
     bitmap = mi.Bitmap(np.ascontiguousarray(np.clip(image, 0, 1), dtype=np.float32))
     encoded = bitmap.convert(bitmap.pixel_format(), mi.Struct.Type.UInt16, srgb_gamma=True)
-    with atomic_output(path) as temporary:
-        encoded.write(str(temporary))
+    with atomic_output(path, ".png") as temporary:
+        # Into memory first, because Mitsuba does not notice a full disk.
+        stream = mi.MemoryStream()
+        encoded.write(stream, mi.Bitmap.FileFormat.PNG)
+        temporary.write_bytes(stream.raw_buffer())
