@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import xarray as xr
 
-from ..errors import require_choice, require_count, require_number, suggest_keywords
+from ..errors import InputError, require_choice, require_count, require_number, suggest_keywords
 from .geometry import require_light_field
 
 AXES = ("horizontal", "vertical")
@@ -26,9 +28,14 @@ def view(lf: xr.DataArray, *, u: float = 0.0, v: float = 0.0) -> xr.DataArray:
     -------
     xarray.DataArray
         Dimensions t, s[, c]; upright, with the scalar coordinates u and v of the view.
+
+    Raises
+    ------
+    InputError
+        If the point is more than half a step beyond the views.
     """
     lf = require_light_field(lf)
-    return lf.sel(u=require_number("u", u), v=require_number("v", v), method="nearest")
+    return _nearest(lf, u=("u", u), v=("v", v))
 
 
 def as_view(lf: xr.DataArray, image: np.ndarray) -> xr.DataArray:
@@ -113,9 +120,29 @@ def epipolar_image(
     -------
     xarray.DataArray
         Dimensions u, s[, c], or v, t[, c].
+
+    Raises
+    ------
+    InputError
+        If the axis is another word, or a place is more than half a step beyond the lines.
     """
     lf = require_light_field(lf)
     require_choice("axis", axis, AXES)
     field, pupil = ("t", "v") if axis == "horizontal" else ("s", "u")
-    place = {field: require_number("at", at), pupil: require_number("through", through)}
-    return lf.sel(place, method="nearest")
+    return _nearest(lf, **{field: ("at", at), pupil: ("through", through)})
+
+
+def _nearest(lf: xr.DataArray, **places: tuple[str, float]) -> xr.DataArray:
+    """Return the samples nearest to places on axes, each with the name that messages give it."""
+    wanted = {}
+    for axis, (name, value) in places.items():
+        wanted[axis] = require_number(name, value)
+        samples = np.sort(lf[axis].values)
+        # Of a single sample there is nothing to choose, and no step is known.
+        reach = (samples[-1] - samples[0]) / (len(samples) - 1) / 2 if len(samples) > 1 else math.inf
+        low, high = samples[0] - reach, samples[-1] + reach
+        # Rounding must not refuse the border itself.
+        margin = 1e-6 * reach if math.isfinite(reach) else 0.0
+        if not low - margin <= wanted[axis] <= high + margin:
+            raise InputError(f"{name} = {wanted[axis]:g}: the light field goes from {low:.4g} to {high:.4g} there")
+    return lf.sel(wanted, method="nearest")

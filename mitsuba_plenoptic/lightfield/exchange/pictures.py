@@ -92,7 +92,4 @@ def write_picture(path: str | Path, image: np.ndarray) -> None:
     bitmap = mi.Bitmap(np.ascontiguousarray(np.clip(image, 0, 1), dtype=np.float32))
     encoded = bitmap.convert(bitmap.pixel_format(), mi.Struct.Type.UInt16, srgb_gamma=True)
     with atomic_output(path, ".png") as temporary:
-        # Into memory first, because Mitsuba does not notice a full disk.
-        stream = mi.MemoryStream()
-        encoded.write(stream, mi.Bitmap.FileFormat.PNG)
-        temporary.write_bytes(stream.raw_buffer())
+        encoded.write(str(temporary))
