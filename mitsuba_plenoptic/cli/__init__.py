@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import logging
 import re
 import sys
@@ -14,30 +15,15 @@ from typing import Annotated, Any
 import typer
 
 from ..errors import InputError, at_shell
-from . import (
-    calibrate,
-    compare,
-    convert,
-    dataset,
-    demosaic,
-    depth,
-    doctor,
-    epi,
-    expose,
-    fit,
-    info,
-    reconstruct,
-    render,
-    reproduce,
-    stack,
-    sweep,
-    views,
-)
+from ..runtime.progress import plain_lines
 
 PROGRAM = "mitsuba-plenoptic"
 
-app = typer.Typer(rich_markup_mode="rich", pretty_exceptions_enable=False)
-
+# In the order of the help. Each is a module with a function of the same name.
+COMMANDS = (
+    *("render", "reconstruct", "views", "epi", "stack", "depth", "expose", "demosaic", "calibrate", "fit", "convert"),
+    *("sweep", "dataset", "compare", "reproduce", "info", "doctor"),
+)
 
 # Options that are not called as the arguments of the library that they are for.
 _OPTIONS = {"views": "--view-count", "names": "--number", "parameters": "-D", "batch_map": "--workers"}
@@ -49,7 +35,6 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback(invoke_without_command=True)
 def _root(
     context: typer.Context,
     show_version: Annotated[
@@ -72,23 +57,19 @@ def _root(
         typer.echo(context.get_help())
 
 
-app.command("render")(render.render)
-app.command("reconstruct")(reconstruct.reconstruct)
-app.command("views")(views.views)
-app.command("epi")(epi.epi)
-app.command("stack")(stack.stack)
-app.command("depth")(depth.depth)
-app.command("expose")(expose.expose)
-app.command("demosaic")(demosaic.demosaic)
-app.command("calibrate")(calibrate.calibrate)
-app.command("fit")(fit.fit)
-app.command("convert")(convert.convert)
-app.command("sweep")(sweep.sweep)
-app.command("dataset")(dataset.dataset)
-app.command("compare")(compare.compare)
-app.command("reproduce")(reproduce.reproduce)
-app.command("info")(info.info)
-app.command("doctor")(doctor.doctor)
+def command_line(names: Sequence[str] = COMMANDS) -> typer.Typer:
+    """Return the command with some of its subcommands; loading all of them takes a second."""
+    made = typer.Typer(rich_markup_mode="rich", pretty_exceptions_enable=False)
+    made.callback(invoke_without_command=True)(_root)
+    for name in names:
+        made.command(name)(getattr(importlib.import_module(f".{name}", __package__), name))
+    return made
+
+
+def __getattr__(name: str) -> Any:
+    if name == "app":
+        return command_line()
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -98,15 +79,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     passes through with its traceback.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    called = words[:1] if words[:1] and words[0] in COMMANDS else []
+    group: Any = typer.main.get_command(command_line(called or COMMANDS))
     with warnings.catch_warnings(), _remarks():
         warnings.showwarning = _print_warning
         try:
             # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
-            with at_shell(_OPTIONS):
-                status = typer.main.get_command(app).main(words, prog_name=PROGRAM, standalone_mode=False)
+            with at_shell(_OPTIONS), plain_lines(words[0]) if called else contextlib.nullcontext():
+                status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
             return status if isinstance(status, int) else 0
         except InputError as error:
-            return _fail(_with_options(str(error), words))
+            return _fail(_with_options(str(error), group.commands[words[0]].params) if called else str(error))
         except OSError as error:
             named = f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
             return _fail(named)
@@ -137,10 +120,9 @@ def _remarks() -> Iterator[None]:
         logger.removeHandler(handler)
 
 
-def _with_options(message: str, words: Sequence[str]) -> str:
+def _with_options(message: str, parameters: Sequence[Any]) -> str:
     """Spell the arguments that a message is about, ``name = value: ...``, as options where the command has such."""
-    command = next((found for word in words if (found := typer.main.get_group(app).commands.get(word))), None)
-    own = [option for one in command.params for option in one.opts] if command else []
+    own = [option for one in parameters for option in one.opts]
 
     def spelled(found: re.Match[str]) -> str:
         option = _OPTIONS.get(found[1], f"--{found[1].replace('_', '-')}")
