@@ -126,11 +126,11 @@ def _with_options(message: str, parameters: Sequence[Any]) -> str:
 
     def spelled(found: re.Match[str]) -> str:
         option = _OPTIONS.get(found[1], f"--{found[1].replace('_', '-')}")
-        # At a shell what is not given has no value.
+        # At a shell flags and what is not given have no value.
         return (option if found[2] else f"{option} = ") if option in own else found[0]
 
     about, colon, rule = message.partition(": ")
-    return re.sub(r"\b(?<!-)([a-z]\w*) = (None\b)?", spelled, about) + colon + rule
+    return re.sub(r"\b(?<!-)([a-z]\w*) = (None\b|True\b)?", spelled, about) + colon + rule
 
 
 def _fail(message: str) -> int:

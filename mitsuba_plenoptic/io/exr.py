@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import OpenEXR
 
-from ..errors import InputError
+from ..errors import InputError, advice
 from ..runtime.limits import require_memory
 from .files import atomic_output, native_output_dropped, require_file
 
@@ -142,7 +142,10 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
         if ATTRIBUTE not in part.header:
             raise InputError(
                 f"{path}: it has no attribute '{ATTRIBUTE}' in its header, so its camera is unknown; "
-                "read the pixels yourself and give reconstruct(..., camera=...)"
+                + advice(
+                    python="read the pixels yourself, and give them with a camera",
+                    shell="write its pixels as .tiff, and give --camera",
+                )
             )
         attributes = _attributes(part)
         layers = [names]

@@ -133,9 +133,10 @@ def atomic_output(path: str | Path, *suffixes: str) -> Iterator[Path]:
     Raises
     ------
     InputError
-        As by `require_writable`, and if the disk is full.
+        As by `require_writable`, and if writing fails, as on a full disk.
     """
     path = require_writable(path, *suffixes)
+    folder = ""
     try:
         with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
             # The suffix stays, because writers choose the format by it.
@@ -148,10 +149,13 @@ def atomic_output(path: str | Path, *suffixes: str) -> Iterator[Path]:
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
                 raise
             temporary.replace(path)
-    except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+    except (OSError, RuntimeError) as error:
+        named = str(getattr(error, "filename", None) or "")
+        ours = f".{path.name}." in f"{named}{error}" or (isinstance(error, OSError) and not named)
+        if not ours:
             raise
-        raise InputError(f"{path}: it cannot be written: {os.strerror(error.errno)}") from error
+        cause = getattr(error, "strerror", None) or str(error).replace(folder, str(path.parent))
+        raise InputError(f"{path}: it cannot be written: {cause}") from error
 
 
 def remove_leftovers(path: str | Path) -> None:

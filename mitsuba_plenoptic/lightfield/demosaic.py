@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_choice, suggest_keywords
+from ..errors import InputError, argument, require_choice, suggest_keywords
 from ..io.captures import Capture
 from ..mosaic import MOSAICS, filters, mosaic_of, require_demosaiced
 from ..optics import rays
@@ -77,7 +77,7 @@ def demosaic(
         raise InputError(f"capture of {capture.image.shape[2]} channels: a mosaic has one")
     known = mosaic_of(capture)
     if mosaic is None and known is None:
-        raise InputError("mosaic = None: the capture tells none; give one")
+        raise InputError(f"mosaic = None: the capture tells none; give {argument('mosaic')}")
     mosaic = require_choice("mosaic", known if mosaic is None else mosaic, MOSAICS)
     camera, own = capture.camera, filters(capture.camera, mosaic)
     if method == "plain":
