@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+import signal
+
 import numpy as np
 import pytest
 from scene_cases import letters
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera
+from mitsuba_plenoptic.io.lens_file import write_prescription
+from mitsuba_plenoptic.lightfield.exchange import save_light_field, write_mosaic
+from mitsuba_plenoptic.reconstruction import Volume, write_reconstruction, write_volume
 
 CAMERA = PlenopticCamera(resolution=(64, 64), detector_width=0.128)
 IMAGE = np.ones((64, 64), np.float32)
@@ -184,6 +190,53 @@ def test_ray_captures_refuse_what_is_for_waves(scene, tmp_path):
                 mp.render_capture(loaded, model=model, **{name: value})
     with pytest.raises(InputError, match=r"^batch_map: a ray capture does not take it"):
         mp.estimate_capture(scene, batch_map=OPTIONS["batch_map"])
+
+
+RANDOM = np.random.default_rng(0).random((64, 64), np.float32)
+LIGHT_FIELD = mp.decode(IMAGE, camera=CAMERA)
+NOISY = mp.expose(Capture(IMAGE, CAMERA), mp.Detector(), photons=100)
+REFOCUSED = mp.reconstruct(IMAGE, 240, camera=CAMERA)
+CORNERS = {name: np.arange(3000) for name in ("k", "l", "u", "v", "cluster", "frame")}
+WRITERS = {
+    "x.exr": lambda path: mp.write_capture(path, Capture(RANDOM, CAMERA)),
+    "r.exr": lambda path: write_reconstruction(path, dataclasses.replace(REFOCUSED, image=RANDOM)),
+    "v.tif": lambda path: write_volume(path, Volume(RANDOM[None], (240.0,), 0.1)),
+    "x.png": lambda path: mp.write_raw(path, NOISY),
+    "x.tiff": lambda path: mp.write_raw(path, NOISY),
+    "lf.nc": lambda path: save_light_field(path, LIGHT_FIELD),
+    "lf.mat": lambda path: save_light_field(path, LIGHT_FIELD),
+    "lf.png": lambda path: write_mosaic(path, LIGHT_FIELD),
+    "c.csv": lambda path: mp.calibration.write_corners(path, CORNERS),
+    "lens.yaml": lambda path: write_prescription(path, PlenopticCamera.preset("paper_double_gauss").prescription),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_writers_refuse_names_of_other_kinds_of_file(name, tmp_path):
+    for wrong in ("x.txt", "x", "x.exr.gz"):
+        with pytest.raises(InputError, match=rf"{wrong}: give a name that ends in \."):
+            WRITERS[name](tmp_path / wrong)
+    assert list(tmp_path.iterdir()) == []
+    WRITERS[name](tmp_path / name)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_what_a_disk_has_no_room_for_is_named_and_leaves_what_was_there(name, tmp_path):
+    """As of a full disk, here of a limit on the size of files."""
+    resource = pytest.importorskip("resource")
+    path = tmp_path / name
+    path.write_bytes(b"before")
+    before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (64, before[1]))
+    try:
+        with pytest.raises(InputError) as caught:
+            WRITERS[name](path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert str(caught.value).startswith(f"{path}: it cannot be written: ")
+    assert path.read_bytes() == b"before" and list(tmp_path.iterdir()) == [path]
 
 
 def test_points_behind_the_camera_are_refused_unless_light_converges_to_them():
