@@ -108,7 +108,8 @@ def suggest_keywords(function: _Call, others: Iterable[str] = ()) -> _Call:
     A function that hands further keywords on knows the `others`. Of a class it is the constructor.
     """
     if isinstance(function, type):
-        type.__setattr__(function, "__init__", suggest_keywords(function.__init__, others))
+        constructor = function.__init__  # type: ignore[misc]
+        type.__setattr__(function, "__init__", suggest_keywords(constructor, others))
         return cast(_Call, function)
     known = [*inspect.signature(function).parameters, *others]
 

@@ -237,6 +237,9 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
         raise InputError(f"models = {shown(models)}: it must be a list of some of {', '.join(MODELS)}")
     for model in models:
         require_choice("models", model, MODELS)
+    for section in MODELS:
+        if section in content and section not in models:
+            raise InputError(f"{section}: models = {shown(models)} has no {section} captures; leave it out")
     camera = _section("camera", content, (*PlenopticCamera().to_dict(), "focus_distance", "preset"))
     if "preset" in camera:
         require_choice("camera: preset", camera["preset"], tuple(PRESETS))

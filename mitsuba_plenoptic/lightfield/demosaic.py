@@ -70,7 +70,8 @@ def demosaic(
     Raises
     ------
     InputError
-        If the capture has three channels already, no mosaic is known, or the white image does not fit.
+        If the capture has three channels already, no mosaic is known, the white image does not fit, or it is given
+        for ``plain``.
     """
     require_choice("method", method, METHODS)
     if capture.image.ndim != 2:
@@ -81,6 +82,8 @@ def demosaic(
     mosaic = require_choice("mosaic", known if mosaic is None else mosaic, MOSAICS)
     camera, own = capture.camera, filters(capture.camera, mosaic)
     if method == "plain":
+        if white is not None:
+            raise InputError("white: method plain does not take it; it is for micro-images")
         certainty = np.ones((*camera.shape, 3), np.float32)
         lenses = np.zeros(camera.shape, np.int64)
     else:
