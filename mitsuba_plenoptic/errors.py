@@ -181,7 +181,7 @@ def require_known(what: str, names: Iterable[Any], known: Collection[str]) -> No
     """Refuse the first name that is not among the known ones; `what` begins the message, such as ``camera: ``."""
     for name in names:
         if name not in known:
-            raise InputError(f"{what}{shown(name)}: it is not one of {', '.join(known)}{did_you_mean(name, known)}")
+            raise InputError(f"{what}{name}: it is not one of {', '.join(known)}{did_you_mean(name, known)}")
 
 
 def require_pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:

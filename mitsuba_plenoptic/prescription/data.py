@@ -156,8 +156,9 @@ class Prescription:
             If a name is unknown or missing, a value is out of range, not just one surface is the stop, glass follows
             the last surface, or an index of a glass at the wavelength is none.
         """
-        known = {"surfaces", "name", "source", "wavelength"}
-        if not isinstance(value, dict) or not set(map(str, value)) <= known or "surfaces" not in value:
+        if isinstance(value, dict):
+            require_known("main_lens: ", value, ("surfaces", "name", "source", "wavelength"))
+        if not isinstance(value, dict) or "surfaces" not in value:
             raise InputError(
                 f"main_lens = {shown(value)}: it must have surfaces, and may have name, source, wavelength"
             )

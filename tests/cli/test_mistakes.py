@@ -165,6 +165,14 @@ def test_mistakes(line, words, raw, tmp_path, complaint):
         ("convert {raw} -o {out}.mat --linear", "--linear: of no use for"),
         ("demosaic {raw} -o {out}.exr --mosaic RGGB --linear", "--linear: it is for pictures (.png, .tiff)"),
         ("sweep letters -o {out}.nc --vary aperture_radius=3,4 --method ray", "--method: nothing is refocused"),
+        (
+            "sweep letters -o {out}.nc --vary aperture_radius=3,4 --resume",
+            "--resume: a ray capture keeps no checkpoint",
+        ),
+        (
+            "sweep letters -o {out}.nc --vary aperture_radius=3,4 --workers 2",
+            "--workers: a ray capture does not take it",
+        ),
         ("info paper -D resolution=64", "-D: paper is no scene"),
         ("info {raw} -D resolution=64", "raw.exr is no scene"),
         ("calibrate w.png -o {out}.csv --square 3", "--square: finding centres in white images does not take it"),
