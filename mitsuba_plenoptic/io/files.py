@@ -37,8 +37,6 @@ def require_writable(path: str | Path, *suffixes: str) -> Path:
         If the name ends in something else, the folder does not exist or cannot be written, or the path is a folder.
     """
     path = _path(path)
-    if suffixes and not path.name.lower().endswith(suffixes):
-        raise InputError(f"{path}: give a name that ends in {' or '.join(suffixes)}")
     try:
         if path.is_dir():
             raise InputError(f"{path}: it is a folder; give a file name")
@@ -48,6 +46,8 @@ def require_writable(path: str | Path, *suffixes: str) -> Path:
             raise InputError(f"{path}: it is a device or a pipe; give a file name")
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
+    if suffixes and not path.name.lower().endswith(suffixes):
+        raise InputError(f"{path}: give a name that ends in {' or '.join(suffixes)}")
     if not os.access(path.parent, os.W_OK) or (path.exists() and not os.access(path, os.W_OK)):
         raise InputError(f"{path}: no permission to write it")
     return path

@@ -89,7 +89,7 @@ def test_what_is_read_is_not_written_over(line, raw, tmp_path, complaint):
         ("render letters -o {out}.exr -D resolution=64 --variant scalar_rgb", "scalar_rgb"),
         # The output is checked before the scene is looked at.
         ("render nosuch -o {out}/raw.exr", "does not exist"),
-        ("render nosuch -o .", "ends in .exr"),
+        ("render nosuch -o .", "it is a folder"),
         ("render nosuch -o {out}.png", "ends in .exr"),
         ("render nosuch -o {out}", "ends in .exr"),
         ("render letters -o {out}.exr --camera nokia", "no camera (paper, lytro"),
@@ -109,7 +109,7 @@ def test_what_is_read_is_not_written_over(line, raw, tmp_path, complaint):
         ("reconstruct {raw} -o {out}.exr --distance 240 --footprint magic", "footprint = 'magic'"),
         ("reconstruct {raw} -o {out}.exr --distance 240 --variant magic", "variant = 'magic'"),
         ("reconstruct {raw} -o {out}/out.exr --distance 240", "does not exist"),
-        ("reconstruct {raw} -o . --distance 240", ".png"),
+        ("reconstruct {raw} -o . --distance 240", "it is a folder"),
         ("reconstruct {raw} -o {out}.jpg --distance 240", ".png"),
         ("reconstruct {raw} -o {out} --distance 240", ".png"),
         ("info nosuch", "letters"),
