@@ -111,7 +111,7 @@ def suggest_keywords(function: _Call, others: Iterable[str] = ()) -> _Call:
         constructor = function.__init__  # type: ignore[misc]
         type.__setattr__(function, "__init__", suggest_keywords(constructor, others))
         return cast(_Call, function)
-    known = [*inspect.signature(function).parameters, *others]
+    known = {*inspect.signature(function).parameters, *others}
 
     @functools.wraps(function)
     def called(*arguments: Any, **options: Any) -> Any:
