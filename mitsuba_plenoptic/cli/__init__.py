@@ -85,7 +85,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.showwarning = _print_warning
         try:
             # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
-            with at_shell(_OPTIONS), plain_lines(words[0]) if called else contextlib.nullcontext():
+            quick = not called or "--help" in words
+            with at_shell(_OPTIONS), contextlib.nullcontext() if quick else plain_lines(words[0]):
                 status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
             return status if isinstance(status, int) else 0
         except InputError as error:

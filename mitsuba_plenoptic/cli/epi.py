@@ -21,15 +21,21 @@ def epi(
     output: Annotated[Path, output_option("FILE", "File to write: .exr, or .png four times as large.")],
     axis: Annotated[str, typer.Option(metavar="|".join(AXES), help="Direction of the line.")] = "horizontal",
     at: Annotated[
-        float,
+        float | None,
         number(
             "Place of the line in the object plane in focus: y (up) of a horizontal, x (left) of a vertical one.",
+            "nearest to the axis",
             unit="MM",
         ),
-    ] = 0.0,
+    ] = None,
     through: Annotated[
-        float, number("Place on the pupil: y (up) of a horizontal, x (left) of a vertical line.", unit="MM")
-    ] = 0.0,
+        float | None,
+        number(
+            "Place on the pupil: y (up) of a horizontal, x (left) of a vertical line.",
+            "nearest to the middle",
+            unit="MM",
+        ),
+    ] = None,
     white: White = None,
     view_count: ViewCount = None,
     linear: Linear = False,

@@ -14,15 +14,16 @@ AXES = ("horizontal", "vertical")
 
 
 @suggest_keywords
-def view(lf: xr.DataArray, *, u: float = 0.0, v: float = 0.0) -> xr.DataArray:
+def view(lf: xr.DataArray, *, u: float | None = None, v: float | None = None) -> xr.DataArray:
     """Return the sub-aperture view nearest to a point of the pupil.
 
     Parameters
     ----------
     lf : xarray.DataArray
         A light field, (v, u, t, s[, c]).
-    u, v : float
-        Point on the pupil in the light field's coordinates (millimetres where it has a camera).
+    u, v : float, optional
+        Point on the pupil in the light field's coordinates (millimetres where it has a camera). Default: the view
+        nearest to the pupil's middle.
 
     Returns
     -------
@@ -101,7 +102,7 @@ def lens_mosaic(lf: xr.DataArray) -> np.ndarray:
 
 @suggest_keywords
 def epipolar_image(
-    lf: xr.DataArray, axis: str = "horizontal", *, at: float = 0.0, through: float = 0.0
+    lf: xr.DataArray, axis: str = "horizontal", *, at: float | None = None, through: float | None = None
 ) -> xr.DataArray:
     """Return one line of the field from every view of one line of the pupil: a point of the scene draws a slanted line.
 
@@ -111,10 +112,12 @@ def epipolar_image(
         A light field, (v, u, t, s[, c]).
     axis : {"horizontal", "vertical"}
         Direction of both lines: along u and s, or along v and t.
-    at : float
-        Place of the line in the field: t of a horizontal, s of a vertical one. The nearest is taken.
-    through : float
-        Place of the line on the pupil: v of a horizontal, u of a vertical one. The nearest is taken.
+    at : float, optional
+        Place of the line in the field: t of a horizontal, s of a vertical one; the nearest line is taken. Default: the
+        one nearest to the axis.
+    through : float, optional
+        Place of the line on the pupil: v of a horizontal, u of a vertical one; the nearest line is taken. Default: the
+        one nearest to the pupil's middle.
 
     Returns
     -------
@@ -132,10 +135,12 @@ def epipolar_image(
     return _nearest(lf, **{field: ("at", at), pupil: ("through", through)})
 
 
-def _nearest(lf: xr.DataArray, **places: tuple[str, float]) -> xr.DataArray:
-    """Return the samples nearest to places on axes, each with the name that messages give it."""
-    wanted = {}
+def _nearest(lf: xr.DataArray, **places: tuple[str, float | None]) -> xr.DataArray:
+    """Return the samples nearest to places on axes, each with the name that messages give it; None: to the middle."""
+    wanted = dict.fromkeys(places, 0.0)
     for axis, (name, value) in places.items():
+        if value is None:
+            continue
         wanted[axis] = require_number(name, value)
         samples = np.sort(lf[axis].values)
         # Of a single sample there is nothing to choose, and no step is known.
