@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .errors import InputError, require_choice, require_count, require_number, shown
+from .errors import InputError, require_choice, require_count, require_number, shown, suggest_keywords
 from .io.captures import Capture
 from .mosaic import MOSAICS, filters, require_demosaiced
 
@@ -19,6 +19,7 @@ _SMALLEST, _LARGEST = 1e-9, 1e9
 _CHUNK = 2**22
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Detector:
     r"""A linear image sensor after EMVA Standard 1288, Release 4.0 Linear.
@@ -124,6 +125,7 @@ def _positive(name: str, value: Any, maximum: float = _LARGEST) -> float:
     return require_number(name, value, positive=True, minimum=_SMALLEST, maximum=maximum)
 
 
+@suggest_keywords
 def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 0) -> Capture:
     """Record a noise-free capture with a real detector.
 

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from .camera import PlenopticCamera
-from .errors import InputError, require_count, require_number, shown
+from .errors import InputError, require_count, require_number, shown, suggest_keywords
 from .prescription import Prescription, paraxial
 from .thin_lens import vergence
 
@@ -21,6 +21,7 @@ _CLOSEST = 1e-3
 """Distance between vertices, over the gaps before and behind the group, that is left at least."""
 
 
+@suggest_keywords
 def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: float) -> PlenopticCamera:
     """Move a group of elements of the main lens until an object distance is in focus; the array stays.
 

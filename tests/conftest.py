@@ -35,6 +35,12 @@ def guarded_physics():
     warnings.simplefilter("error", mitsuba_plenoptic.PhysicsWarning, append=True)
 
 
+@pytest.fixture(autouse=True)
+def no_progress_lines(monkeypatch):
+    """Keep the plain lines of progress, which come with time, out of what commands print in tests."""
+    monkeypatch.setattr("mitsuba_plenoptic.runtime.progress.FIRST_LINE", float(2**20))
+
+
 @pytest.fixture
 def camera_dict():
     """Describe a small plenoptic sensor: 16 x 16 lenses of the paper's camera."""

@@ -281,6 +281,6 @@ def _agreed(
 
 def write_corners(path: str | Path, corners: Table) -> None:
     """Write corners as a CSV file for `calibrate`."""
-    with atomic_output(path) as temporary:
+    with atomic_output(path, ".csv") as temporary:
         rows = np.stack([corners[name] for name in CORNER_COLUMNS], axis=-1)
         np.savetxt(temporary, rows, "%d,%d,%.4f,%.4f,%d,%d", header=",".join(CORNER_COLUMNS), comments="")

@@ -64,7 +64,7 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
         "outlier_rows": (seen.outliers + 2).tolist(),
     }
     text = json.dumps({**calibration.camera.to_dict(), "calibration": record}, indent=1) + "\n"
-    with atomic_output(path) as temporary:
+    with atomic_output(path, ".json") as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 

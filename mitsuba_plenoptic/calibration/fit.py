@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError
+from ..errors import InputError, suggest_keywords
 from .adjustment import Problem, Solution, adjust, adjust_poses, information
 from .blur import Blur, fit_blur
 from .model import AT, NAMES, Observations
@@ -142,6 +142,7 @@ class Calibration:
         ]
 
 
+@suggest_keywords
 def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Table | None = None) -> Calibration:
     """Fit a camera, and the poses of a board, to corners seen through its microlenses.
 

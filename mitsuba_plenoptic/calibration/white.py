@@ -132,6 +132,6 @@ def _plain_grid(grid: LensGrid, lens: np.ndarray, centre: np.ndarray) -> np.ndar
 
 def write_centres(path: str | Path, centres: Centres) -> None:
     """Write centres as a CSV file for `calibrate`."""
-    with atomic_output(path) as temporary:
+    with atomic_output(path, ".csv") as temporary:
         rows = np.concatenate([centres.lens, centres.pixel], axis=1)
         np.savetxt(temporary, rows, "%d,%d,%.4f,%.4f", header=",".join(CENTRE_COLUMNS), comments="")

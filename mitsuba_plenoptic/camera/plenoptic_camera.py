@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..bounds import require_numbers, require_response, require_wavefront
-from ..errors import InputError, require_choice, shown
+from ..errors import InputError, did_you_mean, require_choice, shown, suggest_keywords
 from ..objective import Objective
 from ..prescription import Glass, Prescription
 from ..presets import PRESETS
@@ -131,6 +131,7 @@ class PlenopticCamera(CameraGeometry):
         focal length, aperture or distance to the array, or a glass is not one or has no index at the line d.
     """
 
+    @suggest_keywords
     def __init__(
         self,
         *,
@@ -207,9 +208,7 @@ class PlenopticCamera(CameraGeometry):
         InputError
             If there is none of that name; the message lists those there are.
         """
-        if not isinstance(name, str) or name not in PRESETS:
-            raise InputError(f"preset = {shown(name)}: it must be one of {', '.join(PRESETS)}")
-        return cls(**PRESETS[name])
+        return cls(**PRESETS[require_choice("preset", name, PRESETS)])
 
     @classmethod
     def from_sensor(cls, sensor: Any) -> PlenopticCamera:
@@ -296,8 +295,9 @@ class PlenopticCamera(CameraGeometry):
         """Build a camera from parameters of unknown origin."""
         if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
             raise InputError(f"camera = {shown(values)}: it must be camera parameters by name")
-        for name in sorted(set(values) - set(cls().to_dict()) - _OPTIONAL):
-            raise InputError(f"{name}: it is not a camera parameter")
+        known = {*cls().to_dict(), *_OPTIONAL}
+        for name in sorted(set(values) - known):
+            raise InputError(f"{name}: it is not a camera parameter{did_you_mean(name, known)}")
         return cls(**values)
 
     def to_sensor(self, to_world: Any = None) -> dict[str, Any]:

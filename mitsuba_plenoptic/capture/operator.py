@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import InputError, shown
+from ..errors import InputError, require_choice, require_flag, suggest_keywords
 from ..io.checkpoints import digest
 from ..objective import Objective
 from ..optics import guards
@@ -80,7 +80,7 @@ class CaptureOperator:
     camera : PlenopticCamera
         The camera; its recorded window may be a crop.
     points : array (n, 3)
-        Scene points (X, Y, g) in the camera frame, in millimetres.
+        Scene points (X, Y, g) in the camera frame, in millimetres, in front of the main lens.
     wavelength : float, optional
         Wavelength in nanometres, the same for all channels of the weights; or give `spectrum`.
     spectrum : Spectrum, optional
@@ -99,6 +99,9 @@ class CaptureOperator:
         For each point its relative power over the square around the pupil, cut into m x m cells: rows along y, columns
         along x of the camera frame; booleans for what is visible. What passes is normalised anew, so that each point
         spread still sums to its weight.
+    virtual : bool
+        Whether points with g < 0 are allowed: images behind the main lens to which light converges in front of it, as
+        after a lens of the scene.
 
     Raises
     ------
@@ -106,6 +109,7 @@ class CaptureOperator:
         If an input has a wrong shape or value.
     """
 
+    @suggest_keywords
     def __init__(
         self,
         camera: PlenopticCamera,
@@ -116,17 +120,17 @@ class CaptureOperator:
         method: str = "patch",
         accuracy: float = DEFAULT_ACCURACY,
         pupil_weights: Any = None,
+        virtual: bool = False,
     ) -> None:
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
         require_ideal(camera)
         if camera.prescription is not None and method in ("full_field", "bank") and pupil_weights is not None:
             raise InputError(f"pupil_weights: method {method} takes none behind a main_lens; use patch")
-        self.camera, self.points = camera, check_positions(points, camera)
+        self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
         self._wavelength = None if wavelength is None else require_wavelength(wavelength)
         self._spectrum = spectrum
-        if not isinstance(method, str) or method not in PLANS:
-            raise InputError(f"method = {shown(method)}: it must be one of {', '.join(METHODS)}")
+        require_choice("method", method, METHODS)
         if camera.objective is not None:
             _require_followed(camera.objective, method)
         if method == "bank":

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
+from ..errors import InputError
 from ..io.captures import read_capture
 from ..io.files import require_apart, require_different, require_writable
 from ..lightfield import white_image
@@ -91,15 +92,25 @@ def calibrate(
     for path in filter(None, (output, report)):
         require_apart(path, *sources, centres, white)
     if evaluate is not None:
+        _refuse("an evaluation", centres=centres, white=white, linear=linear)
         _evaluate(evaluate, camera, board, square)
     elif all(pictures) and board is not None:
-        _detect(sources, output, camera, calibration.Board.parse(board, square or 1.0), centres, white, linear)
+        _refuse("detecting corners", square=square)
+        _detect(sources, output, camera, calibration.Board.parse(board, 1.0), centres, white, linear)
     elif all(pictures):
+        _refuse("finding centres in white images", camera=camera, square=square, centres=centres, white=white)
         _centres(sources, output, linear)
     elif len(sources) > 1:
         raise typer.BadParameter("give one table of corners, or pictures", param_hint="SOURCE")
     else:
+        _refuse("a calibration from corners", white=white, linear=linear)
         _calibrate(sources[0], output, camera, board, square, centres, report)
+
+
+def _refuse(work: str, **options: object) -> None:
+    for name, value in options.items():
+        if value:
+            raise InputError(f"--{name}: {work} does not take it; leave it out")
 
 
 def _board(board: str | None, square: float | None) -> Board:
@@ -118,10 +129,10 @@ def _camera(camera: str | None) -> str:
     return camera
 
 
-def _output(output: Path | None) -> Path:
+def _output(output: Path | None, suffix: str) -> Path:
     if output is None:
         raise typer.BadParameter("name the file to write", param_hint="--output")
-    return require_writable(output)
+    return require_writable(output, suffix)
 
 
 def _evaluate(path: Path, camera: str | None, board: str | None, square: float | None) -> None:
@@ -152,7 +163,7 @@ def _detect(
 ) -> None:
     from .. import calibration
 
-    output, known = _output(output), None
+    output, known = _output(output, ".csv"), None
     if camera is not None:
         known, index = load_camera(camera, {})
         middles = calibration.camera_centres(known, index)
@@ -181,7 +192,7 @@ def _detect(
 def _centres(paths: list[Path], output: Path | None, linear: bool) -> None:
     from .. import calibration
 
-    output = _output(output)
+    output = _output(output, ".csv")
     found = calibration.find_centres(*(_picture(path, linear) for path in paths))
     calibration.write_centres(output, found)
     along, across = found.grid.spacing
@@ -204,13 +215,13 @@ def _calibrate(
 ) -> None:
     from .. import calibration
 
-    output = _output(output)
+    output = _output(output, ".json")
     start, _ = load_camera(_camera(camera), {})
     size = _board(board, square)
     corners = calibration.read_corners(path, size, start.crop_size)
     middles = None if centres is None else calibration.read_centres(centres)
     if report:
-        require_writable(report)
+        require_writable(report, ".html")
     found = calibration.calibrate(corners, size, start, middles)
     calibration.write_calibration(output, found, size)
     if report:

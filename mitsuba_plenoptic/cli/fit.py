@@ -72,7 +72,7 @@ def fit(
 
     if len(scenes) != len(captures):
         raise typer.BadParameter(f"{len(captures)} captures and {len(scenes)} scenes", param_hint="--scene")
-    require_apart(require_writable(output), *captures)
+    require_apart(require_writable(output, ".json"), *captures)
     read = [read_capture(path) for path in captures]
     first = named_camera(camera) or read[0].camera
     if start:
@@ -109,7 +109,7 @@ def fit(
 
 def _write(output: Path, found: Fit) -> None:
     """Write the camera, and print what is known of it."""
-    with atomic_output(output) as temporary:
+    with atomic_output(output, ".json") as temporary:
         temporary.write_text(found.camera.to_json())
     for name, value in found.values.items():
         typer.echo(f"{name} = {value:.8g} +- {found.deviations[name]:.2g}")

@@ -14,11 +14,13 @@ from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..capture.accuracy import check_accuracy
 from ..capture.pupil_weights import PupilWeights
-from ..errors import InputError, require_number, shown
+from ..errors import InputError, did_you_mean, require_choice, require_number, shown, suggest_keywords
 from ..io.checkpoints import Checkpoint, digest
 from .light import View, check_views
 from .model import Model, Number, changed, numbers_of, scales, values
 from .ray_model import RayModels, check_numbers
+
+METHODS = ("waves", "rays")
 
 _ROUNDS = 2
 """How often the noise of photons is taken from the model anew."""
@@ -86,6 +88,7 @@ class Fit:
     steps: int
 
 
+@suggest_keywords
 def fit(
     camera: PlenopticCamera,
     views: View | Sequence[View],
@@ -193,10 +196,8 @@ def _model_of(
     method: str, camera: PlenopticCamera, views: list[View], wavelength: float, accuracy: float
 ) -> Callable[[PlenopticCamera], _Model]:
     """Return what makes the model of a camera near the first."""
-    if method == "waves":
+    if require_choice("method", method, METHODS) == "waves":
         return partial(Model, views=views, wavelength=wavelength, accuracy=accuracy)
-    if method != "rays":
-        raise InputError(f"method = {shown(method)}: it must be waves or rays")
     if accuracy:
         raise InputError(f"accuracy = {accuracy:g}: it is for fits by waves; leave it out")
     return RayModels(camera, views, wavelength).at
@@ -283,7 +284,9 @@ def _limits(
     high[[label == "mla_fill" for label in labels]] = 1.0
     for name, pair in (bounds or {}).items():
         if name not in labels:
-            raise InputError(f"bounds: {shown(name)} is not fitted; there are {', '.join(labels)}")
+            raise InputError(
+                f"bounds: {shown(name)} is not fitted; there are {', '.join(labels)}{did_you_mean(name, labels)}"
+            )
         if np.shape(pair) != (2,) or not pair[0] < pair[1]:
             raise InputError(f"bounds: {name} = {shown(pair)}: it must be the lowest and the highest value")
         low[labels.index(name)], high[labels.index(name)] = pair

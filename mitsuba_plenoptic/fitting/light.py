@@ -41,7 +41,7 @@ class View:
         Of each, radiance times the solid angle, seen from the main lens's image side, that it stands for.
     noise : float or array (rows, columns), optional
         Standard deviation of the pixels. Default: what `fit` is told of photons.
-    pupil_weights : optional
+    pupil_weights, virtual : optional
         As of `CaptureOperator`.
 
     Raises
@@ -55,13 +55,14 @@ class View:
     weights: NDArray[np.float64]
     noise: Any = None
     pupil_weights: Any = None
+    virtual: bool = False
 
     def __post_init__(self) -> None:
         image = as_array("image", self.image)
         if image.ndim != 2:
             raise InputError(f"image of shape {image.shape}: a camera is fitted to images of one channel")
         require_pixels("image", image)
-        points, weights = check_positions(self.points), np.asarray(self.weights, np.float64)
+        points, weights = check_positions(self.points, virtual=self.virtual), np.asarray(self.weights, np.float64)
         if weights.shape != (len(points),) or not np.isfinite(weights).all():
             raise InputError(f"weights of shape {weights.shape}: they must be ({len(points)},) finite numbers")
         noise = None if self.noise is None else np.asarray(self.noise, np.float64)
@@ -134,4 +135,4 @@ def known_view(
         raise InputError("scene: the camera sees nothing that shines")
     recorded = (capture.scale(radiators) * radiators.radiance)[:, 0]
     weights = recorded / brightness_at(camera, radiators.positions, capture.wavelengths[0])
-    return View(image, radiators.positions, weights, noise, radiators.pupil_weights)
+    return View(image, radiators.positions, weights, noise, radiators.pupil_weights, virtual=True)

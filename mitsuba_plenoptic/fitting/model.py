@@ -111,7 +111,12 @@ class Model:
         self._weights = [brightness_at(camera, view.points, wavelength) * view.weights for view in views]
         self._operators = [
             CaptureOperator(
-                camera, view.points, wavelength=wavelength, accuracy=accuracy, pupil_weights=view.pupil_weights
+                camera,
+                view.points,
+                wavelength=wavelength,
+                accuracy=accuracy,
+                pupil_weights=view.pupil_weights,
+                virtual=view.virtual,
             )
             for view in views
         ]

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError, require_choice, shown
+from ..errors import InputError, require_choice, shown, suggest_keywords
 from .exr import read_exr, write_exr
 
 MODELS = ("ray", "wave")
@@ -23,6 +23,7 @@ BRIGHTEST = 1e30
 """Magnitude of a pixel at most: what is summed and squared of it stays within single precision's 3e38."""
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False, repr=False)
 class Capture:
     """What the detector of a plenoptic camera recorded.

@@ -22,7 +22,7 @@ from typing import Any, Literal, TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, require_choice, require_count, require_number
+from ..errors import InputError, advice, require_choice, require_count, require_number
 from ..runtime.backend import backend_of
 from ..runtime.batches import PartialSum
 from ..runtime.jobs import Snapshot
@@ -81,8 +81,9 @@ class Checkpoint:
     def __enter__(self) -> Checkpoint:
         if self._existing == "refuse" and self.path.exists():
             raise InputError(
-                f"{self.path}: the checkpoint of a run that was stopped; go on from it (--resume, or in Python "
-                "existing='resume'), or remove the file"
+                f"{self.path}: the checkpoint of a run that was stopped; go on from it with "
+                + advice(python="existing='resume'", shell="--resume")
+                + ", or remove the file"
             )
         return self
 
@@ -201,7 +202,7 @@ class Checkpoint:
                 write(temporary)
         except (OSError, InputError) as error:
             if not self._complained:
-                cause = getattr(error, "strerror", None) or str(error)
+                cause = getattr(error, "strerror", None) or str(error).removeprefix(f"{self.path}: ")
                 warnings.warn(f"{self.path}: no checkpoint can be written: {cause}", stacklevel=2)
                 self._complained = True
         now = time.monotonic()

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import OpenEXR
 
-from ..errors import InputError
+from ..errors import InputError, advice
 from ..runtime.limits import require_memory
 from .files import atomic_output, native_output_dropped, require_file
 
@@ -118,7 +118,7 @@ def _write(
         planes = {key: np.ascontiguousarray(plane, dtype=np.float32) for key, plane in channels.items()}
         written.append(OpenEXR.Part(header, planes, name))
     try:
-        with atomic_output(path) as temporary:
+        with atomic_output(path, ".exr") as temporary:
             OpenEXR.File(written).write(str(temporary))
     except (RuntimeError, OSError) as error:
         raise InputError(f"{path}: it cannot be written: {error}") from None
@@ -151,7 +151,10 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
         if ATTRIBUTE not in part.header:
             raise InputError(
                 f"{path}: it has no attribute '{ATTRIBUTE}' in its header, so its camera is unknown; "
-                "read the pixels yourself and give reconstruct(..., camera=...)"
+                + advice(
+                    python="read the pixels yourself, and give them with a camera",
+                    shell="write its pixels as .tiff, and give --camera",
+                )
             )
         attributes = _attributes(part)
         layers = [names]

@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..objective import Objective
 from ..prescription import BUNDLED, Prescription, bundled_prescription
 from .codev_file import read_codev
-from .files import require_file
+from .files import atomic_output, require_file
 from .yaml_file import read_yaml
 from .zemax_file import read_zemax
 
@@ -103,4 +103,5 @@ def write_prescription(path: str | Path, lens: Prescription) -> None:
     lens : Prescription
         The lens.
     """
-    Path(path).write_text(yaml.safe_dump(lens.to_plain(), sort_keys=False), encoding="utf-8")
+    with atomic_output(path, ".yaml", ".yml", ".json") as temporary:
+        temporary.write_text(yaml.safe_dump(lens.to_plain(), sort_keys=False), encoding="utf-8")

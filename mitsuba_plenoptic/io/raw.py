@@ -18,10 +18,10 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_number, shown
+from ..errors import InputError, require_number
 from ..runtime.limits import require_memory
 from .captures import Capture
-from .files import atomic_output, require_file
+from .files import atomic_output, require_file, require_writable
 
 RAW_SUFFIXES = (".png", ".tif", ".tiff")
 
@@ -47,7 +47,7 @@ def write_raw(path: str | Path, capture: Capture) -> None:
         If the capture was not exposed, its values are no digital numbers of its detector, a PNG would have three
         channels, or the file cannot be written.
     """
-    path = require_raw_path(path)
+    path = require_writable(path, *RAW_SUFFIXES)
     numbers = digital_numbers(capture)
     about = {
         "kind": "raw",
@@ -113,19 +113,6 @@ def tells_detector(path: str | Path) -> bool:
         If the file does not exist or is damaged.
     """
     return f'"{_KEY}"' in _read(require_file(path))[1]
-
-
-def require_raw_path(path: str | Path) -> Path:
-    """Return a path whose name is one of a raw picture.
-
-    Raises
-    ------
-    InputError
-        If it is not.
-    """
-    if not isinstance(path, (str, Path)) or Path(path).suffix.lower() not in RAW_SUFFIXES:
-        raise InputError(f"{shown(path)}: raw pictures end in {', '.join(RAW_SUFFIXES)}")
-    return Path(path)
 
 
 def digital_numbers(capture: Capture) -> NDArray[np.uint16]:

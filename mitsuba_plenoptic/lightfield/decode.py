@@ -9,7 +9,7 @@ import scipy
 import xarray as xr
 
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError, shown
+from ..errors import InputError, shown, suggest_keywords
 from ..io.captures import Capture, as_array, require_pixels, require_suitable_white
 from ..io.ground_truth import COORDINATES, GroundTruth, channel_planes
 from ..mosaic import require_demosaiced
@@ -23,6 +23,7 @@ from .white import scaled_white, white_image
 MINIMUM_WEIGHT = 0.1
 
 
+@suggest_keywords
 def decode(
     capture: Capture | np.ndarray,
     *,

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, require_choice
+from ..errors import InputError, argument, require_choice, suggest_keywords
 from ..io.captures import Capture, require_suitable_white
 from ..mosaic import MOSAICS, filters, mosaic_of, require_demosaiced
 from .grid import lens_numbers
@@ -37,6 +37,7 @@ _LIT = 1e-3
 """Part of the weight of the brightest pixel of white below which a colour is not known."""
 
 
+@suggest_keywords
 def demosaic(
     capture: Capture,
     *,
@@ -68,17 +69,20 @@ def demosaic(
     Raises
     ------
     InputError
-        If the capture has three channels already, no mosaic is known, or the white image does not fit.
+        If the capture has three channels already, no mosaic is known, the white image does not fit, or it is given
+        for ``plain``.
     """
     require_choice("method", method, METHODS)
     if capture.image.ndim != 2:
         raise InputError(f"capture of {capture.image.shape[2]} channels: a mosaic has one")
     known = mosaic_of(capture)
     if mosaic is None and known is None:
-        raise InputError("mosaic = None: the capture tells none; give one")
+        raise InputError(f"mosaic = None: the capture tells none; give {argument('mosaic')}")
     mosaic = require_choice("mosaic", known if mosaic is None else mosaic, MOSAICS)
     camera, own = capture.camera, filters(capture.camera, mosaic)
     if method == "plain":
+        if white is not None:
+            raise InputError("white: method plain does not take it; it is for micro-images")
         certainty = np.ones((*camera.shape, 3), np.float32)
         lenses = np.zeros(camera.shape, np.int64)
     else:

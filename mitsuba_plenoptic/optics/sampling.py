@@ -159,7 +159,9 @@ def check_samples(count: float, where: str) -> None:
         raise InputError(f"a field of {count:.3g} samples {where}: at most {_LONGEST} can be computed")
 
 
-def check_positions(positions: Any, camera: PlenopticCamera | None = None) -> NDArray[np.float64]:
+def check_positions(
+    positions: Any, camera: PlenopticCamera | None = None, *, virtual: bool = False
+) -> NDArray[np.float64]:
     """Return scene points as a float64 array (n, 3).
 
     Parameters
@@ -168,12 +170,14 @@ def check_positions(positions: Any, camera: PlenopticCamera | None = None) -> ND
         Scene points.
     camera : PlenopticCamera, optional
         The camera; default: one with a main lens in the plane g = 0, in which no point may lie.
+    virtual : bool
+        Whether points may lie behind the main lens, as images to which light in front of it converges.
 
     Raises
     ------
     InputError
-        If the shape is another, a coordinate is not finite or too large, or a point lies in the main lens, or not
-        before the objective.
+        If the shape is another, a coordinate is not finite or too large, or a point lies in the main lens or behind
+        it, or not before the objective.
     """
     try:
         points = np.asarray(positions, np.float64)
@@ -194,11 +198,12 @@ def check_positions(positions: Any, camera: PlenopticCamera | None = None) -> ND
                 f"than {-front:.6g}: before the objective"
             )
         return points
-    beyond = (np.abs(points) > _FARTHEST).any(1) | (np.abs(points[:, 2]) < SHORTEST)
+    g = np.abs(points[:, 2]) if virtual else points[:, 2]
+    beyond = (np.abs(points) > _FARTHEST).any(1) | (g < SHORTEST)
     if beyond.any():
         raise InputError(
             f"position = {_format(points[beyond][0])}: its coordinates must be {_FARTHEST:g} at most, and g at least "
-            f"{SHORTEST:g}, or at most -{SHORTEST:g} for light that converges to a point behind the lens"
+            f"{SHORTEST:g}: in front of the main lens"
         )
     return points
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
-from ..errors import InputError, require_count, require_number
+from ..errors import InputError, require_count, require_number, suggest_keywords
 from ..io.tables import read_table
 
 MOST_WAVELENGTHS = 1024
@@ -41,6 +41,7 @@ _WRONG = 4e-3
 """Relative error of a channel's integral over a table's light that is allowed."""
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Spectrum:
     """Some wavelengths, and the channels that record them.

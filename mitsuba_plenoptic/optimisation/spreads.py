@@ -37,7 +37,8 @@ class Spreads:
     """
 
     def __init__(self, points: Any, wavelength: float, accuracy: float, method: str) -> None:
-        self.points, self._wavelength = check_positions(points), require_wavelength(wavelength)
+        # Where they may lie depends on the camera, and is checked with it.
+        self.points, self._wavelength = check_positions(points, virtual=True), require_wavelength(wavelength)
         self._accuracy, self._method = check_accuracy(accuracy), method
 
     def images(self, camera: PlenopticCamera, moved: tuple[float, float, float] = (0, 0, 0)) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ import drjit as dr
 import numpy as np
 
 from ..bounds import LONGEST, SHORTEST, require_wavelength
-from ..errors import InputError, require_number, shown
+from ..errors import InputError, require_known, require_number, shown
 from .glass import LINE_D, Glass
 
 MOST_SURFACES = 100
@@ -95,8 +95,7 @@ class Surface:
         """
         if not isinstance(value, dict):
             raise InputError(f"{where} = {shown(value)}: it must be numbers by name, such as radius")
-        for name in sorted(set(map(str, value)) - _NAMES):
-            raise InputError(f"{where}: {name}: it is not one of {', '.join(sorted(_NAMES))}")
+        require_known(f"{where}: ", value, sorted(_NAMES))
         if "semi_aperture" not in value:
             raise InputError(f"{where}: semi_aperture: it is missing; it tells up to where light passes")
         radius = require_number(f"{where}: radius", value.get("radius", math.inf), finite=False)
@@ -170,8 +169,9 @@ class Prescription:
             If a name is unknown or missing, a value is out of range, not just one surface is the stop, glass follows
             the last surface, a glass has no index at the wavelength, or two surfaces cross within their semi-apertures.
         """
-        known = {"surfaces", "name", "source", "wavelength"}
-        if not isinstance(value, dict) or not set(map(str, value)) <= known or "surfaces" not in value:
+        if isinstance(value, dict):
+            require_known("main_lens: ", value, ("surfaces", "name", "source", "wavelength"))
+        if not isinstance(value, dict) or "surfaces" not in value:
             raise InputError(
                 f"main_lens = {shown(value)}: it must have surfaces, and may have name, source, wavelength"
             )

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..bounds import require_wavelength
-from ..errors import InputError, require_number, shown
+from ..errors import InputError, require_known, require_number, shown
 
 LINE_D, LINE_F, LINE_C = 587.5618, 486.1327, 656.2725
 """Wavelengths in nanometres at which catalogues give index and Abbe number: helium d, hydrogen F and C."""
@@ -180,6 +180,7 @@ class Glass:
             return cls("index", (require_number(where, value, minimum=_LOWEST, maximum=_HIGHEST),))
         name = value.get("name", "")
         forms = {key: entry for key, entry in value.items() if key != "name"}
+        require_known(f"{where}: ", forms, (*_COUNTS, "name"))
         if not isinstance(name, str) or set(forms) not in (
             *({form} for form in _COUNTS if form != "abbe"),
             {"index", "abbe"},

@@ -11,6 +11,7 @@ from matplotlib.ticker import MaxNLocator
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
+from ..io.files import require_writable
 from ..optics.lens_figures import field_figures, ray_paths, spot
 from ..optics.lens_system import LensSystem
 from ..prescription.data import height
@@ -47,8 +48,7 @@ def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
     InputError
         If its main lens is thin, the file is no PNG by its name, or it cannot be written.
     """
-    if path.suffix.lower() != ".png":
-        raise InputError(f"{path}: a drawing is a picture; give a name that ends in .png")
+    require_writable(path, ".png")
     if camera.prescription is None:
         raise InputError(f"{path}: the camera has no main_lens of surfaces that could be drawn")
     corner = math.hypot(camera.detector_width, camera.detector_height) / 2

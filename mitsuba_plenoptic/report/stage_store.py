@@ -73,6 +73,7 @@ class StageStore:
         self.folder = folder
         self.seconds: dict[str, float] = {}
         self.notify = options.notify
+        self.resume = options.resume
         self._finished = options.finished
         self._existing: Existing = "resume" if options.resume else "resume_if_same"
         self._log = folder / "stages.json"

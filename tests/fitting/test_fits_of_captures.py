@@ -187,7 +187,7 @@ def test_lattice_from_white(numbers):
         ("wavefront", {}, "wavefront: the camera has no coefficients"),
         ((), {}, "names = .*: name at least one"),
         ("mla_fill", {"method": "rays"}, "mla_fill: rays from points know no gaps"),
-        ("mla_pitch", {"method": "light"}, "method = 'light': it must be waves or rays"),
+        ("mla_pitch", {"method": "light"}, "method = 'light': it must be one of waves, rays"),
         ("mla_pitch", {"method": "rays", "accuracy": 0.1}, "accuracy = 0.1: it is for fits by waves"),
         ("mla_pitch", {"photons": None}, "photons: tell them, or the noise"),
         ("mla_pitch", {"photons": -1}, "photons"),

@@ -254,9 +254,11 @@ def test_a_ray_capture_leaves_a_checkpoint_alone(tmp_path, capfd):
     kept = tmp_path / "raw.exr.checkpoint"
     kept.write_bytes(b"days of work")
     words = ["letters", "-o", str(tmp_path / "raw.exr"), "-D", "resolution=64"]
-    assert main(["render", *words]) == 2
-    assert "the checkpoint of a run that was stopped" in capfd.readouterr().err
-    assert main(["render", *words, "--resume"]) == 0
+    assert main(["render", *words, "--model", "wave"]) == 2
+    assert "go on from it with --resume, or remove the file" in capfd.readouterr().err
+    assert main(["render", *words, "--resume"]) == 2
+    assert "--resume: a ray capture does not take it" in capfd.readouterr().err
+    assert main(["render", *words]) == 0
     assert kept.read_bytes() == b"days of work"
 
 

@@ -298,9 +298,9 @@ class TestFiles:
         ("name", "options", "words"),
         [
             ("a.jpg", {}, "ends in"),
-            ("a.tif", {}, "or the camera of a raw picture"),
+            ("a.tif", {}, "give white or camera for a raw picture"),
             ("a.nc", {"camera": CAMERA}, "camera = given"),
-            ("a.png", {}, "white image"),
+            ("a.png", {}, "give white or camera for a raw picture"),
             ("a.png", {"white": "w.png", "views": 3}, "exclude"),
             ("a.exr", {"views": 3}, "views = 3"),
             ("a.mat", {"white": "w.png"}, "white = w.png"),

@@ -37,8 +37,10 @@ wave_methods = pytest.mark.parametrize("options", METHODS.values(), ids=METHODS.
 all_methods = pytest.mark.parametrize("options", [{"method": "ray"}, *METHODS.values()], ids=["ray", *METHODS.keys()])
 
 
-def refocus(image, distance, camera=SMALL, wavelength=WAVELENGTH, **options):
-    return reconstruct(image, distance, camera=camera, wavelength=wavelength, **options)
+def refocus(image, distance, camera=SMALL, wavelength=WAVELENGTH, method="ray", **options):
+    if method != "ray":
+        options["wavelength"] = wavelength
+    return reconstruct(image, distance, camera=camera, method=method, **options)
 
 
 def lit_inside(camera, first, last):

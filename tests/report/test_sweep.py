@@ -159,7 +159,7 @@ def test_the_dataset_does_not_grow_in_memory(tmp_path, monkeypatch):
         (["--vary", "aperture_radius=4,-5"], "aperture_radius = -5: it must be greater than 0"),
         (["--vary", "distance=240,60"], "distance = 60: it must be greater than the focal length 80"),
         (["--vary", "mla_pitch=0.064,0.128", "--vary", "distance=240"], "images have 128 x 128 pixels and 2 x 2 bins"),
-        (["--vary", "wavelength=500"], "wavelength: of use for model 'wave' only"),
+        (["--vary", "wavelength=500"], "--wavelength: a ray capture does not take it"),
         (["--vary", "wavelength=500,-1", "--model", "wave"], "wavelength = -1: it must be greater than 0"),
         (["--vary", "distance=240", "--method", "magic"], "method = 'magic': it must be one of"),
         (["--vary", "letter_scale=1,2"], "grid: letter_scale varies and is set by -D too"),
@@ -213,7 +213,7 @@ def test_what_is_missing_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "h5netcdf", None)
     with pytest.raises(InputError, match="pip install h5netcdf h5py"):
         sweep(RAYS, {"distance": [240]}, tmp_path / "out.nc")
-    with pytest.raises(InputError, match=r"out.png: a dataset is written as NetCDF-4"):
+    with pytest.raises(InputError, match=r"out.png: give a name that ends in .nc"):
         monkeypatch.undo()
         sweep(RAYS, {"distance": [240]}, tmp_path / "out.png")
 

@@ -36,7 +36,7 @@ def write_labelled(path: str | Path, lf: xr.DataArray) -> None:
         If it cannot be written.
     """
     path, lf = Path(path), require_light_field(lf)
-    with atomic_output(path) as temporary:
+    with atomic_output(path, ".nc", ".zarr") as temporary:
         if path.suffix.lower() == ".nc":
             lf.to_netcdf(temporary, engine="scipy")
         else:

@@ -89,7 +89,7 @@ def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uin
     if "camera" in lf.attrs:
         variables["Camera"] = lf.attrs["camera"]
     variables["GeneratedByInfo"] = {"mfilename": "mitsuba_plenoptic"}
-    with atomic_output(path) as temporary, temporary.open("wb") as file:
+    with atomic_output(path, ".mat") as temporary, temporary.open("wb") as file:
         scipy.io.savemat(file, variables, do_compression=True)
 
 

@@ -78,7 +78,7 @@ def write_calibration_report(
         worst=float(lens.error.max()),
         boards=_boards(calibration, board),
     )
-    with atomic_output(path) as temporary:
+    with atomic_output(path, ".html") as temporary:
         temporary.write_text(page, encoding="utf-8")
 
 
