@@ -13,7 +13,6 @@ from ..errors import InputError, require_number
 from ..io.captures import Capture, read_capture
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import atomic_output, require_apart, require_writable
-from ..mosaic import require_demosaiced
 from ..runtime.progress import progress_bar
 from ..runtime.variant import DEFAULT_VARIANT
 from .inputs import named_camera, parse_definitions
@@ -144,7 +143,6 @@ def _kept_noise(path: Path, capture: Capture, photons: float | None) -> tuple[Pi
     """Return the noise and the saturation that a capture keeps, and refuse it where noise is not known, or twice."""
     from .. import fitting
 
-    require_demosaiced(capture)
     noise, saturation = fitting.kept_noise(capture)
     if noise is None and photons is None:
         raise InputError(f"{path}: it keeps no noise, as 'expose' has not made it; give --photons")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, require_number
 from ..io.captures import Capture
 from ..io.raw import response_of
+from ..mosaic import require_demosaiced
 
 if TYPE_CHECKING:
     from .light import View
@@ -74,15 +75,16 @@ def kept_noise(capture: Capture) -> tuple[PixelNoise | None, float | None]:
     Raises
     ------
     InputError
-        If the metadata are damaged.
+        If the metadata are damaged, or the capture is a mosaic of colours.
     """
+    require_demosaiced(capture)
     exposure = capture.metadata.get("exposure")
     if not isinstance(exposure, dict):
         return None, None
     gain, black, dark, unit = response_of(exposure)
     reading, full = (require_number(name, exposure.get(name), minimum=0) for name in ("read_noise", "full_well"))
     largest = (2 ** require_number("bits", exposure.get("bits"), minimum=1, maximum=16) - 1 - black) / gain
-    # Rounding to digital numbers has a twelfth of the variance that a whole one would have.
+    # Rounding adds a twelfth of the square of a digital number (EMVA Standard 1288).
     noise = PixelNoise(unit, dark + reading**2 + 1 / (12 * gain**2))
     return noise, (min(full, largest) - dark - _CLEAR * reading) / unit
 
@@ -117,14 +119,14 @@ def by_model(view: View, default: PixelNoise | None) -> bool:
 
 
 def _pixels(view: View, expected: NDArray[np.float64], default: PixelNoise | None) -> tuple[NDArray[np.float64], ...]:
-    noise = default if view.noise is None else view.noise
+    noise: Any = default if view.noise is None else view.noise
     if isinstance(noise, PixelNoise):
-        counts = noise.electrons * np.maximum(expected, 0)
+        counts, unit = noise.electrons * np.maximum(expected, 0), noise.electrons
         variance = counts + noise.dark_variance
-        weight, unit = np.maximum(variance, _LEAST_ELECTRONS), noise.electrons
+        weight = np.maximum(variance, _LEAST_ELECTRONS)
     else:
-        weight = variance = np.broadcast_to(np.square(noise, dtype=np.float64), expected.shape)
-        counts, unit = 0.0, 1.0
+        counts, unit = np.zeros_like(expected), 1.0
+        weight = variance = counts + np.square(noise)
     kept = view.kept
     if view.saturation is not None:
         # By what is expected alone, so that noise does not decide which pixels near saturation count.
