@@ -23,7 +23,7 @@ from ..lattice import Lattice, make_lattice
 from ..optics import rays
 from ..optics.fitted_lens import lens_of_waves
 from ..optics.main_lens import MainLens
-from ..optics.sampling import check_memory
+from ..optics.sampling import check_memory, check_positions
 from ..optics.thin import ThinLens
 from ..optics.wave_cameras import require_no_glass
 from ..runtime.backend import array_module, one_at_a_time
@@ -78,6 +78,7 @@ class PointRays:
         pupil_weights: PupilWeights | None = None,
     ) -> None:
         _require_known(camera)
+        points = check_positions(points, camera)
         self._points, self._wavelength, self._pupil_weights = points, wavelength, pupil_weights
         lens = lens_of_waves(camera, points, wavelength)
         on_array, on_detector = (2 * float(lens.pupil_radius) * abs(scale) for scale in _scales(camera, lens, points))

@@ -126,7 +126,7 @@ def digital_numbers(capture: Capture) -> NDArray[np.uint16]:
     exposure = capture.metadata.get("exposure")
     if not isinstance(exposure, dict):
         raise InputError("capture: no detector has recorded it; expose it first")
-    gain, black, dark, unit = _response(exposure)
+    gain, black, dark, unit = response_of(exposure)
     exact = (capture.image.astype(np.float64) * unit + dark) * gain + black
     numbers = np.rint(exact)
     # Single precision tells a number of 16 bits from its neighbours.
@@ -136,12 +136,12 @@ def digital_numbers(capture: Capture) -> NDArray[np.uint16]:
 
 
 def _values(numbers: NDArray[Any], exposure: dict[str, Any]) -> NDArray[np.float32]:
-    gain, black, dark, unit = _response(exposure)
+    gain, black, dark, unit = response_of(exposure)
     return (((numbers.astype(np.float64) - black) / gain - dark) / unit).astype(np.float32)
 
 
-def _response(exposure: dict[str, Any]) -> tuple[float, float, float, float]:
-    """Return gain, black level, dark electrons, and electrons in a pixel of value 1."""
+def response_of(exposure: dict[str, Any]) -> tuple[float, float, float, float]:
+    """Return gain, black level, dark electrons, and electrons in a pixel of value 1, of what `expose` has kept."""
     for name in ("gain", "black_level", "dark_electrons", "quantum_efficiency", "photons"):
         if name not in exposure:
             raise InputError(f"exposure: {name}: it is missing")
