@@ -21,11 +21,14 @@ from .observations import (
     observations,
     require_on_detector,
 )
+from .robust import both_axes, deviation, huber, outlying, robust_lines
 from .start import board_images, start_values, upright_poses
 
-# Residuals beyond so many deviations count by their size instead of its square while fitting (Huber), and are named.
-_HUBER = 4.0
-_OUTLIER = 6.0
+# How often it is decided anew which rows are outliers.
+_MOST_ROUNDS = 10
+
+# A frame with fewer of its rows left is not one that the others' camera sees.
+_LEFT_OF_FRAME = 0.5
 
 # Detected centres err together over about so many lenses along each axis, so that they tell less than their number.
 _CORRELATED = 16
@@ -73,7 +76,7 @@ class Evaluation:
     def outliers(self) -> np.ndarray:
         """Rows, from 0, of residuals beyond six times what is typical."""
         distance = np.hypot(*self.residuals.T)
-        return np.flatnonzero(distance > _OUTLIER * _deviation(distance))
+        return np.flatnonzero(outlying(distance))
 
 
 @dataclass(frozen=True)
@@ -179,16 +182,21 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         )
     seen, frames = observations(corners, board, index)
     problem = Problem(seen, start.pixel_size, start.lattice.row_ratio)
-    numbers, poses = start_values(problem, frames, grid, middle)
+    numbers, poses, good = start_values(problem, board, frames, grid, middle)
     if centres:
-        problem = _with_centres(problem, centres, index, problem.residuals(numbers, poses))
-    found = adjust(problem, numbers, poses)
-    weights = _huber(problem, found)
-    first = adjust(problem, found.numbers, found.poses, weights=weights)
-    weights = _huber(problem, first)
+        problem = _with_centres(problem, centres, index, problem.residuals(numbers, poses)[good])
+    weights = np.where(good, huber(_distance(problem, numbers, poses)), 0.0)
+    found, steps = adjust(problem, numbers, poses, weights=weights), 0
+    for _ in range(_MOST_ROUNDS):
+        steps += found.steps
+        before, weights = weights, _weights(problem, found, frames)
+        found = adjust(problem, found.numbers, found.poses, weights=weights)
+        if ((before > 0) == (weights > 0)).all():
+            break
     # The principal point goes to the grid of half pixels that a detector can be centred on.
     rest = [name for name in NAMES if not name.startswith("principal")]
-    final = adjust(problem, on_pixel_grid(first.numbers), first.poses, rest, weights)
+    weights = _weights(problem, found, frames)
+    final = adjust(problem, on_pixel_grid(found.numbers), found.poses, rest, weights)
     deviations, correlation = _deviations(problem, final, weights)
     f, uncertain = final.numbers[AT["focal_length"]], deviations[AT["focal_length"]]
     if not uncertain < _OPEN * abs(f):
@@ -213,7 +221,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         dict(zip(NAMES, deviations.tolist(), strict=True)),
         correlation,
         problem.centre_residuals(final.numbers),
-        found.steps + first.steps + final.steps,
+        steps + found.steps + final.steps,
         blur,
     )
 
@@ -247,8 +255,8 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
         index, _ = find_lens_index(corners, lattice.stagger == 2, grid[0])
     seen, frames = observations(corners, board, index)
     problem = Problem(seen, camera.pixel_size, lattice.row_ratio)
-    _, maps = board_images(problem, frames, grid, principal)
-    poses = adjust_poses(problem, numbers, upright_poses(maps, camera.focal_length))
+    _, maps, good = board_images(problem, board, frames, grid, principal)
+    poses = adjust_poses(problem, numbers, upright_poses(maps, camera.focal_length), good.astype(float))
     return Evaluation(problem.residuals(numbers, poses), frames, seen.pose, poses)
 
 
@@ -282,7 +290,7 @@ def left_out_errors(
     errors = {}
     for out, frame in enumerate(frames):
         problem = _poses(whole, seen.pose != out)
-        weights = _huber(problem, Solution(numbers, np.delete(poses, out, 0), 0.0, 0))
+        weights = _weights(problem, Solution(numbers, np.delete(poses, out, 0), 0.0, 0), np.delete(frames, out))
         found = adjust(problem, numbers, np.delete(poses, out, 0), weights=weights)
         alone = _poses(Problem(seen, whole.pixel_size, whole.row_ratio), seen.pose == out)
         refitted = adjust(alone, found.numbers, poses[out : out + 1], ())
@@ -303,23 +311,37 @@ def _with_centres(problem: Problem, centres: Table, index: LensIndex, residuals:
     unit = index.unit(centres["k"], centres["l"])
     matrix = np.column_stack([np.ones(len(unit)), unit])
     miss = matrix @ np.linalg.lstsq(matrix, centres.pixel)[0] - centres.pixel
-    deviations = [max(_deviation(np.hypot(*values.T)), 1e-3) for values in (residuals, miss)]
+    deviations = [max(deviation(np.hypot(*values.T)), 1e-3) for values in (residuals, miss)]
     nothing = np.zeros((0, 2))
     seen = Observations(unit, centres.pixel, nothing, nothing)
     weight = deviations[0] / deviations[1] / _CORRELATED
     return Problem(problem.corners, problem.pixel_size, problem.row_ratio, seen, weight)
 
 
-def _deviation(distance: np.ndarray) -> float:
-    """Return the deviation along an axis of places whose distances these are, from their median."""
-    return float(np.median(distance)) / 1.17741
+def _distance(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Return how far from its prediction each corner is seen, in pixels."""
+    distance: np.ndarray = np.hypot(*problem.residuals(numbers, poses).T)
+    return distance
 
 
-def _huber(problem: Problem, found: Solution) -> np.ndarray:
-    """Return weights that make residuals far beyond the typical one count by their size."""
-    distance = np.hypot(*problem.residuals(found.numbers, found.poses).T)
-    bound = _HUBER * max(_deviation(distance), 1e-9)
-    return bound / np.maximum(distance, bound)
+def _weights(problem: Problem, found: Solution, frames: np.ndarray) -> np.ndarray:
+    """Return the weights of corners: less for those far from their prediction, 0 for outliers.
+
+    Raises
+    ------
+    InputError
+        If most rows of a frame are outliers.
+    """
+    distance = _distance(problem, found.numbers, found.poses)
+    weights = np.where(outlying(distance), 0.0, huber(distance))
+    pose = problem.corners.pose
+    rows, left = np.bincount(pose), np.bincount(pose, weights > 0)
+    for number in np.flatnonzero(left < _LEFT_OF_FRAME * rows):
+        raise InputError(
+            f"frame {frames[number]}: {rows[number] - left[number]:.0f} of its {rows[number]} rows are outliers of the "
+            "camera that explains the other frames: correct or remove the frame"
+        )
+    return weights
 
 
 def _deviations(problem: Problem, found: Solution, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -21,6 +21,7 @@ from ..errors import InputError, require_count, require_number
 from ..io.files import require_file
 from .foreign_centres import read_foreign_centres
 from .model import Observations
+from .robust import both_axes, robust_lines
 
 CORNER_COLUMNS = ("k", "l", "u", "v", "cluster", "frame")
 BLUR_COLUMN = "rho"
@@ -34,6 +35,9 @@ _OTHER_LATTICE = 0.8
 
 # Lenses of fewer pixels show no corner, nor do their centres tell anything.
 _CLOSEST = 2
+
+# A table with a greater part of its pixels off the detector is of another detector; fewer are outliers.
+_MOST_OFF = 0.1
 
 
 @dataclass(frozen=True)
@@ -228,19 +232,20 @@ def read_centres(path: str | Path) -> Table:
 
 
 def require_on_detector(table: Table, size: tuple[int, int]) -> None:
-    """Refuse pixels that are not on the detector.
+    """Refuse tables of another detector.
 
     Raises
     ------
     InputError
-        If there are any: the camera has another detector, or other units were used.
+        If more than a tenth of the pixels are off the detector: the camera has another one, or other units were used.
+        Single rows are outliers, which a fit names.
     """
     off = np.flatnonzero(((table.pixel < -0.5) | (table.pixel > np.array(size) - 0.5)).any(1))
-    if off.size:
+    if off.size > _MOST_OFF * len(table.pixel):
         u, v = table.pixel[off[0]]
         raise InputError(
             f"{table.name}, row {off[0] + 2}: pixel ({u:g}, {v:g}): the camera's detector has {size[0]} x {size[1]} "
-            "pixels"
+            f"pixels; {off.size} of {len(table.pixel)} rows lie off it"
         )
 
 
@@ -285,10 +290,11 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
     for odd_rows in (-0.5, 0.0, 0.5):
         places = LensIndex(odd_rows, 1, (0, 0)).unit(table["k"], table["l"])
         matrix = np.column_stack([np.ones(len(places)), places])
-        grid, _, rank, _ = np.linalg.lstsq(matrix, pixel)
-        if rank < 3:
+        if np.linalg.matrix_rank(matrix) < 3:
             raise InputError(f"{table.name}: all lenses lie on one line; corners of at least two rows are needed")
-        error = float(np.sqrt(((matrix @ grid - pixel) ** 2).sum(1).mean()))
+        grid, distance, good = robust_lines(both_axes(matrix), pixel)
+        grid = grid.reshape(2, 3).T
+        error = float(np.sqrt((distance[good] ** 2).mean()))
         if hexagonal != bool(odd_rows):
             other = min(other, error)
         elif best is None or error < best[0]:
