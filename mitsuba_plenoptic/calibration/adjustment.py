@@ -37,8 +37,6 @@ class Problem:
         Centres of micro-images, fitted jointly; their `board` and `pose` mean nothing.
     centre_weight : float
         Weight of a centre's residual: the deviation of a corner over that of a centre.
-    centre_group : (n,) int array, optional
-        Which centres err together, from 0; given with the centres.
     """
 
     corners: Observations
@@ -46,7 +44,6 @@ class Problem:
     row_ratio: float
     centres: Observations | None = None
     centre_weight: float = 1.0
-    centre_group: np.ndarray | None = None
 
     def residuals(self, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
         """Return predicted minus observed pixels of the corners, (n, 2)."""
@@ -79,7 +76,7 @@ class Problem:
         -------
         poses : list of (6, 6 + free + 1) arrays
         camera : list of (rows, free + 1) arrays
-            Derivatives, and in the last column minus the residuals: of each pose, then of each group of centres.
+            Derivatives, and in the last column minus the residuals: of each pose, then of the centres.
         """
         pixel, by_numbers, by_pose = self._predict(numbers, poses)
         rows = (
@@ -96,10 +93,7 @@ class Problem:
                 numbers, self.centres.lens, pixel_size=self.pixel_size, row_ratio=self.row_ratio
             )
             part = np.concatenate([by_numbers[:, :, free], (self.centres.pixel - pixel)[:, :, None]], axis=2)
-            group = np.zeros(len(part), dtype=int) if self.centre_group is None else self.centre_group
-            for number in range(group.max() + 1):
-                rows = part[group == number].reshape(-1, part.shape[2])
-                camera.append(_triangle(self.centre_weight * rows))
+            camera.append(_triangle(self.centre_weight * part.reshape(-1, part.shape[2])))
         return [triangle[:6] for triangle in triangles], camera
 
 

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..camera import PlenopticCamera, require_camera
 from ..errors import InputError
-from .adjustment import Problem, Solution, adjust, adjust_poses, information
+from .adjustment import Problem, Solution, adjust, adjust_poses
 from .blur import Blur, fit_blur
+from .deviations import Deviations, deviations, moved_solutions
 from .model import AT, NAMES, Observations
 from .numbers import camera_of, numbers_of, on_pixel_grid
 from .observations import (
     BLUR_COLUMN,
+    DOUBTFUL_COLUMN,
     Board,
     LensIndex,
     Table,
@@ -37,8 +39,12 @@ _CORRELATED = 16
 # counted in shifted rows, too, but these have cells and types of lenses that it does not have.
 _MOST_UNLIKE = 1.1
 
-# Focal lengths whose deviation is a greater part of them are open.
-_OPEN = 0.5
+# Focal lengths whose deviation is a greater part of them are open: over such a range the model is not linear in them,
+# which a deviation supposes.
+_OPEN = 0.25
+
+# Those that differ from that of the camera to start from by a greater factor belong to another board or detector.
+_MOST_APART = 2.0
 
 
 @dataclass(frozen=True)
@@ -78,6 +84,16 @@ class Evaluation:
         distance = np.hypot(*self.residuals.T)
         return np.flatnonzero(outlying(distance))
 
+    @property
+    def error_without_outliers(self) -> float:
+        """RMS of the distances of all rows but the outliers."""
+        return self.without_outliers().error
+
+    def without_outliers(self) -> Evaluation:
+        """Return the same of all rows but the outliers."""
+        kept = np.delete(np.arange(len(self.residuals)), self.outliers)
+        return replace(self, residuals=self.residuals[kept], pose=self.pose[kept])
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -92,12 +108,14 @@ class Calibration:
         How the data count lenses.
     evaluation : Evaluation
         Residuals and poses.
-    numbers, deviations : dict
-        The camera's numbers by the names of `model.NAMES`, and their standard deviations.
-    correlation : (17, 17) array
-        Of the numbers' errors.
+    numbers : dict
+        The camera's numbers by the names of `model.NAMES`.
+    known : Deviations
+        How well they are known: their errors' covariance, and by how much the frames disagree about them.
     centre_residuals : (n, 2) array
-        Of the centres that were fitted jointly.
+        Of the centres that were given.
+    centre_outliers : (m,) int array
+        Rows, from 0, of centres that were not fitted: doubtful ones and those that lie off the others' lattice.
     steps : int
         How often the linear system was solved.
     blur : Blur, optional
@@ -108,11 +126,21 @@ class Calibration:
     index: LensIndex
     evaluation: Evaluation
     numbers: dict[str, float]
-    deviations: dict[str, float]
-    correlation: np.ndarray
+    known: Deviations
     centre_residuals: np.ndarray
+    centre_outliers: np.ndarray
     steps: int
     blur: Blur | None = None
+
+    @property
+    def deviations(self) -> dict[str, float]:
+        """Standard deviations of the numbers, by name."""
+        return dict(zip(NAMES, self.known.values.tolist(), strict=True))
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """Correlation of the numbers' errors, (17, 17)."""
+        return self.known.covariance / np.outer(self.known.values, self.known.values)
 
     @property
     def centre_error(self) -> float | None:
@@ -148,7 +176,8 @@ class Calibration:
 def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Table | None = None) -> Calibration:
     """Fit a camera, and the poses of a board, to corners seen through its microlenses.
 
-    Residuals are weighted down while fitting where they are beyond what is typical; what is reported counts every row.
+    Rows far from where the others put them are left out of the fit and named (`Evaluation.outliers`); errors that are
+    reported count every row, if not stated otherwise.
 
     Parameters
     ----------
@@ -184,7 +213,8 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     problem = Problem(seen, start.pixel_size, start.lattice.row_ratio)
     numbers, poses, good = start_values(problem, board, frames, grid, middle)
     if centres:
-        problem = _with_centres(problem, centres, index, problem.residuals(numbers, poses)[good])
+        kept, weight = _kept_centres(centres, index, problem.residuals(numbers, poses)[good])
+        problem = _with_centres(problem, centres, kept, index, weight)
     weights = np.where(good, huber(_distance(problem, numbers, poses)), 0.0)
     found, steps = adjust(problem, numbers, poses, weights=weights), 0
     for _ in range(_MOST_ROUNDS):
@@ -197,30 +227,42 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     rest = [name for name in NAMES if not name.startswith("principal")]
     weights = _weights(problem, found, frames)
     final = adjust(problem, on_pixel_grid(found.numbers), found.poses, rest, weights)
-    deviations, correlation = _deviations(problem, final, weights)
-    f, uncertain = final.numbers[AT["focal_length"]], deviations[AT["focal_length"]]
+    known = deviations(problem, final, weights)
+    f, uncertain = final.numbers[AT["focal_length"]], known.values[AT["focal_length"]]
     if not uncertain < _OPEN * abs(f):
         raise InputError(
-            f"corners: they leave the focal length open, {f:.4g} +- {uncertain:.2g} mm, as boards do that are never "
-            "tilted: add poses in which the board is, by 20 degrees or more, or give centres of micro-images"
+            f"corners: they leave the focal length open, {f:.4g} +- {uncertain:.2g} mm: give centres of micro-images, "
+            "or add poses in which the board is tilted by 20 degrees or more"
+        )
+    if not 1 / _MOST_APART < f / start.focal_length < _MOST_APART:
+        raise InputError(
+            f"corners: with squares of {board.square:g} mm they give a focal length of {f:.4g} mm, "
+            f"{f / start.focal_length:.2g} times the {start.focal_length:.4g} mm of the camera to start from: check "
+            "the distance of the board's corners and the pixel size, or correct that camera's focal_length"
         )
     try:
         camera = camera_of(final.numbers, start)
     except InputError as error:
         raise InputError(f"corners: the numbers that fit them best are no camera; cover more of it: {error}") from None
+    centre_residuals, centre_outliers = np.zeros((0, 2)), np.zeros(0, dtype=int)
+    if centres:
+        every = _with_centres(problem, centres, np.ones(len(kept), dtype=bool), index, weight)
+        centre_residuals, centre_outliers = every.centre_residuals(final.numbers), np.flatnonzero(~kept)
     blur = None
     if BLUR_COLUMN in corners.columns:
-        types = len(start.mla_focal_lengths)
-        blur = fit_blur(corners[BLUR_COLUMN], seen, final.numbers, final.poses, camera.lattice, types)
+        kept, types = weights > 0, len(start.mla_focal_lengths)
+        moved = moved_solutions(problem, final, weights, known.covariance)
+        radius, numbers = corners[BLUR_COLUMN][kept], final.numbers
+        blur = fit_blur(radius, seen.keep(kept), numbers, final.poses, camera.lattice, types, moved)
         camera = camera.replace(mla_focal_length=blur.focal_lengths)
     return Calibration(
         camera,
         index,
         Evaluation(problem.residuals(final.numbers, final.poses), frames, seen.pose, final.poses),
         dict(zip(NAMES, final.numbers.tolist(), strict=True)),
-        dict(zip(NAMES, deviations.tolist(), strict=True)),
-        correlation,
-        problem.centre_residuals(final.numbers),
+        known,
+        centre_residuals,
+        centre_outliers,
         steps + found.steps + final.steps,
         blur,
     )
@@ -285,7 +327,8 @@ def left_out_errors(
     camera = calibration.camera
     whole = Problem(seen, camera.pixel_size, camera.lattice.row_ratio)
     if centres:
-        whole = _with_centres(whole, centres, calibration.index, calibration.evaluation.residuals)
+        kept, weight = _kept_centres(centres, calibration.index, calibration.evaluation.residuals)
+        whole = _with_centres(whole, centres, kept, calibration.index, weight)
     numbers, poses = np.array(list(calibration.numbers.values())), calibration.evaluation.poses
     errors = {}
     for out, frame in enumerate(frames):
@@ -302,20 +345,29 @@ def _poses(problem: Problem, kept: np.ndarray) -> Problem:
     """Return a problem with some of the poses only."""
     seen = problem.corners
     _, pose = np.unique(seen.pose[kept], return_inverse=True)
-    some = Observations(seen.lens[kept], seen.pixel[kept], seen.board[kept], pose)
+    some = replace(seen.keep(kept), pose=pose)
     return Problem(some, problem.pixel_size, problem.row_ratio, problem.centres, problem.centre_weight)
 
 
-def _with_centres(problem: Problem, centres: Table, index: LensIndex, residuals: np.ndarray) -> Problem:
-    """Add centres to a problem, weighted by the corners' residuals over those of a plain grid of centres."""
-    unit = index.unit(centres["k"], centres["l"])
-    matrix = np.column_stack([np.ones(len(unit)), unit])
-    miss = matrix @ np.linalg.lstsq(matrix, centres.pixel)[0] - centres.pixel
-    deviations = [max(deviation(np.hypot(*values.T)), 1e-3) for values in (residuals, miss)]
+def _with_centres(problem: Problem, centres: Table, kept: np.ndarray, index: LensIndex, weight: float) -> Problem:
+    """Add some of the centres to a problem."""
     nothing = np.zeros((0, 2))
-    seen = Observations(unit, centres.pixel, nothing, nothing)
-    weight = deviations[0] / deviations[1] / _CORRELATED
+    seen = Observations(index.unit(centres["k"], centres["l"])[kept], centres.pixel[kept], nothing, nothing)
     return Problem(problem.corners, problem.pixel_size, problem.row_ratio, seen, weight)
+
+
+def _kept_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return which centres are on a lattice, which a tilt may make denser at one side, and the weight of their fit.
+
+    It is the deviation of the corners' residuals over that of centres that err together.
+    """
+    i, j = (index.unit(centres["k"], centres["l"]) / _CORRELATED).T
+    matrix = np.column_stack([np.ones(len(i)), i, j, i * i, i * j, j * j])
+    _, distance, kept = robust_lines(both_axes(matrix), centres.pixel)
+    if DOUBTFUL_COLUMN in centres.columns:
+        kept &= centres[DOUBTFUL_COLUMN] == 0
+    own = [max(deviation(each), 1e-3) for each in (np.hypot(*residuals.T), distance[kept])]
+    return kept, own[0] / own[1] / _CORRELATED
 
 
 def _distance(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
@@ -342,16 +394,3 @@ def _weights(problem: Problem, found: Solution, frames: np.ndarray) -> np.ndarra
             "camera that explains the other frames: correct or remove the frame"
         )
     return weights
-
-
-def _deviations(problem: Problem, found: Solution, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the deviations of all of the camera's numbers, and their correlation."""
-    rows = 2 * len(problem.corners)
-    freedom = max(1, rows - len(NAMES) - found.poses.size)
-    variance = float((weights[:, None] * problem.residuals(found.numbers, found.poses) ** 2).sum()) / freedom
-    triangle = information(problem, found, NAMES, weights)
-    scale = np.sqrt((triangle**2).sum(0))
-    inverse = np.linalg.pinv(triangle / scale) / scale[:, None]
-    covariance = variance * inverse @ inverse.T
-    deviations = np.sqrt(np.diag(covariance))
-    return deviations, covariance / np.outer(deviations, deviations)

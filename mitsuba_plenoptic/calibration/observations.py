@@ -4,7 +4,8 @@ Files are CSV tables with a header. Corners have the columns ``k, l`` (indices o
 row), ``u, v`` (column and row of the corner in pixels; the centre of the first pixel is 0), ``cluster`` (number of the
 corner, row by row along the board's columns, from 0) and ``frame`` (number of the picture, one for each pose of the
 board). They may have the column ``rho``: the radius of the corner's blur in pixels, of one sign in front of focus and
-of the other behind it. Centres have ``k, l, u, v``. Other columns are ignored.
+of the other behind it. Centres have ``k, l, u, v``, and may have ``doubtful``: 1 for those that dust or a defect
+displaces, as `white` finds them; a fit leaves these out. Other columns are ignored.
 """
 
 from __future__ import annotations
@@ -26,8 +27,9 @@ from .robust import both_axes, robust_lines
 CORNER_COLUMNS = ("k", "l", "u", "v", "cluster", "frame")
 BLUR_COLUMN = "rho"
 CENTRE_COLUMNS = ("k", "l", "u", "v")
+DOUBTFUL_COLUMN = "doubtful"
 
-_WHOLE = {"k", "l", "cluster", "frame"}
+_WHOLE = {"k", "l", "cluster", "frame", DOUBTFUL_COLUMN}
 _LARGEST = 2**20
 
 # A lattice is another where that leaves so much less of the pixels' distances from its grid.
@@ -228,7 +230,7 @@ def read_centres(path: str | Path) -> Table:
     path = Path(path)
     if path.suffix.lower() == ".json":
         return _checked(path, read_foreign_centres(path), header=0)
-    return read_table(path, CENTRE_COLUMNS)
+    return read_table(path, CENTRE_COLUMNS, (DOUBTFUL_COLUMN,))
 
 
 def require_on_detector(table: Table, size: tuple[int, int]) -> None:

@@ -99,7 +99,7 @@ def start_values(
     numbers[[AT["principal_u"], AT["principal_v"]]] = principal
     groups = [np.flatnonzero(good & (seen.pose == pose)) for pose in range(seen.poses)]
     chosen = np.concatenate([group[:: max(1, len(group) // _THINNED)] for group in groups])
-    few = Observations(seen.lens[chosen], seen.pixel[chosen], seen.board[chosen], seen.pose[chosen])
+    few = seen.keep(chosen)
     thinned = Problem(few, size, problem.row_ratio)
     try:
         found = adjust(thinned, numbers, upright_poses(maps, f), NAMES[:3], most_steps=60)
