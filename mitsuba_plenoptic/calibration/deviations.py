@@ -28,6 +28,9 @@ from .model import NAMES
 # A disagreement that independent residuals exceed this rarely is taken for the model's misfit.
 _CHANCE = 1e-3
 
+# Degrees of freedom from which on a frame's own scatter is well known.
+_MANY = 100
+
 
 @dataclass(frozen=True)
 class Deviations:
@@ -76,14 +79,14 @@ def deviations(problem: Problem, found: Solution, weights: np.ndarray) -> Deviat
     inverse = np.linalg.pinv(np.linalg.qr(np.concatenate(parts)[:, :count], mode="r"))
     covariance = variance * inverse @ inverse.T
     frames = len(used)
-    moved, freedom = 0.0, 0
+    moved, freedom = 0.0, -count
     for part, values in zip(parts, used, strict=False):
         # The triangle's last column: what the numbers can take of the frame's residuals, and what is left of them.
-        own = values - found.poses.shape[1] - count
+        own = int(values) - found.poses.shape[1] - count
         if own > 0:
-            moved += (part[:count, -1] ** 2).sum() / (part[count, -1] ** 2 / own)
+            scatter = float(part[count, -1] ** 2) / own
+            moved += float((part[:count, -1] ** 2).sum()) / (scatter if own > _MANY else max(scatter, variance))
             freedom += count
-    freedom -= count
     disagreement = max(1.0, moved / freedom) if freedom > 0 else 1.0
     by_frames = freedom > 0 and disagreement > chi2.ppf(1 - _CHANCE, freedom) / freedom
     if by_frames:

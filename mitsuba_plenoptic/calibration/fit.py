@@ -11,7 +11,7 @@ from ..errors import InputError
 from .adjustment import Problem, Solution, adjust, adjust_poses
 from .blur import Blur, fit_blur
 from .deviations import Deviations, deviations, moved_solutions
-from .model import AT, NAMES, Observations
+from .model import AT, NAMES, Observations, predict_centres
 from .numbers import camera_of, numbers_of, on_pixel_grid
 from .observations import (
     BLUR_COLUMN,
@@ -43,8 +43,10 @@ _MOST_UNLIKE = 1.1
 # which a deviation supposes.
 _OPEN = 0.25
 
-# Those that differ from that of the camera to start from by a greater factor belong to another board or detector.
-_MOST_APART = 2.0
+# How much farther from the centres of their micro-images than the pupil's image reaches corners may be seen, and how
+# much wider than the lenses' distance that image may be: the f-number need not be exact.
+_MOST_BEYOND = 1.6
+_MOST_OVERLAP = 1.5
 
 
 @dataclass(frozen=True)
@@ -234,12 +236,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
             f"corners: they leave the focal length open, {f:.4g} +- {uncertain:.2g} mm: give centres of micro-images, "
             "or add poses in which the board is tilted by 20 degrees or more"
         )
-    if not 1 / _MOST_APART < f / start.focal_length < _MOST_APART:
-        raise InputError(
-            f"corners: with squares of {board.square:g} mm they give a focal length of {f:.4g} mm, "
-            f"{f / start.focal_length:.2g} times the {start.focal_length:.4g} mm of the camera to start from: check "
-            "the distance of the board's corners and the pixel size, or correct that camera's focal_length"
-        )
+    _require_matching_pupil(problem, final, weights, start, board, float(np.hypot(*grid[1])))
     try:
         camera = camera_of(final.numbers, start)
     except InputError as error:
@@ -374,6 +371,32 @@ def _distance(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np.nd
     """Return how far from its prediction each corner is seen, in pixels."""
     distance: np.ndarray = np.hypot(*problem.residuals(numbers, poses).T)
     return distance
+
+
+def _require_matching_pupil(
+    problem: Problem, found: Solution, weights: np.ndarray, start: PlenopticCamera, board: Board, pitch: float
+) -> None:
+    """Refuse distances in the camera at which the pupil's images are not as large as micro-images are seen to be.
+
+    Squares that are given s times too large scale the object space by s and that behind the main lens by 1/s along the
+    axis, which explains the corners as well.
+    """
+    f, b, z = found.numbers[:3]
+    radius = z / b * f / (2 * start.f_number) / problem.pixel_size
+    seen = problem.corners
+    middle, _ = predict_centres(found.numbers, seen.lens, pixel_size=problem.pixel_size, row_ratio=problem.row_ratio)
+    reach = float(np.quantile(np.hypot(*(seen.pixel - middle)[weights > 0].T), 0.95))
+    if reach > _MOST_BEYOND * radius:
+        wrong = f"corners are seen {reach:.3g} pixels from the centres of their micro-images"
+    elif 2 * radius > _MOST_OVERLAP * pitch:
+        wrong = f"micro-images are {pitch:.3g} pixels apart"
+    else:
+        return
+    raise InputError(
+        f"corners: with squares of {board.square:g} mm and the camera's f-number of {start.f_number:.3g} micro-images "
+        f"would have a radius of {radius:.3g} pixels, but {wrong}: check the distance of the board's corners and the "
+        "f-number"
+    )
 
 
 def _weights(problem: Problem, found: Solution, frames: np.ndarray) -> np.ndarray:

@@ -9,8 +9,7 @@ the images q of a board's corners lie apart tells its magnification M, and as :m
 is a line over the poses, which gives b/f and z/f. The scale of all three comes from the perspective of tilted boards,
 by a fit of few numbers.
 
-Rows that disagree with most of their frame are left out of all this: a start needs no more than half of a frame's rows
-to be right.
+Rows that disagree with most of their frame are left out of all this.
 """
 
 from __future__ import annotations
@@ -37,8 +36,8 @@ _WORST = 20.0
 
 # The part of a frame's rows that must agree with a board, and how far they may lie from it over how far they lie from
 # the centres of their micro-images, from which wrongly numbered corners lie as far.
-_AGREEING = 0.5
-_EXPLAINED = 0.5
+_AGREEING = 0.7
+_EXPLAINED = 0.35
 
 
 def start_values(
@@ -185,19 +184,22 @@ def _agreeing(
         good[mine] = agrees
         if not explained:
             strange.append(int(frame))
-    if len(strange) == seen.poses:
+    if 2 * len(strange) > seen.poses:
         best = np.argmax(np.bincount(seen.pose[near]))
         mine = near & (seen.pose == best)
         column, row = np.round(seen.board[mine] / board.square).astype(int).T
         number = row * board.columns + column
-        fitting = [
-            columns
+        # The number of corners along a row that most rows of the frame agree with.
+        fits = {
+            columns: agrees.mean() if explained else 0.0
             for columns in range(2, number.max() // 2 + 2)
-            if _board_fit(Board(columns, 1000, 1.0).places(number), centre[mine], pixel[mine])[0]
-        ]
+            for explained, agrees in [_board_fit(Board(columns, 1000, 1.0).places(number), centre[mine], pixel[mine])]
+        }
+        along = max(fits, key=lambda columns: fits[columns])
         raise InputError(
-            f"corners: in no frame do they lie as on a board of {board.columns}x{board.rows} inner corners: "
-            + (f"they do on one with {fitting[0]} along each row" if fitting else "check how they are numbered")
+            f"corners: in {len(strange)} of {seen.poses} frames they do not lie as on a board of {board.columns}x"
+            f"{board.rows} inner corners: "
+            + (f"they do on one with {along} along each row" if fits[along] > 0 else "check how they are numbered")
         )
     if strange:
         raise InputError(
@@ -210,14 +212,18 @@ def _agreeing(
 def _board_fit(board: np.ndarray, centre: np.ndarray, pixel: np.ndarray) -> tuple[bool, np.ndarray]:
     """Return whether a flat board explains where corners are seen, and the rows that agree with it.
 
-    Over a tilted board z/a changes linearly, and with it z q/a in squares of the board's places.
+    Over a tilted board z/a changes linearly, and with it z q/a in squares of the board's places. Lenses that see a
+    corner lie about its place; one far from there, as a wrong corner's does, would by its distance alone bend z/a.
     """
     x, y = (board / max(np.abs(board).max(), 1e-9)).T
     one = np.ones(len(x))
-    slopes = centre[:, :, None] * np.column_stack([one, x, y])[:, None]
     images = both_axes(np.column_stack([one, x, y, x * x, x * y, y * y]))
-    _, distance, good = robust_lines(np.concatenate([slopes, images], axis=2), pixel)
-    return bool(np.median(distance) < _EXPLAINED * np.median(np.hypot(*(pixel - centre).T))), good
+    slopes = centre[:, :, None] * np.column_stack([one, x, y])[:, None]
+    good = robust_lines(images, centre)[2]
+    _, distance, agrees = robust_lines(np.concatenate([slopes, images], axis=2)[good], pixel[good])
+    good[good] = agrees
+    explained = np.median(distance) < _EXPLAINED * np.median(np.hypot(*(pixel - centre).T))
+    return bool(explained and good.mean() > _AGREEING), good
 
 
 def upright_poses(maps: np.ndarray, focal_length: float) -> np.ndarray:
