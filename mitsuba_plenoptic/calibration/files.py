@@ -54,8 +54,8 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
             name: {"value": value, "deviation": calibration.deviations[name]}
             for name, value in calibration.numbers.items()
         },
-        "frames_disagree": calibration.known.disagreement,
-        "deviations_by_frames": calibration.known.by_frames,
+        "frames_disagree": calibration.disagreement,
+        "deviations_by_frames": calibration.by_frames,
         "blur": None if calibration.blur is None else asdict(calibration.blur),
         "weak_directions": [
             {"weakness": weakness, "numbers": parts} for weakness, parts in calibration.weak_directions()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from ..camera import PlenopticCamera, require_camera
 from ..errors import InputError
 from .adjustment import Problem, Solution, adjust, adjust_poses
 from .blur import Blur, fit_blur
-from .deviations import Deviations, deviations, moved_solutions
+from .deviations import deviations, moved_solutions
 from .model import AT, NAMES, Observations, predict_centres
 from .numbers import camera_of, numbers_of, on_pixel_grid
 from .observations import (
@@ -110,39 +110,36 @@ class Calibration:
         How the data count lenses.
     evaluation : Evaluation
         Residuals and poses.
-    numbers : dict
-        The camera's numbers by the names of `model.NAMES`.
-    known : Deviations
-        How well they are known: their errors' covariance, and by how much the frames disagree about them.
+    numbers, deviations : dict
+        The camera's numbers by the names of `model.NAMES`, and their standard deviations.
+    correlation : (17, 17) array
+        Of the numbers' errors.
     centre_residuals : (n, 2) array
         Of the centres that were given.
-    centre_outliers : (m,) int array
-        Rows, from 0, of centres that were not fitted: doubtful ones and those that lie off the others' lattice.
     steps : int
         How often the linear system was solved.
     blur : Blur, optional
         What blur radii tell of the microlenses' focal lengths, where the corners have them.
+    disagreement : float
+        By how much the frames disagree about the numbers, over what their residuals' scatter explains.
+    by_frames : bool
+        Whether that is more than chance allows, so that the deviations are those of leaving out frames.
+    centre_outliers : (m,) int array
+        Rows, from 0, of centres that were not fitted: doubtful ones and those that lie off the others' lattice.
     """
 
     camera: PlenopticCamera
     index: LensIndex
     evaluation: Evaluation
     numbers: dict[str, float]
-    known: Deviations
+    deviations: dict[str, float]
+    correlation: np.ndarray
     centre_residuals: np.ndarray
-    centre_outliers: np.ndarray
     steps: int
     blur: Blur | None = None
-
-    @property
-    def deviations(self) -> dict[str, float]:
-        """Standard deviations of the numbers, by name."""
-        return dict(zip(NAMES, self.known.values.tolist(), strict=True))
-
-    @property
-    def correlation(self) -> np.ndarray:
-        """Correlation of the numbers' errors, (17, 17)."""
-        return self.known.covariance / np.outer(self.known.values, self.known.values)
+    disagreement: float = 1.0
+    by_frames: bool = False
+    centre_outliers: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
 
     @property
     def centre_error(self) -> float | None:
@@ -257,11 +254,14 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         index,
         Evaluation(problem.residuals(final.numbers, final.poses), frames, seen.pose, final.poses),
         dict(zip(NAMES, final.numbers.tolist(), strict=True)),
-        known,
+        dict(zip(NAMES, known.values.tolist(), strict=True)),
+        known.covariance / np.outer(known.values, known.values),
         centre_residuals,
-        centre_outliers,
         steps + found.steps + final.steps,
         blur,
+        known.disagreement,
+        known.by_frames,
+        centre_outliers,
     )
 
 

@@ -102,7 +102,9 @@ def start_values(
     thinned = Problem(few, size, problem.row_ratio)
     try:
         found = adjust(thinned, numbers, upright_poses(maps, f), NAMES[:3], most_steps=60)
-        found = adjust(thinned, found.numbers, adjust_poses(thinned, found.numbers, found.poses, np.ones(len(few))), NAMES[:3])
+        found = adjust(
+            thinned, found.numbers, adjust_poses(thinned, found.numbers, found.poses, np.ones(len(few))), NAMES[:3]
+        )
         error = np.sqrt(2 * found.cost / len(few))
         failure = f"start values miss the corners by {error:.3g} pixels" if not error < _WORST else ""
     except InputError:
@@ -183,28 +185,27 @@ def _agreeing(
         explained, agrees = _board_fit(seen.board[mine], centre[mine], pixel[mine])
         good[mine] = agrees
         if not explained:
-            strange.append(int(frame))
-    if 2 * len(strange) > seen.poses:
-        best = np.argmax(np.bincount(seen.pose[near]))
-        mine = near & (seen.pose == best)
+            strange.append(pose)
+    if strange:
+        # The number of corners along a row that most rows of the largest such frame agree with.
+        mine = near & (seen.pose == max(strange, key=lambda pose: int((seen.pose[near] == pose).sum())))
         column, row = np.round(seen.board[mine] / board.square).astype(int).T
         number = row * board.columns + column
-        # The number of corners along a row that most rows of the frame agree with.
         fits = {
             columns: agrees.mean() if explained else 0.0
             for columns in range(2, number.max() // 2 + 2)
             for explained, agrees in [_board_fit(Board(columns, 1000, 1.0).places(number), centre[mine], pixel[mine])]
         }
-        along = max(fits, key=lambda columns: fits[columns])
+        along = max(fits, key=lambda columns: fits[columns], default=0)
+        if not fits.get(along, 0.0) > 0 and 2 * len(strange) <= seen.poses:
+            raise InputError(
+                f"frame {frames[strange[0]]}: most of its corners do not lie as on a board, as those of other frames "
+                "do: correct or remove the frame"
+            )
         raise InputError(
             f"corners: in {len(strange)} of {seen.poses} frames they do not lie as on a board of {board.columns}x"
             f"{board.rows} inner corners: "
-            + (f"they do on one with {along} along each row" if fits[along] > 0 else "check how they are numbered")
-        )
-    if strange:
-        raise InputError(
-            f"frame {strange[0]}: most of its corners do not lie as on a board, as those of other frames do: correct "
-            "or remove the frame"
+            + (f"they do on one with {along} along each row" if fits.get(along) else "check how they are numbered")
         )
     return good
 

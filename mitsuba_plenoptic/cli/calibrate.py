@@ -233,9 +233,9 @@ def _calibrate(
     for weakness, parts in found.weak_directions():
         terms = ", ".join(f"{name} {part:+.2f}" for name, part in parts.items())
         typer.echo(f"told badly, {weakness:.1f} times the deviations: {terms}")
-    if found.known.by_frames:
+    if found.by_frames:
         typer.echo(
-            f"frames disagree {found.known.disagreement:.1f} times as much as their own scatter explains, so that the "
+            f"frames disagree {found.disagreement:.1f} times as much as their own scatter explains, so that the "
             "model misses something: deviations are those of leaving out frames"
         )
     _print_outliers(found.evaluation)
@@ -255,7 +255,9 @@ def _print_outliers(seen: Evaluation) -> None:
     rows = seen.outliers
     if not len(rows):
         return
-    frames = ", ".join(f"{count} of {seen.frames[pose]}" for pose, count in enumerate(np.bincount(seen.pose[rows])) if count)
+    frames = ", ".join(
+        f"{count} of {seen.frames[pose]}" for pose, count in enumerate(np.bincount(seen.pose[rows])) if count
+    )
     typer.echo(f"{len(rows)} outliers, in lines {_named(rows + 2)}; by frame: {frames}")
     typer.echo(
         f"without outliers {seen.error_without_outliers:.4f} px over {len(seen.residuals) - len(rows)} observations"
