@@ -10,9 +10,9 @@ If it is more than chance allows, the frames are what is independent: the delete
 
 .. math:: V = V_0 + \frac{G - 1}{G} \sum_g (\theta_g - \bar\theta) (\theta_g - \bar\theta)^T,
 
-with the numbers :math:`\theta_g` that all frames but g give, to first order (the cluster-robust covariance known as CR3:
-A. C. Cameron and D. L. Miller, "A practitioner's guide to cluster-robust inference", 2015), the second part of which is
-multiplied by (G - 1) / (G - 3), the variance of Student's distribution.
+with the numbers :math:`\theta_g` that all frames but g give, to first order (the cluster-robust covariance CR3: A. C.
+Cameron and D. L. Miller, "A practitioner's guide to cluster-robust inference", 2015). The second part is multiplied by
+(G - 1) / (G - 3), the variance of Student's distribution.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def deviations(problem: Problem, found: Solution, weights: np.ndarray) -> Deviat
         others = [np.concatenate(parts[:g] + parts[g + 1 :]) for g in range(frames)]
         without = np.array([np.linalg.lstsq(each[:, :count], each[:, -1])[0] for each in others])
         without -= without.mean(0)
-        # From few frames the variance itself is uncertain: errors over it follow Student's distribution, of this variance.
+        # From few frames the variance itself is uncertain, and errors over it follow Student's distribution.
         student = (frames - 1) / max(frames - 3, 0.5)
         covariance = covariance + student * (frames - 1) / frames * without.T @ without
     else:

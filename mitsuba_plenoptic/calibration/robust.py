@@ -1,4 +1,4 @@
-"""Least squares that gross errors do not bend: the median states what is typical, and rows far beyond it do not count."""
+"""Least squares that gross errors do not bend: the median states what is typical; rows far beyond it do not count."""
 
 from __future__ import annotations
 

@@ -186,10 +186,10 @@ def _centres(paths: list[Path], output: Path | None, linear: bool) -> None:
     found = calibration.find_centres(*(_picture(path, linear) for path in paths))
     calibration.write_centres(output, found)
     if found.doubtful.any():
-        lenses = _named([f"({k}, {l})" for k, l in found.lens[found.doubtful].tolist()])
+        lenses = _named([f"({column}, {row})" for column, row in found.lens[found.doubtful].tolist()])
         typer.echo(
-            f"{found.doubtful.sum()} doubtful centres, which dust or a defect may displace (column doubtful), of lenses "
-            f"(k, l) {lenses}"
+            f"{found.doubtful.sum()} doubtful centres, which dust or a defect may displace (column doubtful), of "
+            f"lenses (k, l) {lenses}"
         )
     along, across = found.grid.spacing
     rows = "" if found.grid.shifted_rows is None else ", every second row shifted"

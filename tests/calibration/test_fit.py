@@ -338,7 +338,7 @@ def test_a_real_camera_in_spite_of_gross_errors(part, tmp_path, capsys):
 @pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
 def test_corners_of_a_real_camera_alone_leave_its_focal_length_open():
     board, start = Board(9, 5, 10.0), PlenopticCamera.preset("raytrix")
-    with pytest.raises(InputError, match="focal length open, .* give centres"):
+    with pytest.raises(InputError, match=r"focal length open, .* give centres"):
         calibrate(read_corners(cases.REAL / "corners.csv", board, start.crop_size), board, start)
 
 

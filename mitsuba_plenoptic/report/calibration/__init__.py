@@ -53,12 +53,12 @@ def write_calibration_report(
     )
     size, seen = calibration.camera.crop_size, calibration.evaluation
     outliers = seen.outliers
-    # Rows far off would hide in every map what the others show.
+    lens = residual_map(calibration, board, corners, "lens", 1)
+    # Rows far off would hide in means what the others show.
     calibration = replace(calibration, evaluation=seen.without_outliers())
     corners = corners.keep(np.delete(np.arange(len(seen.residuals)), outliers))
-    field, depth, lens = (
-        residual_map(calibration, board, corners, by, parts)
-        for by, parts in (("field", _CELLS), ("depth", _PARTS), ("lens", 1))
+    field, depth = (
+        residual_map(calibration, board, corners, by, parts) for by, parts in (("field", _CELLS), ("depth", _PARTS))
     )
     maps = [("Corners", _arrows(field.key, field.mean, size))]
     if centres is not None:
