@@ -264,7 +264,7 @@ def _print_outliers(seen: Evaluation) -> None:
     )
 
 
-def _named(items: Sequence[object]) -> str:
+def _named(items: Sequence[object] | np.ndarray) -> str:
     """Return the first items as a list."""
     more = "" if len(items) <= _NAMED else f" and {len(items) - _NAMED} more; the file has them all"
     return ", ".join(map(str, items[:_NAMED])) + more

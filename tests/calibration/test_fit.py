@@ -116,7 +116,15 @@ def errors(found, table, bad):
     return np.sqrt((rest**2).sum(1).mean())
 
 
-@pytest.mark.parametrize("kind", ["few", "many", "corners", "one frame"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param("few", marks=pytest.mark.slow),
+        "many",
+        "corners",
+        pytest.param("one frame", marks=pytest.mark.slow),
+    ],
+)
 def test_gross_errors_are_named_and_change_nothing(table, centres, found, kind):
     generator = np.random.default_rng(3)
     columns, rows = {name: values.copy() for name, values in table.columns.items()}, len(table["k"])
