@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-# Rows beyond so many deviations are outliers: they are named, and do not count in a fit. In data with normal errors
+# Rows beyond this number of deviations are outliers: they are named, and do not count in a fit. In data with normal errors
 # one row in 60 million lies there.
 OUTLIER = 6.0
 
-# Rows beyond so many deviations count by their distance instead of its square (Huber).
+# Rows beyond this number of deviations count by their distance instead of its square (Huber).
 _HUBER = 4.0
 
 _MOST_REPEATS = 30
