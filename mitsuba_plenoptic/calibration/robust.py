@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-# Rows beyond this number of deviations are outliers: they are named, and do not count in a fit. In data with normal errors
-# one row in 60 million lies there.
+# Rows beyond this number of deviations are outliers: they are named, and do not count in a fit. In data with normal
+# errors one row in 60 million lies there.
 OUTLIER = 6.0
 
 # Rows beyond this number of deviations count by their distance instead of its square (Huber).

@@ -188,7 +188,8 @@ def _agreeing(
             strange.append(pose)
     if strange:
         # The number of corners along a row that most rows of the largest such frame agree with.
-        mine = near & (seen.pose == max(strange, key=lambda pose: int((seen.pose[near] == pose).sum())))
+        mine = np.flatnonzero(near & (seen.pose == max(strange, key=lambda pose: int((seen.pose[near] == pose).sum()))))
+        mine = mine[:: max(1, len(mine) // _THINNED)]
         column, row = np.round(seen.board[mine] / board.square).astype(int).T
         number = row * board.columns + column
         fits = {
