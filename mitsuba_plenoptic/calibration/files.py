@@ -49,12 +49,15 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
         "pixel": {"size_mm": calibration.camera.pixel_size, "convention": _PIXELS},
         "board": {"columns": board.columns, "rows": board.rows, "square_mm": board.square},
         "reprojection_error_px": seen.error,
+        "reprojection_error_without_outliers_px": seen.error_without_outliers,
         "centre_error_px": calibration.centre_error,
         "observations": len(seen.residuals),
         "numbers": {
             name: {"value": value, "deviation": calibration.deviations[name]}
             for name, value in calibration.numbers.items()
         },
+        "frames_disagree": calibration.disagreement,
+        "deviations_by_frames": calibration.by_frames,
         "blur": None if calibration.blur is None else asdict(calibration.blur),
         "weak_directions": [
             {"weakness": weakness, "numbers": parts} for weakness, parts in calibration.weak_directions()
@@ -62,6 +65,7 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
         "pose_convention": _POSES,
         "poses": {str(frame): pose.tolist() for frame, pose in zip(seen.frames, seen.poses, strict=True)},
         "outlier_rows": (seen.outliers + 2).tolist(),
+        "outlier_centre_rows": (calibration.centre_outliers + 2).tolist(),
     }
     text = json.dumps({**calibration.camera.to_dict(), "calibration": record}, indent=1) + "\n"
     with atomic_output(path, ".json") as temporary:
