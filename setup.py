@@ -1,10 +1,10 @@
-"""What pyproject.toml cannot say: the README with links that work on a package index, too."""
+"""The parts of the build that pyproject.toml cannot express: the folders of the package, and the README's links."""
 
 import re
 import tomllib
 from pathlib import Path
 
-from setuptools import setup
+from setuptools import find_packages, setup
 
 HERE = Path(__file__).parent
 
@@ -22,6 +22,13 @@ def with_absolute_links(text: str, source: str) -> str:
 if __name__ == "__main__":
     project = tomllib.loads((HERE / "pyproject.toml").read_text())["project"]
     setup(
+        # The scenes stay at the top of the repository, where users edit them, and are installed within the package.
+        packages=[
+            *find_packages(include=["mitsuba_plenoptic*"]),
+            "mitsuba_plenoptic.scenes",
+            "mitsuba_plenoptic.scenes.meshes",
+        ],
+        package_dir={"mitsuba_plenoptic.scenes": "scenes"},
         long_description=with_absolute_links((HERE / "README.md").read_text(), project["urls"]["Source"]),
         long_description_content_type="text/markdown",
     )

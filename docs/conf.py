@@ -50,6 +50,9 @@ myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "amsmath"]
 myst_heading_anchors = 3
 myst_links_external_new_tab = False
 
+# Quotation marks and ellipses are set, but two hyphens stay: they begin the command's options.
+smartquotes_action = "qe"
+
 nb_execution_mode = {"on": "force", "off": "off"}[os.environ.get("EXECUTE", "on")]
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True

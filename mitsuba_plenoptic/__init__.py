@@ -36,7 +36,7 @@ from .capture.render import render_capture
 from .capture.scene import load_scene, scene_path
 from .capture.volumes import volume_points
 from .detector import Detector, expose
-from .errors import InputError
+from .errors import InputError, did_you_mean
 from .focusing import focus_by_group
 from .io.captures import Capture, read_capture, write_capture
 from .io.checkpoints import Checkpoint
@@ -121,4 +121,4 @@ def __getattr__(name: str) -> Any:
         return getattr(importlib.import_module(f".{_LATER[name]}", __name__), name)
     if name in _LATER.values():
         return importlib.import_module(f".{name}", __name__)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}{did_you_mean(name, __all__)}")

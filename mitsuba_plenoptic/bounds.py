@@ -19,8 +19,11 @@ Between them no product or quotient of a camera's numbers leaves what a float ho
 MOST_PIXELS = 2**20
 """Pixels along an axis of a detector, at most; pixel coordinates stay exact in single precision."""
 
-WAVELENGTHS = (1.0, 1e6)
-"""Bounds of a wavelength in nanometres, from soft X-rays to a millimetre."""
+WAVELENGTHS = (200.0, 2500.0)
+"""Bounds of a wavelength in nanometres: where lenses of glass let light through, as catalogues give their indices."""
+
+_UNITS = {"metres": 1e9, "millimetres": 1e6, "micrometres": 1e3, "angstroms": 0.1}
+"""Nanometres in the units that wavelengths are given in by mistake."""
 
 WAVEFRONT_UNIT = 633.0
 """Wavelength in nanometres in whose waves aberrations are given; other wavelengths see the same path."""
@@ -54,8 +57,16 @@ WIDEST_ANGLE = 90.0
 
 
 def require_wavelength(value: Any, name: str = "wavelength") -> float:
-    """Return a wavelength in nanometres, from 1 to 1e6, as a float."""
-    return require_number(name, value, positive=True, minimum=WAVELENGTHS[0], maximum=WAVELENGTHS[1])
+    """Return a wavelength in nanometres, from 200 to 2500, as a float; one in another unit is refused by the unit."""
+    number, (low, high) = require_number(name, value, positive=True), WAVELENGTHS
+    if low <= number <= high:
+        return number
+    looks = [
+        f"; it looks like {unit}, {number * size:.6g} nm"
+        for unit, size in _UNITS.items()
+        if low <= number * size <= high
+    ]
+    raise InputError(f"{name} = {number:g}: it must be from {low:g} to {high:g} nm{''.join(looks)}")
 
 
 def require_length(name: str, value: Any, *, finite: bool = True) -> float:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .errors import InputError, require_choice, require_count, require_number, shown
+from .errors import InputError, require_choice, require_count, require_number, shown, suggest_keywords
 from .io.captures import Capture
 from .mosaic import MOSAICS, filters, require_demosaiced
 
@@ -19,6 +19,7 @@ _SMALLEST, _LARGEST = 1e-9, 1e9
 _CHUNK = 2**22
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Detector:
     r"""A linear image sensor after EMVA Standard 1288, Release 4.0 Linear.
@@ -26,7 +27,10 @@ class Detector:
     In a pixel that :math:`\mu_p` photons hit on average, a Poisson-distributed number of electrons of mean
     :math:`\mu_e = \eta \mu_p + \mu_d` is freed, at most the full well; reading adds normal noise of standard deviation
     :math:`\sigma_d`; the digital number is :math:`y = K e` plus the black level, rounded, between 0 and
-    :math:`2^{bits} - 1`. Its variance is :math:`\sigma_y^2 = K^2 (\sigma_d^2 + \mu_e) + 1/12`.
+    :math:`2^{bits} - 1`. Below saturation its mean is :math:`K \mu_e` plus the black level,
+    within 0.003, and its variance :math:`\sigma_y^2 = K^2 (\sigma_d^2 + \mu_e) + 1/12`, within 0.03, where
+    :math:`K \sigma_d \geq 1/2` and the black level keeps the noise above 0. With less read noise the steps of the
+    digital numbers show: the mean is off by up to half a number, and the 1/12 does not hold.
 
     The defaults are about those of a CMOS sensor with pixels of 2 micrometres. Every channel of a colour capture is
     exposed as a sensor of its own, or, with a `mosaic`, each pixel records one of the three. There is no non-uniformity
@@ -37,7 +41,7 @@ class Detector:
     quantum_efficiency : float
         Fraction :math:`\eta` of photons that free an electron, 1e-9 to 1.
     full_well : float
-        Electrons at which a pixel saturates, 1 to 1e9; so many are also the most of the following.
+        Electrons at which a pixel saturates, 1 to 1e9. The next two parameters are at most 1e9, too.
     dark_electrons : float
         Mean number :math:`\mu_d` of electrons that come without light during the exposure.
     read_noise : float
@@ -90,7 +94,7 @@ class Detector:
             require_choice("mosaic", self.mosaic, MOSAICS)
 
     def digital_numbers(self, photons: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-        """Expose pixels that so many photons hit on average.
+        """Expose pixels that are hit by a given mean number of photons.
 
         Parameters
         ----------
@@ -103,25 +107,33 @@ class Detector:
         -------
         uint16 array of the same shape
         """
+        return self._exposed(photons, generator)[0]
+
+    def _exposed(self, photons: np.ndarray, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Return the digital numbers, and which pixels have a full well or the largest number."""
         assert self.gain is not None and self.black_level is not None
         # Far beyond saturation the number of electrons does not matter, but would overflow.
         mean = np.minimum(self.quantum_efficiency * photons + self.dark_electrons, 100 * self.full_well + 1e4)
         electrons = np.minimum(generator.poisson(mean), self.full_well)
-        electrons = electrons + generator.normal(0, self.read_noise, electrons.shape)
-        numbers = np.round(self.gain * electrons + self.black_level)
-        return np.clip(numbers, 0, 2**self.bits - 1).astype(np.uint16)
+        read = electrons + generator.normal(0, self.read_noise, electrons.shape)
+        largest = 2**self.bits - 1
+        numbers = np.clip(np.round(self.gain * read + self.black_level), 0, largest).astype(np.uint16)
+        return numbers, (electrons >= self.full_well) | (numbers == largest)
 
 
 def _positive(name: str, value: Any, maximum: float = _LARGEST) -> float:
     return require_number(name, value, positive=True, minimum=_SMALLEST, maximum=maximum)
 
 
+@suggest_keywords
 def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 0) -> Capture:
     """Record a noise-free capture with a real detector.
 
     The result is in units of the capture again: digital numbers less black level and dark signal, over gain, quantum
-    efficiency and photons. Its mean is the capture's up to saturation, so that everything that takes a capture takes
-    it, and what noise does to it shows.
+    efficiency and photons. So everything that takes a capture takes it, and shows the effect of noise. Below
+    saturation its mean is that of the capture, if the read noise is half a digital number or more. With less, as for
+    few bits and a large full well, rounding displaces the mean by up to half a number, which is
+    ``0.5 / (gain * quantum_efficiency * photons)`` in units of the capture.
 
     Parameters
     ----------
@@ -137,8 +149,10 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     Returns
     -------
     Capture
-        With detector, photons and seed in `metadata` under ``exposure``, and without the noise of its rendering. With a
-        mosaic it has one channel, for `demosaic`, and its metadata the `wavelength` of the colours under ``exposure``.
+        With detector, photons and seed in `metadata` under ``exposure``, and there the number of ``saturated_pixels``:
+        those with a full well, or with the largest digital number, in any channel. The noise of the rendering is left
+        out. With a mosaic it has one channel, for `demosaic`, and its metadata the `wavelength` of the colours under
+        ``exposure``.
 
     Raises
     ------
@@ -162,13 +176,14 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
         image = np.take_along_axis(image, filters(capture.camera, detector.mosaic)[..., None], 2)[..., 0]
         extra, wavelength = {"wavelength": wavelength}, None
     assert detector.gain is not None and detector.black_level is not None
-    result = np.empty_like(image)
+    result, saturated = np.empty_like(image), 0
     rows = max(1, _CHUNK // (image[0].size))
     for start in range(0, len(image), rows):
         part = image[start : start + rows].astype(np.float64)
-        numbers = detector.digital_numbers(photons * np.maximum(part, 0), generator)
+        numbers, full = detector._exposed(photons * np.maximum(part, 0), generator)
+        saturated += int(np.count_nonzero(full.reshape(*part.shape[:2], -1).any(axis=2)))
         electrons = (numbers.astype(np.float64) - detector.black_level) / detector.gain - detector.dark_electrons
         result[start : start + rows] = electrons / (detector.quantum_efficiency * photons)
-    exposure = {**asdict(detector), "photons": photons, "seed": seed, **extra}
+    exposure = {**asdict(detector), "photons": photons, "seed": seed, "saturated_pixels": saturated, **extra}
     metadata = {**capture.metadata, "exposure": exposure}
     return replace(capture, image=result, wavelength=wavelength, noise=None, metadata=metadata)

@@ -6,12 +6,18 @@ thing, its value and the rule.
 
 from __future__ import annotations
 
+import contextlib
+import difflib
+import functools
+import inspect
 import math
 import reprlib
-from collections.abc import Collection
-from typing import Any
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from typing import Any, TypeVar, cast
 
 import numpy as np
+
+_Call = TypeVar("_Call", bound=Callable[..., Any])
 
 _LONGEST = 1000
 """Characters of a message; names and values that come from files may be of any length."""
@@ -64,6 +70,62 @@ def shown(value: Any) -> str:
     return printable(" ".join(text.split()), _LONGEST_VALUE)
 
 
+_options: Mapping[str, str] | None = None
+"""Options by the names of the library's arguments that they are for; None in Python."""
+
+
+@contextlib.contextmanager
+def at_shell(options: Mapping[str, str]) -> Iterator[None]:
+    """Have advice name options of the command line; `options` has those that are not called as their arguments."""
+    global _options
+    before, _options = _options, options
+    try:
+        yield
+    finally:
+        _options = before
+
+
+def advice(*, python: str, shell: str) -> str:
+    """Return the advice that suits where the user is."""
+    return python if _options is None else shell
+
+
+def argument(name: str) -> str:
+    """Name an argument in advice: as it is in Python, as the option that it belongs to at a shell."""
+    return advice(python=name, shell=(_options or {}).get(name, f"--{name.replace('_', '-')}"))
+
+
+def did_you_mean(name: Any, known: Iterable[Any]) -> str:
+    """Return the end of a message on an unknown name: the known one that it resembles, or nothing if none does."""
+    names = {str(one).lower(): str(one) for one in known}
+    found = difflib.get_close_matches(str(name).lower()[:_LONGEST_VALUE], names, n=1)
+    return f"; did you mean {names[found[0]]}?" if found else ""
+
+
+def suggest_keywords(function: _Call, others: Iterable[str] = ()) -> _Call:
+    """Have a call with an unknown keyword name the one that it resembles, as Python itself does from 3.13 on.
+
+    A function that hands further keywords on knows the `others`. Of a class it is the constructor.
+    """
+    if isinstance(function, type):
+        constructor = function.__init__  # type: ignore[misc]
+        type.__setattr__(function, "__init__", suggest_keywords(constructor, others))
+        return cast(_Call, function)
+    known = {*inspect.signature(function).parameters, *others}
+
+    @functools.wraps(function)
+    def called(*arguments: Any, **options: Any) -> Any:
+        for name in options:
+            if name not in known:
+                raise TypeError(
+                    f"{function.__qualname__.removesuffix('.__init__')}() got an unexpected keyword argument '{name}'"
+                    f"{did_you_mean(name, known)}"
+                )
+        return function(*arguments, **options)
+
+    return cast(_Call, called)
+
+
 def require_number(
     name: str,
     value: Any,
@@ -110,8 +172,16 @@ def require_number(
 def require_choice(name: str, value: Any, choices: Collection[str]) -> str:
     """Return a word that is one of the choices."""
     if not isinstance(value, str) or value not in choices:
-        raise InputError(f"{name} = {shown(value)}: it must be one of {', '.join(choices)}")
+        rule = f"it must be one of {', '.join(choices)}"
+        raise InputError(f"{name} = {shown(value)}: {rule}{did_you_mean(value, choices)}")
     return value
+
+
+def require_known(what: str, names: Iterable[Any], known: Collection[str]) -> None:
+    """Refuse the first name that is not among the known ones; `what` begins the message, such as ``camera: ``."""
+    for name in names:
+        if name not in known:
+            raise InputError(f"{what}{name}: it is not one of {', '.join(known)}{did_you_mean(name, known)}")
 
 
 def require_pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:

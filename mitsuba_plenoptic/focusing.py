@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from .camera import PlenopticCamera
-from .errors import InputError, require_count, require_number, shown
+from .errors import InputError, require_count, require_number, shown, suggest_keywords
 from .prescription import Prescription, paraxial
 from .thin_lens import vergence
 
@@ -21,6 +21,7 @@ _CLOSEST = 1e-3
 """Distance between vertices, over the gaps before and behind the group, that is left at least."""
 
 
+@suggest_keywords
 def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: float) -> PlenopticCamera:
     """Move a group of elements of the main lens until an object distance is in focus; the array stays.
 
@@ -45,8 +46,8 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
     Raises
     ------
     InputError
-        If the camera has no such lens, the group is none, or there is no place for it at which the distance is in
-        focus; where there are several, the one nearest to where it stands is taken.
+        If the camera has no such lens, the group is none, its surfaces would cross others, or there is no place for it
+        at which the distance is in focus; where there are several, the one nearest to where it stands is taken.
     """
     lens = camera.prescription
     if lens is None:
@@ -87,6 +88,7 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
     shift = float(scipy.optimize.brentq(missed, shifts[nearest], shifts[nearest + 1], xtol=1e-12))
     focal_length, b = behind(shift)
     new = moved(shift)
+    new.require_apart()
     return camera.replace(
         main_lens=new,
         focal_length=scale * focal_length,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from .bounds import require_length
-from .errors import InputError, require_choice, require_number, shown
+from .errors import InputError, require_choice, require_known, require_number, shown, suggest_keywords
 
 ARRANGEMENTS = ("image", "fourier")
 
@@ -20,6 +20,7 @@ _WIDEST = 0.1
 """Numerical aperture on the image side at most: directions there are taken as small."""
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Objective:
     r"""An infinity-corrected objective with its tube lens, the main lens of a light-field microscope.
@@ -170,8 +171,9 @@ class Objective:
             If a name is unknown or missing, or a value is out of range.
         """
         known = [field.name for field in fields(cls)]
-        if not isinstance(value, dict) or not set(map(str, value)) <= set(known):
+        if not isinstance(value, dict):
             raise InputError(f"main_lens = {shown(value)}: an objective has {', '.join(known)}")
+        require_known("main_lens: ", value, known)
         for name in known[:2]:
             if name not in value:
                 raise InputError(f"main_lens: {name}: it is missing from the objective")

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, read_capture, write_capture
+from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.detector import Detector, expose
 
 CAMERA = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
@@ -58,6 +60,46 @@ def test_saturation():
     numbers = roomy.digital_numbers(np.full(20000, 1e6), np.random.default_rng(0))
     assert numbers.mean() == pytest.approx(1100, abs=0.2)
     assert numbers.std() == pytest.approx(3, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("detector", "photons"),
+    [
+        (Detector(quantum_efficiency=1, full_well=1000, bits=12, read_noise=0), 1000),
+        (Detector(quantum_efficiency=1, full_well=1000, bits=12, read_noise=0, gain=1, black_level=0), 1000),
+        (Detector(quantum_efficiency=1, full_well=1e6, bits=10, read_noise=0, gain=1, black_level=23), 1000),
+    ],
+    ids=["both", "full well", "largest number"],
+)
+def test_saturated_pixels_are_counted(detector, photons):
+    """Half of the Poisson distribution lies above its mean, which is where these saturate."""
+    columns = np.repeat([0.5, 1.0, 2.0, 0.0], 64)
+    found = expose(Capture(columns * np.ones((256, 1)), CAMERA), detector, photons=photons)
+    expected = 64 * 256 * (1 + stats.poisson.sf(999, 1000))
+    assert found.metadata["exposure"]["saturated_pixels"] == pytest.approx(expected, abs=5 * 64)
+    assert expose(flat(0.5), detector, photons=photons).metadata["exposure"]["saturated_pixels"] == 0
+
+
+def test_saturated_pixels_of_colours_are_counted_once_and_printed(tmp_path, capsys):
+    image = np.zeros((*CAMERA.shape, 3))
+    image[:, :64, :2] = 9.0
+    write_capture(tmp_path / "raw.exr", Capture(image, CAMERA))
+    assert main(["expose", str(tmp_path / "raw.exr"), "-o", str(tmp_path / "out.exr"), "--photons", "10000"]) == 0
+    assert "16384 pixels (25.00%) are saturated" in capsys.readouterr().out
+    assert read_capture(tmp_path / "out.exr").metadata["exposure"]["saturated_pixels"] == 16384
+
+
+@pytest.mark.parametrize(("noise", "between"), [(0.0, (0.4, 0.501)), (0.5, (0.0, 0.18))])
+def test_steps_displace_the_mean_by_up_to_half_a_number_and_read_noise_mends_it(noise, between):
+    """Fourteen steps over the full well, with the read noise in steps."""
+    gain = 14 / 1e5
+    detector = Detector(full_well=1e5, bits=5, gain=gain, black_level=4, read_noise=noise / gain, quantum_efficiency=1)
+    capture = Capture(np.linspace(0, 1, 256) * np.ones((256, 1)), CAMERA)
+    error = expose(capture, detector, photons=5e4).image.mean(axis=0) - capture.image[0]
+    step = 1 / (gain * 5e4)
+    # Means over 256 pixels: five standard deviations of noise and rounding are 0.18 steps.
+    assert between[0] < np.abs(error).max() / step < between[1]
+    assert abs(error.mean()) / step < 0.03
 
 
 def test_defaults_use_the_whole_range_and_do_not_cut_off_the_dark():

@@ -49,7 +49,7 @@ def test_a_sensor_takes_an_objective_as_text_and_as_a_file(tmp_path):
         ({"arrangement": "fourier"}, "fourier_focal_length: it is missing"),
         ({"fourier_focal_length": 50}, "fourier_focal_length = 50: it is for arrangement = fourier"),
         ({"tube_focal_length": "long"}, "tube_focal_length = 'long': it must be a number"),
-        ({"working_distance": 2}, "an objective has magnification"),
+        ({"working_distance": 2}, "main_lens: working_distance: it is not one of magnification"),
     ],
 )
 def test_what_no_objective_has_is_refused(values, message):
@@ -145,7 +145,7 @@ def test_reconstructions_that_do_not_know_objectives_say_so():
     camera = PlenopticCamera(main_lens=AIR, mla_pitch=0.15, mla_focal_length=3, detector_width=0.6, resolution=(60, 60))
     capture = Capture(np.ones((60, 60), np.float32), camera, 550.0, "wave", {})
     with pytest.raises(
-        InputError, match=r"method = ray: behind main_lens = 20x/0\.5 objective captures are deconvolved"
+        InputError, match=r"method = ray: behind main_lens = 20x/0\.5 objective captures are only deconvolved"
     ):
         reconstruct(capture, 0.01, method="ray")
     with pytest.raises(InputError, match=r"response = ray: behind main_lens = 20x/0\.5 objective it must be wave"):

@@ -7,7 +7,9 @@ import re
 import runpy
 import subprocess
 import sys
+import tarfile
 import tomllib
+import zipfile
 from importlib.metadata import version
 from pathlib import Path
 
@@ -17,39 +19,67 @@ import mitsuba_plenoptic
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
-FOLDERS = PROJECT["tool"]["setuptools"]["package-dir"]
+PACKAGE = ROOT / "mitsuba_plenoptic"
 
 
-def folder_of(package):
-    """Folder of a package as setuptools' package-dir maps it."""
-    parts = package.split(".")
-    for length in range(len(parts), 0, -1):
-        if (start := FOLDERS.get(".".join(parts[:length]))) is not None:
-            return ROOT.joinpath(start, *parts[length:])
-    return ROOT.joinpath(*parts)
+def test_every_folder_with_code_is_a_package():
+    """The build finds packages by their ``__init__.py``."""
+    folders = {path.parent for path in PACKAGE.rglob("*.py")}
+    assert [folder for folder in folders if not (folder / "__init__.py").is_file()] == []
 
 
-def test_every_package_is_listed():
-    listed = {folder_of(package) for package in PROJECT["tool"]["setuptools"]["packages"]}
-    found = {path.parent for top in ("mitsuba_plenoptic", "scenes") for path in (ROOT / top).rglob("__init__.py")}
-    assert listed == found
+def test_no_link_is_among_the_files_of_the_package():
+    """Builds take a link that git tracks for a file of data, and fail where it leads to a folder."""
+    assert [path for top in (PACKAGE, ROOT / "scenes") for path in top.rglob("*") if path.is_symlink()] == []
 
 
-@pytest.mark.parametrize("package", PROJECT["tool"]["setuptools"]["package-data"])
-def test_data_files_are_packed(package):
-    patterns = PROJECT["tool"]["setuptools"]["package-data"][package]
-    folder = folder_of(package)
-    packed = {path for pattern in patterns for path in folder.glob(pattern)}
-    present = {path for path in folder.iterdir() if path.is_file() and path.suffix != ".py"}
+@pytest.mark.parametrize(
+    "package, folder", [("mitsuba_plenoptic", PACKAGE), ("mitsuba_plenoptic.scenes", ROOT / "scenes")]
+)
+def test_data_files_are_packed(package, folder):
+    packed = {
+        path for pattern in PROJECT["tool"]["setuptools"]["package-data"][package] for path in folder.glob(pattern)
+    }
+    present = {path for path in folder.rglob("*") if path.is_file() and path.suffix not in (".py", ".pyc")}
     assert packed == present
 
 
+def test_distributions_without_a_file_of_the_repository_are_refused(tmp_path):
+    tool = runpy.run_path(str(ROOT / "tools" / "check_release.py"))
+    tracked = ["mitsuba_plenoptic/__init__.py", "scenes/a.xml", "tests/test_a.py", "README.md", ".gitignore"]
+    installed = ["mitsuba_plenoptic/__init__.py", "mitsuba_plenoptic/scenes/a.xml", "p-1.dist-info/METADATA"]
+
+    def wheel(name, files):
+        with zipfile.ZipFile(tmp_path / name, "w") as archive:
+            for file in files:
+                archive.writestr(file, "")
+        return tmp_path / name
+
+    def sdist(name, files):
+        with tarfile.open(tmp_path / name, "w:gz") as archive:
+            for file in files:
+                archive.addfile(tarfile.TarInfo(f"p-1/{file}"))
+        return tmp_path / name
+
+    whole, source = wheel("whole.whl", installed), sdist("whole.tar.gz", [*tracked[:-1], "PKG-INFO"])
+    tool["check_files"](tracked, whole, source, whole)
+    without_scene, without_test = wheel("less.whl", installed[::2]), sdist("less.tar.gz", [*tracked[:2], "README.md"])
+    for given, message in [
+        ((without_scene, source, whole), "less.whl: .*missing .*scenes/a.xml"),
+        ((whole, without_test, whole), "less.tar.gz: .*missing .*test_a.py"),
+        ((whole, source, without_scene), "whole.whl: built from the sdist it has other files"),
+    ]:
+        with pytest.raises(SystemExit, match=message):
+            tool["check_files"](tracked, *given)
+
+
 def test_versions_agree():
-    assert mitsuba_plenoptic.__version__ == version("mitsuba-plenoptic")
-    coming = PROJECT["tool"]["setuptools_scm"]["fallback_version"].removesuffix(".dev0")
+    """That of the package needs no tag, and is the newest that the CHANGELOG describes."""
+    stated = PROJECT["project"]["version"]
+    assert mitsuba_plenoptic.__version__ == version("mitsuba-plenoptic") == stated
     cited = re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), flags=re.MULTILINE)[1]
     heads = re.findall(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), flags=re.MULTILINE)
-    assert cited == coming and coming in heads
+    assert cited == stated and heads[:2] == ["Unreleased", stated]
 
 
 def test_readme_links_work_in_the_repository_and_on_a_package_index():
@@ -67,7 +97,8 @@ def test_the_start_page_can_be_run_from_the_page():
     text = (ROOT / "docs" / "start.md").read_text()
     commands, files = tool["page_commands"](text), tool["page_files"](text)
     asked = " ".join(commands)
-    assert all(word in asked for word in ("pip install", "doctor", "--model wave", "reconstruct", "depth", "python "))
+    assert f"pip install {tool['CLONE']}" in asked
+    assert all(word in asked for word in ("doctor", "--model wave", "reconstruct", "depth", "python "))
     # What the commands name is on the page, or made by one before.
     made = {word for command in commands for word in re.findall(r"-o (\S+)", command)}
     named = {word for command in commands for word in re.findall(r"[\w.]+\.(?:xml|json|py|exr)", command)}

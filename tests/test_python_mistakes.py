@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+import signal
+
 import numpy as np
 import pytest
 from scene_cases import letters
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera
+from mitsuba_plenoptic.io.lens_file import write_prescription
+from mitsuba_plenoptic.lightfield.exchange import save_light_field, write_mosaic
+from mitsuba_plenoptic.reconstruction import Volume, write_reconstruction, write_volume
 
 CAMERA = PlenopticCamera(resolution=(64, 64), detector_width=0.128)
 IMAGE = np.ones((64, 64), np.float32)
@@ -25,13 +31,13 @@ def scene():
         ({"distance": np.array([[210.0, 220.0]])}, "it must be a number"),
         ({"distance": {210, 220}}, "it must be a number"),
         ({"relay": "no"}, "relay = 'no': it must be True or False"),
-        ({"accelerate": 0}, "accelerate = 0: it must be True or False"),
-        ({"volume": None}, "volume = None: it must be True or False"),
+        ({"method": "deconvolved", "accelerate": 0}, "accelerate = 0: it must be True or False"),
+        ({"method": "deconvolved", "volume": "no"}, "volume = 'no': it must be True or False"),
     ],
 )
 def test_reconstruct(options, message):
     with pytest.raises(InputError, match=message):
-        mp.reconstruct(IMAGE, **({"distance": 240} | options), camera=CAMERA, method="coherent", wavelength=633)
+        mp.reconstruct(IMAGE, **({"distance": 240, "method": "coherent"} | options), camera=CAMERA, wavelength=633)
 
 
 def test_what_is_no_capture_or_no_plain_data_is_not_written(tmp_path):
@@ -90,6 +96,153 @@ def test_captures_that_do_not_suit():
     mosaic = mp.expose(Capture(np.ones((64, 64, 3)), CAMERA), mp.Detector(mosaic="RGGB"), photons=100)
     with pytest.raises(InputError, match="mosaic = RGGB"):
         mp.decode(capture, white=mosaic)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        (lambda: PlenopticCamera(focal_lenght=80), TypeError, "'focal_lenght'; did you mean focal_length?"),
+        (lambda: CAMERA.replace(mla_pich=0.05), InputError, "mla_pich: .*; did you mean mla_pitch?"),
+        (lambda: PlenopticCamera.from_json('{"mla_pich": 1}'), InputError, "did you mean mla_pitch?"),
+        (lambda: PlenopticCamera.preset("litro"), InputError, "preset = 'litro': .*; did you mean lytro?"),
+        (lambda: PlenopticCamera(main_lens="tesar"), InputError, "did you mean tessar?"),
+        (lambda: PlenopticCamera(mla_lattice="hexagon"), InputError, "did you mean hexagonal?"),
+        (lambda: mp.Detector(red_noise=2), TypeError, "Detector() .*'red_noise'; did you mean read_noise?"),
+        (lambda: Capture(imag=IMAGE), TypeError, "did you mean image?"),
+        (lambda: mp.reconstruct(IMAGE, 240, metod="ray"), TypeError, "'metod'; did you mean method?"),
+        (lambda: mp.reconstruct(IMAGE, 240, camera=CAMERA, method="parsial"), InputError, "did you mean partial?"),
+        (lambda: mp.decode(IMAGE, camra=CAMERA), TypeError, "did you mean camera?"),
+        (lambda: mp.CaptureOperator(CAMERA, [(0, 0, 240)], wavelenght=633), TypeError, "did you mean wavelength?"),
+        (lambda: mp.CaptureOperator(CAMERA, [(0, 0, 240)], wavelength=633, method="pach"), InputError, "mean patch?"),
+        (lambda: mp.load_scene("leters"), InputError, "did you mean letters?"),
+        (lambda: mp.load_scene("letters", parameters={"resolutoin": "64"}), InputError, "did you mean resolution?"),
+        (lambda: mp.load_scene("letters", variant="llvm_ad_mon"), InputError, "did you mean llvm_ad_mono?"),
+        (lambda: mp.reconstrct, AttributeError, "did you mean reconstruct?"),
+    ],
+)
+def test_an_unknown_name_comes_with_the_one_that_it_resembles(call, error, words):
+    with pytest.raises(error, match=words.replace("?", r"\?").replace("()", r"\(\)")):
+        call()
+
+
+def test_unknown_parameters_of_plugins_come_with_what_they_resemble(scene, camera_dict):
+    for keyword, known in (("modle", "model"), ("radiator_per_lens", "radiators_per_lens")):
+        with pytest.raises(TypeError, match=rf"'{keyword}'; did you mean {known}\?"):
+            mp.render_capture(scene, **{keyword: "wave"})
+    for name, sensor in (("focal_length", camera_dict(focal_lenght=80.0)), ("plenoptic", {"type": "plenoptik"})):
+        with pytest.raises(InputError, match=rf"did you mean {name}\?"):
+            mp.load_scene({"type": "scene", "sensor": sensor})
+
+
+def test_a_name_that_resembles_none_comes_without_a_guess():
+    with pytest.raises(InputError) as caught:
+        mp.reconstruct(IMAGE, 240, camera=CAMERA, method="magic")
+    assert "did you mean" not in str(caught.value)
+
+
+OPTIONS = {
+    "wavelength": 633,
+    "interleave": 2,
+    "footprint": "lens",
+    "relay": True,
+    "response": "ray",
+    "iterations": 3,
+    "accelerate": True,
+    "photons": 100,
+    "volume": False,
+    "variation": 0.0,
+    "checkpoint": mp.Checkpoint("none"),
+    "batch_map": mp.runtime.batches.Threads(1),
+}
+TAKEN = {
+    "ray": {"footprint"},
+    "coherent": {"wavelength", "relay"},
+    "partial": {"wavelength", "relay", "interleave"},
+    "deconvolved": OPTIONS.keys() - {"interleave", "footprint", "relay"},
+}
+
+
+@pytest.mark.parametrize("method", TAKEN)
+def test_options_that_a_method_would_ignore_are_refused_even_at_their_defaults(method):
+    for name in OPTIONS.keys() - TAKEN[method]:
+        with pytest.raises(InputError, match=f"^{name}: method {method} does not take it; methods that do: "):
+            mp.reconstruct(IMAGE, 240, camera=CAMERA, method=method, **{name: OPTIONS[name]})
+
+
+def test_a_response_by_rays_has_no_wavelength():
+    with pytest.raises(InputError, match=r"^wavelength: a response by rays has none"):
+        mp.reconstruct(IMAGE, 240, camera=CAMERA, method="deconvolved", response="ray", wavelength=633)
+
+
+def test_ray_captures_refuse_what_is_for_waves(scene, tmp_path):
+    unused = {"checkpoint": mp.Checkpoint(tmp_path / "none"), "batch_map": OPTIONS["batch_map"], "accuracy": 0.1}
+    waves = mp.load_scene(
+        {
+            "type": "scene",
+            "integrator": {"type": "plenoptic_wave"},
+            "sensor": CAMERA.to_sensor(),
+            "light": {"type": "constant"},
+        }
+    )
+    for loaded, model in ((scene, None), (scene, "ray"), (waves, "ray")):
+        for name, value in unused.items():
+            with pytest.raises(InputError, match=f"^{name}: a ray capture does not take it; it is for model wave"):
+                mp.render_capture(loaded, model=model, **{name: value})
+    with pytest.raises(InputError, match=r"^batch_map: a ray capture does not take it"):
+        mp.estimate_capture(scene, batch_map=OPTIONS["batch_map"])
+
+
+RANDOM = np.random.default_rng(0).random((64, 64), np.float32)
+LIGHT_FIELD = mp.decode(IMAGE, camera=CAMERA)
+NOISY = mp.expose(Capture(IMAGE, CAMERA), mp.Detector(), photons=100)
+REFOCUSED = mp.reconstruct(IMAGE, 240, camera=CAMERA)
+CORNERS = {name: np.arange(3000) for name in ("k", "l", "u", "v", "cluster", "frame")}
+WRITERS = {
+    "x.exr": lambda path: mp.write_capture(path, Capture(RANDOM, CAMERA)),
+    "r.exr": lambda path: write_reconstruction(path, dataclasses.replace(REFOCUSED, image=RANDOM)),
+    "v.tif": lambda path: write_volume(path, Volume(RANDOM[None], (240.0,), 0.1)),
+    "x.png": lambda path: mp.write_raw(path, NOISY),
+    "x.tiff": lambda path: mp.write_raw(path, NOISY),
+    "lf.nc": lambda path: save_light_field(path, LIGHT_FIELD),
+    "lf.mat": lambda path: save_light_field(path, LIGHT_FIELD),
+    "lf.png": lambda path: write_mosaic(path, LIGHT_FIELD),
+    "c.csv": lambda path: mp.calibration.write_corners(path, CORNERS),
+    "lens.yaml": lambda path: write_prescription(path, PlenopticCamera.preset("paper_double_gauss").prescription),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_writers_refuse_names_of_other_kinds_of_file(name, tmp_path):
+    for wrong in ("x.txt", "x", "x.exr.gz"):
+        with pytest.raises(InputError, match=rf"{wrong}: give a name that ends in \."):
+            WRITERS[name](tmp_path / wrong)
+    assert list(tmp_path.iterdir()) == []
+    WRITERS[name](tmp_path / name)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_what_a_disk_has_no_room_for_is_named_and_leaves_what_was_there(name, tmp_path):
+    """As of a full disk, here of a limit on the size of files."""
+    resource = pytest.importorskip("resource")
+    path = tmp_path / name
+    path.write_bytes(b"before")
+    before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (64, before[1]))
+    try:
+        with pytest.raises(InputError) as caught:
+            WRITERS[name](path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert str(caught.value).startswith(f"{path}: it cannot be written: ")
+    assert path.read_bytes() == b"before" and list(tmp_path.iterdir()) == [path]
+
+
+def test_points_behind_the_camera_are_refused_unless_light_converges_to_them():
+    with pytest.raises(InputError, match=r"position = \(0, 0, -240\): .* in front of the main lens"):
+        mp.CaptureOperator(CAMERA, [(0, 0, 240), (0, 0, -240)], wavelength=633)
+    assert len(mp.CaptureOperator(CAMERA, [(0, 0, -240)], wavelength=633, virtual=True).points) == 1
 
 
 def test_checkpoints():

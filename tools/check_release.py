@@ -1,8 +1,11 @@
-"""Build wheel and sdist, and try the wheel as a new reader does: ``python tools/check_release.py [--keep FOLDER]``.
+"""Build sdist and wheel from a fresh clone, install the wheel into an empty environment, and run the start page there.
 
-The wheel is made from the sdist, so that both are complete. It is installed into a fresh environment, and there, in an
-empty folder, the commands of the documentation's start page run, read from the page itself, on the files that it tells
-to save.
+    python tools/check_release.py [--keep FOLDER]
+
+The clone has neither tags nor history. Both distributions are built straight from it, and the wheel a second time from
+the sdist; they must hold every file of the repository that belongs there. The environment holds nothing but the wheel
+and its dependencies. In a folder outside the clone, on the files that the documentation's start page gives, the
+commands of that page are run, then the Python code of the README.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tarfile
 import tempfile
 import venv
 import zipfile
@@ -21,10 +25,13 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "start.md"
+README = ROOT / "README.md"
+CLONE = "./mitsuba-plenoptic"
+"""The argument of the start page's ``pip install``."""
 
 
 def page_files(text: str) -> dict[str, str]:
-    """Return the files that a page tells to save: its blocks of code with a caption."""
+    """Return the files that a page asks the reader to save: its blocks of code with a caption."""
     blocks = re.findall(r"^```\{code-block\} \w+\n:caption: (\S+)\n\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
     return dict(blocks)
 
@@ -35,40 +42,76 @@ def page_commands(text: str) -> list[str]:
     return [line[2:] for block in blocks for line in block.splitlines() if line.startswith("$ ")]
 
 
-def build(folder: Path) -> Path:
-    """Build sdist and wheel into a folder; return the wheel."""
-    subprocess.run([sys.executable, "-m", "build", "--outdir", str(folder), str(ROOT)], check=True)
-    (wheel,) = folder.glob("*.whl")
-    names = set(zipfile.ZipFile(wheel).namelist())
-    for part, kinds in (("scenes", ("*.xml", "*.png", "*.hdr")), ("scenes/meshes", ("*.ply", "*.xml"))):
-        for path in (path for kind in kinds for path in (ROOT / part).glob(kind)):
-            if f"mitsuba_plenoptic/{part}/{path.name}" not in names:
-                raise SystemExit(f"{wheel.name}: {part}/{path.name} is missing")
-    return wheel
+def page_code(text: str) -> str:
+    """Return the Python code of a page, all of its blocks or cells together."""
+    blocks = re.findall(r"^```(?:\{code-cell\} )?python\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+    return "\n".join(blocks)
 
 
-def run_page(wheel: Path, folder: Path) -> None:
-    """Do in a fresh environment what the start page says; each command must write the files that it names."""
+def clone(folder: Path) -> list[str]:
+    """Make a clone without history of the files that git does not ignore, committed or not; return their names."""
+    git = ["git", "--git-dir", str(folder / ".git")]
+    subprocess.run(["git", "init", "--quiet", str(folder)], check=True)
+    subprocess.run([*git, "--work-tree", str(ROOT), "add", "--all"], check=True, cwd=ROOT)
+    subprocess.run(["git", "checkout-index", "--all"], check=True, cwd=folder)
+    listed = subprocess.run([*git, "ls-files", "-z"], check=True, capture_output=True, text=True)
+    return listed.stdout.split("\0")[:-1]
+
+
+def build(source: Path, folder: Path, *kinds: str) -> list[Path]:
+    """Build the distributions ``--sdist`` or ``--wheel`` from a folder, each straight from it."""
+    command = [sys.executable, "-m", "build", *kinds, "--outdir", str(folder), str(source)]
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{done.stdout}\n{' '.join(command)}: exit status {done.returncode}")
+    return sorted(folder.iterdir())
+
+
+def check_files(tracked: list[str], wheel: Path, sdist: Path, second: Path) -> None:
+    """Compare the files of a wheel, of an sdist and of the wheel built from that with those of the repository."""
+    packed = _contents(wheel)
+    places = {re.sub(r"^scenes/", "mitsuba_plenoptic/scenes/", name) for name in tracked}
+    expected = {name for name in places if name.startswith("mitsuba_plenoptic/")}
+    _require_equal(wheel.name, {name for name in packed if ".dist-info/" not in name}, expected)
+    with tarfile.open(sdist) as archive:
+        names = {member.name.partition("/")[2] for member in archive.getmembers() if member.isfile()}
+    # Hidden files are for git and for services, and setuptools adds files of its own.
+    _require_equal(sdist.name, names & set(tracked), {name for name in tracked if not name.startswith(".")})
+    if packed != _contents(second):
+        raise SystemExit(f"{wheel.name}: built from the sdist it has other files than built from the clone")
+
+
+def _contents(wheel: Path) -> dict[str, bytes]:
+    """Return the files of a wheel by their names."""
+    with zipfile.ZipFile(wheel) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def _require_equal(name: str, found: set[str], expected: set[str]) -> None:
+    """Stop where a distribution lacks files, or has others."""
+    if found != expected:
+        lists = f"missing {sorted(expected - found)}, not expected {sorted(found - expected)}"
+        raise SystemExit(f"{name}: its files are not those of the repository: {lists}")
+
+
+def run_pages(wheel: Path, folder: Path) -> None:
+    """Follow the start page and the README in an empty environment; each command must write the files that it names."""
     text = PAGE.read_text()
     environment = folder / "environment"
     venv.create(environment, with_pip=True, clear=True)
-    here = folder / "empty"
+    here = folder / "elsewhere"
     here.mkdir()
     for name, content in page_files(text).items():
         (here / name).write_text(content)
+    (here / "readme.py").write_text(page_code(README.read_text()))
     clean = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     clean["PATH"] = f"{environment / 'bin'}{os.pathsep}{clean['PATH']}"
-    for command in page_commands(text):
+    for command in [*page_commands(text), "python readme.py"]:
         words = shlex.split(command)
+        if words[0] == "git":
+            continue
         if words[:2] == ["pip", "install"]:
-            words = [
-                "python",
-                "-m",
-                "pip",
-                "install",
-                "--quiet",
-                *(str(wheel) if w == "mitsuba-plenoptic" else w for w in words[2:]),
-            ]
+            words = ["pip", "install", "--quiet", *(str(wheel) if word == CLONE else word for word in words[2:])]
         print(f"$ {command}", flush=True)
         subprocess.run(words, check=True, cwd=here, env=clean)
         if "-o" in words:
@@ -79,16 +122,20 @@ def run_page(wheel: Path, folder: Path) -> None:
 
 def main() -> int:
     """Build, and try what was built."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--keep", type=Path, help="folder for wheel and sdist, if they are to be kept")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        wheel = build(folder / "dist")
-        run_page(wheel, folder)
+        tracked = clone(folder / "clone")
+        wheel, sdist = build(folder / "clone", folder / "dist", "--sdist", "--wheel")
+        shutil.unpack_archive(sdist, folder / "unpacked")
+        (second,) = build(next((folder / "unpacked").iterdir()), folder / "second", "--wheel")
+        check_files(tracked, wheel, sdist, second)
+        run_pages(wheel, folder)
         if arguments.keep:
             shutil.copytree(folder / "dist", arguments.keep, dirs_exist_ok=True)
-    print("wheel and sdist are complete, and the start page works")
+    print(f"{wheel.name} and {sdist.name} are complete; the start page and the README's Python code work")
     return 0
 
 

@@ -110,7 +110,7 @@ def focal_length(case: Case, starts: int, output: Path) -> tuple[dict, bool]:
 def wavefront(case: Case, starts: int, output: Path) -> tuple[dict, bool]:
     """Seek aberrations by which depth is told best, and judge them otherwise."""
     plain = case.camera.replace(wavefront=(0.0,) * max(TERMS))
-    figure = _figure(case, case.points(SEEN, 3), PHOTONS, BACKGROUND, "patch")
+    figure = _figure(case.points(SEEN, 3), PHOTONS, BACKGROUND, "patch")
     rng, bounds = np.random.default_rng(4), {f"wavefront.{term}": (-LARGEST, LARGEST) for term in TERMS}
     designs: list[Design] = []
     # No aberration at all is where the slopes vanish by symmetry: starts lie beside it.
@@ -139,7 +139,7 @@ def judged_by_full_fields(case: Case, plain: PlenopticCamera, design: PlenopticC
     """Estimate depths from captures with noise, of the points that the search saw and, without a limit, of others."""
     results: dict = {}
     for which, distances, seed in (("the points of the search", SEEN, 3), ("other points", UNSEEN, 5)):
-        other = _figure(case, case.points(distances, seed), OTHER_PHOTONS, OTHER_BACKGROUND, "full_field")
+        other = _figure(case.points(distances, seed), OTHER_PHOTONS, OTHER_BACKGROUND, "full_field")
         spreads = {}
         results[which] = {}
         for name, camera in (("before", plain), ("after", design)):
@@ -158,9 +158,8 @@ def judged_by_full_fields(case: Case, plain: PlenopticCamera, design: PlenopticC
     return results
 
 
-def _figure(case: Case, points: np.ndarray, photons: float, background: float, method: str) -> DepthInformation:
-    step = (0.005 * case.scale, 0.5 * case.scale)
-    return DepthInformation(points, photons, background=background, step=step, method=method)
+def _figure(points: np.ndarray, photons: float, background: float, method: str) -> DepthInformation:
+    return DepthInformation(points, photons, background=background, method=method)
 
 
 def _estimates(figure: DepthInformation, camera: PlenopticCamera) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Fit a camera of 16 x 16 lenses to noisy captures of white and of letters, again and again, at accuracy 0.
 
     python tools/fit_noise_accuracy.py
-    python tools/fit_noise_accuracy.py --lenses 4 --seeds 4 --far 1     # small
+    python tools/fit_noise_accuracy.py --lenses 4 --seeds 4 --far 0     # small
 
 The data are a wall and the three letters, whose brightest pixels get so many photons, with Poisson noise by a seed.
 Pitch, offset and angle of the array, its distance, that of the detector and both focal lengths are fitted together. The
@@ -44,8 +44,10 @@ from verdict import Verdict
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.capture.units import brightness_of
-from mitsuba_plenoptic.fitting import View, come_near, lattice_from_white
-from mitsuba_plenoptic.fitting.model import Model, changed, numbers_of, scales, values
+from mitsuba_plenoptic.fitting import Fit, PixelNoise, View, come_near, lattice_from_white
+from mitsuba_plenoptic.fitting.model import Model, changed, limits_of, numbers_of, scales, values
+from mitsuba_plenoptic.fitting.noise import Pixels
+from mitsuba_plenoptic.fitting.result import summary
 
 WAVELENGTH = 633.0
 NAMES = (
@@ -88,11 +90,15 @@ def main() -> None:
     kept = arguments.output / "fit_noise_fits.json"
     known = json.loads(kept.read_text()) if kept.exists() else {}
     fits: list[dict[str, Any]] = known["fits"][: arguments.seeds] if known.get("key") == study.key else []
+    # Along the directions that are told apart, so that none starts further off than the data tell.
+    root = study.unit[:, None] * np.array(
+        [[part * one.deviation for part in one.parts.values()] for one in study.stated(study.images).directions]
+    ).T  # fmt: skip
     for seed in range(len(fits), arguments.seeds):
         if time.monotonic() - began > 60 * arguments.minutes:
             break
         rng = np.random.default_rng(1000 + seed)
-        near = study.true + study.covariance_root(study.images) @ rng.uniform(-2, 2, len(study.true))
+        near = study.true + root @ rng.uniform(-2, 2, len(study.true))
         fits.append(found := study.settle(near, study.noisy(seed + 1), STEPS))
         kept.write_text(json.dumps({"key": study.key, "fits": fits}))
         print(f"fit {seed + 1}: {np.round(found['error'], 2)}, {time.monotonic() - began:.0f} s", flush=True)
@@ -189,42 +195,45 @@ class Study:
         self.slopes = model.derivatives(self.numbers, self.images) * self.unit[:, None, None, None]
         np.savez(file, key=self.key, slopes=self.slopes)
 
-    def _rows(self, images: Array) -> tuple[Array, Array]:
-        """Return the derivatives over the deviations of the pixels, (pixels, numbers), and these deviations."""
-        noise = np.sqrt(np.maximum(images, 1 / self.photons) / self.photons)
-        return (self.slopes / noise).reshape(len(self.numbers), -1).T, noise
+    def _rows(self, images: Array) -> tuple[Array, Pixels]:
+        """Return the weighted derivatives, (pixels, numbers), and the noise that fits weight by."""
+        pixels = Pixels.of(self.views(images, self.lights), images, PixelNoise(self.photons))
+        return (self.slopes / pixels.weight).reshape(len(self.numbers), -1).T, pixels
 
-    def covariance_root(self, images: Array) -> Array:
-        """Return a matrix that makes numbers of this covariance, times `scales`, of independent ones."""
-        _, singular, vectors = np.linalg.svd(self._rows(images)[0], full_matrices=False)
-        return self.unit[:, None] * (vectors.T / singular)
+    def stated(self, images: Array, residuals: Array | None = None) -> Fit:
+        """Return what a fit states that ends at such pixels, with these weighted residuals."""
+        rows, pixels = self._rows(images)
+        limits = limits_of(self.camera, self.numbers, None)
+        left = np.zeros(len(rows)) if residuals is None else residuals
+        return summary(self.camera, self.labels, self.true, self.unit, limits, rows, left, pixels, 1)
 
     def deviations(self, images: Array) -> Array:
         """Return the stated standard deviations of the numbers."""
-        return np.sqrt((self.covariance_root(images) ** 2).sum(1))
+        return np.array(list(self.stated(images).deviations.values()))
 
     def first_steps(self, seeds: int) -> Array:
         """Return the step from the true camera for each noise over the stated deviations, (seeds, numbers)."""
-        rows, noise = self._rows(self.images)
+        rows, pixels = self._rows(self.images)
         inverse = self.unit[:, None] * np.linalg.pinv(rows) / self.deviations(self.images)[:, None]
-        return np.stack([inverse @ ((self.noisy(seed + 1) - self.images) / noise).ravel() for seed in range(seeds)])
+        noises = (self.noisy(seed + 1) - self.images for seed in range(seeds))
+        return np.stack([inverse @ (noise / pixels.weight).ravel() for noise in noises])
 
     def settle(self, x: Array, seen: Array, steps: int) -> dict[str, Any]:
         """Go to where the derivatives that are held tell that the squared residuals are least."""
         for _ in range(steps):
             images = self.expected(x)
-            rows, noise = self._rows(images)
-            residuals = ((seen - images) / noise).ravel()
+            rows, pixels = self._rows(images)
+            residuals = ((seen - images) / pixels.weight).ravel()
             step = self.unit * np.linalg.lstsq(rows, residuals, rcond=None)[0]
             x = x + step
-        stated = self.deviations(images)
-        left = residuals - rows @ (step / self.unit)
+        found = self.stated(images, residuals - rows @ (step / self.unit))
+        stated = np.array(list(found.deviations.values()))
         return {
             "x": x.tolist(),
             "error": ((x - self.true) / stated).tolist(),
             "variance": ((stated / self.deviations(self.images)) ** 2).tolist(),
             "last": np.abs(step / stated).tolist(),
-            "chi_square": float(left @ left / (left.size - x.size)),
+            "chi_square": found.chi_square,
         }
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import scipy.interpolate
 from accuracy import Row, finish, markdown, options, start
-from lens_accuracy import image_distance, peer
+from record_optiland import image_distance, sample
 
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.capture.point_spread import point_fields
@@ -31,7 +31,7 @@ def theirs(name: str, angle: float, rays: int) -> tuple[np.ndarray, np.ndarray]:
     """Return Optiland's spread (y, x), and the place of its middle in millimetres."""
     from optiland.psf import HuygensPSF
 
-    optic, scale = peer(name)
+    optic, scale = sample(name)
     assert scale == 1
     optic.set_aperture(aperture_type="EPD", value=paraxial(bundled_prescription(name)).focal_length / F_NUMBER)
     field = (0.0, angle / float(optic.fields.max_field))
@@ -54,7 +54,7 @@ def ours(name: str, angle: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     camera = PlenopticCamera(
         main_lens=lens,
         aperture_radius=numbers.focal_length / F_NUMBER / 2,
-        mla_distance=image_distance(name) - numbers.rear_principal,
+        mla_distance=image_distance(*sample(name)) - numbers.rear_principal,
         detector_width=count * pixel,
         resolution=(count, count),
         crop_offset=(first[0], first[1]),

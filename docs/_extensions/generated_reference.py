@@ -110,7 +110,7 @@ def _help(text: str | None) -> Iterator[str]:
         examples = [line.strip() for line in plain.splitlines() if line.startswith("  ") and line.strip()]
         words = " ".join(line for line in plain.splitlines() if line and not line.startswith("  "))
         if words:
-            yield from (re.sub(r"(?<!\w)(--[\w-]+)", r"``\1``", words), "")
+            yield from (_options_as_code(words), "")
         if examples:
             yield from (".. code-block:: console", "", *(f"   $ {example}" for example in examples), "")
 
@@ -162,9 +162,13 @@ def _default(parameter: Any) -> str:
 
 
 def _escaped(text: str) -> str:
-    return " ".join(
-        re.sub(r"\[/?bold\]", "**", text).replace("\\", "\\\\").replace("`", "'").replace("|", "\\|").split()
-    )
+    plain = re.sub(r"\[/?bold\]", "**", text).replace("\\", "\\\\").replace("`", "'").replace("|", "\\|")
+    return _options_as_code(" ".join(plain.split()))
+
+
+def _options_as_code(text: str) -> str:
+    """Mark the options in a text as code, where no dash is made of their hyphens."""
+    return re.sub(r"(?<!\w)(--[\w-]+)", r"``\1``", text)
 
 
 def guards(text: str) -> str:

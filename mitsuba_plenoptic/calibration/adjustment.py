@@ -69,14 +69,14 @@ class Problem:
 
     def blocks(
         self, numbers: np.ndarray, poses: np.ndarray, weights: np.ndarray, free: np.ndarray
-    ) -> tuple[list[np.ndarray], np.ndarray]:
+    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Return, of the weighted linear system, the triangle of each pose and the rows of the camera alone.
 
         Returns
         -------
         poses : list of (6, 6 + free + 1) arrays
-        camera : (rows, free + 1) array
-            Derivatives, and in the last column minus the residuals.
+        camera : list of (rows, free + 1) arrays
+            Derivatives, and in the last column minus the residuals: of each pose, then of the centres.
         """
         pixel, by_numbers, by_pose = self._predict(numbers, poses)
         rows = (
@@ -94,7 +94,7 @@ class Problem:
             )
             part = np.concatenate([by_numbers[:, :, free], (self.centres.pixel - pixel)[:, :, None]], axis=2)
             camera.append(_triangle(self.centre_weight * part.reshape(-1, part.shape[2])))
-        return [triangle[:6] for triangle in triangles], np.concatenate(camera)
+        return [triangle[:6] for triangle in triangles], camera
 
 
 def _triangle(rows: np.ndarray) -> np.ndarray:
@@ -161,7 +161,8 @@ def adjust(
     damping, steps = 1e-3, 0
     camera_scale, pose_scale = np.zeros(len(chosen)), np.zeros((len(poses), 6))
     while steps < most_steps:
-        triangles, camera = problem.blocks(numbers, poses, weights, chosen)
+        triangles, parts = problem.blocks(numbers, poses, weights, chosen)
+        camera = np.concatenate(parts)
         both = np.concatenate([*(triangle[:, 6:] for triangle in triangles), camera])
         camera_scale = np.maximum(camera_scale, np.sqrt((both[:, :-1] ** 2).sum(0)))
         pose_scale = np.maximum(pose_scale, [np.sqrt((triangle[:, :6] ** 2).sum(0)) for triangle in triangles])
@@ -184,19 +185,20 @@ def adjust(
     return Solution(numbers, poses, cost, steps)
 
 
-def adjust_poses(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
+def adjust_poses(problem: Problem, numbers: np.ndarray, poses: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return the poses that fit best for a held camera.
 
     A flat board looks much the same tilted to either side (Necker's reversal); both are tried for each pose.
     """
-    found = adjust(problem, numbers, poses, (), most_steps=_MOST_POSE_STEPS).poses
+    found = adjust(problem, numbers, poses, (), weights, most_steps=_MOST_POSE_STEPS).poses
     flip = np.diag([1.0, 1.0, -1.0])
     reversed_ = found.copy()
     for pose in reversed_:
         pose[:3] = Rotation.from_matrix(flip @ Rotation.from_rotvec(pose[:3]).as_matrix() @ flip).as_rotvec()
-    reversed_ = adjust(problem, numbers, reversed_, (), most_steps=_MOST_POSE_STEPS).poses
+    reversed_ = adjust(problem, numbers, reversed_, (), weights, most_steps=_MOST_POSE_STEPS).poses
     squares = [
-        np.bincount(problem.corners.pose, (problem.residuals(numbers, each) ** 2).sum(1)) for each in (found, reversed_)
+        np.bincount(problem.corners.pose, weights * (problem.residuals(numbers, each) ** 2).sum(1))
+        for each in (found, reversed_)
     ]
     return np.where((squares[1] < squares[0])[:, None], reversed_, found)
 
@@ -225,4 +227,4 @@ def information(problem: Problem, solution: Solution, free: Sequence[str], weigh
     """
     chosen = np.array([NAMES.index(name) for name in free], dtype=int)
     _, camera = problem.blocks(solution.numbers, solution.poses, weights, chosen)
-    return _triangle(camera[:, :-1])
+    return _triangle(np.concatenate(camera)[:, :-1])

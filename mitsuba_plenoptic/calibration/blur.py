@@ -14,12 +14,14 @@ sign; the slope of the line tells both, and its place where z/a = 0, over the sl
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..errors import InputError
 from ..lattice.base import Lattice
+from .adjustment import Solution
 from .model import AT, Observations
 from .observations import placed
 
@@ -39,7 +41,7 @@ class Blur:
     Attributes
     ----------
     focal_lengths, deviations : tuple of float
-        Of each type of lenses in mm, and their standard deviations.
+        Of each type of lenses in mm, and their standard deviations, with those of the camera's numbers.
     scale : float
         Radius in pixels, in the terms of the data, for each unit of :math:`1 - z/f + z/a`: half of a lens's diameter if
         they mean the whole disc.
@@ -54,7 +56,13 @@ class Blur:
 
 
 def fit_blur(
-    radius: np.ndarray, seen: Observations, numbers: np.ndarray, poses: np.ndarray, lattice: Lattice, types: int
+    radius: np.ndarray,
+    seen: Observations,
+    numbers: np.ndarray,
+    poses: np.ndarray,
+    lattice: Lattice,
+    types: int,
+    moved: Sequence[Solution] = (),
 ) -> Blur:
     """Fit the focal lengths of the microlenses to signed blur radii.
 
@@ -70,13 +78,15 @@ def fit_blur(
         Tells which lens is of which type.
     types : int
         Number of interleaved types.
+    moved : sequence of Solution
+        Those a deviation away, of `deviations.moved_solutions`. Default: the camera is certain.
 
     Raises
     ------
     InputError
         If the radii are not explained by such lenses, as those without a sign are not.
     """
-    ratio, z = image_ratios(seen, numbers, poses), float(numbers[AT["detector_distance"]])
+    ratio = image_ratios(seen, numbers, poses)
     row = np.round(seen.lens[:, 1])
     kind = np.zeros(len(row), dtype=int)
     if types > 1:
@@ -94,12 +104,13 @@ def fit_blur(
     rounding = 1e-12 * float(np.var(radius))
     if not (square < _LEFT * np.var(radius) and bent + rounding > _STRAIGHT * square):
         raise InputError(
-            f"corners: rho: {math.sqrt(square):.3g} of {np.std(radius):.3g} pixels of the blur radii are not "
-            "explained by lenses of one focal length each: they must have a sign, other in front of focus than behind "
-            "it; leave the column out if they have none"
+            f"corners: rho: {math.sqrt(square):.3g} of {np.std(radius):.3g} pixels of the blur radii are not explained "
+            f"by {types} type{'s' if types > 1 else ''} of microlenses, as many as mla_focal_length lists: radii must "
+            "have a sign, other in front of focus than behind it; leave the column out if they have none"
         )
     scale = line[-1]
     over = 1 - line[:-1] / scale
+    z = float(numbers[AT["detector_distance"]])
     if not (over > 0).all():
         raise InputError("corners: rho: the focal lengths that fit the blur radii best are not positive")
     # Observations of one corner of one picture err together, as such radii are mostly found from its depth.
@@ -107,12 +118,19 @@ def fit_blur(
     inverse = np.linalg.inv(matrix.T @ matrix)
     scores = np.stack([np.bincount(group, left * column) for column in matrix.T], axis=-1) @ inverse
     covariance = scores.T @ scores
+    others = []
+    for solution in moved:
+        matrix[:, -1] = image_ratios(seen, solution.numbers, solution.poses)
+        *places, steep = np.linalg.lstsq(matrix, radius)[0]
+        others.append(solution.numbers[AT["detector_distance"]] / (1 - np.array(places) / steep))
+    camera = ((np.array(others).reshape(-1, types) - z / over) ** 2).sum(0)
     deviations = []
     for number in range(types):
         # Of z/f = 1 - place / slope.
         slope = np.zeros(types + 1)
         slope[number], slope[-1] = -1 / scale, line[number] / scale**2
-        deviations.append(float(np.sqrt(slope @ covariance @ slope) * z / over[number] ** 2))
+        own = slope @ covariance @ slope * (z / over[number] ** 2) ** 2
+        deviations.append(float(np.sqrt(own + camera[number])))
     return Blur(tuple((z / over).tolist()), tuple(deviations), abs(float(scale)), math.sqrt(square))
 
 

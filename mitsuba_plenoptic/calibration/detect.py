@@ -23,7 +23,7 @@ from .board_view import BoardView, Picture, find_board
 from .cut_blur import CutBlur
 from .model import predict_centres
 from .numbers import numbers_of
-from .observations import CORNER_COLUMNS, Board, LensIndex, Table
+from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, Board, LensIndex, Table
 from .saddle import Saddles, find_saddles
 
 # Pixels of less than this fraction of the light in the middle of micro-images are not used.
@@ -70,6 +70,7 @@ def detect_corners(
         The same of something evenly white, by the same camera.
     centres : Table
         Centres of micro-images, as `read_centres` and `Centres.table` give them; `camera_centres` of a known camera.
+        Lenses with doubtful centres are not looked at.
     board : Board
         The board; its whole must be in the picture. Its squares' size does not matter.
     camera : PlenopticCamera, optional
@@ -91,6 +92,8 @@ def detect_corners(
     InputError
         If OpenCV is not there, the picture and the white one do not match, or no board is seen.
     """
+    if DOUBTFUL_COLUMN in centres.columns:
+        centres = centres.keep(centres[DOUBTFUL_COLUMN] == 0)
     picture = _picture(image, white, centres, name)
     found = find_board(picture, board)
     corner, lens, saddles = _refined(picture, found, camera)
@@ -281,6 +284,6 @@ def _agreed(
 
 def write_corners(path: str | Path, corners: Table) -> None:
     """Write corners as a CSV file for `calibrate`."""
-    with atomic_output(path) as temporary:
+    with atomic_output(path, ".csv") as temporary:
         rows = np.stack([corners[name] for name in CORNER_COLUMNS], axis=-1)
         np.savetxt(temporary, rows, "%d,%d,%.4f,%.4f,%d,%d", header=",".join(CORNER_COLUMNS), comments="")

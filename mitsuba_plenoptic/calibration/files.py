@@ -17,13 +17,15 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_count, require_number, shown
-from ..io.files import atomic_output, require_file
+from ..io.files import atomic_output, read_text
 from ..optics.distortion import undistort
 from ..presets import PRESETS
 from .fit import Calibration
 from .model import NAMES
 from .numbers import camera_of
 from .observations import Board, LensIndex
+
+_LARGEST_FILE = 2**24
 
 _PIXELS = "u is the column and v the row in the recorded picture; (0, 0) is the centre of its first pixel"
 _POSES = "by frame: rotation vector in radians and place of corner 0 in mm, from the board's to the camera frame"
@@ -47,12 +49,15 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
         "pixel": {"size_mm": calibration.camera.pixel_size, "convention": _PIXELS},
         "board": {"columns": board.columns, "rows": board.rows, "square_mm": board.square},
         "reprojection_error_px": seen.error,
+        "reprojection_error_without_outliers_px": seen.error_without_outliers,
         "centre_error_px": calibration.centre_error,
         "observations": len(seen.residuals),
         "numbers": {
             name: {"value": value, "deviation": calibration.deviations[name]}
             for name, value in calibration.numbers.items()
         },
+        "frames_disagree": calibration.disagreement,
+        "deviations_by_frames": calibration.by_frames,
         "blur": None if calibration.blur is None else asdict(calibration.blur),
         "weak_directions": [
             {"weakness": weakness, "numbers": parts} for weakness, parts in calibration.weak_directions()
@@ -60,9 +65,10 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
         "pose_convention": _POSES,
         "poses": {str(frame): pose.tolist() for frame, pose in zip(seen.frames, seen.poses, strict=True)},
         "outlier_rows": (seen.outliers + 2).tolist(),
+        "outlier_centre_rows": (calibration.centre_outliers + 2).tolist(),
     }
     text = json.dumps({**calibration.camera.to_dict(), "calibration": record}, indent=1) + "\n"
-    with atomic_output(path) as temporary:
+    with atomic_output(path, ".json") as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
@@ -87,9 +93,9 @@ def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
     """
     if str(source) in PRESETS and not Path(source).is_file():
         return PlenopticCamera.preset(str(source)), None
-    path = require_file(source)
+    path = Path(source)
+    text = read_text(path, _LARGEST_FILE)
     try:
-        text = path.read_text(encoding="utf-8")
         values = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: it is no JSON file: {error}") from None

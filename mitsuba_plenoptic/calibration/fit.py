@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError
-from .adjustment import Problem, Solution, adjust, adjust_poses, information
+from ..errors import InputError, suggest_keywords
+from .adjustment import Problem, Solution, adjust, adjust_poses
 from .blur import Blur, fit_blur
-from .model import AT, NAMES, Observations
+from .deviations import deviations, moved_solutions
+from .model import AT, NAMES, Observations, predict_centres
 from .numbers import camera_of, numbers_of, on_pixel_grid
 from .observations import (
     BLUR_COLUMN,
+    DOUBTFUL_COLUMN,
     Board,
     LensIndex,
     Table,
@@ -21,11 +23,14 @@ from .observations import (
     observations,
     require_on_detector,
 )
+from .robust import both_axes, deviation, huber, outlying, robust_lines
 from .start import board_images, start_values, upright_poses
 
-# Residuals beyond so many deviations count by their size instead of its square while fitting (Huber), and are named.
-_HUBER = 4.0
-_OUTLIER = 6.0
+# How often it is decided anew which rows are outliers.
+_MOST_ROUNDS = 10
+
+# A frame with fewer of its rows left is not one that the others' camera sees.
+_LEFT_OF_FRAME = 0.5
 
 # Detected centres err together over about so many lenses along each axis, so that they tell less than their number.
 _CORRELATED = 16
@@ -34,8 +39,14 @@ _CORRELATED = 16
 # counted in shifted rows, too, but these have cells and types of lenses that it does not have.
 _MOST_UNLIKE = 1.1
 
-# Focal lengths whose deviation is a greater part of them are open.
-_OPEN = 0.5
+# Focal lengths whose deviation is a greater part of them are open: over such a range the model is not linear in them,
+# which a deviation supposes.
+_OPEN = 0.25
+
+# How much farther from the centres of their micro-images than the pupil's image reaches corners may be seen, and how
+# much wider than the lenses' distance that image may be: the f-number need not be exact.
+_MOST_BEYOND = 1.6
+_MOST_OVERLAP = 1.5
 
 
 @dataclass(frozen=True)
@@ -73,7 +84,17 @@ class Evaluation:
     def outliers(self) -> np.ndarray:
         """Rows, from 0, of residuals beyond six times what is typical."""
         distance = np.hypot(*self.residuals.T)
-        return np.flatnonzero(distance > _OUTLIER * _deviation(distance))
+        return np.flatnonzero(outlying(distance))
+
+    @property
+    def error_without_outliers(self) -> float:
+        """RMS of the distances of all rows but the outliers."""
+        return self.without_outliers().error
+
+    def without_outliers(self) -> Evaluation:
+        """Return the same of all rows but the outliers."""
+        kept = np.delete(np.arange(len(self.residuals)), self.outliers)
+        return replace(self, residuals=self.residuals[kept], pose=self.pose[kept])
 
 
 @dataclass(frozen=True)
@@ -94,11 +115,17 @@ class Calibration:
     correlation : (17, 17) array
         Of the numbers' errors.
     centre_residuals : (n, 2) array
-        Of the centres that were fitted jointly.
+        Of the centres that were given.
     steps : int
         How often the linear system was solved.
     blur : Blur, optional
         What blur radii tell of the microlenses' focal lengths, where the corners have them.
+    disagreement : float
+        By how much the frames disagree about the numbers, over what their residuals' scatter explains.
+    by_frames : bool
+        Whether that is more than chance allows, so that the deviations are those of leaving out frames.
+    centre_outliers : (m,) int array
+        Rows, from 0, of centres that were not fitted: doubtful ones and those that lie off the others' lattice.
     """
 
     camera: PlenopticCamera
@@ -110,6 +137,9 @@ class Calibration:
     centre_residuals: np.ndarray
     steps: int
     blur: Blur | None = None
+    disagreement: float = 1.0
+    by_frames: bool = False
+    centre_outliers: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
 
     @property
     def centre_error(self) -> float | None:
@@ -142,10 +172,12 @@ class Calibration:
         ]
 
 
+@suggest_keywords
 def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Table | None = None) -> Calibration:
     """Fit a camera, and the poses of a board, to corners seen through its microlenses.
 
-    Residuals are weighted down while fitting where they are beyond what is typical; what is reported counts every row.
+    Rows far from where the others put them are left out of the fit and named (`Evaluation.outliers`); errors that are
+    reported count every row, if not stated otherwise.
 
     Parameters
     ----------
@@ -179,42 +211,58 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         )
     seen, frames = observations(corners, board, index)
     problem = Problem(seen, start.pixel_size, start.lattice.row_ratio)
-    numbers, poses = start_values(problem, frames, grid, middle)
+    numbers, poses, good = start_values(problem, board, frames, grid, middle)
     if centres:
-        problem = _with_centres(problem, centres, index, problem.residuals(numbers, poses))
-    found = adjust(problem, numbers, poses)
-    weights = _huber(problem, found)
-    first = adjust(problem, found.numbers, found.poses, weights=weights)
-    weights = _huber(problem, first)
+        kept, weight = _kept_centres(centres, index, problem.residuals(numbers, poses)[good])
+        problem = _with_centres(problem, centres, kept, index, weight)
+    weights = np.where(good, huber(_distance(problem, numbers, poses)), 0.0)
+    found, steps = adjust(problem, numbers, poses, weights=weights), 0
+    for _ in range(_MOST_ROUNDS):
+        steps += found.steps
+        before, weights = weights, _weights(problem, found, frames)
+        found = adjust(problem, found.numbers, found.poses, weights=weights)
+        if ((before > 0) == (weights > 0)).all():
+            break
     # The principal point goes to the grid of half pixels that a detector can be centred on.
     rest = [name for name in NAMES if not name.startswith("principal")]
-    final = adjust(problem, on_pixel_grid(first.numbers), first.poses, rest, weights)
-    deviations, correlation = _deviations(problem, final, weights)
-    f, uncertain = final.numbers[AT["focal_length"]], deviations[AT["focal_length"]]
+    weights = _weights(problem, found, frames)
+    final = adjust(problem, on_pixel_grid(found.numbers), found.poses, rest, weights)
+    known = deviations(problem, final, weights)
+    f, uncertain = final.numbers[AT["focal_length"]], known.values[AT["focal_length"]]
     if not uncertain < _OPEN * abs(f):
         raise InputError(
-            f"corners: they leave the focal length open, {f:.4g} +- {uncertain:.2g} mm, as boards do that are never "
-            "tilted: add poses in which the board is, by 20 degrees or more, or give centres of micro-images"
+            f"corners: they leave the focal length open, {f:.4g} +- {uncertain:.2g} mm: give centres of micro-images, "
+            "or add poses in which the board is tilted by 20 degrees or more"
         )
+    _require_matching_pupil(problem, final, weights, start, board, float(np.hypot(*grid[1])))
     try:
         camera = camera_of(final.numbers, start)
     except InputError as error:
         raise InputError(f"corners: the numbers that fit them best are no camera; cover more of it: {error}") from None
+    centre_residuals, centre_outliers = np.zeros((0, 2)), np.zeros(0, dtype=int)
+    if centres:
+        every = _with_centres(problem, centres, np.ones(len(kept), dtype=bool), index, weight)
+        centre_residuals, centre_outliers = every.centre_residuals(final.numbers), np.flatnonzero(~kept)
     blur = None
     if BLUR_COLUMN in corners.columns:
-        types = len(start.mla_focal_lengths)
-        blur = fit_blur(corners[BLUR_COLUMN], seen, final.numbers, final.poses, camera.lattice, types)
+        kept, types = weights > 0, len(start.mla_focal_lengths)
+        moved = moved_solutions(problem, final, weights, known.covariance)
+        radius, numbers = corners[BLUR_COLUMN][kept], final.numbers
+        blur = fit_blur(radius, seen.keep(kept), numbers, final.poses, camera.lattice, types, moved)
         camera = camera.replace(mla_focal_length=blur.focal_lengths)
     return Calibration(
         camera,
         index,
         Evaluation(problem.residuals(final.numbers, final.poses), frames, seen.pose, final.poses),
         dict(zip(NAMES, final.numbers.tolist(), strict=True)),
-        dict(zip(NAMES, deviations.tolist(), strict=True)),
-        correlation,
-        problem.centre_residuals(final.numbers),
-        found.steps + first.steps + final.steps,
+        dict(zip(NAMES, known.values.tolist(), strict=True)),
+        known.covariance / np.outer(known.values, known.values),
+        centre_residuals,
+        steps + found.steps + final.steps,
         blur,
+        known.disagreement,
+        known.by_frames,
+        centre_outliers,
     )
 
 
@@ -247,8 +295,8 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
         index, _ = find_lens_index(corners, lattice.stagger == 2, grid[0])
     seen, frames = observations(corners, board, index)
     problem = Problem(seen, camera.pixel_size, lattice.row_ratio)
-    _, maps = board_images(problem, frames, grid, principal)
-    poses = adjust_poses(problem, numbers, upright_poses(maps, camera.focal_length))
+    _, maps, good = board_images(problem, board, frames, grid, principal)
+    poses = adjust_poses(problem, numbers, upright_poses(maps, camera.focal_length), good.astype(float))
     return Evaluation(problem.residuals(numbers, poses), frames, seen.pose, poses)
 
 
@@ -277,12 +325,13 @@ def left_out_errors(
     camera = calibration.camera
     whole = Problem(seen, camera.pixel_size, camera.lattice.row_ratio)
     if centres:
-        whole = _with_centres(whole, centres, calibration.index, calibration.evaluation.residuals)
+        kept, weight = _kept_centres(centres, calibration.index, calibration.evaluation.residuals)
+        whole = _with_centres(whole, centres, kept, calibration.index, weight)
     numbers, poses = np.array(list(calibration.numbers.values())), calibration.evaluation.poses
     errors = {}
     for out, frame in enumerate(frames):
         problem = _poses(whole, seen.pose != out)
-        weights = _huber(problem, Solution(numbers, np.delete(poses, out, 0), 0.0, 0))
+        weights = _weights(problem, Solution(numbers, np.delete(poses, out, 0), 0.0, 0), np.delete(frames, out))
         found = adjust(problem, numbers, np.delete(poses, out, 0), weights=weights)
         alone = _poses(Problem(seen, whole.pixel_size, whole.row_ratio), seen.pose == out)
         refitted = adjust(alone, found.numbers, poses[out : out + 1], ())
@@ -294,42 +343,78 @@ def _poses(problem: Problem, kept: np.ndarray) -> Problem:
     """Return a problem with some of the poses only."""
     seen = problem.corners
     _, pose = np.unique(seen.pose[kept], return_inverse=True)
-    some = Observations(seen.lens[kept], seen.pixel[kept], seen.board[kept], pose)
+    some = replace(seen.keep(kept), pose=pose)
     return Problem(some, problem.pixel_size, problem.row_ratio, problem.centres, problem.centre_weight)
 
 
-def _with_centres(problem: Problem, centres: Table, index: LensIndex, residuals: np.ndarray) -> Problem:
-    """Add centres to a problem, weighted by the corners' residuals over those of a plain grid of centres."""
-    unit = index.unit(centres["k"], centres["l"])
-    matrix = np.column_stack([np.ones(len(unit)), unit])
-    miss = matrix @ np.linalg.lstsq(matrix, centres.pixel)[0] - centres.pixel
-    deviations = [max(_deviation(np.hypot(*values.T)), 1e-3) for values in (residuals, miss)]
+def _with_centres(problem: Problem, centres: Table, kept: np.ndarray, index: LensIndex, weight: float) -> Problem:
+    """Add some of the centres to a problem."""
     nothing = np.zeros((0, 2))
-    seen = Observations(unit, centres.pixel, nothing, nothing)
-    weight = deviations[0] / deviations[1] / _CORRELATED
+    seen = Observations(index.unit(centres["k"], centres["l"])[kept], centres.pixel[kept], nothing, nothing)
     return Problem(problem.corners, problem.pixel_size, problem.row_ratio, seen, weight)
 
 
-def _deviation(distance: np.ndarray) -> float:
-    """Return the deviation along an axis of places whose distances these are, from their median."""
-    return float(np.median(distance)) / 1.17741
+def _kept_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return which centres are on a lattice, which a tilt may make denser at one side, and the weight of their fit.
+
+    It is the deviation of the corners' residuals over that of centres that err together.
+    """
+    i, j = (index.unit(centres["k"], centres["l"]) / _CORRELATED).T
+    matrix = np.column_stack([np.ones(len(i)), i, j, i * i, i * j, j * j])
+    _, distance, kept = robust_lines(both_axes(matrix), centres.pixel)
+    if DOUBTFUL_COLUMN in centres.columns:
+        kept &= centres[DOUBTFUL_COLUMN] == 0
+    own = [max(deviation(each), 1e-3) for each in (np.hypot(*residuals.T), distance[kept])]
+    return kept, own[0] / own[1] / _CORRELATED
 
 
-def _huber(problem: Problem, found: Solution) -> np.ndarray:
-    """Return weights that make residuals far beyond the typical one count by their size."""
-    distance = np.hypot(*problem.residuals(found.numbers, found.poses).T)
-    bound = _HUBER * max(_deviation(distance), 1e-9)
-    return bound / np.maximum(distance, bound)
+def _distance(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Return how far from its prediction each corner is seen, in pixels."""
+    distance: np.ndarray = np.hypot(*problem.residuals(numbers, poses).T)
+    return distance
 
 
-def _deviations(problem: Problem, found: Solution, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the deviations of all of the camera's numbers, and their correlation."""
-    rows = 2 * len(problem.corners)
-    freedom = max(1, rows - len(NAMES) - found.poses.size)
-    variance = float((weights[:, None] * problem.residuals(found.numbers, found.poses) ** 2).sum()) / freedom
-    triangle = information(problem, found, NAMES, weights)
-    scale = np.sqrt((triangle**2).sum(0))
-    inverse = np.linalg.pinv(triangle / scale) / scale[:, None]
-    covariance = variance * inverse @ inverse.T
-    deviations = np.sqrt(np.diag(covariance))
-    return deviations, covariance / np.outer(deviations, deviations)
+def _require_matching_pupil(
+    problem: Problem, found: Solution, weights: np.ndarray, start: PlenopticCamera, board: Board, pitch: float
+) -> None:
+    """Refuse distances in the camera at which the pupil's images are not as large as micro-images are seen to be.
+
+    Squares that are given s times too large scale the object space by s and that behind the main lens by 1/s along the
+    axis, which explains the corners as well.
+    """
+    f, b, z = found.numbers[:3]
+    radius = z / b * f / (2 * start.f_number) / problem.pixel_size
+    seen = problem.corners
+    middle, _ = predict_centres(found.numbers, seen.lens, pixel_size=problem.pixel_size, row_ratio=problem.row_ratio)
+    reach = float(np.quantile(np.hypot(*(seen.pixel - middle)[weights > 0].T), 0.95))
+    if reach > _MOST_BEYOND * radius:
+        wrong = f"corners are seen {reach:.3g} pixels from the centres of their micro-images"
+    elif 2 * radius > _MOST_OVERLAP * pitch:
+        wrong = f"micro-images are {pitch:.3g} pixels apart"
+    else:
+        return
+    raise InputError(
+        f"corners: with squares of {board.square:g} mm and the camera's f-number of {start.f_number:.3g} micro-images "
+        f"would have a radius of {radius:.3g} pixels, but {wrong}: check the distance of the board's corners and the "
+        "f-number"
+    )
+
+
+def _weights(problem: Problem, found: Solution, frames: np.ndarray) -> np.ndarray:
+    """Return the weights of corners: less for those far from their prediction, 0 for outliers.
+
+    Raises
+    ------
+    InputError
+        If most rows of a frame are outliers.
+    """
+    distance = _distance(problem, found.numbers, found.poses)
+    weights = np.where(outlying(distance), 0.0, huber(distance))
+    pose = problem.corners.pose
+    rows, left = np.bincount(pose), np.bincount(pose, weights > 0)
+    for number in np.flatnonzero(left < _LEFT_OF_FRAME * rows):
+        raise InputError(
+            f"frame {frames[number]}: {rows[number] - left[number]:.0f} of its {rows[number]} rows are outliers of the "
+            "camera that explains the other frames: correct or remove the frame"
+        )
+    return weights

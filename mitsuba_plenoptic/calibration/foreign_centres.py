@@ -13,8 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..io.files import require_file
+from ..io.files import read_text
 from ..lightfield.exchange.lftoolbox import grid_of_model
+
+LARGEST_FILE = 2**26
+"""Bytes of a table of centres or corners, at most: of more than a million rows."""
 
 
 def read_foreign_centres(path: str | Path) -> dict[str, np.ndarray]:
@@ -25,9 +28,9 @@ def read_foreign_centres(path: str | Path) -> dict[str, np.ndarray]:
     InputError
         If it is neither, or damaged.
     """
-    path = require_file(path)
+    text = read_text(path, LARGEST_FILE)
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
+        values = json.loads(text)
         if isinstance(values, dict) and "mic_list" in values:
             v, u, l, k = np.array(values["mic_list"], dtype=np.float64).reshape(-1, 4).T  # noqa: E741
         elif isinstance(values, dict) and "LensletGridModel" in values:

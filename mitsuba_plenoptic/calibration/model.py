@@ -85,6 +85,10 @@ class Observations:
         """Number of poses."""
         return int(self.pose.max()) + 1
 
+    def keep(self, chosen: np.ndarray) -> Observations:
+        """Return some of the rows."""
+        return Observations(self.lens[chosen], self.pixel[chosen], self.board[chosen], self.pose[chosen])
+
 
 def _cross(v: np.ndarray) -> np.ndarray:
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])

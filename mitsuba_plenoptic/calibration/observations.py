@@ -4,7 +4,8 @@ Files are CSV tables with a header. Corners have the columns ``k, l`` (indices o
 row), ``u, v`` (column and row of the corner in pixels; the centre of the first pixel is 0), ``cluster`` (number of the
 corner, row by row along the board's columns, from 0) and ``frame`` (number of the picture, one for each pose of the
 board). They may have the column ``rho``: the radius of the corner's blur in pixels, of one sign in front of focus and
-of the other behind it. Centres have ``k, l, u, v``. Other columns are ignored.
+of the other behind it. Centres have ``k, l, u, v``, and may have ``doubtful``: 1 for those that dust or a defect
+displaces, as `white` finds them; a fit leaves these out. Other columns are ignored.
 """
 
 from __future__ import annotations
@@ -18,15 +19,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..errors import InputError, require_count, require_number
-from ..io.files import require_file
-from .foreign_centres import read_foreign_centres
+from ..io.files import read_text
+from .foreign_centres import LARGEST_FILE, read_foreign_centres
 from .model import Observations
+from .robust import both_axes, robust_lines
 
 CORNER_COLUMNS = ("k", "l", "u", "v", "cluster", "frame")
 BLUR_COLUMN = "rho"
 CENTRE_COLUMNS = ("k", "l", "u", "v")
+DOUBTFUL_COLUMN = "doubtful"
 
-_WHOLE = {"k", "l", "cluster", "frame"}
+_WHOLE = {"k", "l", "cluster", "frame", DOUBTFUL_COLUMN}
 _LARGEST = 2**20
 
 # A lattice is another where that leaves so much less of the pixels' distances from its grid.
@@ -34,6 +37,9 @@ _OTHER_LATTICE = 0.8
 
 # Lenses of fewer pixels show no corner, nor do their centres tell anything.
 _CLOSEST = 2
+
+# A table with a greater part of its pixels off the detector is of another detector; fewer are outliers.
+_MOST_OFF = 0.1
 
 
 @dataclass(frozen=True)
@@ -140,21 +146,19 @@ def read_table(path: str | Path, names: tuple[str, ...], optional: tuple[str, ..
     InputError
         If the file or a column is missing, or a value is not a finite number, or not whole where it must be.
     """
-    path = require_file(path)
+    path = Path(path)
+    first, _, rest = read_text(path, LARGEST_FILE).partition("\n")
+    header = [name.strip() for name in first.split(",")]
+    missing = [name for name in names if name not in header]
+    if missing:
+        raise InputError(f"{path}: it has no column {missing[0]}; it needs {', '.join(names)}")
+    names += tuple(name for name in optional if name in header)
+    lines = [line for line in rest.splitlines() if line.strip()]
+    if not lines:
+        raise InputError(f"{path}: it has no rows")
     try:
-        with path.open(encoding="utf-8-sig") as file:
-            header = [name.strip() for name in file.readline().split(",")]
-            missing = [name for name in names if name not in header]
-            if missing:
-                raise InputError(f"{path}: it has no column {missing[0]}; it needs {', '.join(names)}")
-            names += tuple(name for name in optional if name in header)
-            lines = [line for line in file if line.strip()]
-        if not lines:
-            raise InputError(f"{path}: it has no rows")
         rows = np.loadtxt(lines, delimiter=",", usecols=[header.index(name) for name in names], ndmin=2)
-    except (ValueError, UnicodeDecodeError) as error:
-        if isinstance(error, InputError):
-            raise
+    except ValueError as error:
         raise InputError(f"{path}: it is no table of numbers: {error}") from None
     return _checked(path, dict(zip(names, rows.T, strict=True)), header=1)
 
@@ -224,23 +228,24 @@ def read_centres(path: str | Path) -> Table:
     path = Path(path)
     if path.suffix.lower() == ".json":
         return _checked(path, read_foreign_centres(path), header=0)
-    return read_table(path, CENTRE_COLUMNS)
+    return read_table(path, CENTRE_COLUMNS, (DOUBTFUL_COLUMN,))
 
 
 def require_on_detector(table: Table, size: tuple[int, int]) -> None:
-    """Refuse pixels that are not on the detector.
+    """Refuse tables of another detector.
 
     Raises
     ------
     InputError
-        If there are any: the camera has another detector, or other units were used.
+        If more than a tenth of the pixels are off the detector: the camera has another one, or other units were used.
+        Single rows are outliers, which a fit names.
     """
     off = np.flatnonzero(((table.pixel < -0.5) | (table.pixel > np.array(size) - 0.5)).any(1))
-    if off.size:
+    if off.size > _MOST_OFF * len(table.pixel):
         u, v = table.pixel[off[0]]
         raise InputError(
             f"{table.name}, row {off[0] + 2}: pixel ({u:g}, {v:g}): the camera's detector has {size[0]} x {size[1]} "
-            "pixels"
+            f"pixels; {off.size} of {len(table.pixel)} rows lie off it"
         )
 
 
@@ -285,10 +290,11 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
     for odd_rows in (-0.5, 0.0, 0.5):
         places = LensIndex(odd_rows, 1, (0, 0)).unit(table["k"], table["l"])
         matrix = np.column_stack([np.ones(len(places)), places])
-        grid, _, rank, _ = np.linalg.lstsq(matrix, pixel)
-        if rank < 3:
+        if np.linalg.matrix_rank(matrix) < 3:
             raise InputError(f"{table.name}: all lenses lie on one line; corners of at least two rows are needed")
-        error = float(np.sqrt(((matrix @ grid - pixel) ** 2).sum(1).mean()))
+        grid, distance, good = robust_lines(both_axes(matrix), pixel)
+        grid = grid.reshape(2, 3).T
+        error = float(np.sqrt((distance[good] ** 2).mean()))
         if hexagonal != bool(odd_rows):
             other = min(other, error)
         elif best is None or error < best[0]:

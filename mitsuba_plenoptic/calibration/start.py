@@ -6,8 +6,10 @@ the images q of a board's corners lie apart tells its magnification M, and as :m
 
 .. math:: a / z = (b - f) / z - (f / z) M
 
-is a line over the poses, which tells b/f and z/f. The scale of all three comes from the perspective of tilted boards,
+is a line over the poses, which gives b/f and z/f. The scale of all three comes from the perspective of tilted boards,
 by a fit of few numbers.
+
+Rows that disagree with most of their frame are left out of all this.
 """
 
 from __future__ import annotations
@@ -17,6 +19,8 @@ import numpy as np
 from ..errors import InputError
 from .adjustment import Problem, adjust, adjust_poses
 from .model import AT, NAMES, Observations
+from .observations import Board
+from .robust import both_axes, robust_lines
 
 _FEWEST_POSES = 3
 _FEWEST_CORNERS = 6
@@ -30,16 +34,23 @@ _LEAST_SPREAD = 0.01
 # Pixels by which the start may miss the data.
 _WORST = 20.0
 
+# The part of a frame's rows that must agree with a board, and how far they may lie from it over how far they lie from
+# the centres of their micro-images, from which wrongly numbered corners lie as far.
+_AGREEING = 0.7
+_EXPLAINED = 0.35
+
 
 def start_values(
-    problem: Problem, frames: np.ndarray, grid: np.ndarray, principal: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    problem: Problem, board: Board, frames: np.ndarray, grid: np.ndarray, principal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find numbers from which a fit finds its way.
 
     Parameters
     ----------
     problem : Problem
         The data.
+    board : Board
+        The board that was seen.
     frames : array
         The poses' names for messages.
     grid : (3, 2) array
@@ -51,6 +62,8 @@ def start_values(
     -------
     numbers : (17,) array
     poses : (poses, 6) array
+    good : (n,) bool array
+        Rows that agree with their frame.
 
     Raises
     ------
@@ -60,14 +73,14 @@ def start_values(
     seen, size = problem.corners, problem.pixel_size
     if seen.poses < _FEWEST_POSES:
         raise InputError(f"corners: {seen.poses} poses of the board: at least {_FEWEST_POSES} are needed")
-    slopes, maps = board_images(problem, frames, grid, principal)
+    slopes, maps, good = board_images(problem, board, frames, grid, principal)
     magnification = np.sqrt(np.linalg.det(maps[:, 1:]))
     if np.ptp(magnification) < _LEAST_SPREAD * magnification.mean():
         raise InputError(
             "corners: the board is at the same distance in all poses, which leaves the distances in the camera open: "
             "add poses nearer and farther"
         )
-    per_z, less = np.polyfit(magnification, 1 / slopes, 1, w=np.sqrt(np.bincount(seen.pose))) * [-1, 1]
+    per_z, less = np.polyfit(magnification, 1 / slopes, 1, w=np.sqrt(np.bincount(seen.pose[good]))) * [-1, 1]
     if not (per_z > 0 and less > -per_z):
         raise InputError(
             "corners: they move from lens to lens as in no plenoptic camera: check lens indices, the corners' order, "
@@ -83,24 +96,32 @@ def start_values(
     numbers[AT["mla_rotation"]] = np.rad2deg(np.arctan2(grid[1, 1], grid[1, 0]))
     numbers[[AT["offset_x"], AT["offset_y"]]] = (grid[0] - principal) * size / (1 + z / b)
     numbers[[AT["principal_u"], AT["principal_v"]]] = principal
-    groups = [np.flatnonzero(seen.pose == pose) for pose in range(seen.poses)]
+    groups = [np.flatnonzero(good & (seen.pose == pose)) for pose in range(seen.poses)]
     chosen = np.concatenate([group[:: max(1, len(group) // _THINNED)] for group in groups])
-    few = Observations(seen.lens[chosen], seen.pixel[chosen], seen.board[chosen], seen.pose[chosen])
+    few = seen.keep(chosen)
     thinned = Problem(few, size, problem.row_ratio)
-    found = adjust(thinned, numbers, upright_poses(maps, f), NAMES[:3], most_steps=60)
-    found = adjust(thinned, found.numbers, adjust_poses(thinned, found.numbers, found.poses), NAMES[:3])
-    error = np.sqrt(2 * found.cost / len(few))
-    if not error < _WORST:
-        raise InputError(
-            f"corners: start values miss them by {error:.3g} pixels: check the board's size, the pixel size and the "
-            "order of corners"
+    try:
+        found = adjust(thinned, numbers, upright_poses(maps, f), NAMES[:3], most_steps=60)
+        found = adjust(
+            thinned, found.numbers, adjust_poses(thinned, found.numbers, found.poses, np.ones(len(few))), NAMES[:3]
         )
-    return found.numbers, found.poses
+        error = np.sqrt(2 * found.cost / len(few))
+        failure = f"start values miss the corners by {error:.3g} pixels" if not error < _WORST else ""
+    except InputError:
+        failure = "no camera sees the whole board in all poses"
+    if failure:
+        low, high = magnification.min(), magnification.max()
+        raise InputError(
+            f"corners: {failure}: the lens's images of the boards are {low:.3g} to {high:.3g} times as large as boards "
+            "with squares of this size: check the distance of the board's corners, the pixel size and the order of "
+            "corners"
+        )
+    return found.numbers, found.poses, good
 
 
 def board_images(
-    problem: Problem, frames: np.ndarray, grid: np.ndarray, principal: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    problem: Problem, board: Board, frames: np.ndarray, grid: np.ndarray, principal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find where the main lens images each board, from how its corners move from lens to lens.
 
     Returns
@@ -109,24 +130,29 @@ def board_images(
         z/a of the board's image.
     maps : (poses, 3, 2) array
         Place of the image of the board's first corner, and its steps in mm per mm along the board's columns and rows.
+    good : (n,) bool array
+        Rows that agree with their frame.
 
     Raises
     ------
     InputError
-        If a pose has too few corners, each seen through one lens only, or a board that is seen mirrored.
+        If a pose has too few corners, each seen through one lens only, too many rows that agree with no board of this
+        size, or a board that is seen mirrored.
     """
     seen, size = problem.corners, problem.pixel_size
     slopes, maps = np.empty(seen.poses), np.empty((seen.poses, 3, 2))
-    centre = grid[0] + seen.lens @ grid[1:] - principal
+    centre, pixel = grid[0] + seen.lens @ grid[1:] - principal, seen.pixel - principal
+    good = _agreeing(seen, board, centre, pixel, frames, float(np.hypot(*grid[1])))
     for pose, frame in enumerate(frames):
-        mine = seen.pose == pose
+        mine = good & (seen.pose == pose)
         corners, which = np.unique(seen.board[mine], axis=0, return_inverse=True)
+        which = which.ravel()
         if len(corners) < _FEWEST_CORNERS or np.linalg.matrix_rank(corners - corners[0]) < 2:
             raise InputError(
                 f"frame {frame}: {len(corners)} corners of the board are seen: {_FEWEST_CORNERS} are needed at least, "
                 "not all on one line"
             )
-        places, pixels = centre[mine], seen.pixel[mine] - principal
+        places, pixels = centre[mine], pixel[mine]
         around, moved = (values - _means(values, which)[which] for values in (places, pixels))
         if not (around**2).sum() > 0:
             raise InputError(f"frame {frame}: each corner is seen through one lens only; several are needed")
@@ -139,7 +165,67 @@ def board_images(
                 f"frame {frame}: the board is seen mirrored: number its corners as they are seen from its front, to "
                 "the right and then down, in a picture that is not mirrored"
             )
-    return slopes, maps
+    return slopes, maps, good
+
+
+def _agreeing(
+    seen: Observations, board: Board, centre: np.ndarray, pixel: np.ndarray, frames: np.ndarray, pitch: float
+) -> np.ndarray:
+    """Return the rows that lie in their own micro-image and agree with most of their frame; refuse other frames."""
+    near = np.hypot(*(pixel - centre).T) < pitch
+    good, strange = near.copy(), []
+    for pose, frame in enumerate(frames):
+        mine = np.flatnonzero(near & (seen.pose == pose))
+        rows = int((seen.pose == pose).sum())
+        if len(mine) < _AGREEING * rows:
+            raise InputError(
+                f"frame {frame}: {rows - len(mine)} of its {rows} rows lie farther than a lens's width from the "
+                "micro-image of the lens that k and l name: correct or remove the frame"
+            )
+        explained, agrees = _board_fit(seen.board[mine], centre[mine], pixel[mine])
+        good[mine] = agrees
+        if not explained:
+            strange.append(pose)
+    if strange:
+        # The number of corners along a row that most rows of the largest such frame agree with.
+        mine = np.flatnonzero(near & (seen.pose == max(strange, key=lambda pose: int((seen.pose[near] == pose).sum()))))
+        mine = mine[:: max(1, len(mine) // _THINNED)]
+        column, row = np.round(seen.board[mine] / board.square).astype(int).T
+        number = row * board.columns + column
+        fits = {
+            columns: agrees.mean() if explained else 0.0
+            for columns in range(2, number.max() // 2 + 2)
+            for explained, agrees in [_board_fit(Board(columns, 1000, 1.0).places(number), centre[mine], pixel[mine])]
+        }
+        along = max(fits, key=lambda columns: fits[columns], default=0)
+        if not fits.get(along, 0.0) > 0 and 2 * len(strange) <= seen.poses:
+            raise InputError(
+                f"frame {frames[strange[0]]}: most of its corners do not lie as on a board, as those of other frames "
+                "do: correct or remove the frame"
+            )
+        raise InputError(
+            f"corners: in {len(strange)} of {seen.poses} frames they do not lie as on a board of {board.columns}x"
+            f"{board.rows} inner corners: "
+            + (f"they do on one with {along} along each row" if fits.get(along) else "check how they are numbered")
+        )
+    return good
+
+
+def _board_fit(board: np.ndarray, centre: np.ndarray, pixel: np.ndarray) -> tuple[bool, np.ndarray]:
+    """Return whether a flat board explains where corners are seen, and the rows that agree with it.
+
+    Over a tilted board z/a changes linearly, and with it z q/a in squares of the board's places. Lenses that see a
+    corner lie about its place; one far from there, as a wrong corner's does, would by its distance alone bend z/a.
+    """
+    x, y = (board / max(np.abs(board).max(), 1e-9)).T
+    one = np.ones(len(x))
+    images = both_axes(np.column_stack([one, x, y, x * x, x * y, y * y]))
+    slopes = centre[:, :, None] * np.column_stack([one, x, y])[:, None]
+    good = robust_lines(images, centre)[2]
+    _, distance, agrees = robust_lines(np.concatenate([slopes, images], axis=2)[good], pixel[good])
+    good[good] = agrees
+    explained = np.median(distance) < _EXPLAINED * np.median(np.hypot(*(pixel - centre).T))
+    return bool(explained and good.mean() > _AGREEING), good
 
 
 def upright_poses(maps: np.ndarray, focal_length: float) -> np.ndarray:

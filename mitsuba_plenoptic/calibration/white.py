@@ -3,6 +3,9 @@
 `lightfield.estimate_lens_grid` finds the lattice. Each micro-image is then centred on its own light: its centroid in a
 disc with a soft rim, which follows the centroid until both agree, so that a symmetrical micro-image is met wherever its
 centre lies between pixels (the windowed centroid of E. Bertin's SExtractor, 2011).
+
+Dust on the array or the detector darkens part of a micro-image and displaces its centroid. Such centres are doubtful:
+they lie off their neighbours' lattice, or their light differs from that of the neighbours.
 """
 
 from __future__ import annotations
@@ -15,13 +18,20 @@ import numpy as np
 from ..errors import InputError
 from ..io.files import atomic_output
 from ..lightfield import LensGrid, estimate_lens_grid
-from .observations import CENTRE_COLUMNS, Table
+from .observations import CENTRE_COLUMNS, DOUBTFUL_COLUMN, Table
+from .robust import OUTLIER
 
 _REPEATS = 6
 _BLOCK = 2048
 
 # Micro-images fainter than this fraction of the median have no centre of their own.
 _FAINT = 0.1
+
+# Lenses on each side of one that it is compared with.
+_NEIGHBOURS = 4
+
+# Light that differs from the neighbours' by less is never doubtful: vignetting changes it from lens to lens.
+_LEAST_DARKER = 0.02
 
 
 @dataclass(frozen=True)
@@ -40,6 +50,9 @@ class Centres:
         Light of each micro-image over that of the brightest, which falls with vignetting.
     residuals : (n, 2) array
         Centres minus those of the grid in pixels: lenses that are displaced, tilt and distortion.
+    doubtful : (n,) bool array
+        Centres that dust or a defect may have displaced: their place or their light differs from that of their
+        neighbours by more than six deviations.
     """
 
     grid: LensGrid
@@ -47,6 +60,7 @@ class Centres:
     pixel: np.ndarray
     light: np.ndarray
     residuals: np.ndarray
+    doubtful: np.ndarray
 
     @property
     def error(self) -> float:
@@ -57,7 +71,7 @@ class Centres:
         """Return them as `read_centres` does."""
         k, l = self.lens.T  # noqa: E741
         u, v = self.pixel.T
-        return Table(name, {"k": k, "l": l, "u": u, "v": v})
+        return Table(name, {"k": k, "l": l, "u": u, "v": v, DOUBTFUL_COLUMN: self.doubtful.astype(int)})
 
 
 def find_centres(*whites: np.ndarray) -> Centres:
@@ -92,7 +106,8 @@ def find_centres(*whites: np.ndarray) -> Centres:
     kept &= np.hypot(*(centre - start).T) < radius / 2
     lens, centre, light = lens[kept], centre[kept], light[kept]
     residuals = centre - _plain_grid(grid, lens, centre)
-    return Centres(grid, lens, centre - 0.5, light / light.max(), residuals)
+    light = light / light.max()
+    return Centres(grid, lens, centre - 0.5, light, residuals, _doubtful(lens, residuals, light))
 
 
 def _all_centred(image: np.ndarray, start: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
@@ -130,8 +145,34 @@ def _plain_grid(grid: LensGrid, lens: np.ndarray, centre: np.ndarray) -> np.ndar
     return fitted
 
 
+def _doubtful(lens: np.ndarray, residuals: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """Return which centres differ from their neighbours, in place or in light, by more than neighbours do."""
+    values = np.concatenate([residuals, np.log(light)[:, None]], axis=1)
+    differs = values - _local_medians(lens, values)
+    sizes = np.stack([np.hypot(*differs[:, :2].T) / 1.17741, np.abs(differs[:, 2]) / 0.67449], axis=-1)
+    typical = np.maximum(_local_medians(lens, sizes), np.median(sizes, axis=0))
+    beyond = sizes > OUTLIER * typical
+    beyond[:, 1] &= np.abs(differs[:, 2]) > _LEAST_DARKER
+    doubtful: np.ndarray = beyond.any(1)
+    return doubtful
+
+
+def _local_medians(lens: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the medians of values (n, m) over the neighbours of each lens."""
+    column, row = (lens - lens.min(0) + _NEIGHBOURS).T
+    side = 2 * _NEIGHBOURS + 1
+    medians = np.empty_like(values)
+    for number, each in enumerate(values.T):
+        array = np.full((row.max() + side, column.max() + side), np.nan)
+        array[row, column] = each
+        around = np.lib.stride_tricks.sliding_window_view(array, (side, side))[row - _NEIGHBOURS, column - _NEIGHBOURS]
+        medians[:, number] = np.nanmedian(around.reshape(len(values), -1), axis=1)
+    return medians
+
+
 def write_centres(path: str | Path, centres: Centres) -> None:
     """Write centres as a CSV file for `calibrate`."""
-    with atomic_output(path) as temporary:
-        rows = np.concatenate([centres.lens, centres.pixel], axis=1)
-        np.savetxt(temporary, rows, "%d,%d,%.4f,%.4f", header=",".join(CENTRE_COLUMNS), comments="")
+    with atomic_output(path, ".csv") as temporary:
+        rows = np.column_stack([centres.lens, centres.pixel, centres.doubtful])
+        header = ",".join([*CENTRE_COLUMNS, DOUBTFUL_COLUMN])
+        np.savetxt(temporary, rows, "%d,%d,%.4f,%.4f,%d", header=header, comments="")

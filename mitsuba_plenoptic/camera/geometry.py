@@ -239,6 +239,22 @@ class CameraGeometry(CameraNumbers):
                 f"leave main_lens out, or {instead}"
             )
 
+    def require_no_objective(self, what: str) -> None:
+        """Refuse a camera behind an objective, for work that knows thin main lenses and prescriptions.
+
+        Parameters
+        ----------
+        what : str
+            The work, the beginning of a sentence.
+
+        Raises
+        ------
+        InputError
+            If it is behind one.
+        """
+        if self.objective is not None:
+            raise InputError(f"main_lens = {self.objective.name}: {what} for thin main lenses and prescriptions only")
+
     @property
     def bin_count(self) -> tuple[int, int]:
         """Bins across a reconstruction and down it: as many squares of one pitch as fit the detector.

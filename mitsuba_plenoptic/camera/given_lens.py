@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from ..bounds import require_length
 from ..errors import InputError
+from ..io.lens_file import lens_from_plain, read_lens
 from ..objective import Objective
-from ..prescription import Glass, Prescription, bundled_prescription, paraxial
+from ..prescription import Glass, Prescription, paraxial
 from ..prescription.glass import LINE_D
 
 GivenLens = Prescription | Objective
 
 
-def known_lens(value: GivenLens | str | dict[str, Any] | None) -> GivenLens | None:
+def known_lens(value: GivenLens | str | Path | dict[str, Any] | None) -> GivenLens | None:
     """Return the main lens that is given in any of its forms, None for a thin one."""
     if value is None or isinstance(value, (Prescription, Objective)):
         return value
-    if isinstance(value, dict) and "magnification" in value:
-        return Objective.from_plain(value)
-    return bundled_prescription(value) if isinstance(value, str) else Prescription.from_plain(value)
+    return read_lens(value) if isinstance(value, (str, Path)) else lens_from_plain(value)
 
 
 def known_glass(name: str, value: Any) -> Glass | None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 from ..bounds import require_numbers, require_response, require_wavefront
-from ..errors import InputError, require_choice, shown
+from ..errors import InputError, did_you_mean, require_choice, shown, suggest_keywords
 from ..objective import Objective
 from ..prescription import Glass, Prescription
 from ..presets import PRESETS
@@ -100,11 +101,12 @@ class PlenopticCamera(CameraGeometry):
         Aberrations of the main lens: coefficients of Zernike polynomials over its pupil in Noll's order, beginning with
         piston, each in waves of 633 nm root mean square; up to 66, those left out are 0. Other wavelengths see the same
         path.
-    main_lens : Prescription, Objective, str or dict, optional
-        Surfaces and glasses of a real main lens: a prescription, the name of a bundled one, or what
-        `Prescription.from_plain` takes. Or a microscope's objective, as such or as what `Objective.from_plain` takes:
-        the origin of the camera frame is then its native object plane, `focal_length` and `aperture_radius` are its
-        own, and `mla_distance` is the focal length of the lens before the array. Default: a thin lens.
+    main_lens : Prescription, Objective, str, path or dict, optional
+        Surfaces and glasses of a real main lens: a prescription, the name of a file or of a bundled one, see
+        `read_prescription`, or what `Prescription.from_plain` takes. Or a microscope's objective, as such, as a file or
+        as what `Objective.from_plain` takes: the origin of the camera frame is then its native object plane,
+        `focal_length` and `aperture_radius` are its own, and `mla_distance` is the focal length of the lens before the
+        array. Default: a thin lens.
     glass, mla_glass : Glass, str, float or dict, optional
         Of what the thin main lens and the microlenses are made, or what `Glass.from_plain` takes: `focal_length` and
         `mla_focal_length` are then those at 587.5618 nm (the line d), and other wavelengths have others, see
@@ -129,6 +131,7 @@ class PlenopticCamera(CameraGeometry):
         focal length, aperture or distance to the array, or a glass is not one or has no index at the line d.
     """
 
+    @suggest_keywords
     def __init__(
         self,
         *,
@@ -152,7 +155,7 @@ class PlenopticCamera(CameraGeometry):
         lens_model: str = "ideal",
         distortion: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
         wavefront: Sequence[float] = (),
-        main_lens: Prescription | Objective | str | dict[str, Any] | None = None,
+        main_lens: Prescription | Objective | str | Path | dict[str, Any] | None = None,
         glass: Glass | str | float | dict[str, Any] | None = None,
         mla_glass: Glass | str | float | dict[str, Any] | None = None,
         mla_jitter: Sequence[float] = (0.0, 0.0),
@@ -205,9 +208,7 @@ class PlenopticCamera(CameraGeometry):
         InputError
             If there is none of that name; the message lists those there are.
         """
-        if not isinstance(name, str) or name not in PRESETS:
-            raise InputError(f"preset = {shown(name)}: it must be one of {', '.join(PRESETS)}")
-        return cls(**PRESETS[name])
+        return cls(**PRESETS[require_choice("preset", name, PRESETS)])
 
     @classmethod
     def from_sensor(cls, sensor: Any) -> PlenopticCamera:
@@ -294,8 +295,9 @@ class PlenopticCamera(CameraGeometry):
         """Build a camera from parameters of unknown origin."""
         if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
             raise InputError(f"camera = {shown(values)}: it must be camera parameters by name")
-        for name in sorted(set(values) - set(cls().to_dict()) - _OPTIONAL):
-            raise InputError(f"{name}: it is not a camera parameter")
+        known = {*cls().to_dict(), *_OPTIONAL}
+        for name in sorted(set(values) - known):
+            raise InputError(f"{name}: it is not a camera parameter{did_you_mean(name, known)}")
         return cls(**values)
 
     def to_sensor(self, to_world: Any = None) -> dict[str, Any]:

@@ -9,12 +9,16 @@ be (the rule of Mallett and Yuksel 2019, "Spectral primary decomposition for ren
 from __future__ import annotations
 
 import functools
+import math
+from collections.abc import Sequence
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..optics.spectrum import WAVELENGTHS, Spectrum
+from ..errors import InputError
+from ..optics.spectrum import WAVELENGTHS, Spectrum, Table
 
 _STEP = 10.0
 """Distance in nanometres of the wavelengths at which reflectances are found."""
@@ -22,19 +26,102 @@ _STEP = 10.0
 _EXACT = 1e5
 """How much more the colours count than the smoothness."""
 
+_UNKNOWN = 0.01
+"""Part of the channels' responses to wavelengths that a spectrum does not know, at most."""
+
 _LOW, _HIGH = 380.0, 730.0
 """What is visible: beyond, the luminous efficiency is below 1/1000 of its peak."""
 
 
-def srgb(count: int = WAVELENGTHS) -> Spectrum:
+def srgb(count: int = WAVELENGTHS, tables: Sequence[Table] = ()) -> Spectrum:
     """Return the responses of linear sRGB to light, as Mitsuba's films of colours have them.
 
     Parameters
     ----------
     count : int
-        Wavelengths, from 380 to 730 nm.
+        Wavelengths, from 380 to 730 nm; more where tables need them.
+    tables : sequence of pairs of arrays
+        Spectra of the scene, as of `Spectrum.smooth`.
     """
-    return Spectrum.smooth(_srgb_responses, _LOW, _HIGH, count)
+    return Spectrum.smooth(_srgb_responses, _LOW, _HIGH, count, tables)
+
+
+def tables_of(scene: Any) -> list[Table]:
+    """Return the spectra of a scene, of light and of surfaces, that are tables; those alike once."""
+    return list({(x.tobytes(), y.tobytes()): (x, y) for x, y in _tables(scene).values()}.values())
+
+
+def _tables(thing: Any) -> dict[str, Table]:
+    """Return, by their names, the spectra of a scene or a plugin that are tables."""
+    parameters, found = mi.traverse(thing), {}
+    for key in parameters.keys():  # noqa: SIM118 (Mitsuba's mapping is no iterable)
+        stem, _, last = key.rpartition(".")
+        if last != "values":
+            continue
+        values = np.array(parameters[key], np.float64)
+        if f"{stem}.wavelengths" in parameters:
+            found[stem] = np.array(parameters[f"{stem}.wavelengths"], np.float64), values
+        elif f"{stem}.range" in parameters:
+            low, high = (float(end) for end in parameters[f"{stem}.range"])
+            found[stem] = np.linspace(low, high, len(values)), values
+    return found
+
+
+def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: NDArray[np.float32]) -> None:
+    """Refuse wavelengths at which a spectrum of the scene has no values, which Mitsuba takes for 0.
+
+    A number or a colour as radiance stands for the spectrum of D65, which Mitsuba has from 360 to 830 nm; so it has
+    black bodies. A table that emits may end where there is no light. One of a surface may end with 0.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        The scene, in a spectral variant.
+    wavelengths : tuple of float
+        Those of the capture.
+    responses : array (channels, wavelengths)
+        How strongly each channel answers to them.
+
+    Raises
+    ------
+    InputError
+        Naming emitter or surface, and wavelength, where the channels answer to it.
+    """
+    places, visible = np.array(wavelengths), (float(mi.MI_CIE_MIN), float(mi.MI_CIE_MAX))
+    if (wavelength := _beyond(places, responses, *visible)) is not None:
+        for emitter in scene.emitters():
+            parameters = mi.traverse(emitter)
+            for key in parameters.keys():  # noqa: SIM118 (Mitsuba's mapping is no iterable)
+                if key.endswith(".temperature") or (key.endswith(".range") and tuple(parameters[key]) == visible):
+                    raise InputError(
+                        f"wavelength = {wavelength:g}: emitter {(emitter.get_shape() or emitter).id()} has light from "
+                        f"{visible[0]:g} to {visible[1]:g} nm only, as have D65, for which numbers and colours stand, "
+                        'and black bodies: give it a table or <spectrum name="radiance" value="1"/>'
+                    )
+    for shape in {shape.bsdf().ptr: shape for shape in scene.shapes() if shape.bsdf() is not None}.values():
+        for name, (table, values) in _tables(shape.bsdf()).items():
+            low, high = table[0] if values[0] else -math.inf, table[-1] if values[-1] else math.inf
+            if (wavelength := _beyond(places, responses, low, high)) is not None:
+                raise InputError(
+                    f"wavelength = {wavelength:g}: the {name} of surface {shape.id()} is a table from {table[0]:g} to "
+                    f"{table[-1]:g} nm: it must reach to the wavelength"
+                )
+
+
+def require_upsampled(spectrum: Spectrum) -> None:
+    """Refuse responses to what colours have no spectrum for, beyond that of D65."""
+    low, high = float(mi.MI_CIE_MIN), float(mi.MI_CIE_MAX)
+    if (wavelength := _beyond(np.array(spectrum.wavelengths), spectrum.matrix(), low, high)) is not None:
+        raise InputError(
+            f"responses: they answer to {wavelength:.4g} nm; colours have the spectrum of D65, from {low:g} to "
+            f"{high:g} nm: end the table there, or use a spectral variant"
+        )
+
+
+def _beyond(wavelengths: NDArray[np.float64], responses: NDArray[np.float32], low: float, high: float) -> float | None:
+    """Return a wavelength beyond bounds if more than a hundredth of the channels' responses are to such ones."""
+    outside, weights = (wavelengths < low) | (wavelengths > high), np.abs(responses).sum(axis=0)
+    return float(wavelengths[outside][0]) if weights[outside].sum() > _UNKNOWN * weights.sum() else None
 
 
 def _srgb_responses(wavelengths: NDArray[np.float64]) -> NDArray[np.float64]:

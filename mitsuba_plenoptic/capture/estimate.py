@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import suggest_keywords
 from ..optics.rays import conjugate_coordinate
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
@@ -22,7 +23,8 @@ from .lens_window import LensWindow
 from .operator import CaptureOperator
 from .patch_plan import Cost
 from .radiators import RADIATOR_BYTES, Radiators
-from .render import chosen_integrator, film_memory, plenoptic_sensor, sample_count
+from .render import chosen_integrator, film_memory, plenoptic_sensor, require_taken, sample_count
+from .scene import KNOWN_PARAMETERS
 
 _BLOCK = 16
 """Lenses along an axis that are sampled together: as many as share point spreads at most."""
@@ -37,6 +39,7 @@ _PATHS, _FEW_PATHS = 2**19, 16
 """Light paths by which the radiators are counted, and for each of them at most."""
 
 
+@functools.partial(suggest_keywords, others=KNOWN_PARAMETERS["plenoptic_wave"])
 @one_at_a_time
 def estimate_capture(
     scene: Any,
@@ -73,11 +76,10 @@ def estimate_capture(
     sensor = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(sensor)
     integrator = chosen_integrator(scene, model, wave)
+    require_taken(integrator, batch_map=batch_map)
     spp = sample_count(sensor, spp)
     if hasattr(integrator, "wavelengths"):
         return integrator.estimate(scene, sensor, seed=seed, spp=spp, job=Job(batch_map=batch_map))
-    if batch_map:
-        raise InputError("batch_map: workers are of use for model 'wave' only")
     rate = _rays_per_second(scene, sensor, integrator, camera.shape, spp, seed)
     return Cost(0, 0, float(camera.shape[0]) * camera.shape[1] * spp / rate, film_memory(camera, spp))
 

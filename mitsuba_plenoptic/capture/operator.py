@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import InputError, shown
+from ..errors import InputError, require_choice, require_flag, suggest_keywords
 from ..io.checkpoints import digest
 from ..objective import Objective
 from ..optics import guards
@@ -80,7 +80,7 @@ class CaptureOperator:
     camera : PlenopticCamera
         The camera; its recorded window may be a crop.
     points : array (n, 3)
-        Scene points (X, Y, g) in the camera frame, in millimetres.
+        Scene points (X, Y, g) in the camera frame, in millimetres, in front of the main lens.
     wavelength : float, optional
         Wavelength in nanometres, the same for all channels of the weights; or give `spectrum`.
     spectrum : Spectrum, optional
@@ -99,6 +99,9 @@ class CaptureOperator:
         For each point its relative power over the square around the pupil, cut into m x m cells: rows along y, columns
         along x of the camera frame; booleans for what is visible. What passes is normalised anew, so that each point
         spread still sums to its weight.
+    virtual : bool
+        Whether points with g < 0 are allowed: images behind the main lens to which light converges in front of it, as
+        after a lens of the scene.
 
     Raises
     ------
@@ -106,6 +109,7 @@ class CaptureOperator:
         If an input has a wrong shape or value.
     """
 
+    @suggest_keywords
     def __init__(
         self,
         camera: PlenopticCamera,
@@ -116,17 +120,17 @@ class CaptureOperator:
         method: str = "patch",
         accuracy: float = DEFAULT_ACCURACY,
         pupil_weights: Any = None,
+        virtual: bool = False,
     ) -> None:
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
         require_ideal(camera)
         if camera.prescription is not None and method in ("full_field", "bank") and pupil_weights is not None:
             raise InputError(f"pupil_weights: method {method} takes none behind a main_lens; use patch")
-        self.camera, self.points = camera, check_positions(points, camera)
+        self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
         self._wavelength = None if wavelength is None else require_wavelength(wavelength)
         self._spectrum = spectrum
-        if not isinstance(method, str) or method not in PLANS:
-            raise InputError(f"method = {shown(method)}: it must be one of {', '.join(METHODS)}")
+        require_choice("method", method, METHODS)
         if camera.objective is not None:
             _require_followed(camera.objective, method)
         if method == "bank":
@@ -214,7 +218,8 @@ class CaptureOperator:
 
         Points, weights and the relative power over each pupil are held, and so is that of all light through the pupil.
         Behind a real main lens, for up to 512 points, or at accuracies below 0.004, each has a spread of its own; more
-        share them as `forward` does, each copy with what its own lenses change. Derivatives by method "patch" only.
+        share them as `forward` does, each copy with what its own lenses change. By method "patch" only, and not for
+        cameras behind an objective.
 
         Parameters
         ----------
@@ -315,8 +320,7 @@ class CaptureOperator:
         """Return the derivatives of the sums, or refuse methods that have none."""
         if self._method != "patch":
             raise InputError(f"method = {self._method}: it has no derivatives; use patch")
-        if self.camera.objective is not None:
-            self.camera.require_thin("derivatives by waves are found", "differentiate by rays")
+        self.camera.require_no_objective("derivatives by waves are found")
         require_no_glass(self.camera, "there are no derivatives of cameras that disperse light;")
         if self._spectrum is not None and self._spectrum.nodes:
             raise InputError(

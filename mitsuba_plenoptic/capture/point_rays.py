@@ -23,7 +23,7 @@ from ..lattice import Lattice, make_lattice
 from ..optics import rays
 from ..optics.fitted_lens import lens_of_waves
 from ..optics.main_lens import MainLens
-from ..optics.sampling import check_memory
+from ..optics.sampling import check_memory, check_positions
 from ..optics.thin import ThinLens
 from ..optics.wave_cameras import require_no_glass
 from ..runtime.backend import array_module, one_at_a_time
@@ -78,6 +78,7 @@ class PointRays:
         pupil_weights: PupilWeights | None = None,
     ) -> None:
         _require_known(camera)
+        points = check_positions(points, camera)
         self._points, self._wavelength, self._pupil_weights = points, wavelength, pupil_weights
         lens = lens_of_waves(camera, points, wavelength)
         on_array, on_detector = (2 * float(lens.pupil_radius) * abs(scale) for scale in _scales(camera, lens, points))
@@ -118,8 +119,7 @@ def _require_known(camera: PlenopticCamera) -> None:
         if any(getattr(camera, name)):
             raise InputError(f"{name} = {getattr(camera, name)}: points are followed through cameras without it only")
     require_no_glass(camera, "points are followed at one wavelength;")
-    if camera.objective is not None:
-        camera.require_thin("points are followed by rays")
+    camera.require_no_objective("points are followed by rays")
     if not camera.lattice.fills:
         raise InputError(
             f"mla_fill = {camera.mla_fill:g}, mla_aperture = {camera.mla_aperture}: points are followed by rays "

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError
+from ..errors import InputError, suggest_keywords
 from ..optics import guards
 from ..optics.sampling import check_positions
 from ..runtime.backend import one_at_a_time
@@ -20,6 +20,7 @@ from .full_field import PointFields
 from .operator import CaptureOperator
 
 
+@suggest_keywords
 @one_at_a_time
 def point_spread_function(
     camera: PlenopticCamera, position: Any, *, wavelength: float, method: str = "patch"

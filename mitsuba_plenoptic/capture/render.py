@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 from collections.abc import Callable
 from typing import Any
@@ -10,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_count
+from ..errors import InputError, argument, require_choice, require_count, suggest_keywords
 from ..io.captures import MODELS, Capture
 from ..io.checkpoints import Checkpoint
 from ..optics import guards
@@ -19,7 +20,7 @@ from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job
 from ..runtime.limits import largest_fitting, require_memory
 from .noise import PARTS, PassSpread, require_samples
-from .scene import mitsuba_sentence
+from .scene import KNOWN_PARAMETERS, mitsuba_sentence
 
 # Rays traced at once: their random states take 16 bytes each, so that the paper's 4096 x 4096 pixels with one
 # sample each stay at 0.25 GiB beside the film.
@@ -34,6 +35,7 @@ _PIXEL_BYTES = 4 * 4 * 4
 _RAY_BYTES = 16
 
 
+@functools.partial(suggest_keywords, others=KNOWN_PARAMETERS["plenoptic_wave"])
 @one_at_a_time
 def render_capture(
     scene: Any,
@@ -93,13 +95,15 @@ def render_capture(
     chosen = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(chosen)
     integrator = chosen_integrator(scene, model, wave)
+    require_taken(integrator, checkpoint=checkpoint, batch_map=batch_map)
     spp = sample_count(chosen, spp)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
     if noise:
         require_samples(spp)
     wavelengths, spectrum = None, None
     if hasattr(integrator, "wavelengths"):
-        wavelengths, spectrum = integrator.channel_wavelengths(chosen), integrator.spectrum_of(chosen)
+        spectrum = integrator.spectrum_of(scene, chosen)
+        wavelengths = integrator.wavelengths if spectrum is None else spectrum.centroids()
     _require_film_memory(camera, spp)
     # Of two sensors with the same camera, the checkpoint of one is none of the other.
     which = {} if sensor == 0 else {"sensor": sensor if isinstance(sensor, int) else chosen.id()}
@@ -107,8 +111,6 @@ def render_capture(
     deviation = None
     with guards.watch() as fractions:
         if wavelengths is None:
-            if batch_map:
-                raise InputError("batch_map: workers are of use for model 'wave' only")
             guards.judge(guards.CROSSTALK, chosen.crosstalk_missed())
             image, deviation = _render_passes(scene, chosen, integrator, camera, spp, seed, progress, noise)
         else:
@@ -161,6 +163,23 @@ def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
     return sensors[number]
 
 
+def is_wave_capture(scene: Any, model: str | None) -> bool:
+    """Whether a scene is captured by waves: by this model, or where none is given by its integrator's."""
+    return model == "wave" or (model is None and hasattr(scene.integrator(), "wavelengths"))
+
+
+def require_taken(integrator: Any, **given: Any) -> None:
+    """Refuse arguments that a ray capture would ignore; None stands for one that is not given."""
+    if not hasattr(integrator, "wavelengths"):
+        _refuse_by_rays(**given)
+
+
+def _refuse_by_rays(**given: Any) -> None:
+    for name, value in given.items():
+        if value is not None:
+            raise InputError(f"{argument(name)}: a ray capture does not take it; it is for {argument('model')} wave")
+
+
 def sample_count(sensor: Any, spp: int | None) -> int:
     """Return the samples that are asked for, or those of the sensor's sampler."""
     return require_count("spp", sensor.sampler().sample_count() if spp is None else spp, maximum=MOST_SAMPLES)
@@ -187,18 +206,20 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
     integrator = scene.integrator()
     if integrator is None:
         raise InputError("scene: it has no integrator; add one, for example of type 'path'")
-    if model is not None and model not in MODELS:
-        raise InputError(f"model = {model!r}: it must be one of {', '.join(MODELS)}")
+    if model is not None:
+        require_choice("model", model, MODELS)
     is_wave = hasattr(integrator, "wavelengths")
     if not is_wave and model != "wave":
-        if wave:
-            raise InputError(f"{', '.join(wave)}: of use for model 'wave' only")
+        _refuse_by_rays(**wave)
         return integrator
     if model == "ray":
+        _refuse_by_rays(**wave)
         return integrator.child
     if is_wave and not wave:
         return integrator
     own = integrator.parameters() if is_wave else {}
+    # What is None is not given; Mitsuba's loader would end the process.
+    wave = {name: value for name, value in wave.items() if value is not None}
     child = integrator.child if is_wave else integrator
     try:
         return mi.load_dict({"type": "plenoptic_wave", **own, **wave, "child": child})
@@ -265,6 +286,9 @@ def _split(image: np.ndarray, channels: int) -> tuple[np.ndarray, np.ndarray]:
     if channels < deviation.shape[2]:
         weights = [mi.luminance(mi.ScalarColor3f(unit)) for unit in np.eye(3).tolist()]
         deviation = deviation @ np.array(weights, np.float32)
+    elif deviation.shape[2] < channels:
+        # One wavelength fills all channels of a film of colours.
+        deviation = np.repeat(deviation, channels, axis=2)
     return image, deviation
 
 

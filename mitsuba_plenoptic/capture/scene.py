@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.resources
+import inspect
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,11 +10,21 @@ from typing import Any
 
 import mitsuba as mi
 
-from ..errors import InputError, shown
+from ..camera import PlenopticCamera
+from ..errors import InputError, did_you_mean, shown, suggest_keywords
 from ..io.files import require_file
 from ..runtime.backend import one_at_a_time
 from ..runtime.variant import set_variant
 from .scene_file import check_scene_file
+
+KNOWN_PARAMETERS = {
+    "plenoptic": (*inspect.signature(PlenopticCamera).parameters, "to_world"),
+    "plenoptic_wave": (
+        *("wavelength", "bandwidth", "responses", "wavelength_count", "nodes"),
+        *("radiators_per_lens", "passes", "method", "occlusion", "accuracy"),
+    ),
+}
+"""Parameters of this package's plugins, for the suggestions of messages; it is Mitsuba that finds the unknown ones."""
 
 
 def scene_names() -> list[str]:
@@ -23,7 +33,9 @@ def scene_names() -> list[str]:
 
 
 def _folder() -> Path:
-    return Path(str(importlib.resources.files("mitsuba_plenoptic.scenes")))
+    """Folder of the built-in scenes: in the installed package, or at the top of a clone, where users edit them."""
+    installed = Path(__file__).parents[1] / "scenes"
+    return installed if installed.is_dir() else installed.parents[1] / "scenes"
 
 
 def scene_path(name: str) -> Path:
@@ -41,11 +53,15 @@ def scene_path(name: str) -> Path:
     """
     path = _folder() / f"{name}.xml"
     if path.name != f"{name}.xml" or not path.is_file():
-        names = ", ".join(scene_names())
-        raise InputError(f"scene = {name!r}: there is no such file, nor a built-in scene of that name ({names})")
+        names = scene_names()
+        raise InputError(
+            f"scene = {name!r}: there is no such file, nor a built-in scene of that name ({', '.join(names)})"
+            f"{did_you_mean(name, names)}"
+        )
     return path
 
 
+@suggest_keywords
 @one_at_a_time
 def load_scene(
     scene: str | Path | Mapping[str, Any], *, variant: str | None = None, parameters: Mapping[str, str] | None = None
@@ -86,7 +102,7 @@ def load_scene(
         if f"${name}" not in text:
             known = sorted(set(re.findall(r"<default\s+name=\"(\w+)\"", text)))
             names = f"none of that name ({', '.join(known)})" if known else "no parameters"
-            raise InputError(f"parameter {name}: the scene {path} has {names}")
+            raise InputError(f"parameter {name}: the scene {path} has {names}{did_you_mean(name, known)}")
     parameters = _with_rows(text, parameters)
     try:
         # Mitsuba's optimisation lists merged shapes and emitters in an order that changes from run to run, and with
@@ -143,6 +159,11 @@ def mitsuba_sentence(error: Exception) -> str:
     # A list of misspelled parameters stands below the sentence that says so.
     start = max((i for i, line in enumerate(lines) if not line.startswith("- ")), default=0)
     last = " ".join(lines[start:])
+    if found := re.search(r'unreferenced \w+ in .*? of type "(\w+)": - \w+ "(\w+)"', last):
+        known = KNOWN_PARAMETERS.get(found[1], ())
+        return f"{found[1]}: {found[2]}: it has no such parameter{did_you_mean(found[2], known)}"
+    if found := re.search(r'Plugin "(\w+)" not found', last):
+        return f"type = {found[1]}: Mitsuba has no such plugin{did_you_mean(found[1], KNOWN_PARAMETERS)}"
     last = re.sub(r"^\[[\w.]+:\d+\] ", "", last)
     last = re.sub(r"^(?:At|While loading|Error while loading) [^:]*?(?:\([^)]*\)|\"[^\"]*\"): ", "", last)
     if found := re.match(r"\[(\w+)\] could not assign an object of type '(\w+)'", last):

@@ -20,13 +20,13 @@ from xml.parsers import expat
 
 from ..errors import InputError, shown
 from ..io.exr import read_parts
-from ..io.files import require_file
-from ..runtime.limits import GIB, require_memory
+from ..io.files import require_file, require_size
+from ..runtime.limits import require_memory
 
 _DEEPEST = 64
 _DEEPEST_INCLUDE = 8
 _MOST_FILES = 256
-_LARGEST = 2**28
+LARGEST_SCENE = 2**28
 """Bytes of an XML file, at most: Mitsuba's parser holds several times as much."""
 
 _NATIVE = re.compile(r"\.(so|dylib|dll|pyd)(\.|$)", re.IGNORECASE)
@@ -100,10 +100,8 @@ def _check(
 
 def _parse(path: Path) -> list[_Element]:
     """Read the elements of an XML file, with a parser that stops at what is not allowed."""
-    if path.stat().st_size > _LARGEST:
-        raise InputError(
-            f"{path}: it is larger than {_LARGEST / GIB:.2f} GiB: a scene's meshes belong in their own files"
-        )
+    # A scene's meshes belong in their own files.
+    require_size(path, LARGEST_SCENE)
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -93,6 +93,7 @@ def with_enough_nodes(
                 spectrum=chosen,
                 accuracy=accuracy,
                 pupil_weights=None if weights is None else weights.take(some),
+                virtual=True,
             ).forward(np.ones((len(some), len(spectrum.wavelengths))))
             for some in sets
         ]
@@ -249,6 +250,7 @@ class SpectralCapture:
             method="patch" if capture.method == "auto" else capture.method,
             accuracy=capture.accuracy,
             pupil_weights=radiators.pupil_weights,
+            virtual=True,
         )
 
     def _with_nodes(self, radiators: Radiators) -> Spectrum:

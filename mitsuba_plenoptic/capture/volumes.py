@@ -8,9 +8,10 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, shown
+from ..errors import InputError, shown, suggest_keywords
 
 
+@suggest_keywords
 def volume_points(values: Any, lower: Any, upper: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the voxels of a volume of emitters as points and their weights.
 

@@ -214,6 +214,7 @@ class WaveCapture:
             method="patch" if method == "bank" else method,
             accuracy=self.accuracy,
             pupil_weights=radiators.pupil_weights,
+            virtual=True,
         )
 
     def _lens_rays(self, seed: int, spp: int, runs: int = 1, blank: bool = False) -> list[LensRaySum]:

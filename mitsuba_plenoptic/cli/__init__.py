@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import logging
+import re
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
@@ -12,30 +14,19 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import InputError
-from . import (
-    calibrate,
-    compare,
-    convert,
-    dataset,
-    demosaic,
-    depth,
-    doctor,
-    epi,
-    expose,
-    fit,
-    info,
-    reconstruct,
-    render,
-    reproduce,
-    stack,
-    sweep,
-    views,
-)
+from ..errors import InputError, at_shell
+from ..runtime.progress import plain_lines
 
 PROGRAM = "mitsuba-plenoptic"
 
-app = typer.Typer(rich_markup_mode="rich", pretty_exceptions_enable=False)
+# In the order of the help. Each is a module with a function of the same name.
+COMMANDS = (
+    *("render", "reconstruct", "views", "epi", "stack", "depth", "expose", "demosaic", "calibrate", "fit", "convert"),
+    *("sweep", "dataset", "compare", "reproduce", "info", "doctor"),
+)
+
+# Options that are not called as the arguments of the library that they are for.
+_OPTIONS = {"views": "--view-count", "names": "--number", "parameters": "-D", "batch_map": "--workers"}
 
 
 def _print_version(wanted: bool) -> None:
@@ -44,7 +35,6 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback(invoke_without_command=True)
 def _root(
     context: typer.Context,
     show_version: Annotated[
@@ -67,23 +57,19 @@ def _root(
         typer.echo(context.get_help())
 
 
-app.command("render")(render.render)
-app.command("reconstruct")(reconstruct.reconstruct)
-app.command("views")(views.views)
-app.command("epi")(epi.epi)
-app.command("stack")(stack.stack)
-app.command("depth")(depth.depth)
-app.command("expose")(expose.expose)
-app.command("demosaic")(demosaic.demosaic)
-app.command("calibrate")(calibrate.calibrate)
-app.command("fit")(fit.fit)
-app.command("convert")(convert.convert)
-app.command("sweep")(sweep.sweep)
-app.command("dataset")(dataset.dataset)
-app.command("compare")(compare.compare)
-app.command("reproduce")(reproduce.reproduce)
-app.command("info")(info.info)
-app.command("doctor")(doctor.doctor)
+def command_line(names: Sequence[str] = COMMANDS) -> typer.Typer:
+    """Return the command with some of its subcommands; loading all of them takes a second."""
+    made = typer.Typer(rich_markup_mode="rich", pretty_exceptions_enable=False)
+    made.callback(invoke_without_command=True)(_root)
+    for name in names:
+        made.command(name)(getattr(importlib.import_module(f".{name}", __package__), name))
+    return made
+
+
+def __getattr__(name: str) -> Any:
+    if name == "app":
+        return command_line()
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -92,16 +78,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     A user's mistake gives one line on standard error and status 2; an exception that is a mistake of ours
     passes through with its traceback.
     """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    called = words[:1] if words[:1] and words[0] in COMMANDS else []
+    group: Any = typer.main.get_command(command_line(called or COMMANDS))
     with warnings.catch_warnings(), _remarks():
         warnings.showwarning = _print_warning
         try:
             # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
-            status = typer.main.get_command(app).main(
-                None if arguments is None else list(arguments), prog_name=PROGRAM, standalone_mode=False
-            )
+            quick = not called or "--help" in words
+            with at_shell(_OPTIONS), contextlib.nullcontext() if quick else plain_lines(words[0]):
+                status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
             return status if isinstance(status, int) else 0
         except InputError as error:
-            return _fail(str(error))
+            return _fail(_with_options(str(error), group.commands[words[0]].params) if called else str(error))
         except OSError as error:
             named = f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
             return _fail(named)
@@ -130,6 +119,19 @@ def _remarks() -> Iterator[None]:
     finally:
         logger.setLevel(level)
         logger.removeHandler(handler)
+
+
+def _with_options(message: str, parameters: Sequence[Any]) -> str:
+    """Spell the arguments that a message is about, ``name = value: ...``, as options where the command has such."""
+    own = [option for one in parameters for option in one.opts]
+
+    def spelled(found: re.Match[str]) -> str:
+        option = _OPTIONS.get(found[1], f"--{found[1].replace('_', '-')}")
+        # At a shell flags and what is not given have no value.
+        return (option if found[2] else f"{option} = ") if option in own else found[0]
+
+    about, colon, rule = message.partition(": ")
+    return re.sub(r"\b(?<!-)([a-z]\w*) = (None\b|True\b)?", spelled, about) + colon + rule
 
 
 def _fail(message: str) -> int:

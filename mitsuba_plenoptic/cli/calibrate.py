@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sized
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
 
+from ..errors import InputError
 from ..io.captures import read_capture
 from ..io.files import require_apart, require_different, require_writable
 from ..lightfield import white_image
@@ -18,7 +19,7 @@ from .inputs import load_camera
 from .options import CameraFile, Linear, White, number, output_option
 
 if TYPE_CHECKING:
-    from ..calibration import Board
+    from ..calibration import Board, Evaluation
 
 # Outliers that are printed by line.
 _NAMED = 10
@@ -91,15 +92,25 @@ def calibrate(
     for path in filter(None, (output, report)):
         require_apart(path, *sources, centres, white)
     if evaluate is not None:
+        _refuse("an evaluation", centres=centres, white=white, linear=linear)
         _evaluate(evaluate, camera, board, square)
     elif all(pictures) and board is not None:
-        _detect(sources, output, camera, calibration.Board.parse(board, square or 1.0), centres, white, linear)
+        _refuse("detecting corners", square=square)
+        _detect(sources, output, camera, calibration.Board.parse(board, 1.0), centres, white, linear)
     elif all(pictures):
+        _refuse("finding centres in white images", camera=camera, square=square, centres=centres, white=white)
         _centres(sources, output, linear)
     elif len(sources) > 1:
         raise typer.BadParameter("give one table of corners, or pictures", param_hint="SOURCE")
     else:
+        _refuse("a calibration from corners", white=white, linear=linear)
         _calibrate(sources[0], output, camera, board, square, centres, report)
+
+
+def _refuse(work: str, **options: object) -> None:
+    for name, value in options.items():
+        if value:
+            raise InputError(f"--{name}: {work} does not take it; leave it out")
 
 
 def _board(board: str | None, square: float | None) -> Board:
@@ -118,10 +129,10 @@ def _camera(camera: str | None) -> str:
     return camera
 
 
-def _output(output: Path | None) -> Path:
+def _output(output: Path | None, suffix: str) -> Path:
     if output is None:
         raise typer.BadParameter("name the file to write", param_hint="--output")
-    return require_writable(output)
+    return require_writable(output, suffix)
 
 
 def _evaluate(path: Path, camera: str | None, board: str | None, square: float | None) -> None:
@@ -132,6 +143,7 @@ def _evaluate(path: Path, camera: str | None, board: str | None, square: float |
     found = calibration.evaluate(calibration.read_corners(path, size, judged.crop_size), size, judged, index)
     for frame, error in zip(found.frames, found.pose_errors, strict=True):
         typer.echo(f"frame {frame}: {error:.4f} px")
+    _print_outliers(found)
     typer.echo(
         f"reprojection error {found.error:.4f} px over {len(found.residuals)} observations of {len(found.frames)} poses"
     )
@@ -152,7 +164,7 @@ def _detect(
 ) -> None:
     from .. import calibration
 
-    output, known = _output(output), None
+    output, known = _output(output, ".csv"), None
     if camera is not None:
         known, index = load_camera(camera, {})
         middles = calibration.camera_centres(known, index)
@@ -181,9 +193,15 @@ def _detect(
 def _centres(paths: list[Path], output: Path | None, linear: bool) -> None:
     from .. import calibration
 
-    output = _output(output)
+    output = _output(output, ".csv")
     found = calibration.find_centres(*(_picture(path, linear) for path in paths))
     calibration.write_centres(output, found)
+    if found.doubtful.any():
+        lenses = _named([f"({column}, {row})" for column, row in found.lens[found.doubtful].tolist()])
+        typer.echo(
+            f"{found.doubtful.sum()} doubtful centres, which dust or a defect may displace (column doubtful), of "
+            f"lenses (k, l) {lenses}"
+        )
     along, across = found.grid.spacing
     rows = "" if found.grid.shifted_rows is None else ", every second row shifted"
     typer.echo(
@@ -204,13 +222,13 @@ def _calibrate(
 ) -> None:
     from .. import calibration
 
-    output = _output(output)
+    output = _output(output, ".json")
     start, _ = load_camera(_camera(camera), {})
     size = _board(board, square)
     corners = calibration.read_corners(path, size, start.crop_size)
     middles = None if centres is None else calibration.read_centres(centres)
     if report:
-        require_writable(report)
+        require_writable(report, ".html")
     found = calibration.calibrate(corners, size, start, middles)
     calibration.write_calibration(output, found, size)
     if report:
@@ -226,9 +244,14 @@ def _calibrate(
     for weakness, parts in found.weak_directions():
         terms = ", ".join(f"{name} {part:+.2f}" for name, part in parts.items())
         typer.echo(f"told badly, {weakness:.1f} times the deviations: {terms}")
-    if len(found.evaluation.outliers):
-        rows = ", ".join(str(row + 2) for row in found.evaluation.outliers[:_NAMED])
-        typer.echo(f"{len(found.evaluation.outliers)} outliers, in lines {rows}{_more(found.evaluation.outliers)}")
+    if found.by_frames:
+        typer.echo(
+            f"frames disagree {found.disagreement:.1f} times as much as their own scatter explains, so that the "
+            "model misses something: deviations are those of leaving out frames"
+        )
+    _print_outliers(found.evaluation)
+    if len(found.centre_outliers):
+        typer.echo(f"{len(found.centre_outliers)} centres not used, in lines {_named(found.centre_outliers + 2)}")
     if found.centre_error is not None:
         typer.echo(f"centres of micro-images {found.centre_error:.4f} px RMS over {len(found.centre_residuals)}")
     seen = found.evaluation
@@ -238,5 +261,21 @@ def _calibrate(
     )
 
 
-def _more(rows: Sized) -> str:
-    return "" if len(rows) <= _NAMED else " and so on; the file has them all"
+def _print_outliers(seen: Evaluation) -> None:
+    """Print which rows are outliers, and the error without them."""
+    rows = seen.outliers
+    if not len(rows):
+        return
+    frames = ", ".join(
+        f"{count} of {seen.frames[pose]}" for pose, count in enumerate(np.bincount(seen.pose[rows])) if count
+    )
+    typer.echo(f"{len(rows)} outliers, in lines {_named(rows + 2)}; by frame: {frames}")
+    typer.echo(
+        f"without outliers {seen.error_without_outliers:.4f} px over {len(seen.residuals) - len(rows)} observations"
+    )
+
+
+def _named(items: Sequence[object] | np.ndarray) -> str:
+    """Return the first items as a list."""
+    more = "" if len(items) <= _NAMED else f" and {len(items) - _NAMED} more; the file has them all"
+    return ", ".join(map(str, items[:_NAMED])) + more

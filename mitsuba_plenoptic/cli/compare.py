@@ -45,6 +45,7 @@ def compare(
     # Figures need libraries that take a second to load, which other commands need not wait for.
     from ..report.compare import compare as compute
     from ..report.experiment import Settings
+    from ..report.metrics import ssim_text
 
     settings = Settings(
         scene=scene,
@@ -60,7 +61,8 @@ def compare(
     with stage_lines(resume) as stages:
         results = compute(settings, output, stages=stages)
     found = results["captures"]
-    typer.echo(f"Rays against waves: {found['psnr']:.1f} dB, SSIM {found['ssim']:.3f}, energy {found['energy']:.3f}")
+    similarity = ssim_text(found["ssim"])
+    typer.echo(f"Rays against waves: {found['psnr']:.1f} dB, SSIM {similarity}, energy {found['energy']:.3f}")
     found = found["difference"]
     if found["all"]["noise"] is None:
         typer.echo("Noise: not known of one sample; use --spp 2 or more")

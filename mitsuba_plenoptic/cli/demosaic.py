@@ -9,9 +9,9 @@ import typer
 
 from ..errors import InputError
 from ..io.captures import write_capture
-from ..io.files import require_apart
+from ..io.files import require_apart, require_writable
 from ..mosaic import MOSAICS
-from .inputs import named_camera, read_recorded, require_capture_output
+from .inputs import named_camera, read_recorded, require_linear
 from .options import CameraFile, CaptureFile, CaptureOutput, Linear, number
 
 
@@ -54,11 +54,12 @@ def demosaic(
 
       mitsuba-plenoptic demosaic raw.tiff -o colours.exr --mosaic GRBG --camera lytro --linear
     """
-    require_capture_output(output)
+    require_writable(output, ".exr")
     require_apart(output, capture, white)
     # Brings libraries that take a while to load.
     from ..lightfield import demosaic as interpolate
 
+    require_linear(linear, capture, white)
     known = named_camera(camera)
     if black_level and not (linear and known):
         raise InputError(f"--black-level {black_level:g}: it is for raw pictures with --linear and --camera")

@@ -12,10 +12,9 @@ from ..io.files import require_apart
 from ..lightfield import depth_error, depth_map
 from ..lightfield.depth import is_focused
 from ..lightfield.exchange import open_light_field, open_micro_images
-from ..report.brightness import Brightness
 from ..report.output_files import require_picture_path, write_depth
 from ..runtime.progress import progress_bar
-from .inputs import named_camera
+from .inputs import brightness_of, named_camera
 from .options import (
     CameraFile,
     Exposure,
@@ -69,7 +68,7 @@ def depth(
       mitsuba-plenoptic depth raw.exr -o depth.exr --near 195 --far 310
     """
     require_apart(require_picture_path(output), source, white, truth)
-    brightness = Brightness(exposure, percentile)
+    brightness = brightness_of(exposure, percentile, output)
     known = named_camera(camera)
     lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=known, truth=truth or True)
     images = None

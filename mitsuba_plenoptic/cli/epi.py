@@ -11,9 +11,8 @@ from ..io.files import require_apart
 from ..lightfield import epipolar_image
 from ..lightfield.exchange import open_light_field
 from ..lightfield.views import AXES
-from ..report.brightness import Brightness
 from ..report.output_files import require_picture_path, write_epipolar_image
-from .inputs import named_camera
+from .inputs import brightness_of, named_camera
 from .options import CameraFile, Exposure, LightFieldSource, Linear, Percentile, ViewCount, White, number, output_option
 
 
@@ -22,15 +21,21 @@ def epi(
     output: Annotated[Path, output_option("FILE", "File to write: .exr, or .png four times as large.")],
     axis: Annotated[str, typer.Option(metavar="|".join(AXES), help="Direction of the line.")] = "horizontal",
     at: Annotated[
-        float,
+        float | None,
         number(
             "Place of the line in the object plane in focus: y (up) of a horizontal, x (left) of a vertical one.",
+            "nearest to the axis",
             unit="MM",
         ),
-    ] = 0.0,
+    ] = None,
     through: Annotated[
-        float, number("Place on the pupil: y (up) of a horizontal, x (left) of a vertical line.", unit="MM")
-    ] = 0.0,
+        float | None,
+        number(
+            "Place on the pupil: y (up) of a horizontal, x (left) of a vertical line.",
+            "nearest to the middle",
+            unit="MM",
+        ),
+    ] = None,
     white: White = None,
     view_count: ViewCount = None,
     linear: Linear = False,
@@ -47,7 +52,7 @@ def epi(
       mitsuba-plenoptic epi raw.exr -o epi.png --at 2.5
     """
     require_apart(require_picture_path(output), source, white)
-    brightness = Brightness(exposure, percentile)
+    brightness = brightness_of(exposure, percentile, output)
     image = epipolar_image(
         open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera)),
         axis,

@@ -9,10 +9,9 @@ import typer
 from ..detector import Detector
 from ..detector import expose as record
 from ..io.captures import read_capture, write_capture
-from ..io.files import require_apart
+from ..io.files import require_apart, require_writable
 from ..io.raw import RAW_SUFFIXES, write_raw
 from ..mosaic import MOSAICS
-from .inputs import require_capture_output
 from .options import CaptureFile, RawOutput, number
 
 
@@ -58,7 +57,7 @@ def expose(
 
       mitsuba-plenoptic expose colours.exr -o bayer.tiff --photons 2000 --mosaic RGGB
     """
-    require_capture_output(output, RAW_SUFFIXES)
+    require_writable(output, ".exr", *RAW_SUFFIXES)
     require_apart(output, capture)
     detector = Detector(
         quantum_efficiency=quantum_efficiency,
@@ -73,4 +72,8 @@ def expose(
     exposed = record(read_capture(capture), detector, photons=photons, seed=seed)
     (write_raw if output.suffix.lower() in RAW_SUFFIXES else write_capture)(output, exposed)
     electrons = detector.quantum_efficiency * photons
-    typer.echo(f"{output}: {electrons:.4g} electrons in a pixel of value 1; a full well is {full_well:g}")
+    saturated, rows, columns = exposed.metadata["exposure"]["saturated_pixels"], *exposed.image.shape[:2]
+    typer.echo(
+        f"{output}: {electrons:.4g} electrons in a pixel of value 1; a full well is {full_well:g}; "
+        f"{saturated} pixels ({saturated / (rows * columns):.2%}) are saturated"
+    )

@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from ..capture.scene import load_scene
 from ..errors import InputError, require_number
-from ..io.captures import read_capture
+from ..io.captures import Capture, read_capture
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import atomic_output, require_apart, require_writable
 from ..runtime.progress import progress_bar
@@ -19,7 +20,7 @@ from .options import CameraFile, Definitions, number, output_option
 from .terminal import stopped_by_hand
 
 if TYPE_CHECKING:
-    from ..fitting import Fit
+    from ..fitting import Fit, PixelNoise
 
 # Directions that are printed: the worst told.
 _NAMED = 3
@@ -36,7 +37,17 @@ def fit(
     names: Annotated[
         list[str], typer.Option("--number", metavar="NAME", help="What is fitted, such as mla_pitch; one or several.")
     ],
-    photons: Annotated[float, number("Photons of a pixel of value 1: they tell the noise.")],
+    photons: Annotated[
+        float | None, number("Photons counted in a pixel of value 1, for their noise.", "the noise that 'expose' keeps")
+    ] = None,
+    saturation: Annotated[
+        float | None,
+        number("Value from which on pixels are left out as saturated.", "what 'expose' keeps, or none", unit="VALUE"),
+    ] = None,
+    mask: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.png", help="Picture of the captures' size, not black where pixels are left out."),
+    ] = None,
     camera: CameraFile = None,
     start: Annotated[
         bool, typer.Option("--lattice-from-first", help="Take the lattice's start from the first capture, of white.")
@@ -60,20 +71,31 @@ def fit(
 ) -> None:
     """Fit a camera's numbers to captures of known scenes, by waves or by rays.
 
-    It starts from the captures' own camera, or from --camera. What cannot be
-    told apart is printed: changes of several numbers at once that hardly
-    change the captures.
+    It starts from the captures' own camera, or from --camera. Noise and
+    saturation of captures that 'expose' made are those of their detector.
+    Changes of several numbers at once that hardly change the captures are
+    printed.
 
     [bold]Example:[/bold]
 
       mitsuba-plenoptic fit raw.exr --scene letters --photons 2000 --number mla_pitch -o camera.json
     """
     from .. import fitting
+    from ..lightfield.exchange import read_picture
 
     if len(scenes) != len(captures):
         raise typer.BadParameter(f"{len(captures)} captures and {len(scenes)} scenes", param_hint="--scene")
-    require_apart(require_writable(output), *captures)
+    require_apart(require_writable(output, ".json"), *captures, mask)
     read = [read_capture(path) for path in captures]
+    kept = [_kept_noise(path, capture, photons) for path, capture in zip(captures, read, strict=True)]
+    left_out = None if mask is None else np.atleast_3d(read_picture(mask)).any(-1)
+    for path, capture in zip(captures, read, strict=True):
+        if left_out is not None and left_out.shape != capture.camera.shape:
+            raise InputError(
+                f"{mask}: it has {left_out.shape} pixels, {path} {capture.camera.shape}: give one mask for all"
+            )
+    if saturation is not None:
+        require_number("saturation", saturation, positive=True)
     first = named_camera(camera) or read[0].camera
     if start:
         first = fitting.lattice_from_white(first, read[0].image)
@@ -82,15 +104,25 @@ def fit(
         raise InputError(f"{captures[0]}: it has several wavelengths; a camera is fitted to captures of one")
     # Light is found below, which takes much longer than seeing what is asked for.
     fitting.model.numbers_of(first, names)
-    require_number("photons", photons, positive=True)
+    if photons is not None:
+        require_number("photons", photons, positive=True)
     views = []
-    for name, capture in zip(scenes, read, strict=True):
+    for name, capture, (noise, full) in zip(scenes, read, kept, strict=True):
         scene = load_scene(name, variant=DEFAULT_VARIANT, parameters=parse_definitions(define))
-        view = fitting.known_view(capture.image, scene, first, wavelength=known, radiators_per_lens=radiators)
+        view = fitting.known_view(
+            capture.image,
+            scene,
+            first,
+            wavelength=known,
+            radiators_per_lens=radiators,
+            noise=noise,
+            mask=left_out,
+            saturation=full if saturation is None else saturation,
+        )
         views.append(view)
     checkpoint = require_writable(output.with_name(output.name + SUFFIX))
-    with Checkpoint(checkpoint, "resume" if resume else "refuse") as kept:
-        with progress_bar("Cameras") as progress, stopped_by_hand(kept, progress):
+    with Checkpoint(checkpoint, "resume" if resume else "refuse") as steps:
+        with progress_bar("Cameras") as progress, stopped_by_hand(steps, progress):
             if afar and not resume:
                 first = fitting.come_near(first, views, names, wavelength=known, progress=progress)
             found = fitting.fit(
@@ -102,18 +134,35 @@ def fit(
                 method=method,
                 accuracy=accuracy,
                 progress=progress,
-                checkpoint=kept,
+                checkpoint=steps,
             )
         _write(output, found)
 
 
+def _kept_noise(path: Path, capture: Capture, photons: float | None) -> tuple[PixelNoise | None, float | None]:
+    """Return the noise and the saturation that a capture keeps, and refuse it where noise is not known, or twice."""
+    from .. import fitting
+
+    noise, saturation = fitting.kept_noise(capture)
+    if noise is None and photons is None:
+        raise InputError(f"{path}: it keeps no noise, as 'expose' has not made it; give --photons")
+    if noise is not None and photons is not None:
+        raise InputError(f"photons = {photons:g}: {path} keeps the noise that 'expose' gave it; leave out --photons")
+    return noise, saturation
+
+
 def _write(output: Path, found: Fit) -> None:
     """Write the camera, and print what is known of it."""
-    with atomic_output(output) as temporary:
+    with atomic_output(output, ".json") as temporary:
         temporary.write_text(found.camera.to_json())
     for name, value in found.values.items():
-        typer.echo(f"{name} = {value:.8g} +- {found.deviations[name]:.2g}")
-    typer.echo(f"chi-square per pixel {found.chi_square:.4g}, {found.steps} cameras tried")
+        side = found.at_bounds.get(name)
+        at_bound = f", at its {side}: the deviation is one-sided" if side else ""
+        typer.echo(f"{name} = {value:.8g} +- {found.deviations[name]:.2g}{at_bound}")
+    typer.echo(
+        f"chi-square per pixel {found.chi_square:.4g} +- {found.chi_square_deviation:.2g} over {found.pixels} pixels, "
+        f"{found.steps} cameras tried"
+    )
     for direction in found.directions[:_NAMED] if len(found.values) > 1 else ():
         parts = sorted(direction.parts.items(), key=lambda part: -abs(part[1]))
         terms = ", ".join(f"{part:+.2f} {name}" for name, part in parts if abs(part) > 0.1)

@@ -15,12 +15,12 @@ from ..capture.render import plenoptic_sensor
 from ..capture.scene import load_scene, scene_names, scene_path
 from ..capture.scene_file import check_scene_file
 from ..design import design_warnings
-from ..errors import InputError
+from ..errors import InputError, did_you_mean
 from ..io.captures import Capture, read_capture
-from ..io.files import require_writable
 from ..io.raw import RAW_SUFFIXES, read_raw, scaled_from, tells_detector
 from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
+from ..report.brightness import Brightness
 from ..runtime.batches import BatchMap
 from ..runtime.cluster import Cluster
 from ..runtime.variant import DEFAULT_VARIANT
@@ -34,17 +34,6 @@ _COLOURS = "llvm_ad_rgb"
 _log = logging.getLogger(__name__)
 
 
-def require_capture_output(path: Path, others: tuple[str, ...] = ()) -> None:
-    """Check, before a long computation, that a capture can be written to a file, whose name ends in ``.exr``.
-
-    Or in one of `others`.
-    """
-    if path.suffix.lower() not in (".exr", *others):
-        suffixes = " or ".join((".exr", *others))
-        raise InputError(f"{path}: a capture is written as OpenEXR; give a name that ends in {suffixes}")
-    require_writable(path)
-
-
 def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamera, LensIndex | None]:
     """Return the camera of a preset, a JSON file or a scene; a file takes precedence over a preset of its name.
 
@@ -54,8 +43,12 @@ def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamer
     index : LensIndex or None
         How the data of its calibration count lenses; None unless the file says so.
     """
-    preset = source in PRESETS and not parameters and not Path(source).is_file()
+    preset = source in PRESETS and not Path(source).is_file()
+    # Some scenes are called as a camera; parameters are theirs.
+    preset = preset and not (parameters and source in scene_names())
     if preset or source.lower().endswith((".json", ".js")):
+        if parameters:
+            raise InputError(f"-D: {source} is no scene, and has no scene parameters; leave it out")
         # Brings libraries that take a while to load.
         from ..calibration import read_camera
 
@@ -63,9 +56,10 @@ def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamer
     if source.lower().endswith(".exr"):
         raise InputError(f"{source}: it is an image; a camera is a preset, a JSON file or a scene")
     if not Path(source).exists() and source not in scene_names():
+        names = scene_names()
         raise InputError(
             f"{source}: there is no such file, and no camera ({', '.join(PRESETS)}) or built-in scene "
-            f"({', '.join(scene_names())}) of that name"
+            f"({', '.join(names)}) of that name{did_you_mean(source, [*PRESETS, *names])}"
         )
     sensors = load_scene(source, parameters=parameters).sensors()
     if not sensors:
@@ -90,6 +84,22 @@ def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, blac
         return scaled_from(Capture(read_picture(path, linear=linear), camera, None, "ray", {}), black_level)
     found = read_capture(path)
     return found if camera is None else dataclasses.replace(found, camera=camera)
+
+
+def require_linear(linear: bool, *paths: Path | None) -> None:
+    """Refuse --linear where no picture is read whose values could be so."""
+    given = [path for path in paths if path is not None]
+    if linear and not any(path.suffix.lower() in RAW_SUFFIXES for path in given):
+        raise InputError(f"--linear: it is for pictures (.png, .tiff); {given[0]} holds values proportional to light")
+
+
+def brightness_of(exposure: float | None, percentile: float | None, *paths: Path | None) -> Brightness:
+    """Return what becomes white in pictures; refuse the options where none of the files to write is one."""
+    named = "--exposure" if exposure is not None else "--percentile" if percentile is not None else None
+    given = [path for path in paths if path is not None]
+    if named and not any(path.suffix.lower() == ".png" for path in given):
+        raise InputError(f"{named}: it is for pictures (.png); {given[0]} keeps the values as they are")
+    return Brightness(exposure, percentile)
 
 
 def named_camera(source: str | None) -> PlenopticCamera | None:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from .. import reconstruction
-from ..errors import InputError
+from ..errors import InputError, require_choice
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import require_apart, require_different, require_writable
 from ..reconstruction import METHODS, Reconstruction, Volume, write_volume
@@ -19,7 +19,7 @@ from ..report.brightness import Brightness
 from ..report.output_files import reconstruction_paths, write_reconstructions
 from ..runtime.progress import progress_bar
 from ..runtime.variant import set_variant
-from .inputs import batches_on, named_camera, read_recorded
+from .inputs import batches_on, brightness_of, named_camera, read_recorded, require_linear
 from .options import CameraFile, CaptureFile, Distances, Exposure, Linear, Percentile, Variant, number, output_option
 from .terminal import stopped_by_hand
 
@@ -45,28 +45,32 @@ def reconstruct(
         ),
     ] = "ray",
     footprint: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="|".join(reconstruction.FOOTPRINTS),
-            help="For rays: spread a pixel over what its lens sees, or put it into one bin.",
+            show_default="lens",
+            help="For ray: spread a pixel over what its lens sees, or put it into one bin.",
         ),
-    ] = "lens",
+    ] = None,
     interleave: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="K|auto",
+            show_default="2",
             help="For partial: every K-th lens along both axes shares a wave; auto lets no two lenses interfere.",
         ),
-    ] = "2",
+    ] = None,
     wavelength: Annotated[
         float | None, number("For waves: wavelength in nanometres.", "the capture's", unit="NM")
     ] = None,
     relay: Annotated[
-        bool,
+        bool | None,
         typer.Option(
-            "--relay/--no-relay", help="For waves: whether the microlenses act again on the way back, as they should."
+            "--relay/--no-relay",
+            show_default="relay",
+            help="For coherent and partial: whether the microlenses act again on the way back, as they should.",
         ),
-    ] = True,
+    ] = None,
     camera: CameraFile = None,
     linear: Linear = False,
     oversample: Annotated[int, number("Bins per microlens along each axis; info tells what suits.")] = 1,
@@ -91,11 +95,13 @@ def reconstruct(
         number("For deconvolved: steps.", "until only noise is left, where a capture tells its exposure; else 30"),
     ] = None,
     accelerate: Annotated[
-        bool,
+        bool | None,
         typer.Option(
-            "--accelerate/--no-accelerate", help="For deconvolved: whether each step starts from an extrapolated point."
+            "--accelerate/--no-accelerate",
+            show_default="accelerate",
+            help="For deconvolved: whether each step starts from an extrapolated point.",
         ),
-    ] = True,
+    ] = None,
     photons: Annotated[
         float | None,
         number("For deconvolved: photons that a pixel of value 1 has counted.", "what 'expose' has kept"),
@@ -105,9 +111,9 @@ def reconstruct(
         typer.Option("--volume", help="For deconvolved: all distances together explain the capture, not each alone."),
     ] = False,
     variation: Annotated[
-        float,
-        number("For deconvolved: weight of the total variation, which makes planes even between sharp borders."),
-    ] = 0.0,
+        float | None,
+        number("For deconvolved: weight of the total variation, which makes planes even between sharp borders.", "0"),
+    ] = None,
     overview: Annotated[
         Path | None,
         typer.Option(
@@ -156,26 +162,27 @@ def reconstruct(
 
       mitsuba-plenoptic reconstruct raw.tiff -o out.png --distance 600 --camera camera.json --linear
     """
+    chosen = METHODS[require_choice("method", method, METHODS)]
+    for option, value in (("resume", resume or None), ("workers", workers), ("scheduler", scheduler)):
+        if value is not None and not chosen.long:
+            raise InputError(f"--{option}: method {method} does not take it; methods that do: deconvolved")
     whole = output.suffix.lower() in SUFFIXES
     paths = [] if whole else reconstruction_paths(output, distance)
     if whole:
-        require_writable(require_volume_path(output, distance))
-    if overview and require_writable(overview).suffix.lower() != ".png":
-        raise InputError(f"{overview}: an overview is a picture; give a name that ends in .png")
+        require_volume_path(output, distance)
+    if overview:
+        require_writable(overview, ".png")
     written = [*(paths or [output]), overview]
     require_different(*written)
     for path in filter(None, written):
         require_apart(path, capture, white)
-    long = METHODS[method].long if method in METHODS else False
-    for name, value in (("--resume", resume), ("--workers", workers), ("--scheduler", scheduler)):
-        if value and not long:
-            raise InputError(f"{name}: method {method} is too quick to need it; leave it out")
-    brightness = Brightness(exposure, percentile)
+    brightness = brightness_of(exposure, percentile, output, overview)
+    require_linear(linear, capture, white)
     known = named_camera(camera)
     recorded = read_recorded(capture, known, linear)
     reference = None if white is None else read_recorded(white, known, linear)
     set_variant(variant)
-    kept = Checkpoint(output.with_name(output.name + SUFFIX), "resume" if resume else "refuse") if long else None
+    kept = Checkpoint(output.with_name(output.name + SUFFIX), "resume" if resume else "refuse") if chosen.long else None
     with kept or nullcontext(), batches_on(workers, scheduler) as batch_map:
         with progress_bar("Refocusing") as progress, stopped_by_hand(kept, progress) if kept else nullcontext():
             results = reconstruction.reconstruct(
@@ -183,7 +190,7 @@ def reconstruct(
                 distance,
                 method=method,
                 wavelength=wavelength,
-                interleave=int(interleave) if interleave.isdecimal() and len(interleave) < 10 else interleave,
+                interleave=_period(interleave),
                 footprint=footprint,
                 relay=relay,
                 oversample=oversample,
@@ -192,7 +199,7 @@ def reconstruct(
                 iterations=iterations,
                 accelerate=accelerate,
                 photons=photons,
-                volume=volume,
+                volume=volume or None,
                 variation=variation,
                 progress=progress,
                 checkpoint=kept,
@@ -205,6 +212,11 @@ def reconstruct(
         rows, columns = result.image.shape[:2]
         where = "rad at infinity" if math.isinf(result.distance) else f"mm at {result.distance:g} mm"
         typer.echo(f"{path}: {columns} x {rows} bins of {result.bin_size:.4g} {where}{_told(result.facts)}")
+
+
+def _period(interleave: str | None) -> int | str | None:
+    """Return a number of lenses as such; other words are judged where they are used."""
+    return int(interleave) if interleave and interleave.isdecimal() and len(interleave) < 10 else interleave
 
 
 def _write_volume(

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ..capture.estimate import estimate_capture
-from ..capture.render import render_capture
+from ..capture.render import is_wave_capture, render_capture
+from ..errors import InputError
 from ..io.captures import Capture, write_capture
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import remove_leftovers, require_different, require_writable
 from ..io.ground_truth import NAME, QUANTITIES, require_quantities, truth_path, write_ground_truth
 from ..runtime.progress import progress_bar
-from .inputs import batches_on, open_scene, parse_definitions, require_capture_output
+from .inputs import batches_on, open_scene, parse_definitions
 from .options import (
     CameraFile,
     Definitions,
@@ -119,7 +121,10 @@ def render(
     options = {"wavelength": wavelength, "radiators_per_lens": radiators_per_lens}
     wave = {name: value for name, value in options.items() if value is not None}
     if estimate:
-        with batches_on(workers, scheduler) as batch_map:
+        refused = {"noise": noise, "resume": resume, "checkpoint": checkpoint, "white": white, "aov": aov}
+        for name in (name for name, value in refused.items() if value):
+            raise InputError(f"--{name}: an estimate does not take it; leave it out")
+        with batches_on(workers, scheduler) as batch_map, progress_bar("Estimating"):
             loaded = open_scene(scene, parameters, variant, camera, sensor)
             cost = estimate_capture(loaded, sensor=sensor, model=model, spp=spp, seed=seed, batch_map=batch_map, **wave)
         what = f"{cost.radiators} radiators, {cost.patterns} point spreads, " if cost.radiators else ""
@@ -130,15 +135,22 @@ def render(
     # Before the rendering, which may take long.
     names = None if aov is None else require_quantities(name.strip() for name in aov.split(","))
     for path in filter(None, (output, white)):
-        require_capture_output(path)
+        require_writable(path, ".exr")
     beside = require_writable(truth_path(output))
     require_different(output, white, beside if names else None)
+    kept = Checkpoint(
+        require_writable(checkpoint or output.with_name(output.name + SUFFIX)), "resume" if resume else "refuse"
+    )
+    with progress_bar("Loading the scene"):
+        loaded = open_scene(scene, parameters, variant, camera, sensor)
     if resume:
         remove_leftovers(output)
-    checkpoint = require_writable(checkpoint or output.with_name(output.name + SUFFIX))
-    with Checkpoint(checkpoint, "resume" if resume else "refuse") as kept, batches_on(workers, scheduler) as batch_map:
-        with progress_bar("Rendering") as progress, stopped_by_hand(kept, progress):
-            loaded = open_scene(scene, parameters, variant, camera, sensor)
+    by_waves = is_wave_capture(loaded, model)
+    given = {"resume": resume, "checkpoint": checkpoint, "workers": workers, "scheduler": scheduler}
+    for name in (name for name, value in given.items() if value and not by_waves):
+        raise InputError(f"--{name}: a ray capture does not take it; it is for --model wave")
+    with kept if by_waves else nullcontext(), batches_on(workers, scheduler) as batch_map:
+        with progress_bar("Rendering") as progress, stopped_by_hand(kept, progress) if by_waves else nullcontext():
             start = time.perf_counter()
             capture = render_capture(
                 loaded,
@@ -147,7 +159,7 @@ def render(
                 spp=spp,
                 seed=seed,
                 progress=progress,
-                checkpoint=kept,
+                checkpoint=kept if by_waves else None,
                 batch_map=batch_map,
                 noise=noise,
                 **wave,

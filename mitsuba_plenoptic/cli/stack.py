@@ -11,10 +11,9 @@ from ..io.files import require_apart
 from ..lightfield import focal_stack
 from ..lightfield.exchange import open_light_field
 from ..lightfield.refocus import METHODS
-from ..report.brightness import Brightness
 from ..report.output_files import require_picture_path, write_stack
 from ..runtime.progress import progress_bar
-from .inputs import named_camera
+from .inputs import brightness_of, named_camera
 from .options import (
     CameraFile,
     Distances,
@@ -60,7 +59,7 @@ def stack(
       mitsuba-plenoptic stack raw.exr -o stack.exr --distance 210 --distance 240 --distance 280
     """
     require_apart(require_picture_path(output), source, white)
-    brightness = Brightness(exposure, percentile)
+    brightness = brightness_of(exposure, percentile, output)
     lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera))
     with progress_bar("Refocusing") as progress:
         images = focal_stack(lf, distance, method=method, progress=progress)

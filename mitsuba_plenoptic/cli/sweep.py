@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from .. import reconstruction
+from ..errors import InputError
 from ..runtime.variant import DEFAULT_VARIANT
 from .inputs import batches_on, parse_definitions
 from .options import (
@@ -42,8 +43,9 @@ def sweep(
     ] = None,
     model: Model = None,
     method: Annotated[
-        str, typer.Option(metavar="|".join(reconstruction.METHODS), help="How captures are refocused.")
-    ] = "ray",
+        str | None,
+        typer.Option(metavar="|".join(reconstruction.METHODS), show_default="ray", help="How captures are refocused."),
+    ] = None,
     spp: Samples = None,
     seed: Seed = 0,
     radiators_per_lens: RadiatorsPerLens = None,
@@ -74,6 +76,8 @@ def sweep(
     from ..report.sweep import sweep as compute
 
     wanted = check_grid(merge_grids(read_grid(grid) if grid else {}, parse_grid(vary or [])))
+    if method is not None and "distance" not in wanted:
+        raise InputError("--method: nothing is refocused without a 'distance' in the grid; leave it out")
     settings = SweepSettings(
         scene=scene,
         parameters=parse_definitions(define),
@@ -81,7 +85,7 @@ def sweep(
         spp=spp,
         seed=seed,
         radiators_per_lens=radiators_per_lens,
-        method=method,
+        method=method or "ray",
         variant=variant or DEFAULT_VARIANT,
     )
     with batches_on(workers, scheduler) as batch_map, stage_lines(resume) as stages:

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 
 from ..io.checkpoints import Checkpoint
 from ..report.stage_store import StageOptions
-from ..runtime.progress import ProgressBar
+from ..runtime.progress import ProgressBar, plain_lines
 
 _log = logging.getLogger(__name__)
 
@@ -47,13 +47,18 @@ def stopped_by_hand(checkpoint: Checkpoint, progress: ProgressBar) -> Iterator[N
 
 @contextlib.contextmanager
 def stage_lines(resume: bool) -> Iterator[StageOptions]:
-    """Print a line for each stage that is done, and on a terminal show a bar for the one under way."""
+    """Print a line for each stage that is done, and show the progress of the one under way."""
     console = Console(stderr=True, highlight=False)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with (
+        Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar,
+        plain_lines("starting") as line,
+    ):
         tasks: dict[str, TaskID] = {}
 
         def notify(name: str, done: int, total: int) -> None:
+            line.label = _words(name)
+            line(done, total)
             if name not in tasks:
                 tasks[name] = bar.add_task(_words(name), total=None)
             bar.update(tasks[name], completed=done, total=total or None)

@@ -10,10 +10,9 @@ import typer
 from ..io.files import require_apart
 from ..lightfield import pick_views
 from ..lightfield.exchange import open_light_field
-from ..report.brightness import Brightness
 from ..report.output_files import require_picture_path, write_views
 from . import options
-from .inputs import named_camera
+from .inputs import brightness_of, named_camera
 
 
 def views(
@@ -46,7 +45,7 @@ def views(
       mitsuba-plenoptic views raw.exr -o centre.png --count 1
     """
     require_apart(require_picture_path(output), source, white, truth)
-    brightness = Brightness(exposure, percentile)
+    brightness = brightness_of(exposure, percentile, output)
     lf = open_light_field(
         source, white=white, views=view_count, linear=linear, camera=named_camera(camera), truth=truth or True
     )

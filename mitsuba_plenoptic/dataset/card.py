@@ -37,7 +37,8 @@ Sample k depends on the seed and k alone: the same recipe and software make the 
 
 {table}
 
-and `facts`, UTF-8 JSON: the camera, all that was drawn, names of the shapes, and how each capture was made. Pixels are
+and `facts`, UTF-8 JSON: the camera, all that was drawn, names of the shapes, and how each capture was made; and
+`digests` of all these, which are compared when they are read. Pixels are
 radiance, averaged over the lens. What is unknown is NaN, the depth of nothing infinite. Arrays `views_...` are ground
 truth of the decoded views (v, u, t, s), of the rays that `decode` makes samples of.
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, require_choice, require_number, shown
+from ..errors import InputError, require_choice, require_known, require_number, shown
 
 _SCALES = ("linear", "log")
 
@@ -102,8 +102,7 @@ def parse(name: str, value: Any) -> Any:
         if not isinstance(choices, list) or not choices:
             raise InputError(f"{name}: one_of = {shown(choices)}: it must be a list of values")
         return OneOf(tuple(choices))
-    for key in value:
-        require_choice(f"{name}: key", key, ("from", "to", "scale", "step", "one_of"))
+    require_known(f"{name}: ", value, ("from", "to", "scale", "step", "one_of"))
     if "one_of" in value or not {"from", "to"} <= set(value):
         raise InputError(
             f"{name} = {shown(dict(value))}: a range is {{from: A, to: B}}, a choice {{one_of: [A, B, ...]}}"

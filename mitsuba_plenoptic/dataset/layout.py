@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
-from collections.abc import Mapping
+import os
+import sys
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ..errors import InputError, shown
-from ..io.files import require_file
+from ..io.files import read_text
 from ..report.stage_store import scene_fingerprint, write_json
 from ..runtime.software import software
 from .recipe import Recipe
 
+if sys.platform != "win32":
+    import fcntl
+
 MANIFEST, CARD, PREVIEW, CHECKSUMS = "dataset.json", "README.md", "preview.png", "checksums.sha256"
+
+LARGEST_LIST = 2**27
+"""Bytes of the manifest or of the checksums, at most: of a million shards."""
+
+_LOCK = ".lock"
 
 _GROWING = "recipe.count"
 """What may differ, if it grows."""
@@ -77,29 +88,61 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     InputError
         If the folder holds no data set.
     """
-    path = require_file(folder / MANIFEST)
+    path = folder / MANIFEST
+    text = read_text(path, LARGEST_LIST)
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(text)
         numbers = [content["count"], content["samples_per_shard"]]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         raise InputError(f"{path}: it is not the manifest of a data set") from None
     if not all(isinstance(number, int) and number > 0 for number in numbers):
         raise InputError(f"{path}: count, samples_per_shard = {shown(numbers)}: they must be whole numbers above 0")
     return dict(content)
 
 
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Make the folder of a data set and keep other processes from making it, too.
+
+    The lock belongs to this process: the system releases it however the process ends. There is none on Windows.
+
+    Raises
+    ------
+    InputError
+        If another process has it, or the folder cannot be made or written.
+    """
+    path = folder / _LOCK
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file = path.open("w")
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror}") from None
+    with file:
+        try:
+            if sys.platform != "win32":
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # The process that had it may have removed the file between the two calls.
+            mine = os.path.samestat(os.fstat(file.fileno()), path.stat())
+        except (BlockingIOError, FileNotFoundError):
+            mine = False
+        except OSError as error:
+            raise InputError(f"{folder}: it cannot be locked: {error.strerror}") from None
+        if not mine:
+            raise InputError(f"{folder}: another process is making this data set; wait until it has ended")
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+
+
 def claim(folder: Path, recipe: Recipe) -> Layout:
-    """Make the folder of a data set, or find that it holds samples of the same recipe.
+    """Find that a folder is empty, or that it holds samples of the same recipe, and write its manifest.
 
     Raises
     ------
     InputError
         If it holds others, with the first difference, or something else.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: {error.strerror}") from None
     facts = facts_of(recipe)
     if (folder / MANIFEST).exists():
         found = read_manifest(folder)
@@ -112,7 +155,7 @@ def claim(folder: Path, recipe: Recipe) -> Layout:
                 )
         if found["count"] > recipe.count:
             raise InputError(f"count = {recipe.count}: {folder} holds {found['count']} samples; it may only grow")
-    elif any(folder.iterdir()):
+    elif any(path.name != _LOCK for path in folder.iterdir()):
         raise InputError(f"{folder}: it holds something else; choose an empty folder, or one that is not there")
     sizes = {"count": recipe.count, "samples_per_shard": recipe.samples_per_shard}
     write_json(folder / MANIFEST, {**sizes, "name": recipe.name, **facts})
@@ -120,6 +163,18 @@ def claim(folder: Path, recipe: Recipe) -> Layout:
     for part in (layout.shard(0), layout.sample(0)):
         part.parent.mkdir(exist_ok=True)
     return layout
+
+
+def recorded_checksums(folder: Path) -> dict[str, str]:
+    """Return the checksums that were written for a data set, by file; none if there are none."""
+    path = folder / CHECKSUMS
+    if not path.exists():
+        return {}
+    try:
+        pairs = [line.partition("  ") for line in read_text(path, LARGEST_LIST).splitlines()]
+    except InputError:
+        return {}
+    return {name: expected for expected, _, name in pairs}
 
 
 def checksum(path: Path) -> str:

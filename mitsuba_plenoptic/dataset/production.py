@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,12 +16,14 @@ from ..runtime.batches import BatchMap
 from ..runtime.jobs import Progress
 from ..runtime.variant import set_variant
 from .card import write_card, write_checksums
-from .layout import CARD, CHECKSUMS, PREVIEW, Layout, claim
+from .layout import CARD, CHECKSUMS, PREVIEW, Layout, checksum, claim, locked, recorded_checksums
 from .preview import write_preview
 from .reader import DataSet
 from .recipe import Recipe
 from .sample import Sample, make_sample, open_sample
-from .shards import indices_in, open_shard, read_sample, write_samples
+from .shards import open_shard, read_sample, whole_samples, write_samples
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,8 @@ def make_dataset(
 
     Every sample is a file of its own until all of its shard are there. A run that was killed, at whatever moment,
     goes on when it is started again, and ends with the bytes of one that was not. A data set of the same recipe with a
-    smaller count grows.
+    smaller count grows. Samples that are there are compared with their digests first; damaged ones are named in the log
+    and rendered again. One process at a time makes a data set.
 
     Parameters
     ----------
@@ -79,20 +83,31 @@ def make_dataset(
     Raises
     ------
     InputError
-        If the folder holds something else, or a sample cannot be rendered.
+        If the folder holds something else, another process is making it, or a sample cannot be rendered.
     """
     folder = Path(folder).absolute()
     set_variant(recipe.variant)
     _try_scenes(recipe)
-    layout = claim(folder, recipe)
-    _clear(layout)
-    kept = {number: set(indices_in(layout.shard(number))) for number in range(layout.shards)}
-    missing = [
-        index
-        for number, there in kept.items()
-        for index in layout.members(number)
-        if index not in there and not layout.sample(index).exists()
-    ]
+    with locked(folder):
+        _produce(recipe, claim(folder, recipe), batch_map, progress)
+    return DataSet(folder)
+
+
+def _produce(recipe: Recipe, layout: Layout, batch_map: BatchMap | None, progress: Progress | None) -> None:
+    # Whatever is there is compared with its digests before anything of it is dropped.
+    kept = {
+        number: whole_samples(layout.shard(number)).intersection(layout.members(number))
+        for number in range(layout.shards)
+    }
+    recorded = recorded_checksums(layout.folder)
+    unchanged = {number for number in kept if _as_recorded(layout, number, recorded)}
+    missing = []
+    for number, there in kept.items():
+        for index in layout.members(number):
+            if index not in there and index not in whole_samples(layout.sample(index)):
+                layout.sample(index).unlink(missing_ok=True)
+                missing.append(index)
+    _clear(layout, kept)
     done = recipe.count - len(missing)
     tasks = [SampleTask(recipe, index, layout.sample(index)) for index in missing]
     results: Iterable[int] = batch_map(tasks) if batch_map and tasks else (task.prepare()() for task in tasks)
@@ -100,8 +115,9 @@ def make_dataset(
 
     def pack() -> None:
         for number in [number for number in kept if not waiting.intersection(layout.members(number))]:
-            if kept.pop(number) != set(layout.members(number)):
-                _pack(layout, number)
+            there = kept.pop(number)
+            if there != set(layout.members(number)) or number not in unchanged:
+                _pack(layout, number, there)
 
     pack()
     if progress:
@@ -113,11 +129,20 @@ def make_dataset(
         if progress:
             progress(done, recipe.count)
     shutil.rmtree(layout.sample(0).parent)
-    made = DataSet(folder)
-    write_preview(folder / PREVIEW, made)
-    write_card(folder / CARD, recipe, made)
-    write_checksums(folder / CHECKSUMS, layout)
-    return made
+    made = DataSet(layout.folder)
+    write_preview(layout.folder / PREVIEW, made)
+    write_card(layout.folder / CARD, recipe, made)
+    write_checksums(layout.folder / CHECKSUMS, layout)
+
+
+def _as_recorded(layout: Layout, number: int, recorded: Mapping[str, str]) -> bool:
+    """Return whether a shard has the checksum that an earlier run wrote, if one did."""
+    path = layout.shard(number)
+    expected = recorded.get(path.relative_to(layout.folder).as_posix())
+    if expected is None or not path.exists() or checksum(path) == expected:
+        return True
+    _log.warning("%s: its checksum differs from the recorded one; it is written again from its undamaged samples", path)
+    return False
 
 
 def _make(recipe: Recipe, index: int, path: Path) -> int:
@@ -140,7 +165,7 @@ def _try_scenes(recipe: Recipe) -> None:
             return
 
 
-def _clear(layout: Layout) -> None:
+def _clear(layout: Layout, kept: Mapping[int, set[int]]) -> None:
     """Remove what processes that were killed left behind, and samples that are in shards already."""
     for path in (layout.sample(0).parent, layout.shard(0).parent):
         for leftover in path.glob(".*"):
@@ -149,15 +174,13 @@ def _clear(layout: Layout) -> None:
         remove_leftovers(layout.folder / name)
         # They tell of a data set that is complete.
         (layout.folder / name).unlink(missing_ok=True)
-    for number in range(layout.shards):
-        for index in indices_in(layout.shard(number)):
-            layout.sample(index).unlink(missing_ok=True)
+    for index in set().union(*kept.values()):
+        layout.sample(index).unlink(missing_ok=True)
 
 
-def _pack(layout: Layout, number: int) -> None:
+def _pack(layout: Layout, number: int, there: set[int]) -> None:
     """Put the samples of a shard into its file, with those that are in it."""
     path = layout.shard(number)
-    there = set(indices_in(path))
 
     def samples() -> Iterator[Sample]:
         for index in layout.members(number):

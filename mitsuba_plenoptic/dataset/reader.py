@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError, require_count
-from ..io.files import require_file
-from .layout import CHECKSUMS, Layout, checksum, read_manifest
+from ..io.files import read_text
+from .layout import CHECKSUMS, LARGEST_LIST, Layout, checksum, read_manifest
 from .sample import Sample
 from .shards import open_shard, read_sample
 
@@ -69,7 +69,7 @@ class DataSet:
         InputError
             If there are no checksums.
         """
-        lines = require_file(self.folder / CHECKSUMS).read_text().splitlines()
+        lines = read_text(self.folder / CHECKSUMS, LARGEST_LIST).splitlines()
         found = []
         for expected, _, name in (line.partition("  ") for line in lines):
             # No name in the file leads out of the folder.

@@ -15,7 +15,7 @@ from ..camera import PlenopticCamera
 from ..capture.render import MOST_SAMPLES
 from ..capture.scene import scene_path
 from ..detector import Detector
-from ..errors import InputError, require_choice, require_count, require_number, shown
+from ..errors import InputError, require_choice, require_count, require_known, require_number, shown
 from ..io.captures import MODELS
 from ..io.ground_truth import QUANTITIES, require_quantities
 from ..io.yaml_file import read_yaml
@@ -237,6 +237,9 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
         raise InputError(f"models = {shown(models)}: it must be a list of some of {', '.join(MODELS)}")
     for model in models:
         require_choice("models", model, MODELS)
+    for section in MODELS:
+        if section in content and section not in models:
+            raise InputError(f"{section}: models = {shown(models)} has no {section} captures; leave it out")
     camera = _section("camera", content, (*PlenopticCamera().to_dict(), "focus_distance", "preset"))
     if "preset" in camera:
         require_choice("camera: preset", camera["preset"], tuple(PRESETS))
@@ -302,9 +305,7 @@ def _section(name: str, content: Mapping[str, Any], known: tuple[str, ...]) -> d
 
 
 def _require_names(name: str, values: Mapping[Any, Any], known: tuple[str, ...], needed: tuple[str, ...] = ()) -> None:
-    for key in values:
-        if key not in known:
-            raise InputError(f"{name}: {shown(key)} is not one of {', '.join(known)}")
+    require_known(f"{name}: ", values, known)
     for key in needed:
         if key not in values:
             raise InputError(f"{name}: {key} is missing")

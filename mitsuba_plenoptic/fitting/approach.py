@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import InputError
 from .light import View, check_views
-from .model import Number, changed, numbers_of, scales, values
+from .model import Number, changed, limits_of, numbers_of, scales, values
 from .ray_model import RayModels, check_numbers
 
 _BLURS = (2.0, 1.0, 0.5, 0.25, 0.125)
@@ -27,6 +27,9 @@ _TELLS_LATTICE = 0.5
 _MOST_STEPS = 15
 """Cameras that are tried with each."""
 
+_AT_BOUND = 1e-3
+"""A number is at a bound if it is nearer than this part of what lies between its bounds."""
+
 
 def come_near(
     camera: PlenopticCamera,
@@ -34,6 +37,7 @@ def come_near(
     names: Iterable[str] | str,
     *,
     wavelength: float = 633.0,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> PlenopticCamera:
     """Find a camera from which `fit` goes on, where one starts some percent off in every length.
@@ -52,20 +56,21 @@ def come_near(
         What is sought, as for `fit`.
     wavelength : float
         In nanometres.
+    bounds : mapping, optional
+        As of `fit`, and as there by default. A number that ends at one is warned of.
     progress : callable, optional
         Called with the cameras that have been tried and the most that are.
 
     Raises
     ------
     InputError
-        If an input has a wrong value, or as of `capture.point_rays.PointRays`.
+        If an input has a wrong value, a capture is black, or as of `capture.point_rays.PointRays`.
     """
     given = [views] if isinstance(views, View) else list(views)
     check_views(camera, given)
-    if not all(view.image.max() > 0 for view in given):
-        raise InputError("image: it is black: nothing can be found by it")
     numbers = numbers_of(camera, names)
     check_numbers(numbers)
+    low, high = limits_of(camera, numbers, bounds)
     models = RayModels(camera, given, require_wavelength(wavelength))
     blurs = np.maximum(np.array(_BLURS) * camera.pixels_per_lens, _SHARPEST)
     found, tried = camera, 0
@@ -78,15 +83,24 @@ def come_near(
 
     for blur in np.unique(blurs)[::-1].tolist():
         whole = blur >= _TELLS_LATTICE * camera.pixels_per_lens
-        sought = [number for number in numbers if not (whole and number.name in _LATTICE)]
-        if sought:
-            found = _nearest(found, sought, models, given, blur, count)
+        sought = np.array([not (whole and number.name in _LATTICE) for number in numbers])
+        if sought.any():
+            some = [number for number, one in zip(numbers, sought, strict=True) if one]
+            found = _nearest(found, some, (low[sought], high[sought]), models, given, blur, count)
+    x = values(found, numbers)
+    stuck = np.minimum(x - low, high - x) <= _AT_BOUND * (high - low)
+    if stuck.any():
+        named = ", ".join(f"{numbers[one].label} = {x[one]:.6g}" for one in np.flatnonzero(stuck))
+        warnings.warn(
+            f"come_near: at a bound: {named}: start nearer, give other bounds, or seek fewer numbers", stacklevel=2
+        )
     return found
 
 
 def _nearest(
     camera: PlenopticCamera,
     numbers: list[Number],
+    limits: tuple[NDArray[np.float64], NDArray[np.float64]],
     models: RayModels,
     views: list[View],
     blur: float,
@@ -97,11 +111,12 @@ def _nearest(
     from scipy.optimize import least_squares
 
     seen = np.stack([view.image for view in views]).astype(np.float64)
-    brightest = seen.max(axis=(1, 2), keepdims=True)
+    kept = np.stack([view.kept for view in views])
+    brightest = seen.max(axis=(1, 2), keepdims=True, where=kept, initial=0)
     start, unit = values(camera, numbers), scales(camera, numbers)
 
     def blurred(images: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(gaussian_filter(images / brightest, blur, axes=(-2, -1)))
+        return np.asarray(gaussian_filter(images * kept / brightest, blur, axes=(-2, -1)))
 
     def camera_at(place: NDArray[np.float64]) -> PlenopticCamera:
         return changed(camera, numbers, start + place * unit)
@@ -114,4 +129,5 @@ def _nearest(
         slopes = models.at(camera_at(place)).derivatives(numbers, seen) * unit[:, None, None, None]
         return blurred(slopes).reshape(len(numbers), -1).T
 
-    return camera_at(least_squares(residuals, 0 * start, jacobian, max_nfev=_MOST_STEPS).x)
+    bounds = tuple((limit - start) / unit for limit in limits)
+    return camera_at(least_squares(residuals, 0 * start, jacobian, bounds=bounds, max_nfev=_MOST_STEPS).x)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple
 from functools import partial
 from typing import Any, Protocol
 
@@ -14,78 +15,26 @@ from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..capture.accuracy import check_accuracy
 from ..capture.pupil_weights import PupilWeights
-from ..errors import InputError, require_number, shown
+from ..errors import InputError, require_choice, require_number, suggest_keywords
 from ..io.checkpoints import Checkpoint, digest
 from .light import View, check_views
-from .model import Model, Number, changed, numbers_of, scales, values
+from .model import Model, Number, changed, limits_of, numbers_of, scales, values
+from .noise import PixelNoise, Pixels, by_model
 from .ray_model import RayModels, check_numbers
+from .result import Fit, doubts, summary
+
+METHODS = ("waves", "rays")
 
 _ROUNDS = 2
-"""How often the noise of photons is taken from the model anew."""
+"""How often the noise is taken from the model anew, where it depends on it."""
 
 _MOST_STEPS = 30
 
 _DONE = 1e-7
 """Relative change of the numbers, or of the sum of squares, that ends a round."""
 
-_FARTHEST = 50.0
-"""Units, of `Fit.scales`, by which numbers may change where no bounds are given."""
 
-_LEAST_PHOTONS = 1.0
-"""Photons of which the noise is that of a dark pixel."""
-
-
-@dataclass(frozen=True)
-class Direction:
-    """A change of all numbers at once that the captures tell to some deviation, apart from other directions.
-
-    Attributes
-    ----------
-    deviation : float
-        Standard deviation along it, in the units of `Fit.scales`.
-    parts : dict
-        By number, its part in the direction; their squares add to 1.
-    """
-
-    deviation: float
-    parts: dict[str, float]
-
-
-@dataclass(frozen=True)
-class Fit:
-    """What a fit found.
-
-    Attributes
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    values, deviations : dict
-        By name the fitted numbers and their standard deviations; those of a parameter with several are named with what
-        place they have, from 1: ``mla_offset.1``.
-    covariance : float64 array (numbers, numbers)
-        Of the numbers, in their order in `values`: the inverse of Fisher's information, from the captures' derivatives.
-    scales : dict
-        The unit of each number in `directions`: a hundredth of it, a degree, a pitch, a wave.
-    directions : tuple of Direction
-        What can be told, from the worst on: numbers with large parts in a direction of a large deviation cannot be
-        told apart.
-    chi_square : float
-        Sum of the squared residuals over their variances, divided by pixels minus numbers: near 1 where the model and
-        the noise are right.
-    steps : int
-        Cameras that have been tried.
-    """
-
-    camera: PlenopticCamera
-    values: dict[str, float]
-    deviations: dict[str, float]
-    covariance: NDArray[np.float64]
-    scales: dict[str, float]
-    directions: tuple[Direction, ...]
-    chi_square: float
-    steps: int
-
-
+@suggest_keywords
 def fit(
     camera: PlenopticCamera,
     views: View | Sequence[View],
@@ -103,8 +52,13 @@ def fit(
 
     Least squares of the pixels over their deviations (a trust region method: ``scipy.optimize.least_squares``), by
     waves with the derivatives of `CaptureOperator`, by rays with differences of captures whose rays are held. The light
-    is held. Where the noise is that of photons, its variance is that of the model, taken anew after a first fit, so
-    that the fit is as good as maximum likelihood.
+    is held. Where the noise is that of counted electrons, its variance is the one that the model expects, taken anew
+    after a first fit: with that of the data, bright pixels would count too little, and the numbers would be biased.
+    In the dark, where less than one electron is expected, pixels are weighted as if it were one; deviations and
+    chi-square take that into account.
+
+    A warning follows where chi-square is more than five of its deviations from 1, where a number ends at a bound, and
+    where the search has not settled.
 
     Parameters
     ----------
@@ -118,10 +72,11 @@ def fit(
     wavelength : float
         In nanometres.
     photons : float, optional
-        Photons of a pixel of value 1, for views whose noise is not given.
+        Photons that are counted in a pixel of value 1, for views whose noise is not given.
     bounds : mapping, optional
         By name, as in `Fit.values`, the lowest and the highest value. Default: what keeps lengths within half of where
-        they start, angles within 50 degrees, and ``mla_fill`` at most 1.
+        they start, angles within 50 degrees, and ``mla_fill`` at most 1. A number that ends there is warned of, and
+        its deviation is one-sided, see `Fit`.
     method : {"waves", "rays"}
         How the light of the points goes through the camera. Rays are quicker and know no diffraction.
     accuracy : float
@@ -134,24 +89,25 @@ def fit(
     Raises
     ------
     InputError
-        If an input has a wrong value, the camera has an objective or the noise of a view is not known.
+        If an input has a wrong value, the camera has an objective, a capture is black or negative, the noise of a view
+        is not known, or a number changes no pixel.
     """
     from scipy.optimize import least_squares
 
     if camera.objective is not None:
         camera.require_thin("cameras are fitted", "fit one behind a prescription")
     given = [views] if isinstance(views, View) else list(views)
-    _check(camera, given, photons)
+    default = None if photons is None else PixelNoise(require_number("photons", photons, positive=True))
+    if default is None and any(view.noise is None for view in given):
+        raise InputError("photons: give them, or the noise of every view")
     numbers = numbers_of(camera, names)
     start = values(camera, numbers)
     unit = scales(camera, numbers)
-    limits = _limits(numbers, start, unit, bounds)
-    for number, value, low, high in zip(numbers, start, *limits, strict=True):
-        if not low <= value <= high:
-            raise InputError(f"bounds: {number.label} starts at {value:g}: it must lie from {low:g} to {high:g}")
-    images = np.stack([view.image for view in given]).astype(np.float64)
+    limits = limits_of(camera, numbers, bounds)
     if method == "rays":
         check_numbers(numbers)
+    check_views(camera, given, default)
+    images = np.stack([view.image for view in given]).astype(np.float64)
     model = _model_of(method, camera, given, require_wavelength(wavelength), check_accuracy(accuracy))
     trial = _Trials(camera, numbers, model, progress)
     x = start
@@ -162,21 +118,41 @@ def fit(
         held = {name: value for name, value in camera.to_dict().items() if name not in sought}
         facts = {"numbers": [number.label for number in numbers], "bounds": dict(bounds or {}), "camera": held}
         x = np.clip(trial.go_on(checkpoint, start, **facts, **asked, light_digest=_digest(given)), *limits)
-    for _ in range(_ROUNDS if photons is not None else 1):
-        noise = _noise(given, trial.expected(x), photons)
 
-        def residuals(x: NDArray[np.float64], noise: NDArray[np.float64] = noise) -> NDArray[np.float64]:
-            return np.asarray(((trial.expected(x) - images) / noise).ravel())
+    def pixels_at(x: NDArray[np.float64]) -> Pixels:
+        return Pixels.of(given, trial.expected(x), default)
 
-        def jacobian(x: NDArray[np.float64], noise: NDArray[np.float64] = noise) -> NDArray[np.float64]:
-            return np.asarray((trial.derivatives(x) / noise).reshape(len(numbers), -1).T)
+    def residuals(x: NDArray[np.float64], pixels: Pixels) -> NDArray[np.float64]:
+        return np.asarray(((trial.expected(x) - images) / pixels.weight).ravel())
 
-        options = {"bounds": limits, "x_scale": unit, "xtol": _DONE, "ftol": _DONE, "max_nfev": _MOST_STEPS}
-        x = least_squares(residuals, x, jacobian, **options).x
-    noise = _noise(given, trial.expected(x), photons)
-    square = float((((trial.expected(x) - images) / noise) ** 2).sum())
-    rows = (trial.derivatives(x) / noise).reshape(len(numbers), -1).T * unit
-    return _summary(changed(camera, numbers, x), numbers, x, rows, unit, square / (images.size - x.size), trial.count)
+    def jacobian(x: NDArray[np.float64], pixels: Pixels) -> NDArray[np.float64]:
+        return np.asarray((trial.derivatives(x) / pixels.weight).reshape(len(numbers), -1).T)
+
+    options = {"bounds": limits, "x_scale": unit, "xtol": _DONE, "ftol": _DONE, "max_nfev": _MOST_STEPS}
+    for _ in range(_ROUNDS if any(by_model(view, default) for view in given) else 1):
+        # Weights by what a model expects, and held within a round, do not follow the noise, as those by the data would.
+        result = least_squares(residuals, x, jacobian, args=(pixels_at(x),), **options)
+        x = result.x
+    pixels = pixels_at(x)
+    found = summary(
+        changed(camera, numbers, x),
+        [number.label for number in numbers],
+        x,
+        unit,
+        limits,
+        jacobian(x, pixels) * unit,
+        residuals(x, pixels),
+        pixels,
+        trial.count,
+    )
+    if result.status == 0:
+        warnings.warn(
+            f"fit: it ended after {trial.count} cameras before it had settled: start nearer, or fit fewer numbers",
+            stacklevel=2,
+        )
+    for doubt in doubts(found, given, trial.expected(x)):
+        warnings.warn(f"fit: {doubt}", stacklevel=2)
+    return found
 
 
 class _Model(Protocol):
@@ -193,10 +169,8 @@ def _model_of(
     method: str, camera: PlenopticCamera, views: list[View], wavelength: float, accuracy: float
 ) -> Callable[[PlenopticCamera], _Model]:
     """Return what makes the model of a camera near the first."""
-    if method == "waves":
+    if require_choice("method", method, METHODS) == "waves":
         return partial(Model, views=views, wavelength=wavelength, accuracy=accuracy)
-    if method != "rays":
-        raise InputError(f"method = {shown(method)}: it must be waves or rays")
     if accuracy:
         raise InputError(f"accuracy = {accuracy:g}: it is for fits by waves; leave it out")
     return RayModels(camera, views, wavelength).at
@@ -256,75 +230,8 @@ def _digest(views: list[View]) -> str:
     arrays: list[NDArray[Any] | None] = []
     for view in views:
         pupil = PupilWeights.of(view.pupil_weights, len(view.points))
-        arrays += [view.image, view.points, view.weights, None if view.noise is None else np.asarray(view.noise)]
+        noise = astuple(view.noise) if isinstance(view.noise, PixelNoise) else view.noise
+        arrays += [view.image, view.points, view.weights, view.kept, None if noise is None else np.asarray(noise)]
+        arrays += [None if view.saturation is None else np.asarray(view.saturation)]
         arrays += [None] * 3 if pupil is None else [pupil.table, pupil.index, pupil.slant]
     return digest(*arrays)
-
-
-def _check(camera: PlenopticCamera, views: list[View], photons: float | None) -> None:
-    """Refuse views that do not fit together."""
-    check_views(camera, views)
-    if photons is not None:
-        require_number("photons", photons, positive=True)
-    for view in views:
-        if view.noise is None and photons is None:
-            raise InputError("photons: tell them, or the noise of every view")
-
-
-def _limits(
-    numbers: list[Number],
-    start: NDArray[np.float64],
-    unit: NDArray[np.float64],
-    bounds: Mapping[str, tuple[float, float]] | None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lowest and the highest values of the numbers: not far from the start, unless told."""
-    labels = [number.label for number in numbers]
-    low, high = start - _FARTHEST * unit, start + _FARTHEST * unit
-    high[[label == "mla_fill" for label in labels]] = 1.0
-    for name, pair in (bounds or {}).items():
-        if name not in labels:
-            raise InputError(f"bounds: {shown(name)} is not fitted; there are {', '.join(labels)}")
-        if np.shape(pair) != (2,) or not pair[0] < pair[1]:
-            raise InputError(f"bounds: {name} = {shown(pair)}: it must be the lowest and the highest value")
-        low[labels.index(name)], high[labels.index(name)] = pair
-    return low, high
-
-
-def _noise(views: list[View], expected: NDArray[np.float64], photons: float | None) -> NDArray[np.float64]:
-    """Return the standard deviations of all pixels."""
-    if photons is None:
-        return np.stack([np.broadcast_to(view.noise, view.image.shape) for view in views])
-    shot = np.sqrt(np.maximum(expected, _LEAST_PHOTONS / photons) / photons)
-    return np.stack(
-        [own if view.noise is None else own * 0 + view.noise for view, own in zip(views, shot, strict=True)]
-    )
-
-
-def _summary(
-    camera: PlenopticCamera,
-    numbers: list[Number],
-    x: NDArray[np.float64],
-    rows: NDArray[np.float64],
-    unit: NDArray[np.float64],
-    chi_square: float,
-    steps: int,
-) -> Fit:
-    """Gather what a fit found; `rows` are the weighted derivatives for changes of one unit."""
-    labels = [number.label for number in numbers]
-    for label, told in zip(labels, np.abs(rows).max(axis=0).tolist(), strict=True):
-        if not told:
-            raise InputError(f"{label}: the captures tell nothing of it")
-    _, singular, vectors = np.linalg.svd(rows, full_matrices=False)
-    with np.errstate(divide="ignore"):
-        deviations = 1 / singular
-    covariance: Any = (vectors.T * deviations**2) @ vectors * np.outer(unit, unit)
-    directions = tuple(
-        Direction(float(deviation), dict(zip(labels, vector.tolist(), strict=True)))
-        for deviation, vector in zip(deviations[::-1], vectors[::-1], strict=True)
-    )
-
-    def by_label(given: NDArray[np.float64]) -> dict[str, float]:
-        return dict(zip(labels, given.tolist(), strict=True))
-
-    own = by_label(np.sqrt(np.diag(covariance)))
-    return Fit(camera, by_label(x), own, covariance, by_label(unit), directions, chi_square, steps)

@@ -16,11 +16,12 @@ from ..capture.render import chosen_integrator, plenoptic_sensor
 from ..capture.sight import Sight
 from ..capture.units import brightness_at
 from ..capture.wave_capture import WaveCapture
-from ..errors import InputError, require_count
+from ..errors import InputError, require_count, require_number
 from ..io.captures import as_array, require_pixels
 from ..optics.sampling import check_positions
 from ..plugins.other_camera import with_camera
 from ..runtime.backend import one_at_a_time
+from .noise import PixelNoise, check_light
 
 
 @dataclass(frozen=True)
@@ -39,15 +40,21 @@ class View:
         Incoherent point sources in the camera frame, in millimetres.
     weights : array (n,)
         Of each, radiance times the solid angle, seen from the main lens's image side, that it stands for.
-    noise : float or array (rows, columns), optional
-        Standard deviation of the pixels. Default: what `fit` is told of photons.
-    pupil_weights : optional
+    noise : PixelNoise, float or array (rows, columns), optional
+        That of counted electrons, as `kept_noise` has it of a capture that was exposed, or the standard deviation of
+        each pixel. Default: that of the photons that `fit` is given.
+    pupil_weights, virtual : optional
         As of `CaptureOperator`.
+    mask : bool array (rows, columns), optional
+        True where a pixel does not count, as in NumPy's masked arrays.
+    saturation : float, optional
+        Value at which pixels are saturated. Those do not count that are there or above, nor those of which a model
+        expects it within four standard deviations. What a pixel spills into its neighbours is not modelled: mask these.
 
     Raises
     ------
     InputError
-        If an input has a wrong shape or value.
+        If an input has a wrong shape or value: weights are not negative, nor all zero.
     """
 
     image: NDArray[np.float32]
@@ -55,29 +62,65 @@ class View:
     weights: NDArray[np.float64]
     noise: Any = None
     pupil_weights: Any = None
+    mask: Any = None
+    saturation: float | None = None
+    virtual: bool = False
 
     def __post_init__(self) -> None:
         image = as_array("image", self.image)
         if image.ndim != 2:
             raise InputError(f"image of shape {image.shape}: a camera is fitted to images of one channel")
         require_pixels("image", image)
-        points, weights = check_positions(self.points), np.asarray(self.weights, np.float64)
+        points = check_positions(self.points, virtual=self.virtual)
+        weights = np.asarray(as_array("weights", self.weights), np.float64)
         if weights.shape != (len(points),) or not np.isfinite(weights).all():
             raise InputError(f"weights of shape {weights.shape}: they must be ({len(points)},) finite numbers")
-        noise = None if self.noise is None else np.asarray(self.noise, np.float64)
-        if noise is not None and (noise.shape not in ((), image.shape) or not (noise > 0).all()):
-            raise InputError(f"noise of shape {noise.shape}: it must be positive, one number or one for each pixel")
-        for name, value in (("image", image), ("points", points), ("weights", weights), ("noise", noise)):
+        negative = np.flatnonzero(weights < 0)
+        if len(negative):
+            first = negative[0]
+            raise InputError(
+                f"weights: {len(negative)} of them are negative, the first, {weights[first]:g}, at {first}: light is "
+                "at least 0"
+            )
+        if not weights.any():
+            raise InputError("weights: all of them are 0: there is no light")
+        noise = self.noise
+        if noise is not None and not isinstance(noise, PixelNoise):
+            noise = np.asarray(as_array("noise", noise), np.float64)
+            if noise.shape not in ((), image.shape) or not (np.isfinite(noise) & (noise > 0)).all():
+                raise InputError(
+                    f"noise of shape {noise.shape}: it must be positive and finite, one number or one for each pixel"
+                )
+        mask = None if self.mask is None else np.asarray(self.mask)
+        if mask is not None and (mask.dtype != bool or mask.shape != image.shape):
+            raise InputError(
+                f"mask of type {mask.dtype} and shape {mask.shape}: it must be of booleans, {image.shape}: True where "
+                "a pixel is left out"
+            )
+        if self.saturation is not None:
+            require_number("saturation", self.saturation, positive=True)
+        given = ("image", image), ("points", points), ("weights", weights), ("noise", noise), ("mask", mask)
+        for name, value in given:
             object.__setattr__(self, name, value)
 
+    @property
+    def kept(self) -> NDArray[np.bool_]:
+        """Pixels that count by the mask and by what they show, (rows, columns)."""
+        kept = np.ones(self.image.shape, bool) if self.mask is None else ~self.mask
+        return kept if self.saturation is None else kept & (self.image < self.saturation)
 
-def check_views(camera: PlenopticCamera, views: Sequence[View]) -> None:
-    """Refuse no view at all, and captures of another size than the camera's."""
+
+def check_views(camera: PlenopticCamera, views: Sequence[View], default: PixelNoise | None = None) -> None:
+    """Refuse no view at all, captures of another size than the camera's, and those that show no light.
+
+    `default` is the noise of views that have none.
+    """
     if not views:
         raise InputError("views: give at least one capture of known light")
     for view in views:
         if view.image.shape != camera.shape:
             raise InputError(f"image of shape {view.image.shape}: the camera records {camera.shape}")
+        check_light(view, default)
 
 
 @one_at_a_time
@@ -91,6 +134,8 @@ def known_view(
     spp: int = 16,
     seed: int = 0,
     noise: Any = None,
+    mask: Any = None,
+    saturation: float | None = None,
 ) -> View:
     """Return a capture of a scene with the radiators of that scene, found by rays as for ``plenoptic_wave``.
 
@@ -106,7 +151,7 @@ def known_view(
         In nanometres.
     radiators_per_lens, spp, seed
         As of ``plenoptic_wave``.
-    noise
+    noise, mask, saturation
         As of `View`.
 
     Raises
@@ -134,4 +179,4 @@ def known_view(
         raise InputError("scene: the camera sees nothing that shines")
     recorded = (capture.scale(radiators) * radiators.radiance)[:, 0]
     weights = recorded / brightness_at(camera, radiators.positions, capture.wavelengths[0])
-    return View(image, radiators.positions, weights, noise, radiators.pupil_weights)
+    return View(image, radiators.positions, weights, noise, radiators.pupil_weights, mask, saturation, virtual=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,8 +13,11 @@ from ..camera import PlenopticCamera
 from ..capture.derivatives import NUMBERS, check_names, light_slopes, values_of
 from ..capture.operator import CaptureOperator
 from ..capture.units import brightness_at
-from ..errors import InputError, shown
+from ..errors import InputError, did_you_mean, shown
 from .light import View
+
+_FARTHEST = 50.0
+"""Units, of `scales`, by which numbers may change where no bounds are given."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,34 @@ def scales(camera: PlenopticCamera, numbers: list[Number]) -> NDArray[np.float64
     return np.array([fixed.get(number.name, abs(value) / 100) for number, value in given])
 
 
+def limits_of(
+    camera: PlenopticCamera, numbers: list[Number], bounds: Mapping[str, tuple[float, float]] | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the lowest and the highest values of numbers: not far from where a camera has them, unless given.
+
+    Raises
+    ------
+    InputError
+        If bounds are of a number that is not sought, in the wrong order, or the camera is outside them.
+    """
+    labels, start = [number.label for number in numbers], values(camera, numbers)
+    unit = scales(camera, numbers)
+    low, high = start - _FARTHEST * unit, start + _FARTHEST * unit
+    high[[label == "mla_fill" for label in labels]] = 1.0
+    for name, pair in (bounds or {}).items():
+        if name not in labels:
+            raise InputError(
+                f"bounds: {shown(name)} is not fitted; there are {', '.join(labels)}{did_you_mean(name, labels)}"
+            )
+        if np.shape(pair) != (2,) or not pair[0] < pair[1]:
+            raise InputError(f"bounds: {name} = {shown(pair)}: it must be the lowest and the highest value")
+        low[labels.index(name)], high[labels.index(name)] = pair
+    for label, value, least, most in zip(labels, start, low, high, strict=True):
+        if not least <= value <= most:
+            raise InputError(f"bounds: {label} starts at {value:g}: it must lie from {least:g} to {most:g}")
+    return low, high
+
+
 def changed(camera: PlenopticCamera, numbers: list[Number], x: NDArray[np.float64]) -> PlenopticCamera:
     """Return the camera with other values of its numbers."""
     new: dict[str, Any] = {}
@@ -111,7 +142,12 @@ class Model:
         self._weights = [brightness_at(camera, view.points, wavelength) * view.weights for view in views]
         self._operators = [
             CaptureOperator(
-                camera, view.points, wavelength=wavelength, accuracy=accuracy, pupil_weights=view.pupil_weights
+                camera,
+                view.points,
+                wavelength=wavelength,
+                accuracy=accuracy,
+                pupil_weights=view.pupil_weights,
+                virtual=view.virtual,
             )
             for view in views
         ]

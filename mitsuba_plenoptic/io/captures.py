@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,15 +12,18 @@ import numpy as np
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError, require_choice, shown
+from ..errors import InputError, require_choice, shown, suggest_keywords
 from .exr import read_exr, write_exr
 
 MODELS = ("ray", "wave")
+
+_MOST_SATURATED = 0.01
 
 BRIGHTEST = 1e30
 """Magnitude of a pixel at most: what is summed and squared of it stays within single precision's 3e38."""
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False, repr=False)
 class Capture:
     """What the detector of a plenoptic camera recorded.
@@ -32,7 +36,7 @@ class Capture:
     camera : PlenopticCamera
         The camera; its `shape` is the image's.
     wavelength : float or tuple of three floats, optional
-        Wavelength in nanometres, 1 to 1e6, one for all channels or one for each; None for a ray capture.
+        Wavelength in nanometres, 200 to 2500, one for all channels or one for each; None for a ray capture.
     model : {"ray", "wave"}
         How light was propagated.
     metadata : dict
@@ -133,13 +137,11 @@ def require_pixels(name: str, image: np.ndarray) -> None:
     raise InputError(f"{name}: {bad.sum()} of its pixels are {what}, the first at ({first}): all must be {rule}")
 
 
-def require_same_camera(name: str, white: Capture, cameras: Sequence[PlenopticCamera]) -> None:
-    """Refuse a white capture by another camera than a capture's, and name the first number in which it is another.
+def require_suitable_white(white: Capture, cameras: Sequence[PlenopticCamera]) -> None:
+    """Refuse a white capture by another camera than a capture's, or with many saturated pixels.
 
     Parameters
     ----------
-    name : str
-        What the message calls the white capture.
     white : Capture
         The white capture.
     cameras : sequence of PlenopticCamera
@@ -148,14 +150,22 @@ def require_same_camera(name: str, white: Capture, cameras: Sequence[PlenopticCa
     Raises
     ------
     InputError
-        If it is by none of them.
+        If it is by none of them, with the first parameter that differs; or if more than 1 % of its pixels are
+        saturated.
     """
+    exposure = white.metadata.get("exposure")
+    saturated = exposure.get("saturated_pixels", 0) if isinstance(exposure, dict) else 0
+    pixels = math.prod(white.camera.shape)
+    if isinstance(saturated, (int, float)) and saturated > _MOST_SATURATED * pixels:
+        raise InputError(
+            f"white: {saturated} of its {pixels} pixels are saturated: they must be at most {_MOST_SATURATED:.0%}"
+        )
     if not cameras or white.camera in cameras:
         return
     theirs, ours = white.camera.to_dict(), cameras[-1].to_dict()
     number = next(number for number in {**ours, **theirs} if theirs.get(number) != ours.get(number))
     raise InputError(
-        f"{name}: its camera has {number} = {shown(theirs.get(number))}, that of the capture "
+        f"white: its camera has {number} = {shown(theirs.get(number))}, that of the capture "
         f"{shown(ours.get(number))}: it must be by the camera of the capture"
     )
 

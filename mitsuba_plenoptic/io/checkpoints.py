@@ -22,10 +22,11 @@ from typing import Any, Literal, TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, require_choice, require_count, require_number
+from ..errors import InputError, advice, require_choice, require_count, require_number
 from ..runtime.backend import backend_of
 from ..runtime.batches import PartialSum
 from ..runtime.jobs import Snapshot
+from ..runtime.limits import require_memory
 from ..runtime.software import software
 from .files import atomic_output, remove_leftovers
 
@@ -33,6 +34,8 @@ FORMAT = 2
 SUFFIX = ".checkpoint"
 
 Existing = Literal["refuse", "resume", "resume_if_same"]
+
+_LARGEST_HEADER = 2**26
 
 INTERVAL = 10.0
 """Seconds between checkpoints, at least."""
@@ -78,8 +81,9 @@ class Checkpoint:
     def __enter__(self) -> Checkpoint:
         if self._existing == "refuse" and self.path.exists():
             raise InputError(
-                f"{self.path}: the checkpoint of a run that was stopped; go on from it (--resume, or in Python "
-                "existing='resume'), or remove the file"
+                f"{self.path}: the checkpoint of a run that was stopped; go on from it with "
+                + advice(python="existing='resume'", shell="--resume")
+                + ", or remove the file"
             )
         return self
 
@@ -105,7 +109,7 @@ class Checkpoint:
         InputError
             If there is the checkpoint of another run, with the differences, or a damaged one.
         """
-        return self._begin(facts, lambda archive, header: _snapshot(archive, header, shape))
+        return self._begin(facts, _snapshot, {"image": shape})
 
     def begin_arrays(self, **facts: Any) -> dict[str, NDArray[Any]] | None:
         """Say what a run is whose state is no sum, and return the arrays that an earlier process has kept of it.
@@ -125,16 +129,18 @@ class Checkpoint:
         InputError
             As of `begin`.
         """
-        return self._begin(facts, _named_arrays)
+        return self._begin(facts, _named_arrays, {})
 
-    def _begin(self, facts: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State | None:
+    def _begin(
+        self, facts: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State], shapes: dict[str, tuple[int, ...]]
+    ) -> _State | None:
         self._due = time.monotonic() + INTERVAL
         self.run = json.loads(json.dumps({**self.run, **facts, "software": software()}))
         remove_leftovers(self.path)
         if not self.path.exists():
             return None
         try:
-            found = _read(self.path, self.run, take)
+            found = _read(self.path, self.run, take, shapes)
         except InputError as error:
             if self._existing == "resume":
                 raise
@@ -196,7 +202,7 @@ class Checkpoint:
                 write(temporary)
         except (OSError, InputError) as error:
             if not self._complained:
-                cause = getattr(error, "strerror", None) or str(error)
+                cause = getattr(error, "strerror", None) or str(error).removeprefix(f"{self.path}: ")
                 warnings.warn(f"{self.path}: no checkpoint can be written: {cause}", stacklevel=2)
                 self._complained = True
         now = time.monotonic()
@@ -235,11 +241,15 @@ def _write_archive(path: Path, run: dict[str, Any], header: dict[str, Any], arra
         os.fsync(file.fileno())
 
 
-def _read(path: Path, run: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State:
+def _read(
+    path: Path,
+    run: dict[str, Any],
+    take: Callable[[Any, dict[str, Any]], _State],
+    shapes: dict[str, tuple[int, ...]],
+) -> _State:
     """Read the checkpoint of a run, and refuse that of another run or a damaged one."""
     try:
-        if not zipfile.is_zipfile(path):
-            raise ValueError("it is no archive, or cut off")
+        _check_sizes(path, shapes)
         with np.load(path, allow_pickle=False) as archive:
             header = json.loads(str(archive["header"]))
             differences = _differences({"format": header["format"], **header["run"]}, {"format": FORMAT, **run})
@@ -253,10 +263,37 @@ def _read(path: Path, run: dict[str, Any], take: Callable[[Any, dict[str, Any]],
     raise InputError(f"{path}: the checkpoint of another run: {shown}" + (f", and {more} more" if more > 0 else ""))
 
 
-def _snapshot(archive: Mapping[str, NDArray[Any]], header: dict[str, Any], shape: tuple[int, ...]) -> Snapshot:
+def _check_sizes(path: Path, shapes: dict[str, tuple[int, ...]]) -> None:
+    """Compare what arrays claim to be with what there is of them and with the shapes that they must have."""
+    # The list of the members is read whole, too.
+    require_memory(path.stat().st_size, f"{path.stat().st_size} bytes")
+    if not zipfile.is_zipfile(path):
+        raise ValueError("it is no archive, or cut off")
+    total = 0
+    with zipfile.ZipFile(path) as archive:
+        for member in archive.infolist():
+            if member.compress_type != zipfile.ZIP_STORED:
+                raise ValueError(f"{member.filename} is compressed")
+            with archive.open(member) as file:
+                if np.lib.format.read_magic(file) != (1, 0):
+                    raise ValueError(f"{member.filename} has another version of NumPy's format")
+                shape, _, kind = np.lib.format.read_array_header_1_0(file)
+                if kind.hasobject:
+                    raise ValueError("Object arrays are not read")
+                claimed = math.prod(shape) * kind.itemsize
+                if file.tell() + claimed != member.file_size:
+                    raise ValueError(f"{member.filename} claims {claimed} bytes in {member.file_size}")
+            name = member.filename.removesuffix(".npy")
+            if shape != shapes.get(name, shape):
+                raise ValueError(f"{name} has the shape {shape} instead of {shapes[name]}")
+            if name == "header" and claimed > _LARGEST_HEADER:
+                raise ValueError(f"its header has {claimed} bytes: it may have at most {_LARGEST_HEADER}")
+            total += claimed
+    require_memory(total, f"its arrays of {total} bytes")
+
+
+def _snapshot(archive: Mapping[str, NDArray[Any]], header: dict[str, Any]) -> Snapshot:
     image = _array(archive, "image")
-    if image.shape != shape:
-        raise ValueError(f"image has the shape {image.shape} instead of {shape}")
     sums = require_count("sums", header["sums"], minimum=0)
     if "partial" not in archive:
         return Snapshot(sums, image, None)

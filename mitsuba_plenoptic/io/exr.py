@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import OpenEXR
 
-from ..errors import InputError
+from ..errors import InputError, advice
 from ..runtime.limits import require_memory
 from .files import atomic_output, native_output_dropped, require_file
 
@@ -18,8 +20,15 @@ ATTRIBUTE = "mitsuba_plenoptic"
 
 _NOISE = "noise."
 
+_LARGEST_HEADER = 2**26
+
 _MAGIC = bytes((0x76, 0x2F, 0x31, 0x01))
 """Bytes that every OpenEXR file begins with."""
+
+_LONGEST_NAME = 256
+
+_SEVERAL_PARTS = 0x1000
+"""Bit of the version that says so."""
 
 # The others lose precision, which is not for captures.
 _LOSSLESS = (
@@ -109,7 +118,7 @@ def _write(
         planes = {key: np.ascontiguousarray(plane, dtype=np.float32) for key, plane in channels.items()}
         written.append(OpenEXR.Part(header, planes, name))
     try:
-        with atomic_output(path) as temporary:
+        with atomic_output(path, ".exr") as temporary:
             OpenEXR.File(written).write(str(temporary))
     except (RuntimeError, OSError) as error:
         raise InputError(f"{path}: it cannot be written: {error}") from None
@@ -142,7 +151,10 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
         if ATTRIBUTE not in part.header:
             raise InputError(
                 f"{path}: it has no attribute '{ATTRIBUTE}' in its header, so its camera is unknown; "
-                "read the pixels yourself and give reconstruct(..., camera=...)"
+                + advice(
+                    python="read the pixels yourself, and give them with a camera",
+                    shell="write its pixels as .tiff, and give --camera",
+                )
             )
         attributes = _attributes(part)
         layers = [names]
@@ -216,11 +228,34 @@ def read_parts(path: Path) -> list[Part]:
     InputError
         If the file is no OpenEXR file, or its header is damaged.
     """
+    _require_small_header(path)
     try:
         with native_output_dropped(), OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
             return [_part(part.header) for part in file.parts]
     except Exception as error:
         raise _damaged(path, error) from None
+
+
+def _require_small_header(path: Path) -> None:
+    """Refuse a file whose attributes are too large to be read whole; whether they are right is for OpenEXR to find."""
+    with path.open("rb") as file:
+
+        def text() -> bytes:
+            return b"".join(itertools.islice(iter(lambda: file.read(1).strip(b"\0"), b""), _LONGEST_NAME))
+
+        several = bool(int.from_bytes(file.read(8)[4:], "little") & _SEVERAL_PARTS)
+        # A name, a type, a size and a value each; no name ends a part, and no attribute at all the last one of several.
+        attributes = 0
+        while file.tell() <= _LARGEST_HEADER:
+            if text():
+                text()
+                file.seek(int.from_bytes(file.read(4), "little"), os.SEEK_CUR)
+                attributes += 1
+            elif several and attributes:
+                attributes = 0
+            else:
+                return
+    raise InputError(f"{path}: its header claims more than {_LARGEST_HEADER} bytes: it may have at most as many")
 
 
 def _part(header: dict[str, Any]) -> Part:

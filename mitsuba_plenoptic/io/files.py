@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import glob
 import io
 import os
@@ -14,16 +15,26 @@ from pathlib import Path
 
 from ..errors import InputError, shown
 
+_NO_ROOM = 2**16
+"""Bytes that are free on a disk that is taken for full."""
+
 _one_at_a_time = threading.Lock()
 
 
-def require_writable(path: str | Path) -> Path:
+def require_writable(path: str | Path, *suffixes: str) -> Path:
     """Check, before a long computation, that a file can be written, without touching it.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    *suffixes : str
+        What its name may end in, in small letters; anything if there are none.
 
     Raises
     ------
     InputError
-        If the folder does not exist or cannot be written, or the path is a folder.
+        If the name ends in something else, the folder does not exist or cannot be written, or the path is a folder.
     """
     path = _path(path)
     try:
@@ -35,6 +46,8 @@ def require_writable(path: str | Path) -> Path:
             raise InputError(f"{path}: it is a device or a pipe; give a file name")
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
+    if suffixes and not path.name.lower().endswith(suffixes):
+        raise InputError(f"{path}: give a name that ends in {' or '.join(suffixes)}")
     if not os.access(path.parent, os.W_OK) or (path.exists() and not os.access(path, os.W_OK)):
         raise InputError(f"{path}: no permission to write it")
     return path
@@ -100,6 +113,38 @@ def require_file(path: str | Path) -> Path:
     return path
 
 
+def require_size(path: str | Path, largest: int) -> Path:
+    """Check that a file can be read and has at most `largest` bytes, before any of them is read.
+
+    Raises
+    ------
+    InputError
+        As `require_file` does, or if it is larger.
+    """
+    path = require_file(path)
+    size = path.stat().st_size
+    if size > largest:
+        raise InputError(f"{path}: {size} bytes: it may have at most {largest}")
+    return path
+
+
+def read_text(path: str | Path, largest: int) -> str:
+    """Read a text file in UTF-8, with a byte-order mark or without one, of at most `largest` bytes.
+
+    Raises
+    ------
+    InputError
+        As `require_size` does, or if it is not such a text.
+    """
+    path = require_size(path, largest)
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: it is not text in UTF-8: {error}") from None
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from None
+
+
 def _path(path: str | Path) -> Path:
     if not isinstance(path, (str, Path)) or "\0" in str(path):
         raise InputError(f"path = {shown(path)}: it must be the name of a file")
@@ -107,14 +152,42 @@ def _path(path: str | Path) -> Path:
 
 
 @contextlib.contextmanager
-def atomic_output(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary name beside a writable `path` that replaces it once it is written whole, or goes."""
-    path = require_writable(path)
-    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
-        # The suffix stays, because writers choose the format by it.
-        temporary = Path(folder) / path.name
-        yield temporary
-        temporary.replace(path)
+def atomic_output(path: str | Path, *suffixes: str) -> Iterator[Path]:
+    """Yield a temporary name beside a writable `path` that replaces it once it is written whole, or goes.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    *suffixes : str
+        What its name may end in, in small letters; anything if there are none.
+
+    Raises
+    ------
+    InputError
+        As by `require_writable`, and if writing fails, as on a full disk.
+    """
+    path = require_writable(path, *suffixes)
+    folder = ""
+    try:
+        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
+            # The suffix stays, because writers choose the format by it.
+            temporary = Path(folder) / path.name
+            try:
+                yield temporary
+            except (OSError, RuntimeError) as error:
+                # Not all libraries say why they could not write; while their part of the file is there, the disk does.
+                if shutil.disk_usage(folder).free < _NO_ROOM:
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
+                raise
+            temporary.replace(path)
+    except (OSError, RuntimeError) as error:
+        named = str(getattr(error, "filename", None) or "")
+        ours = f".{path.name}." in f"{named}{error}" or (isinstance(error, OSError) and not named)
+        if not ours:
+            raise
+        cause = getattr(error, "strerror", None) or str(error).replace(folder, str(path.parent))
+        raise InputError(f"{path}: it cannot be written: {cause}") from error
 
 
 def remove_leftovers(path: str | Path) -> None:

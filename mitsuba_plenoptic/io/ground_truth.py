@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, shown
+from ..errors import InputError, require_choice, shown
 from .exr import read_exr_parts, write_exr_parts
 
 QUANTITIES = {"depth": "Z", "position": "XYZ", "normal": "XYZ", "albedo": "RGB", "shape_index": "I"}
@@ -75,8 +75,7 @@ def require_quantities(names: Iterable[str]) -> tuple[str, ...]:
     """
     found = tuple(dict.fromkeys(names))
     for name in found:
-        if name not in QUANTITIES:
-            raise InputError(f"aov = {shown(name)}: it must be of {', '.join(QUANTITIES)}")
+        require_choice("aov", name, QUANTITIES)
     if not found:
         raise InputError(f"aov: name at least one of {', '.join(QUANTITIES)}")
     return found

@@ -1,116 +1,133 @@
-"""Lens designs of other programs: Zemax ``.zmx`` and CODE V ``.seq``, read by Optiland, the extra ``lenses``.
+"""What the readers of other programs' lens files share: lines that can be refused, and the way to a `Prescription`.
 
-Of the two libraries that read both formats, Optiland and ray-optics, Optiland brings the glass catalogues, too, and
-needs no graphical toolkit to be imported. It leaves out Zemax's semi-diameters, which are read here.
+Both readers know the keywords that they understand and those that do not change the light's path through the lens.
+Anything else is refused by file, line and rule, so that no lens is read as another one.
 """
 
 from __future__ import annotations
 
-import importlib
+import contextlib
 import math
-import re
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-import numpy as np
+from ..errors import InputError, shown
+from ..prescription import Glass, Prescription
+from .files import require_size
 
-from ..errors import InputError
-from ..prescription import Prescription
-from ..prescription.glass import tabulated_glass
-from .files import require_file
-
-SUFFIXES = {".zmx": "load_zemax_file", ".seq": "load_codev_file"}
-"""Endings of the files that are read, and what of Optiland reads them."""
+UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}
+"""Millimetres in a unit of length."""
 
 _LARGEST = 2**22
 
 
-def read_design(path: str | Path) -> Prescription:
-    """Read a lens that another program wrote: standard and even aspheric surfaces of lenses around one axis.
+@dataclass(frozen=True)
+class Line:
+    """One command of a lens file."""
+
+    path: Path
+    number: int
+    words: tuple[str, ...]
+
+    def refused(self, rule: str) -> InputError:
+        """Return the exception that names file, line, command and rule."""
+        return InputError(f"{self.path}, line {self.number}: {shown(' '.join(self.words))}: {rule}")
+
+    def word(self, index: int) -> str:
+        """Return one of its words; the first is the keyword, number 0."""
+        if index >= len(self.words):
+            raise self.refused(f"value {index} is missing")
+        return self.words[index]
+
+    def value(self, index: int, default: float | None = None) -> float:
+        """Return one of its words as a finite number."""
+        if index >= len(self.words) and default is not None:
+            return default
+        word, value = self.word(index), math.nan
+        with contextlib.suppress(ValueError):
+            value = float(word)
+        if not math.isfinite(value):
+            raise self.refused(f"value {index} must be a number")
+        return value
+
+    def require_zero(self, rule: str, first: int = 1) -> None:
+        """Refuse the command unless all its numbers are 0."""
+        if any(self.value(index) for index in range(first, len(self.words))):
+            raise self.refused(rule)
+
+
+@dataclass
+class DesignSurface:
+    """A surface as a lens file has it, in the file's own unit of length."""
+
+    curvature: float = 0.0
+    thickness: float = 0.0
+    glass: Glass | None = None
+    semi_aperture: float = 0.0
+    conic: float = 0.0
+    asphere: list[float] = field(default_factory=list)
+    """Coefficients of the fourth, sixth, ... power of the distance from the axis."""
+    stop: bool = False
+
+
+def read_text(path: str | Path) -> tuple[Path, str]:
+    """Return a lens file's path and text, in UTF-16, UTF-8 or, as older programs write, Latin-1."""
+    path = require_size(path, _LARGEST)
+    raw = path.read_bytes()
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return path, raw.decode("utf-16", errors="replace")
+    if raw[1:2] == b"\0":
+        return path, raw.decode("utf-16-le", errors="replace")
+    try:
+        return path, raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return path, raw.decode("latin-1")
+
+
+def to_prescription(
+    path: Path, name: str, wavelength: float, unit: float, surfaces: list[DesignSurface]
+) -> Prescription:
+    """Return the prescription of a file's surfaces, object and image left out.
 
     Parameters
     ----------
-    path : str or Path
-        A ``.zmx`` or ``.seq`` file.
-
-    Raises
-    ------
-    InputError
-        If Optiland is not installed or cannot read the file, it holds what a `Prescription` cannot, or it does not tell
-        a surface's semi-aperture.
+    path : Path
+        The file.
+    name : str
+        The lens's name in it.
+    wavelength : float
+        The primary wavelength in nanometres.
+    unit : float
+        Millimetres in the file's unit of length.
+    surfaces : list of DesignSurface
+        The surfaces.
     """
-    path = require_file(path)
-    if path.stat().st_size > _LARGEST:
-        raise InputError(f"{path}: {path.stat().st_size} bytes: it may have at most {_LARGEST}")
-    try:
-        reader = getattr(importlib.import_module("optiland.fileio"), SUFFIXES[path.suffix.lower()])
-    except ImportError:
-        raise InputError(f"{path}: it is read by Optiland; pip install 'mitsuba-plenoptic[lenses]'") from None
-    try:
-        optic = reader(str(path))
-        group = optic.surfaces
-        places = np.ravel(group.positions)
-        wavelength = float(optic.primary_wavelength) * 1e3
-        surfaces = [group[number] for number in range(1, group.num_surfaces - 1)]
-    except Exception as error:  # whatever Optiland makes of a file that it does not understand
-        raise InputError(f"{path}: Optiland cannot read it: {' '.join(str(error).split())}") from None
-    radii = _semi_diameters(path) if path.suffix.lower() == ".zmx" else {}
     plain = []
     for number, surface in enumerate(surfaces, start=1):
-        last = number == len(surfaces)
-        gap = 0.0 if last else float(places[number + 1] - places[number])
-        plain.append(_plain(path, number, surface, gap, radii.get(number), wavelength))
+        if not surface.semi_aperture > 0:
+            raise InputError(
+                f"{path}: surface {number} has no semi-aperture: the file must give up to where light passes"
+            )
+        entry = {
+            "thickness": 0.0 if number == len(surfaces) else surface.thickness * unit,
+            "semi_aperture": surface.semi_aperture * unit,
+            "conic": surface.conic,
+            "asphere": [term * unit ** -(2 * order + 3) for order, term in enumerate(_trimmed(surface.asphere))],
+            "stop": surface.stop,
+        }
+        if surface.curvature:
+            entry["radius"] = unit / surface.curvature
+        if surface.glass is not None:
+            entry["glass"] = surface.glass.to_plain()
+        plain.append(entry)
+    facts = {"name": name or path.stem, "source": f"read from {path.name}", "wavelength": wavelength}
     try:
-        return Prescription.from_plain(
-            {
-                "name": optic.name or path.stem,
-                "source": f"read from {path.name}",
-                "wavelength": wavelength,
-                "surfaces": plain,
-            }
-        )
+        return Prescription.from_plain({**facts, "surfaces": plain})
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
 
-def _plain(
-    path: Path, number: int, surface: Any, gap: float, semi_aperture: float | None, wavelength: float
-) -> dict[str, Any]:
-    """Return one of Optiland's surfaces as plain data."""
-    geometry, kind = surface.geometry, type(surface.geometry).__name__
-    if kind not in ("Plane", "StandardGeometry", "EvenAsphere"):
-        raise InputError(f"{path}: surface {number} is of type {kind}: only standard and even aspheric ones are read")
-    plain: dict[str, Any] = {"thickness": gap}
-    radius = float(geometry.radius)
-    if math.isfinite(radius):
-        plain |= {"radius": radius, "conic": float(geometry.k)}
-    if kind == "EvenAsphere":
-        square, *rest = (float(term) for term in geometry.coefficients)
-        if square:
-            raise InputError(f"{path}: surface {number} has a term of the second power: put it into the radius")
-        plain["asphere"] = rest
-    if surface.is_stop:
-        plain["stop"] = True
-    if getattr(surface.aperture, "r_max", None) is not None:
-        semi_aperture = float(surface.aperture.r_max)
-    if not semi_aperture:
-        raise InputError(f"{path}: surface {number} has no semi-aperture: up to where light passes must be told")
-    plain["semi_aperture"] = semi_aperture
-    if float(np.ravel(surface.material_post.n(wavelength * 1e-3))[0]) != 1:
-        name = getattr(surface.material_post, "name", None) or f"glass {number}"
-        plain["glass"] = tabulated_glass(surface.material_post, str(name)).to_plain()
-    return plain
-
-
-def _semi_diameters(path: Path) -> dict[int, float]:
-    """Return the semi-diameters that a Zemax file tells, by the surfaces' numbers."""
-    raw = path.read_bytes()
-    text = raw.decode("utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8", errors="replace")
-    found: dict[int, float] = {}
-    number = -1
-    for line in text.splitlines():
-        if match := re.match(r"\s*SURF\s+(\d+)", line):
-            number = int(match[1])
-        elif match := re.match(r"\s*DIAM\s+([-+.\dEe]+)", line):
-            found[number] = float(match[1])
-    return found
+def _trimmed(terms: list[float]) -> list[float]:
+    """Return coefficients without the zeros at their end."""
+    count = max((number for number, term in enumerate(terms, start=1) if term), default=0)
+    return terms[:count]

@@ -1,4 +1,4 @@
-"""Main lenses as files: our YAML or JSON, which holds what `Prescription.to_plain` returns, and what others write."""
+"""Main lenses as files: YAML or JSON of `Prescription.to_plain`, and what other programs write."""
 
 from __future__ import annotations
 
@@ -11,10 +11,14 @@ import yaml
 
 from ..errors import InputError
 from ..objective import Objective
-from ..prescription import Prescription, bundled_prescription
-from .files import require_file
-from .lens_designs import SUFFIXES, read_design
+from ..prescription import BUNDLED, Prescription, bundled_prescription
+from .codev_file import read_codev
+from .files import atomic_output, require_file
 from .yaml_file import read_yaml
+from .zemax_file import read_zemax
+
+DESIGNS = {".zmx": read_zemax, ".seq": read_codev}
+"""Endings of other programs' files, and their readers."""
 
 
 def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> Prescription | Objective:
@@ -34,14 +38,15 @@ def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> Prescr
     """
     text = str(source)
     if text.lstrip().startswith("{"):
-        return _from_plain(_parsed(text))
-    path = Path(resolve(text))
-    if path.exists() and path.suffix.lower() not in SUFFIXES:
-        try:
-            return _from_plain(read_yaml(require_file(path)))
-        except InputError as error:
-            raise InputError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from None
-    return read_prescription(source, resolve)
+        return lens_from_plain(_parsed(text))
+    if text in BUNDLED or not _is_there(path := Path(resolve(text))):
+        return bundled_prescription(text)
+    if (read := DESIGNS.get(path.suffix.lower())) is not None:
+        return read(path)
+    try:
+        return lens_from_plain(read_yaml(require_file(path)))
+    except InputError as error:
+        raise InputError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from None
 
 
 def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -> Prescription:
@@ -50,8 +55,8 @@ def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -
     Parameters
     ----------
     source : str or Path
-        A YAML or JSON file, a Zemax ``.zmx`` or CODE V ``.seq`` file (see `lens_designs`); the name of a
-        bundled lens, where there is no such file; or the text of a JSON file.
+        The name of a bundled lens; a YAML or JSON file, a Zemax ``.zmx`` or CODE V ``.seq`` file; or the text of a JSON
+        file. The file of a bundled lens, such as ``tessar.yaml``, is found where there is no file of that name.
     resolve : callable, optional
         Finds a file by its name, for example beside a scene.
 
@@ -60,18 +65,25 @@ def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -
     InputError
         If there is no such file or lens, or it is not a prescription.
     """
-    text = str(source)
-    if text.lstrip().startswith("{"):
-        return Prescription.from_plain(_parsed(text))
-    path = Path(resolve(text))
-    if not path.exists():
-        return bundled_prescription(text)
-    if path.suffix.lower() in SUFFIXES:
-        return read_design(path)
+    lens = read_lens(source, resolve)
+    if isinstance(lens, Objective):
+        raise InputError(f"{source}: it is an objective; a lens with surfaces is needed")
+    return lens
+
+
+def _is_there(path: Path) -> bool:
+    """Whether something has that name; text that can be no file's name is nothing's."""
     try:
-        return Prescription.from_plain(read_yaml(require_file(path)))
-    except InputError as error:
-        raise InputError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from None
+        return path.exists()
+    except (OSError, ValueError):
+        return False
+
+
+def lens_from_plain(value: Any) -> Prescription | Objective:
+    """Return the main lens of plain data: an objective, which has a magnification, or a prescription."""
+    if isinstance(value, dict) and "magnification" in value:
+        return Objective.from_plain(value)
+    return Prescription.from_plain(value)
 
 
 def _parsed(text: str) -> Any:
@@ -79,12 +91,6 @@ def _parsed(text: str) -> Any:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"main_lens: it must be a JSON object: {error}") from None
-
-
-def _from_plain(value: Any) -> Prescription | Objective:
-    if isinstance(value, dict) and "magnification" in value:
-        return Objective.from_plain(value)
-    return Prescription.from_plain(value)
 
 
 def write_prescription(path: str | Path, lens: Prescription) -> None:
@@ -97,4 +103,5 @@ def write_prescription(path: str | Path, lens: Prescription) -> None:
     lens : Prescription
         The lens.
     """
-    Path(path).write_text(yaml.safe_dump(lens.to_plain(), sort_keys=False), encoding="utf-8")
+    with atomic_output(path, ".yaml", ".yml", ".json") as temporary:
+        temporary.write_text(yaml.safe_dump(lens.to_plain(), sort_keys=False), encoding="utf-8")

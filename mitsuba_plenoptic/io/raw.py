@@ -18,10 +18,10 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_number, shown
+from ..errors import InputError, require_number
 from ..runtime.limits import require_memory
 from .captures import Capture
-from .files import atomic_output, require_file
+from .files import atomic_output, require_file, require_writable
 
 RAW_SUFFIXES = (".png", ".tif", ".tiff")
 
@@ -47,7 +47,7 @@ def write_raw(path: str | Path, capture: Capture) -> None:
         If the capture was not exposed, its values are no digital numbers of its detector, a PNG would have three
         channels, or the file cannot be written.
     """
-    path = require_raw_path(path)
+    path = require_writable(path, *RAW_SUFFIXES)
     numbers = digital_numbers(capture)
     about = {
         "kind": "raw",
@@ -115,19 +115,6 @@ def tells_detector(path: str | Path) -> bool:
     return f'"{_KEY}"' in _read(require_file(path))[1]
 
 
-def require_raw_path(path: str | Path) -> Path:
-    """Return a path whose name is one of a raw picture.
-
-    Raises
-    ------
-    InputError
-        If it is not.
-    """
-    if not isinstance(path, (str, Path)) or Path(path).suffix.lower() not in RAW_SUFFIXES:
-        raise InputError(f"{shown(path)}: raw pictures end in {', '.join(RAW_SUFFIXES)}")
-    return Path(path)
-
-
 def digital_numbers(capture: Capture) -> NDArray[np.uint16]:
     """Return the digital numbers that a detector gave for an exposed capture.
 
@@ -139,7 +126,7 @@ def digital_numbers(capture: Capture) -> NDArray[np.uint16]:
     exposure = capture.metadata.get("exposure")
     if not isinstance(exposure, dict):
         raise InputError("capture: no detector has recorded it; expose it first")
-    gain, black, dark, unit = _response(exposure)
+    gain, black, dark, unit = response_of(exposure)
     exact = (capture.image.astype(np.float64) * unit + dark) * gain + black
     numbers = np.rint(exact)
     # Single precision tells a number of 16 bits from its neighbours.
@@ -149,12 +136,12 @@ def digital_numbers(capture: Capture) -> NDArray[np.uint16]:
 
 
 def _values(numbers: NDArray[Any], exposure: dict[str, Any]) -> NDArray[np.float32]:
-    gain, black, dark, unit = _response(exposure)
+    gain, black, dark, unit = response_of(exposure)
     return (((numbers.astype(np.float64) - black) / gain - dark) / unit).astype(np.float32)
 
 
-def _response(exposure: dict[str, Any]) -> tuple[float, float, float, float]:
-    """Return gain, black level, dark electrons, and electrons in a pixel of value 1."""
+def response_of(exposure: dict[str, Any]) -> tuple[float, float, float, float]:
+    """Return gain, black level, dark electrons, and electrons in a pixel of value 1, of what `expose` has kept."""
     for name in ("gain", "black_level", "dark_electrons", "quantum_efficiency", "photons"):
         if name not in exposure:
             raise InputError(f"exposure: {name}: it is missing")
@@ -167,6 +154,7 @@ def _response(exposure: dict[str, Any]) -> tuple[float, float, float, float]:
 
 def _read(path: Path) -> tuple[NDArray[Any], str]:
     """Return the pixels of a picture and its description."""
+    require_memory(2 * path.stat().st_size, f"{path}: {path.stat().st_size} bytes")
     try:
         if path.suffix.lower() == ".png":
             with Image.open(path, formats=["PNG"]) as picture:

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .files import require_file
+from .files import read_text
 
 _LARGEST_FILE = 2**22
 
 
 def read_table(path: str | Path) -> NDArray[np.float64]:
-    """Read the numbers of a CSV file below its line of names, all columns of all rows, at most 4 MiB.
+    """Read the numbers of a CSV file, all columns of all rows, at most 4 MiB; its first line may be one of names.
 
     Parameters
     ----------
@@ -24,20 +24,27 @@ def read_table(path: str | Path) -> NDArray[np.float64]:
     Raises
     ------
     InputError
-        If there is no such file, it is larger, or what follows the first line are not finite numbers, as many in each
-        row.
+        If there is no such file, it is larger, or its rows are not finite numbers, the same count in each.
     """
-    path = require_file(path)
-    if path.stat().st_size > _LARGEST_FILE:
-        raise InputError(f"{path}: {path.stat().st_size} bytes: it may have at most {_LARGEST_FILE}")
+    lines = [line for line in read_text(path, _LARGEST_FILE).splitlines() if line.strip()]
+    if lines and not any(_is_number(cell) for cell in lines[0].split(",")):
+        lines = lines[1:]
     try:
-        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines()[1:] if line.strip()]
         rows = np.loadtxt(lines, delimiter=",", ndmin=2) if lines else np.empty((0, 0))
-    except (ValueError, OSError) as error:
+    except ValueError as error:
         raise InputError(f"{path}: it is no table of numbers: {error}") from None
     if not len(rows):
-        raise InputError(f"{path}: it has no rows below its line of names")
+        raise InputError(f"{path}: it has no rows of numbers")
     if not np.isfinite(rows).all():
         row = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
         raise InputError(f"{path}, row {row + 1}: all numbers must be finite")
     return np.asarray(rows)
+
+
+def _is_number(text: str) -> bool:
+    """Whether a cell is a number, or is meant to be one."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

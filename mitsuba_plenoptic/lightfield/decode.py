@@ -9,20 +9,21 @@ import scipy
 import xarray as xr
 
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError, shown
-from ..io.captures import Capture, as_array, require_pixels, require_same_camera
+from ..errors import InputError, shown, suggest_keywords
+from ..io.captures import Capture, as_array, require_pixels, require_suitable_white
 from ..io.ground_truth import COORDINATES, GroundTruth, channel_planes
 from ..mosaic import require_demosaiced
 from ..runtime.limits import require_memory
 from .fourier_views import decode_views
 from .geometry import DIMS, light_field
 from .grid import LensGrid, bin_grid, lens_grid
-from .white import white_image
+from .white import scaled_white, white_image
 
 # Samples that see less of the pupil than this are left out: dividing by so little would only raise their noise.
 MINIMUM_WEIGHT = 0.1
 
 
+@suggest_keywords
 def decode(
     capture: Capture | np.ndarray,
     *,
@@ -49,7 +50,8 @@ def decode(
     camera : PlenopticCamera, optional
         The camera of a plain array, or another one than the capture's.
     white : Capture or (rows, columns[, 3]) array, optional
-        A picture of something white with the same camera. Default: computed by rays from the camera's pupil;
+        A picture of something evenly white that fills the view, with the same camera. It is scaled to a radiance of 1
+        (see `mitsuba_plenoptic.lightfield.white.white_radiance`). Default: computed by rays from the camera's pupil;
         diffraction blurs the rims of micro-images, so that a wave capture is better served by one rendered alike.
         Where there is no camera it is needed, and its brightness in the middle of the micro-images counts as 1.
     grid : LensGrid, optional
@@ -144,18 +146,19 @@ def _require_suitable(
     if isinstance(white, Capture):
         require_demosaiced(white)
         own = capture.camera if isinstance(capture, Capture) else None
-        require_same_camera("white", white, [each for each in (camera, own) if each is not None])
+        require_suitable_white(white, [each for each in (camera, own) if each is not None])
 
 
 def _reference(
     image: np.ndarray, camera: PlenopticCamera | None, white: Capture | np.ndarray | None, grid: LensGrid | None
 ) -> np.ndarray:
     """Return the white image, (rows, columns, 1): the given one, or what the camera would record."""
-    if white is not None:
-        return _white(white, image)
     if camera is None:
-        raise InputError("white = None: without a camera the pupil is known from a white image only")
-    return white_image(camera, grid)[..., None]
+        if white is None:
+            raise InputError("white = None: without a camera the pupil is known from a white image only")
+        return _white(white, image)
+    computed = white_image(camera, grid)
+    return computed[..., None] if white is None else scaled_white(_white(white, image), computed, camera)
 
 
 def divide_by_white(light: np.ndarray, fraction: np.ndarray, alone: np.ndarray) -> None:

@@ -19,12 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
-from ..errors import InputError, require_choice
-from ..io.captures import Capture
+from ..errors import InputError, argument, require_choice, suggest_keywords
+from ..io.captures import Capture, require_suitable_white
 from ..mosaic import MOSAICS, filters, mosaic_of, require_demosaiced
-from ..optics import rays
-from .white import white_image
+from .grid import lens_numbers
+from .white import scaled_white, white_image
 
 METHODS = ("micro-images", "plain")
 
@@ -38,6 +37,7 @@ _LIT = 1e-3
 """Part of the weight of the brightest pixel of white below which a colour is not known."""
 
 
+@suggest_keywords
 def demosaic(
     capture: Capture,
     *,
@@ -69,17 +69,20 @@ def demosaic(
     Raises
     ------
     InputError
-        If the capture has three channels already, no mosaic is known, or the white image does not fit.
+        If the capture has three channels already, no mosaic is known, the white image does not fit, or it is given
+        for ``plain``.
     """
     require_choice("method", method, METHODS)
     if capture.image.ndim != 2:
         raise InputError(f"capture of {capture.image.shape[2]} channels: a mosaic has one")
     known = mosaic_of(capture)
     if mosaic is None and known is None:
-        raise InputError("mosaic = None: the capture tells none; give one")
+        raise InputError(f"mosaic = None: the capture tells none; give {argument('mosaic')}")
     mosaic = require_choice("mosaic", known if mosaic is None else mosaic, MOSAICS)
     camera, own = capture.camera, filters(capture.camera, mosaic)
     if method == "plain":
+        if white is not None:
+            raise InputError("white: method plain does not take it; it is for micro-images")
         certainty = np.ones((*camera.shape, 3), np.float32)
         lenses = np.zeros(camera.shape, np.int64)
     else:
@@ -96,16 +99,6 @@ def demosaic(
     return replace(capture, image=image, wavelength=wavelength, noise=None, metadata=metadata)
 
 
-def lens_numbers(camera: PlenopticCamera) -> NDArray[np.int64]:
-    """Return a number for each recorded pixel: that of the lens of its chief ray."""
-    x, y = (
-        rays.chief_point(camera.pixel_coordinates(axis), camera.pupil_distance, camera.detector_distance)
-        for axis in (0, 1)
-    )
-    i, j = (np.rint(index).astype(np.int64) for index in camera.lattice.cell(*np.meshgrid(x, y)))
-    return np.asarray((i - i.min()) * (np.ptp(j) + 1) + j - j.min())
-
-
 def _certainty(capture: Capture, white: Capture | None) -> NDArray[np.float32]:
     """Return the white image, (rows, columns, 3)."""
     if white is None:
@@ -113,9 +106,11 @@ def _certainty(capture: Capture, white: Capture | None) -> NDArray[np.float32]:
     require_demosaiced(white)
     if white.image.shape[:2] != capture.image.shape:
         raise InputError(f"white of shape {white.image.shape}: it must have the pixels of the capture")
-    if white.image.ndim == 3:
-        return np.maximum(np.broadcast_to(white.image, (*capture.image.shape, 3)), 0)
-    return np.repeat(np.maximum(white.image, 0)[..., None], 3, axis=2)
+    require_suitable_white(white, [capture.camera])
+    image = np.atleast_3d(white.image)
+    if capture.camera.main_lens is None:
+        image = scaled_white(image, white_image(capture.camera), capture.camera)
+    return np.ascontiguousarray(np.broadcast_to(np.maximum(image, 0), (*capture.image.shape, 3)))
 
 
 def _shifts(reach: int) -> Iterator[tuple[int, int, float]]:

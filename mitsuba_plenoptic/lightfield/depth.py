@@ -11,7 +11,7 @@ import scipy
 import xarray as xr
 
 from ..design import focus_types
-from ..errors import InputError, require_count, require_number
+from ..errors import InputError, require_count, require_number, suggest_keywords
 from ..runtime.jobs import Progress, counted
 from ..runtime.limits import require_memory
 from .agreement import view_disagreement
@@ -28,6 +28,7 @@ RIGHT = 0.01
 _AROUND = 2.0
 
 
+@suggest_keywords
 def depth_map(
     lf: xr.DataArray,
     near: float | None = None,

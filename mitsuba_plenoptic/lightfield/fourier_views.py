@@ -22,6 +22,7 @@ from ..objective import Objective
 from ..optics.telecentric import TelecentricLens
 from ..runtime.limits import require_memory
 from .geometry import CHANNELS, DIMS
+from .white import white_radiance
 
 MINIMUM_WEIGHT = 0.1
 """Fraction of a lens within the image of the stop below which its picture is left out."""
@@ -114,11 +115,13 @@ def decode_views(
         4.0 * math.prod(shape) * (2 * image.shape[2] + 4), f"light field of {shape[1]} x {shape[0]} views of its lenses"
     )
     values = _sampled(image, camera, views)
-    if white is None:
-        there = _sampled(np.ones((*camera.shape, 1), np.float32), camera, views)[..., 0]
-        weight = there * views.fraction[:, :, None, None]
-    else:
+    there = _sampled(np.ones((*camera.shape, 1), np.float32), camera, views)[..., 0]
+    weight = there * views.fraction[:, :, None, None]
+    if white is not None:
+        computed = weight.sum(axis=(2, 3)).ravel()
         weight = _sampled(white, camera, views)[..., 0]
+        radius = np.hypot(views.across, views.down[:, None]).ravel()
+        weight /= white_radiance(weight.sum(axis=(2, 3)).reshape(-1, 1), computed, radius)
     weight[weight < MINIMUM_WEIGHT] = 0
     np.divide(values, weight[..., None], out=values, where=weight[..., None] > 0)
     values[weight == 0] = 0

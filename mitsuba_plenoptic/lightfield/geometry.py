@@ -24,7 +24,7 @@ import numpy as np
 import xarray as xr
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_number, shown
+from ..errors import InputError, advice, require_number, shown
 from ..io.captures import require_pixels
 from ..optics import rays
 from ..thin_lens import image_distance
@@ -141,7 +141,8 @@ def camera_of(lf: xr.DataArray) -> PlenopticCamera:
         If it has none.
     """
     if not lf.attrs.get("camera"):
-        raise InputError("light field: it has no camera, so distances in millimetres mean nothing; give a disparity")
+        instead = advice(python="give a disparity", shell="use a capture, or a light field that has its camera")
+        raise InputError(f"light field: it has no camera, so distances in millimetres mean nothing; {instead}")
     return PlenopticCamera.from_dict(_record(lf, "camera"))
 
 

@@ -11,12 +11,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..bounds import MOST_PIXELS
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_count, require_number, require_pair
 from ..optics import rays
 from ..runtime.limits import require_memory
+
+_BLOCK = 2**20
+"""Pixels whose lenses are found together."""
 
 
 @dataclass(frozen=True)
@@ -195,6 +199,22 @@ def lens_types(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
     chief = rays.chief_point(p, camera.mla_distance, camera.detector_distance)
     i, j = camera.lattice.cell(chief[..., 0], chief[..., 1])
     return camera.lattice.lens_type(i, j).astype(np.int64)
+
+
+def lens_numbers(camera: PlenopticCamera) -> NDArray[np.int64]:
+    """Return a number for each recorded pixel: that of the lens of its chief ray."""
+    x, y = (
+        rays.chief_point(camera.pixel_coordinates(axis), camera.pupil_distance, camera.detector_distance)
+        for axis in (0, 1)
+    )
+    index = np.empty((2, *camera.shape), np.int32)
+    height = max(1, _BLOCK // len(x))
+    for first in range(0, len(y), height):
+        rows = slice(first, first + height)
+        for found, values in zip(index, camera.lattice.cell(*np.meshgrid(x, y[rows])), strict=True):
+            found[rows] = np.rint(values)
+    i, j = index.astype(np.int64)
+    return np.asarray((i - i.min()) * (np.ptp(j) + 1) + j - j.min())
 
 
 def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9) -> tuple[np.ndarray, bool]:

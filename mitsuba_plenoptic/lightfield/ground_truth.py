@@ -13,6 +13,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..capture.first_hit import FirstHits
 from ..capture.render import plenoptic_sensor
+from ..errors import suggest_keywords
 from ..io.ground_truth import QUANTITIES, GroundTruth, require_quantities
 from ..runtime.backend import one_at_a_time
 from ..runtime.limits import require_memory
@@ -21,6 +22,7 @@ from .geometry import lens_places, pupil_places
 from .grid import bin_grid, lens_grid
 
 
+@suggest_keywords
 @one_at_a_time
 def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor: int | Any = 0) -> GroundTruth:
     """Find what a plenoptic camera of the scene looks at: for each pixel, and for each sample of the light field.

@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import InputError, advice
 from ..io.captures import Capture
 from ..runtime.limits import require_memory
 from .decode import checked_images, divide_by_white, sample_lenses, view_window
@@ -114,7 +114,7 @@ def micro_images_of(lf: xr.DataArray) -> MicroImages:
     if (grid_of(lf) or lens_grid(camera)) != bins:
         raise InputError(
             "micro_images = None: the bins of this light field are interpolated between lenses, which a focused "
-            "camera's depth cannot be told from; give micro_images(capture), or the command the capture"
+            f"camera's depth cannot be found from; give {advice(python='micro_images(capture)', shell='the capture')}"
         )
     for axis in ("v", "u"):
         steps = view_steps(lf, axis)

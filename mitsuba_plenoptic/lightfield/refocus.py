@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import xarray as xr
 
-from ..errors import InputError, require_choice, require_number
+from ..errors import InputError, require_choice, require_number, suggest_keywords
 from ..runtime.jobs import Progress, counted
 from ..runtime.limits import require_memory
 from .fourier import FourierRefocuser
@@ -53,6 +53,7 @@ def shift_and_add(lf: xr.DataArray, disparity: float) -> xr.DataArray:
     return as_view(lf, image if "c" in lf.dims else image[..., 0])
 
 
+@suggest_keywords
 def refocus(lf: xr.DataArray, distance: float, *, method: str = "shift") -> xr.DataArray:
     """Refocus a light field to a distance.
 
@@ -79,6 +80,7 @@ def refocus(lf: xr.DataArray, distance: float, *, method: str = "shift") -> xr.D
     return focal_stack(lf, [distance], method=method)[0]
 
 
+@suggest_keywords
 def focal_stack(
     lf: xr.DataArray,
     distances: Sequence[float],

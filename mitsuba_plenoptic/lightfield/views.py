@@ -2,32 +2,41 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import xarray as xr
 
-from ..errors import require_choice, require_count, require_number
+from ..errors import InputError, require_choice, require_count, require_number, suggest_keywords
 from .geometry import require_light_field
 
 AXES = ("horizontal", "vertical")
 
 
-def view(lf: xr.DataArray, *, u: float = 0.0, v: float = 0.0) -> xr.DataArray:
+@suggest_keywords
+def view(lf: xr.DataArray, *, u: float | None = None, v: float | None = None) -> xr.DataArray:
     """Return the sub-aperture view nearest to a point of the pupil.
 
     Parameters
     ----------
     lf : xarray.DataArray
         A light field, (v, u, t, s[, c]).
-    u, v : float
-        Point on the pupil in the light field's coordinates (millimetres where it has a camera).
+    u, v : float, optional
+        Point on the pupil in the light field's coordinates (millimetres where it has a camera). Default: the view
+        nearest to the pupil's middle.
 
     Returns
     -------
     xarray.DataArray
         Dimensions t, s[, c]; upright, with the scalar coordinates u and v of the view.
+
+    Raises
+    ------
+    InputError
+        If the point is more than half a step beyond the views.
     """
     lf = require_light_field(lf)
-    return lf.sel(u=require_number("u", u), v=require_number("v", v), method="nearest")
+    return _nearest(lf, u=("u", u), v=("v", v))
 
 
 def as_view(lf: xr.DataArray, image: np.ndarray) -> xr.DataArray:
@@ -91,8 +100,9 @@ def lens_mosaic(lf: xr.DataArray) -> np.ndarray:
     return values.transpose(2, 0, 3, 1, *range(4, values.ndim)).reshape(t * v, s * u, *values.shape[4:])
 
 
+@suggest_keywords
 def epipolar_image(
-    lf: xr.DataArray, axis: str = "horizontal", *, at: float = 0.0, through: float = 0.0
+    lf: xr.DataArray, axis: str = "horizontal", *, at: float | None = None, through: float | None = None
 ) -> xr.DataArray:
     """Return one line of the field from every view of one line of the pupil: a point of the scene draws a slanted line.
 
@@ -102,18 +112,42 @@ def epipolar_image(
         A light field, (v, u, t, s[, c]).
     axis : {"horizontal", "vertical"}
         Direction of both lines: along u and s, or along v and t.
-    at : float
-        Place of the line in the field: t of a horizontal, s of a vertical one. The nearest is taken.
-    through : float
-        Place of the line on the pupil: v of a horizontal, u of a vertical one. The nearest is taken.
+    at : float, optional
+        Place of the line in the field: t of a horizontal, s of a vertical one; the nearest line is taken. Default: the
+        one nearest to the axis.
+    through : float, optional
+        Place of the line on the pupil: v of a horizontal, u of a vertical one; the nearest line is taken. Default: the
+        one nearest to the pupil's middle.
 
     Returns
     -------
     xarray.DataArray
         Dimensions u, s[, c], or v, t[, c].
+
+    Raises
+    ------
+    InputError
+        If the axis is another word, or a place is more than half a step beyond the lines.
     """
     lf = require_light_field(lf)
     require_choice("axis", axis, AXES)
     field, pupil = ("t", "v") if axis == "horizontal" else ("s", "u")
-    place = {field: require_number("at", at), pupil: require_number("through", through)}
-    return lf.sel(place, method="nearest")
+    return _nearest(lf, **{field: ("at", at), pupil: ("through", through)})
+
+
+def _nearest(lf: xr.DataArray, **places: tuple[str, float | None]) -> xr.DataArray:
+    """Return the samples nearest to places on axes, each with the name that messages give it; None: to the middle."""
+    wanted = dict.fromkeys(places, 0.0)
+    for axis, (name, value) in places.items():
+        if value is None:
+            continue
+        wanted[axis] = require_number(name, value)
+        samples = np.sort(lf[axis].values)
+        # Of a single sample there is nothing to choose, and no step is known.
+        reach = (samples[-1] - samples[0]) / (len(samples) - 1) / 2 if len(samples) > 1 else math.inf
+        low, high = samples[0] - reach, samples[-1] + reach
+        # Rounding must not refuse the border itself.
+        margin = 1e-6 * reach if math.isfinite(reach) else 0.0
+        if not low - margin <= wanted[axis] <= high + margin:
+            raise InputError(f"{name} = {wanted[axis]:g}: the light field goes from {low:.4g} to {high:.4g} there")
+    return lf.sel(wanted, method="nearest")

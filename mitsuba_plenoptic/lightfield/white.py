@@ -1,17 +1,20 @@
-"""The white image of a camera, computed: the fraction of what each pixel sees that the pupil leaves open."""
+"""White images: computed by rays, as the open fraction of the pupil; recorded ones checked and scaled."""
 
 from __future__ import annotations
 
+import logging
 import math
+import warnings
 
 import numpy as np
+from scipy.stats import qmc
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import rays
 from ..optics.pupil import PupilFraction
 from ..runtime.limits import require_memory
-from .grid import LensGrid, lens_types, micro_image_centres
+from .grid import LensGrid, lens_numbers, lens_types, micro_image_centres
 
 # Micro-images drawn at once.
 _BLOCK = 128
@@ -21,6 +24,22 @@ _ALIKE = 0.01
 
 # Pixels of micro-images, an hour.
 _MOST_WORK = 3e10
+
+# Lenses with less than this fraction of the computed light of the fullest are cut by the border too much to be judged.
+_WHOLE = 0.2
+
+# Light of a lens over that of the brightest: below three stops, more than main lenses vignette by, a white is refused.
+_DARKEST, _DIM = 1 / 8, 1 / 2
+
+# Light that lies within micro-images as computed; waves leave 0.4 in those narrower than the microlens's own blur.
+_LEAST_COMMON = 1 / 4
+
+# Fraction of the lenses by which the radiance is found, and how far from 1 it counts as 1.
+_CENTRAL, _SAME_RADIANCE = 0.25, 0.05
+
+_RESPONSE_RAYS = 4096
+
+_log = logging.getLogger(__name__)
 
 
 def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.ndarray:
@@ -88,6 +107,113 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
         added = np.bincount(place - first, weights=fraction[keep])
         image.reshape(-1)[first : first + added.size] += added
     return image[half : half + rows, half : half + columns]
+
+
+def scaled_white(white: np.ndarray, computed: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
+    """Scale a recorded white image to a radiance of 1, and refuse one that does not fill the view.
+
+    Each lens is judged by its light, the sum over the pixels whose chief rays pass it, over the computed light. For
+    captures by waves this ratio is the same as for rays: what diffraction carries to the neighbours, they give back.
+
+    Parameters
+    ----------
+    white : (rows, columns, channels) array
+        The recorded image.
+    computed : (rows, columns) array
+        What the camera records of radiance 1, by rays.
+    camera : PlenopticCamera
+        The camera.
+
+    Returns
+    -------
+    (rows, columns, channels) float32 array
+
+    Raises
+    ------
+    InputError
+        As `white_radiance` does; or if less than a quarter of the light lies within micro-images as computed.
+    """
+    lenses = lens_numbers(camera).ravel()
+    x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
+    radius = np.bincount(lenses, np.hypot(x, y[:, None]).ravel()) / np.maximum(np.bincount(lenses), 1)
+    light = np.stack([np.bincount(lenses, channel.ravel()) for channel in np.moveaxis(white, 2, 0)], axis=-1)
+    model = computed.ravel() * _mean_response(camera)
+    expected = np.bincount(lenses, model)
+    radiance = white_radiance(light, expected, radius)
+    # Where a lens's light lies: of white the common part of both images is nearly all.
+    share = light.sum(axis=1) / np.maximum(expected, np.finfo(np.float32).tiny)
+    scaled = white.sum(axis=2).ravel() / np.where(share > 0, share, np.inf)[lenses]
+    common = float(np.minimum(scaled, model).clip(0).sum() / model.sum())
+    _require_most(
+        common,
+        _LEAST_COMMON,
+        f"white: {common:.0%} of its light is distributed over the micro-images as the camera distributes it",
+        "it must be by this camera and fill the view of the whole pupil",
+    )
+    return np.asarray(white / radiance, np.float32)
+
+
+def white_radiance(light: np.ndarray, computed: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Return the radiance of a recorded white for each channel: what it is to be divided by.
+
+    It is the median of recorded over computed light among the quarter of the lenses that is nearest to the axis, where
+    main lenses hardly vignette. Within 5 % of 1 it counts as 1: so much may waves lose between microlenses with gaps.
+
+    Parameters
+    ----------
+    light : (lenses, channels) array
+        Recorded light of each lens.
+    computed : (lenses,) array
+        The same, computed for radiance 1.
+    radius : (lenses,) array
+        Distance from the axis.
+
+    Raises
+    ------
+    InputError
+        If the white is dark, or a lens has less than an eighth of the light of the brightest. Below a half there is a
+        warning.
+    """
+    whole = (computed > 0) & (computed >= _WHOLE * computed.max(initial=0))
+    ratio = light[whole] / computed[whole, None]
+    brightest = ratio.max(axis=0, initial=0)
+    if not (brightest > 0).all():
+        raise InputError("white: it is dark: it must be a capture of something evenly white")
+    least = (ratio / brightest).min(axis=1)
+    limit = _DARKEST if least.min() < _DARKEST else _DIM
+    _require_most(
+        float(least.min()),
+        _DARKEST,
+        f"white: {np.count_nonzero(least < limit)} of {len(least)} lenses have less than {limit:g} of the light of the "
+        "brightest",
+        "it must fill the view",
+    )
+    near = radius[whole] <= np.quantile(radius[whole], _CENTRAL)
+    radiance = np.median(ratio[near], axis=0)
+    other = np.abs(radiance - 1) > _SAME_RADIANCE
+    if other.any():
+        _log.info("white: its radiance is %s: it is scaled to 1", ", ".join(f"{value:.3g}" for value in radiance))
+    return np.asarray(np.where(other, radiance, 1))
+
+
+def _require_most(fraction: float, least: float, text: str, rule: str) -> None:
+    """Refuse a white with too small a fraction of what it should have, and warn of less than a half."""
+    if fraction < least:
+        raise InputError(f"{text}: {rule}")
+    if fraction < _DIM:
+        warnings.warn(f"{text}: {rule}", stacklevel=2)
+
+
+def _mean_response(camera: PlenopticCamera) -> float:
+    """Return the mean response of pixels to the light of a lens on the axis, which computed white images leave out."""
+    if not camera.pixel_response:
+        return 1.0
+    s, t, u, v = qmc.Sobol(4, scramble=False).random(_RESPONSE_RAYS).T
+    place = camera.micro_image_diameter / 2 * np.sqrt(u)
+    x, y = camera.lattice.aperture_point(s, t)
+    across = np.hypot(place * np.cos(2 * np.pi * v) - x, place * np.sin(2 * np.pi * v) - y)
+    angle = np.degrees(np.arctan(across / camera.detector_distance))
+    return float(np.interp(angle, camera.pixel_response[::2], camera.pixel_response[1::2]).mean())
 
 
 class _Fractions:

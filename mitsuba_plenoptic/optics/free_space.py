@@ -16,6 +16,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from ..bounds import require_wavelength
 from ..errors import InputError, require_number
 from ..runtime.backend import array_module, backend, one_at_a_time
 from ..runtime.fft import Field, array_types, as_field, as_words, fft2_packed, pack, unpack
@@ -174,5 +175,5 @@ def _check(pitch: float, distance: float, wavelength: float) -> tuple[float, flo
     return (
         require_number("pitch", pitch, positive=True),
         require_number("distance", distance),
-        require_number("wavelength", wavelength, positive=True),
+        require_wavelength(wavelength),
     )

@@ -22,6 +22,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..prescription import Paraxial, Prescription, paraxial
+from ..prescription.data import height
 from ..thin_lens import vergence
 from . import sequential
 
@@ -126,7 +127,7 @@ class LensSystem:
         """Semi-aperture of the first surface, and the places z between which it lies."""
         surface = self.prescription.surfaces[0]
         radius = surface.semi_aperture
-        sag = sequential.height(sequential.elements(self.prescription, self._light)[0], radius * radius)
+        sag = height(surface, radius * radius)
         low, high = sorted((0.0, -float(sag)))
         return self.scale * radius, (self.front + self.scale * low, self.front + self.scale * high)
 

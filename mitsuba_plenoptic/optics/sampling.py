@@ -30,6 +30,9 @@ _LONGEST = 2**31
 _FARTHEST = 1e16
 """Coordinates of a scene point at most, in millimetres; beyond the longest focal length this is infinity."""
 
+_WIDEST = 1000
+"""Microlenses, across, that the light of a point within the focal length covers at most."""
+
 _RIM_ANGLES = 32
 _RIM_RADII = (0.0, 0.4, 0.7, 1.0)
 
@@ -159,7 +162,9 @@ def check_samples(count: float, where: str) -> None:
         raise InputError(f"a field of {count:.3g} samples {where}: at most {_LONGEST} can be computed")
 
 
-def check_positions(positions: Any, camera: PlenopticCamera | None = None) -> NDArray[np.float64]:
+def check_positions(
+    positions: Any, camera: PlenopticCamera | None = None, *, virtual: bool = False
+) -> NDArray[np.float64]:
     """Return scene points as a float64 array (n, 3).
 
     Parameters
@@ -168,12 +173,14 @@ def check_positions(positions: Any, camera: PlenopticCamera | None = None) -> ND
         Scene points.
     camera : PlenopticCamera, optional
         The camera; default: one with a main lens in the plane g = 0, in which no point may lie.
+    virtual : bool
+        Whether points may lie behind the main lens, as images to which light in front of it converges.
 
     Raises
     ------
     InputError
-        If the shape is another, a coordinate is not finite or too large, or a point lies in the main lens, or not
-        before the objective.
+        If the shape is another, a coordinate is not finite or too large, or a point lies in the main lens or behind
+        it, or so near to it that it must be in another unit, or not before the objective.
     """
     try:
         points = np.asarray(positions, np.float64)
@@ -194,13 +201,27 @@ def check_positions(positions: Any, camera: PlenopticCamera | None = None) -> ND
                 f"than {-front:.6g}: before the objective"
             )
         return points
-    beyond = (np.abs(points) > _FARTHEST).any(1) | (np.abs(points[:, 2]) < SHORTEST)
+    g = np.abs(points[:, 2]) if virtual else points[:, 2]
+    beyond = (np.abs(points) > _FARTHEST).any(1) | (g < SHORTEST)
     if beyond.any():
         raise InputError(
             f"position = {_format(points[beyond][0])}: its coordinates must be {_FARTHEST:g} at most, and g at least "
-            f"{SHORTEST:g}, or at most -{SHORTEST:g} for light that converges to a point behind the lens"
+            f"{SHORTEST:g}: in front of the main lens"
         )
+    if camera is not None and len(points):
+        _require_millimetres(points[np.abs(points[:, 2]).argmin()], camera)
     return points
+
+
+def _require_millimetres(nearest: NDArray[np.float64], camera: PlenopticCamera) -> None:
+    """Refuse a point so far within the focal length, as one in metres is, that no memory holds where its light goes."""
+    g, pitch = float(nearest[2]), min(camera.mla_pitches)
+    blur = 2 * camera.aperture_radius * abs(1 + camera.mla_distance * (1 / g - 1 / camera.focal_length))
+    if abs(g) < camera.focal_length and blur > _WIDEST * pitch:
+        raise InputError(
+            f"position = {_format(nearest)}: its light would cover {blur / pitch:.3g} microlenses across, as it is "
+            f"within the focal length of {camera.focal_length:g} mm: lengths are millimetres; are the points in metres?"
+        )
 
 
 def check_memory(bytes_needed: float, what: str, fits: Callable[[float], str | None] | None = None) -> None:

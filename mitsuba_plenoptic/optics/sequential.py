@@ -7,21 +7,15 @@ prescription; a caller that scales a lens scales what goes in and what comes out
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
-import numpy as np
-
 from ..prescription import Prescription
+from ..prescription.data import height, safe_sqrt
 
 NEWTON_STEPS = 5
 """By which a ray's meeting with an asphere is found from that with its conic."""
-
-_LEAST = 1e-12
-"""What square roots are taken of, at least, so that rays that miss have numbers and gradients."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +158,7 @@ def follow(
             A, B, C = c * (1 + surface.conic * N * N), N - c * (x * L + y * M), c * (x * x + y * y)
             root = B * B - A * C
             is_open = is_open & (root > 0)
-            t = C / (B + _sqrt(root))
+            t = C / (B + safe_sqrt(root))
             if surface.asphere:
                 t = _meet(surface, (x, y), (L, M, N), t)
             x, y, z = x + t * L, y + t * M, t * N
@@ -178,13 +172,13 @@ def follow(
         is_open = is_open & (square <= surface.semi_aperture * surface.semi_aperture)
         if surface.refracts:
             slope = _slope(surface, square)
-            scale = 1 / _sqrt(1 + slope * slope * square)
+            scale = 1 / safe_sqrt(1 + slope * slope * square)
             nx, ny, nz = -slope * x * scale, -slope * y * scale, scale
             eta = surface.before / surface.after
             cosine = L * nx + M * ny + N * nz
             root = 1 - eta * eta * (1 - cosine * cosine)
             is_open = is_open & (root > 0)
-            turn = _sqrt(root) - eta * cosine
+            turn = safe_sqrt(root) - eta * cosine
             L, M, N = eta * L + turn * nx, eta * M + turn * ny, eta * N + turn * nz
     return (x, y, z), (L, M, N), is_open, path
 
@@ -192,31 +186,12 @@ def follow(
 def _slope(surface: Element, square: Any) -> Any:
     """Return the derivative of a surface's height by the distance from the axis, over that distance."""
     c = surface.curvature
-    slope = c / _sqrt(1 - (1 + surface.conic) * c * c * square) if c else 0.0 * square
+    slope = c / safe_sqrt(1 - (1 + surface.conic) * c * c * square) if c else 0.0 * square
     power = square
     for order, coefficient in enumerate(surface.asphere, start=2):
         slope = slope + 2 * order * coefficient * power
         power = power * square
     return slope
-
-
-def height(surface: Element, square: Any) -> Any:
-    """Return a surface's height over the plane of its vertex.
-
-    Parameters
-    ----------
-    surface : Element
-        The surface.
-    square : array
-        Square of the distance from the axis.
-    """
-    c = surface.curvature
-    height = c * square / (1 + _sqrt(1 - (1 + surface.conic) * c * c * square))
-    power = square * square
-    for coefficient in surface.asphere:
-        height = height + coefficient * power
-        power = power * square
-    return height
 
 
 def _meet(surface: Element, place: tuple[Any, Any], direction: tuple[Any, Any, Any], t: Any) -> Any:
@@ -228,11 +203,3 @@ def _meet(surface: Element, place: tuple[Any, Any], direction: tuple[Any, Any, A
         rise = _slope(surface, square) * (X * L + Y * M)
         t = t - (t * N - height(surface, square)) / (N - rise)
     return t
-
-
-def _sqrt(value: Any) -> Any:
-    """Square root, of what is below zero that of nearly nothing."""
-    if dr.is_array_v(value):
-        return dr.sqrt(dr.maximum(value, _LEAST))
-    # NumPy's scalars would turn Dr.Jit arrays that they meet into NumPy's, without gradients.
-    return math.sqrt(max(value, _LEAST)) if isinstance(value, float) else np.sqrt(np.maximum(value, _LEAST))

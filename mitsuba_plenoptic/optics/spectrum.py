@@ -9,6 +9,7 @@ polynomial through them tells (Berrut and Trefethen 2004, "Barycentric Lagrange 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
-from ..errors import InputError, require_count, require_number
+from ..errors import InputError, require_count, require_number, suggest_keywords
 from ..io.tables import read_table
 
 MOST_WAVELENGTHS = 1024
@@ -30,6 +31,17 @@ WAVELENGTHS = 31
 """Wavelengths at which smooth responses are taken by default: every 10 nm of what is visible, about."""
 
 
+Table = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Wavelengths in nanometres and values of a spectrum, with straight lines between and 0 beyond."""
+
+_FINE = 0.5
+"""Distance in nanometres of the wavelengths with which quadratures of tables are compared, besides their own rows."""
+
+_WRONG = 4e-3
+"""Relative error of a channel's integral over a table's light that is allowed."""
+
+
+@suggest_keywords
 @dataclass(frozen=True)
 class Spectrum:
     """Some wavelengths, and the channels that record them.
@@ -47,7 +59,7 @@ class Spectrum:
     Raises
     ------
     InputError
-        If there is no wavelength, one is not from 1 to 1e6, a channel does not have one finite response to each, or
+        If there is no wavelength, one is not from 200 to 2500, a channel does not have one finite response to each, or
         two nodes are the same.
     """
 
@@ -128,6 +140,7 @@ class Spectrum:
         low: float,
         high: float,
         count: int = WAVELENGTHS,
+        tables: Sequence[Table] = (),
     ) -> Spectrum:
         """Make a spectrum of responses that are functions of the wavelength, whose sums are their integrals.
 
@@ -138,46 +151,54 @@ class Spectrum:
         low, high : float
             Where it begins and ends, in nanometres.
         count : int
-            Wavelengths, the nodes of Gauss and Legendre.
+            Wavelengths, the nodes of Gauss and Legendre; more where tables need them.
+        tables : sequence of pairs of arrays
+            Wavelengths and values of spectra whose products with the responses must be integrated right, too: light and
+            reflectances, with straight lines between and 0 beyond.
+
+        Raises
+        ------
+        InputError
+            If more than 1024 wavelengths were needed.
         """
         count = require_count("spectrum: count", count, maximum=MOST_WAVELENGTHS)
-        places, weights = np.polynomial.legendre.leggauss(count)
-        wavelengths = (low + high) / 2 + (high - low) / 2 * places
-        values = np.asarray(responses(wavelengths)) * weights * (high - low) / 2
+        wavelengths, weights = _nodes(responses, low, high, count, tables)
+        values = np.asarray(responses(wavelengths)) * weights
         return cls(tuple(wavelengths.tolist()), tuple(map(tuple, values.tolist())))
 
     @classmethod
-    def sensor(cls, path: str | Path, count: int = WAVELENGTHS) -> Spectrum:
+    def sensor(
+        cls, path: str | Path | NDArray[np.float64], count: int = WAVELENGTHS, tables: Sequence[Table] = ()
+    ) -> Spectrum:
         """Take the responses of a detector from a table, with straight lines between its rows.
 
         Each channel is divided by its integral, so that light of radiance 1 at every wavelength reads 1 in all of them.
 
         Parameters
         ----------
-        path : path
-            A CSV file: a line of names, then a wavelength in nanometres and the response of every channel to a row, by
-            rising wavelength.
+        path : path, or array (rows, 1 + channels)
+            A CSV file: a wavelength in nanometres and the response of every channel to a row, by rising wavelength; a
+            line of names may precede them. Or what `read_responses` returns of one.
         count : int
-            Wavelengths.
+            Wavelengths; more where the table, or `tables`, need them.
+        tables : sequence of pairs of arrays
+            As of `smooth`.
 
         Raises
         ------
         InputError
             If the file cannot be read or is no such table, or a channel answers to nothing.
         """
-        table = read_table(path)
-        if table.shape[1] < 2 or len(table) < 2 or np.any(np.diff(table[:, 0]) <= 0):
-            raise InputError(
-                f"{path}: it must have two rows or more, of a wavelength and responses, by rising wavelength"
-            )
-        low, high = (require_wavelength(value, f"{path}: wavelength") for value in table[[0, -1], 0].tolist())
+        table = path if isinstance(path, np.ndarray) else read_responses(path)
+        wavelengths, columns = table[:, 0], table[:, 1:].T
         made = cls.smooth(
-            lambda wavelengths: np.stack([np.interp(wavelengths, table[:, 0], column) for column in table[:, 1:].T]),
-            low,
-            high,
+            lambda places: np.stack([np.interp(places, wavelengths, column) for column in columns]),
+            float(wavelengths[0]),
+            float(wavelengths[-1]),
             count,
+            [(wavelengths, np.ones(len(wavelengths))), *tables],
         )
-        return made.balanced(str(path))
+        return made.balanced("responses" if isinstance(path, np.ndarray) else str(path))
 
     def balanced(self, where: str = "spectrum") -> Spectrum:
         """Return it with every channel divided by the sum of its responses.
@@ -244,6 +265,83 @@ class Spectrum:
     def matrix(self) -> NDArray[np.float32]:
         """Return the responses as an array (channels, wavelengths)."""
         return np.array(self.responses, np.float32)
+
+
+def read_responses(path: str | Path) -> NDArray[np.float64]:
+    """Read a detector's table, rows of a wavelength in nanometres and the response of every channel.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or has not two rows or more by rising wavelength.
+    """
+    table = read_table(path)
+    if table.shape[1] < 2 or len(table) < 2 or np.any(np.diff(table[:, 0]) <= 0):
+        raise InputError(f"{path}: it must have two rows or more, of a wavelength and responses, by rising wavelength")
+    for wavelength in table[[0, -1], 0].tolist():
+        require_wavelength(wavelength, f"{path}: wavelength")
+    return table
+
+
+def _nodes(
+    responses: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    low: float,
+    high: float,
+    count: int,
+    tables: Sequence[Table],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return nodes and weights of a quadrature over wavelengths, composed so finely that tables are integrated right.
+
+    Gauss's rule of so many nodes is divided, always where the product of responses and a table that is integrated worst
+    turns most sharply, until all products are right, compared with sums of three nodes in every half nanometre and
+    between all rows.
+    """
+
+    def products(places: NDArray[np.float64]) -> NDArray[np.float64]:
+        spectra = np.stack([np.interp(places, *table, left=0, right=0) for table in tables])
+        return (np.asarray(responses(places)) * spectra[:, None]).reshape(-1, len(places))
+
+    def rule(first: float, last: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        share = (last - first) / (high - low)
+        places, weights = np.polynomial.legendre.leggauss(max(2, math.ceil(count * share)) if share < 1 else count)
+        return (first + last) / 2 + (last - first) / 2 * places, weights * (last - first) / 2
+
+    if not tables:
+        return rule(low, high)
+    rows = np.concatenate([np.linspace(low, high, math.ceil((high - low) / _FINE) + 1), *(x for x, _ in tables)])
+    edges = np.unique(rows[(rows >= low) & (rows <= high)])
+    places, weights = np.polynomial.legendre.leggauss(3)
+    half = np.diff(edges)[:, None] / 2
+    fine = products((edges[:-1, None] + half + half * places).ravel()).reshape(-1, len(half), 3) @ weights * half[:, 0]
+    upto = np.hstack([np.zeros((len(fine), 1)), np.cumsum(fine, axis=1)])
+    # Of a table's products, the one with the channel that answers most to it is the measure.
+    whole = np.abs(fine).sum(axis=1).reshape(len(tables), -1).max(axis=1, keepdims=True)
+    whole = np.broadcast_to(whole, (len(tables), len(fine) // len(tables))).ravel()
+    turns = np.abs(np.diff(np.diff(products(edges), axis=1) / np.diff(edges), axis=1))
+
+    def errors(first: int, last: int) -> NDArray[np.float64]:
+        nodes, weights = rule(edges[first], edges[last])
+        wrong = np.abs(products(nodes) @ weights - upto[:, last] + upto[:, first])
+        return np.divide(wrong, whole, out=np.zeros_like(wrong), where=whole > 0)
+
+    parts = {(0, len(edges) - 1): errors(0, len(edges) - 1)}
+    while (total := np.sum(list(parts.values()), axis=0)).max() > _WRONG:
+        worst = int(np.argmax(total))
+        divisible = [part for part in parts if part[1] - part[0] > 1]
+        if not divisible or len(parts) > MOST_WAVELENGTHS // 2:
+            break
+        first, last = max(divisible, key=lambda part: parts[part][worst])
+        between = first + 1 + int(np.argmax(turns[worst, first : last - 1]))
+        del parts[first, last]
+        parts |= {part: errors(*part) for part in ((first, between), (between, last))}
+    rules = [rule(edges[first], edges[last]) for first, last in sorted(parts)]
+    found = np.concatenate([places for places, _ in rules]), np.concatenate([weights for _, weights in rules])
+    if len(found[0]) > MOST_WAVELENGTHS:
+        raise InputError(
+            f"spectrum: the spectra of the scene and the responses need more than {MOST_WAVELENGTHS} wavelengths: "
+            "sample them more coarsely"
+        )
+    return found
 
 
 def _gauss_nodes(places: NDArray[np.float64], weights: NDArray[np.float64], count: int) -> NDArray[np.float64]:

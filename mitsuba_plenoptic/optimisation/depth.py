@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,17 @@ from ..camera import PlenopticCamera
 from ..errors import require_number
 from .spreads import DESIGN_ACCURACY, Gradient, Spreads
 
-Step = tuple[float, float, float]
+_WAVES = 0.01
+"""Waves by which a point is moved: the change of its path to the rim of the pupil, against that to the middle."""
+
+
+@dataclass(frozen=True)
+class _Move:
+    """Two places of every point, (n, 3), and by what the difference of their spreads is a derivative, (n, 1, 1)."""
+
+    there: NDArray[np.float64]
+    back: NDArray[np.float64]
+    factor: NDArray[np.float64]
 
 
 class DepthInformation:
@@ -26,7 +37,8 @@ class DepthInformation:
 
     the least standard deviation of an estimate of the depth without bias (Kay, "Fundamentals of statistical signal
     processing: estimation theory", 1993, chapter 3). The figure is the mean of :math:`-\ln \sigma_g` over the points:
-    0.69 more halves all deviations. Derivatives by the place are central differences.
+    0.69 more halves all deviations. Derivatives by the place are central differences, sideways and along the chief ray,
+    there of the vergence 1/g, to both sides by a hundredth of a wave of path at the rim of the pupil.
 
     Parameters
     ----------
@@ -36,8 +48,6 @@ class DepthInformation:
         Of each point that pass the pupil.
     background : float
         Variance of each pixel without light, in photons; it must not be zero, or dark pixels would tell all.
-    step : (float, float)
-        Of the differences, sideways and in depth, in millimetres.
     wavelength, accuracy, method
         As of `CaptureOperator`.
 
@@ -53,7 +63,6 @@ class DepthInformation:
         photons: float,
         *,
         background: float = 1.0,
-        step: tuple[float, float] = (0.005, 0.5),
         wavelength: float = 633.0,
         accuracy: float = DESIGN_ACCURACY,
         method: str = "patch",
@@ -61,8 +70,6 @@ class DepthInformation:
         self._spreads = Spreads(points, wavelength, accuracy, method)
         self._photons = require_number("photons", photons, positive=True)
         self._background = require_number("background", background, positive=True)
-        sideways, along = (require_number("step", part, positive=True) for part in step)
-        self._steps: list[Step] = [(sideways, 0.0, 0.0), (0.0, sideways, 0.0), (0.0, 0.0, along)]
 
     def value(self, camera: PlenopticCamera) -> float:
         """Return the mean of -ln of the deviations of a camera."""
@@ -77,9 +84,11 @@ class DepthInformation:
         """Return the photons that are expected, (n, rows, columns), and their derivatives by X, Y and g."""
         photons = self._photons
         slopes = []
-        for step in self._steps:
-            there, back = (self._spreads.images(camera, _times(step, side)) for side in (1, -1))
-            slopes.append(photons * (there - back) / (2 * sum(step)))
+        for move in self._moves(camera):
+            there, back = (self._spreads.images(camera, points) for points in (move.there, move.back))
+            slopes.append(photons * move.factor * (there - back))
+        for slope, tilt in zip(slopes[:2], self._tilts(camera), strict=True):
+            slopes[2] = slopes[2] - tilt * slope
         return [photons * self._spreads.images(camera), *slopes]
 
     def gradient(self, camera: PlenopticCamera, names: Iterable[str]) -> tuple[float, Gradient]:
@@ -100,17 +109,47 @@ class DepthInformation:
             # The brightness w is relative: its derivative is the image itself.
             cotangents[0][number] -= along**2 / noise**2 / 2 / variance / count
         total: Gradient = {}
-        for images, moved in self._moves(cotangents):
-            found = self._spreads.gradient(camera, self._photons * images, names, moved)
+        for points, images in self._moved(camera, cotangents):
+            found = self._spreads.gradient(camera, self._photons * images, names, points)
             total = {name: part + total.get(name, 0.0) for name, part in found.items()}
         return float(value), total
 
-    def _moves(self, cotangents: list[NDArray[np.float64]]) -> Iterator[tuple[NDArray[np.float64], Step]]:
-        """Yield the gradients by all the spreads, and where their points are."""
-        yield cotangents[0], (0.0, 0.0, 0.0)
-        for step, given in zip(self._steps, cotangents[1:], strict=True):
-            for side in (1, -1):
-                yield side * given / (2 * sum(step)), _times(step, side)
+    def _moved(
+        self, camera: PlenopticCamera, cotangents: list[NDArray[np.float64]]
+    ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Yield where points are, and the gradients by their spreads."""
+        image, *along, depth = cotangents
+        yield self._spreads.points, image
+        tilts = self._tilts(camera)
+        given = [*(part - tilt * depth for part, tilt in zip(along, tilts, strict=True)), depth]
+        for move, part in zip(self._moves(camera), given, strict=True):
+            yield move.there, move.factor * part
+            yield move.back, -move.factor * part
+
+    def _tilts(self, camera: PlenopticCamera) -> list[NDArray[np.float64]]:
+        """Return X and Y of the chief rays for each g, (n, 1, 1); behind an objective these run along the axis."""
+        x, y, g = self._spreads.points.T[..., None, None]
+        return [x / g, y / g] if camera.objective is None else [0 * x, 0 * y]
+
+    def _moves(self, camera: PlenopticCamera) -> list[_Move]:
+        """Return the moves along X, along Y and along the chief ray, by the vergence, whose differences are slopes."""
+        points = self._spreads.points
+        g, path = points[:, 2], _WAVES * self._spreads.wavelength * 1e-6
+        if camera.objective is None:
+            sideways, step = path * np.abs(g) / camera.aperture_radius, 2 * path / camera.aperture_radius**2
+            near, far = 1 / (1 / g + step), 1 / (1 / g - step)
+            there, back = points * (near / g)[:, None], points * (far / g)[:, None]
+            rate = -1 / (2 * step * g**2)
+        else:
+            aperture = camera.objective.numerical_aperture
+            sideways, step = np.full(len(g), path / aperture), 2 * path * camera.objective.immersion / aperture**2
+            there, back = (points + np.array([0, 0, side * step]) for side in (1, -1))
+            rate = np.full(len(g), 1 / (2 * step))
+        moves = []
+        for axis in (0, 1):
+            along = sideways[:, None] * (np.arange(3) == axis)
+            moves.append(_Move(points + along, points - along, (1 / (2 * sideways))[:, None, None]))
+        return [*moves, _Move(there, back, rate[:, None, None])]
 
     def _noise(self, expected: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the variances of the pixels."""
@@ -126,8 +165,3 @@ class DepthInformation:
 def _columns(expected: NDArray[np.float64], *slopes: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the derivatives by X, Y, g and the logarithm of the brightness."""
     return np.stack([*slopes, expected])
-
-
-def _times(step: Step, factor: float) -> Step:
-    x, y, g = step
-    return factor * x, factor * y, factor * g

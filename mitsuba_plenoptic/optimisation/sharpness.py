@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_count, require_number
+from ..errors import InputError, did_you_mean, require_count, require_number
 from ..reconstruction import RayRefocus
 from .spreads import DESIGN_ACCURACY, Gradient, Spreads, require_held
 
@@ -92,7 +92,10 @@ class RefocusedContrast:
         names = tuple(names)
         for name in names:
             if name not in VARYING:
-                raise InputError(f"{name}: refocusing is held, of numbers that vary: {', '.join(VARYING)}")
+                raise InputError(
+                    f"{name}: refocusing is held, of numbers that vary: {', '.join(VARYING)}"
+                    f"{did_you_mean(name, VARYING)}"
+                )
         value, slopes = self._contrast(self._images(camera))
         return value, self._spreads.gradient(camera, slopes, names)
 

@@ -37,32 +37,33 @@ class Spreads:
     """
 
     def __init__(self, points: Any, wavelength: float, accuracy: float, method: str) -> None:
-        self.points, self._wavelength = check_positions(points), require_wavelength(wavelength)
+        # Where they may lie depends on the camera, and is checked with it.
+        self.points, self.wavelength = check_positions(points, virtual=True), require_wavelength(wavelength)
         self._accuracy, self._method = check_accuracy(accuracy), method
 
-    def images(self, camera: PlenopticCamera, moved: tuple[float, float, float] = (0, 0, 0)) -> NDArray[np.float64]:
-        """Return the spreads (n, rows, columns) of the points, moved by so much."""
+    def images(self, camera: PlenopticCamera, points: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+        """Return the spreads (n, rows, columns) of the points, or of others in their place."""
         # One by one: points so near each other must not share a spread.
-        return np.stack([operator.forward([1.0]) for operator in self._operators(camera, moved)]).astype(np.float64)
+        return np.stack([operator.forward([1.0]) for operator in self._operators(camera, points)]).astype(np.float64)
 
     def gradient(
         self,
         camera: PlenopticCamera,
         images: NDArray[np.float64],
         names: Iterable[str],
-        moved: tuple[float, float, float] = (0, 0, 0),
+        points: NDArray[np.float64] | None = None,
     ) -> Gradient:
         """Take the gradient by the spreads (n, rows, columns) back to numbers of the camera."""
         total: Gradient = {}
-        for operator, image in zip(self._operators(camera, moved), images, strict=True):
+        for operator, image in zip(self._operators(camera, points), images, strict=True):
             found = operator.gradient([1.0], image.astype(np.float32), tuple(names))
             total = {name: part + total.get(name, 0.0) for name, part in found.items()}
         return total
 
-    def _operators(self, camera: PlenopticCamera, moved: tuple[float, float, float]) -> Iterable[CaptureOperator]:
+    def _operators(self, camera: PlenopticCamera, points: NDArray[np.float64] | None) -> Iterable[CaptureOperator]:
         options: dict[str, Any] = {"accuracy": self._accuracy, "method": self._method}
-        for point in self.points:
-            yield CaptureOperator(camera, [point + moved], wavelength=self._wavelength, **options)
+        for point in self.points if points is None else points:
+            yield CaptureOperator(camera, [point], wavelength=self.wavelength, **options)
 
 
 def require_held(camera: PlenopticCamera, other: PlenopticCamera, held: Iterable[str]) -> None:

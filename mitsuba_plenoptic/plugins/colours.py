@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..bounds import require_wavelength
 from ..capture import colour
 from ..errors import InputError, require_number, shown
-from ..optics.spectrum import MOST_WAVELENGTHS, RGB_WAVELENGTHS, WAVELENGTHS, Spectrum
+from ..optics.spectrum import MOST_WAVELENGTHS, RGB_WAVELENGTHS, WAVELENGTHS, Spectrum, read_responses
 from .properties import read_count, read_number, read_plain
 
 NAME = "plenoptic_wave"
@@ -33,12 +33,14 @@ class Colours:
     ----------
     wavelengths : tuple of float
         Of each channel of light in nanometres; with responses those of the default.
+    given : bool
+        Whether they are given, or those of the default.
     bandwidth : float, or None
         Full width of the band around each.
     responses : str, or None
         ``srgb``, or the name of a file.
-    table : Spectrum, or None
-        What the file holds.
+    table : array (rows, 1 + channels), or None
+        What the file holds: a wavelength and each channel's response to a row.
     count : int
         Wavelengths of responses.
     nodes : int, or None
@@ -46,32 +48,40 @@ class Colours:
     """
 
     wavelengths: tuple[float, ...]
+    given: bool
     bandwidth: float | None
     responses: str | None
-    table: Spectrum | None
+    table: NDArray[np.float64] | None
     count: int
     nodes: int | None
 
-    def spectrum_for(self, channels: int) -> Spectrum | None:
-        """Return the spectrum of a film of so many channels; None if each channel of light has one wavelength.
+    def spectrum_for(self, channels: int, scene: Any) -> Spectrum | None:
+        """Return the spectrum of a scene's film of so many channels; None if each channel of light has one wavelength.
 
         Raises
         ------
         InputError
             If the responses have another number of channels than the film's light.
         """
+        # Colours of other variants have smooth spectra.
+        tables = colour.tables_of(scene) if mi.is_spectral else []
         if self.table is not None:
+            count = self.table.shape[1] - 1
             # A film of luminance takes three channels, too, but would add up what it does not know as colours.
-            if self.table.channels not in (1, channels):
+            if count not in (1, channels):
                 raise InputError(
-                    f"responses = {self.responses}: {self.table.channels} channels, and the film has {channels}: "
-                    "use pixel_format rgb"
+                    f"responses = {self.responses}: {count} channels, and the film has {channels}: use pixel_format rgb"
                 )
-            return self.table
+            return Spectrum.sensor(self.table, self.count, tables)
         if self.bandwidth is not None:
-            return Spectrum.bands(self.wavelengths, self.bandwidth, self.nodes or BAND_NODES)
-        if self.responses == SRGB or (mi.is_spectral and channels == 3):
-            return colour.srgb(self.count)
+            count, width = self.nodes or BAND_NODES, self.bandwidth
+            if not tables:
+                return Spectrum.bands(self.wavelengths, width, count)
+            (centre,) = self.wavelengths
+            low, high = centre - width / 2, centre + width / 2
+            return Spectrum.smooth(lambda places: np.full((1, len(places)), 1 / width), low, high, count, tables)
+        if self.responses == SRGB or (mi.is_spectral and channels == 3 and not self.given):
+            return colour.srgb(self.count, tables)
         return None
 
     def upsampling(self, spectrum: Spectrum) -> NDArray[np.float64] | None:
@@ -83,23 +93,23 @@ class Colours:
             return np.asarray(np.kron(np.eye(len(self.wavelengths)), np.ones(each)), np.float64)
         if not mi.is_rgb:
             return np.ones((1, len(spectrum.wavelengths)))
+        colour.require_upsampled(spectrum)
         basis = colour.upsampling(spectrum.wavelengths)
         if self.responses != SRGB:
             return basis
         # Their sums are no integrals to the last digit; what is grey shall stay so.
         return np.asarray(np.linalg.solve(basis @ spectrum.matrix().astype(np.float64).T, basis))
 
-    def nodes_of(self, spectrum: Spectrum) -> int | None:
-        """Return at how many of a spectrum's wavelengths point spreads are computed; None: as many as they need."""
-        # Those of bands are nodes already.
-        return len(spectrum.wavelengths) if self.nodes and self.bandwidth is not None else self.nodes
+    def total_nodes(self) -> int | None:
+        """Return at how many wavelengths of the spectrum point spreads are computed; None: as many as they need."""
+        return None if self.nodes is None else self.nodes * (1 if self.bandwidth is None else len(self.wavelengths))
 
     def parameters(self) -> dict[str, Any]:
         """Return them by name, as ``mi.load_dict`` takes them."""
         made: dict[str, Any] = {}
-        if self.responses is None:
+        if self.responses is None and (self.given or not mi.is_spectral):
             made["wavelength"] = ", ".join(f"{wavelength:g}" for wavelength in self.wavelengths)
-        else:
+        elif self.responses is not None:
             made |= {"responses": self.responses, "wavelength_count": self.count}
         if self.bandwidth is not None:
             made["bandwidth"] = self.bandwidth
@@ -130,9 +140,10 @@ def read_colours(props: Any) -> Colours:
                 raise InputError(f"{NAME}: responses, {name}: give one of the two")
         if responses != SRGB:
             responses = str(mi.file_resolver().resolve(responses))
-            table = Spectrum.sensor(responses, count)
-            if table.channels not in (1, 3):
-                raise InputError(f"{NAME}: responses = {responses}: {table.channels} channels: it must be 1 or 3")
+            table = read_responses(responses)
+            Spectrum.sensor(table, count)
+            if table.shape[1] - 1 not in (1, 3):
+                raise InputError(f"{NAME}: responses = {responses}: {table.shape[1] - 1} channels: it must be 1 or 3")
         elif not (mi.is_rgb or mi.is_spectral):
             raise InputError(
                 f"{NAME}: responses = srgb: variant {mi.variant()} has no colours; use an rgb or spectral one"
@@ -144,7 +155,7 @@ def read_colours(props: Any) -> Colours:
             require_number(f"{NAME}: bandwidth", bandwidth, maximum=wavelength)
     elif nodes is not None and responses is None and not mi.is_spectral:
         raise InputError(f"{NAME}: nodes = {nodes}: of use with bandwidth or responses only")
-    return Colours(wavelengths, bandwidth, responses, table, count, nodes)
+    return Colours(wavelengths, "wavelength" in props, bandwidth, responses, table, count, nodes)
 
 
 def _read_wavelengths(props: Any) -> tuple[float, ...]:

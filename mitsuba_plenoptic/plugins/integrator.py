@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import mitsuba as mi
+import numpy as np
 
 from ..camera import PlenopticCamera
+from ..capture import colour
 from ..capture.accuracy import DEFAULT_ACCURACY, check_accuracy
 from ..capture.operator import METHODS
 from ..capture.patch_plan import Cost
@@ -45,7 +47,7 @@ def make_class() -> type:
 
          * - wavelength
            - |float| or |string|
-           - Vacuum wavelength in nanometres, 1 to 1e6; for variants of three channels three of them, separated by
+           - Vacuum wavelength in nanometres, 200 to 2500; for variants of three channels three of them, separated by
              commas. (Default: 633; in three channels "611.4, 549.1, 464.3")
          * - bandwidth
            - |float|
@@ -54,10 +56,12 @@ def make_class() -> type:
            - |string|
            - Instead of ``wavelength``, what the film's channels answer to: ``srgb``, the colour matching functions of
              CIE 1931 in linear sRGB, or a table of a detector, a CSV file with a wavelength in nanometres and one or
-             three responses to a row. (Default in spectral variants with a film of colours: ``srgb``)
+             three responses to a row, below a line of names or without. (Default in spectral variants with a film of
+             colours, where no ``wavelength`` is given: ``srgb``)
          * - wavelength_count
            - |int|
-           - With ``responses``: at how many wavelengths light is taken, up to 1024. (Default: 31)
+           - With ``responses``: at how many wavelengths light is taken, up to 1024; more where the table, or in
+             spectral variants tables of the scene, change faster. (Default: 31)
          * - nodes
            - |int|
            - At how many wavelengths point spreads are computed: of each band, or with ``responses`` of all, between
@@ -196,12 +200,11 @@ def make_class() -> type:
             """Return which of the camera's numbers have gradients, and what differentiates; or refuse."""
             if self.method not in ("auto", "patch"):
                 raise InputError(f"{NAME}: method = {self.method}: it has no gradients; use patch")
-            if self.spectrum_of(sensor) is not None:
+            if self.spectrum_of(scene, sensor) is not None:
                 raise InputError(f"{NAME}: there are no gradients of captures of bands or responses; leave them out")
             names, others = numbers_and_others(params, sensor)
             camera = PlenopticCamera.from_sensor(sensor)
-            if camera.objective is not None:
-                camera.require_thin("captures by waves are differentiated")
+            camera.require_no_objective("captures by waves are differentiated")
             seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
             spp = spp or sensor.sampler().sample_count()
             capture = self._capture(scene, sensor)
@@ -249,14 +252,9 @@ def make_class() -> type:
             with guards.watch():
                 return self._capture(scene, sensor).estimate(seed=seed, spp=spp, job=job)
 
-        def spectrum_of(self, sensor: Any) -> Spectrum | None:
+        def spectrum_of(self, scene: Any, sensor: Any) -> Spectrum | None:
             """Return the spectrum that a sensor's film records; None if each channel has one wavelength."""
-            return self.colours.spectrum_for(sensor.film().base_channels_count())
-
-        def channel_wavelengths(self, sensor: Any) -> tuple[float, ...]:
-            """Return the wavelength of each channel of a sensor's film, of many the mean."""
-            spectrum = self.spectrum_of(sensor)
-            return self.wavelengths if spectrum is None else spectrum.centroids()
+            return self.colours.spectrum_for(sensor.film().base_channels_count(), scene)
 
         def _capture(self, scene: Any, sensor: Any) -> WaveCapture | SpectralCapture:
             camera = PlenopticCamera.from_sensor(sensor)
@@ -266,8 +264,11 @@ def make_class() -> type:
             if self.method == "bank":
                 require_no_aberrations(camera)
                 require_no_glass(camera, "method bank takes the same focal lengths for all wavelengths; use patch, or")
-            spectrum = self.spectrum_of(sensor)
+            spectrum = self.spectrum_of(scene, sensor)
             wavelengths = self.wavelengths if spectrum is None else spectrum.wavelengths
+            if mi.is_spectral:
+                responses = np.ones((1, 1), np.float32) if spectrum is None else spectrum.matrix()
+                colour.require_spectra(scene, wavelengths, responses)
             sight = Sight.of(scene, sensor, self.child, wavelengths if mi.is_spectral else None)
             if camera.objective is not None:
                 sight.require_surfaces(camera.objective.name)
@@ -283,9 +284,7 @@ def make_class() -> type:
             )
             if spectrum is None:
                 return capture
-            return SpectralCapture(
-                capture, spectrum, self.colours.upsampling(spectrum), self.colours.nodes_of(spectrum)
-            )
+            return SpectralCapture(capture, spectrum, self.colours.upsampling(spectrum), self.colours.total_nodes())
 
         def parameters(self) -> dict[str, Any]:
             """Its own parameters by name, as ``mi.load_dict`` takes them."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..errors import InputError, require_count, require_number
+from ..errors import InputError, require_choice, require_count, require_number
 
 
 def read_plain(props: Any, name: str, default: Any) -> Any:
@@ -71,10 +71,7 @@ def read_choice(props: Any, plugin: str, name: str, choices: tuple[str, ...]) ->
     InputError
         Naming plugin, parameter, value and rule.
     """
-    value = props[name] if name in props else choices[0]
-    if value not in choices:
-        raise InputError(f"{plugin}: {name} = {value!r}: it must be one of {', '.join(choices)}")
-    return str(value)
+    return require_choice(f"{plugin}: {name}", props[name] if name in props else choices[0], choices)
 
 
 def read_flag(props: Any, plugin: str, name: str, default: bool) -> bool:

@@ -7,7 +7,7 @@ from importlib import resources
 
 import yaml
 
-from ..errors import InputError, shown
+from ..errors import InputError, did_you_mean, shown
 from . import lenses
 from .data import Prescription
 
@@ -33,6 +33,7 @@ def bundled_prescription(name: str) -> Prescription:
     if stem not in BUNDLED:
         raise InputError(
             f"main_lens = {shown(name)}: there is no such file, and the bundled lenses are {', '.join(BUNDLED)}"
+            f"{did_you_mean(stem, BUNDLED)}"
         )
     text = (resources.files(lenses) / f"{stem}.yaml").read_text(encoding="utf-8")
     return Prescription.from_plain(yaml.safe_load(text))

@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Any
 
+import drjit as dr
+import numpy as np
+
 from ..bounds import LONGEST, SHORTEST, require_wavelength
-from ..errors import InputError, require_number, shown
+from ..errors import InputError, require_known, require_number, shown
 from .glass import LINE_D, Glass
 
 MOST_SURFACES = 100
 MOST_COEFFICIENTS = 8
+
+_LEAST = 1e-12
+"""What square roots are taken of, at least, so that rays that miss have numbers and gradients."""
+
+_HEIGHTS = 129
+"""Distances from the axis at which neighbouring surfaces must not have crossed."""
+
+_TOUCHING = 1e-9
+"""Part of the semi-aperture by which surfaces that meet at their edges may seem to cross by rounding."""
 
 _NAMES = {"radius", "thickness", "glass", "semi_aperture", "conic", "asphere", "stop"}
 
@@ -82,8 +95,7 @@ class Surface:
         """
         if not isinstance(value, dict):
             raise InputError(f"{where} = {shown(value)}: it must be numbers by name, such as radius")
-        for name in sorted(set(map(str, value)) - _NAMES):
-            raise InputError(f"{where}: {name}: it is not one of {', '.join(sorted(_NAMES))}")
+        require_known(f"{where}: ", value, sorted(_NAMES))
         if "semi_aperture" not in value:
             raise InputError(f"{where}: semi_aperture: it is missing; it tells up to where light passes")
         radius = require_number(f"{where}: radius", value.get("radius", math.inf), finite=False)
@@ -155,10 +167,11 @@ class Prescription:
         ------
         InputError
             If a name is unknown or missing, a value is out of range, not just one surface is the stop, glass follows
-            the last surface, or an index of a glass at the wavelength is none.
+            the last surface, a glass has no index at the wavelength, or two surfaces cross within their semi-apertures.
         """
-        known = {"surfaces", "name", "source", "wavelength"}
-        if not isinstance(value, dict) or not set(map(str, value)) <= known or "surfaces" not in value:
+        if isinstance(value, dict):
+            require_known("main_lens: ", value, ("surfaces", "name", "source", "wavelength"))
+        if not isinstance(value, dict) or "surfaces" not in value:
             raise InputError(
                 f"main_lens = {shown(value)}: it must have surfaces, and may have name, source, wavelength"
             )
@@ -190,8 +203,56 @@ class Prescription:
             wavelength=require_wavelength(value.get("wavelength", LINE_D), "main_lens: wavelength"),
         )
         made.indices(made.wavelength)
+        made.require_apart()
         return made
 
     def indices(self, wavelength: float) -> list[float]:
         """Return the index behind each surface at a wavelength in nanometres, that of air being 1."""
         return [1.0 if surface.glass is None else surface.glass.at(wavelength) for surface in self.surfaces]
+
+    def require_apart(self) -> None:
+        """Refuse a lens of which two refracting surfaces that follow each other cross where light may pass both."""
+        indices = [index for index, surface in enumerate(self.surfaces) if surface.glass != self._before(index)]
+        for first, second in itertools.pairwise(indices):
+            front, back = self.surfaces[first], self.surfaces[second]
+            edge = min(front.semi_aperture, back.semi_aperture)
+            squares = np.linspace(0, edge, _HEIGHTS) ** 2
+            gaps = sum(surface.thickness for surface in self.surfaces[first:second])
+            gaps = gaps + height(back, squares) - height(front, squares)
+            if gaps.min() < -_TOUCHING * edge:
+                place = float(np.sqrt(squares[np.argmax(gaps < -_TOUCHING * edge)]))
+                raise InputError(
+                    f"main_lens: surfaces {first + 1} and {second + 1} cross {place:.4g} mm from the axis: they must "
+                    f"stay apart within the smaller of their semi-apertures, {edge:.4g}"
+                )
+
+    def _before(self, index: int) -> Glass | None:
+        """Return the glass before a surface."""
+        return self.surfaces[index - 1].glass if index else None
+
+
+def height(surface: Any, square: Any) -> Any:
+    """Return a surface's height over the plane of its vertex.
+
+    Parameters
+    ----------
+    surface : Surface, or another with its numbers
+        The surface.
+    square : array
+        Square of the distance from the axis.
+    """
+    c = surface.curvature
+    height = c * square / (1 + safe_sqrt(1 - (1 + surface.conic) * c * c * square))
+    power = square * square
+    for coefficient in surface.asphere:
+        height = height + coefficient * power
+        power = power * square
+    return height
+
+
+def safe_sqrt(value: Any) -> Any:
+    """Square root, of what is below zero that of nearly nothing."""
+    if dr.is_array_v(value):
+        return dr.sqrt(dr.maximum(value, _LEAST))
+    # NumPy's scalars would turn Dr.Jit arrays that they meet into NumPy's, without gradients.
+    return math.sqrt(max(value, _LEAST)) if isinstance(value, float) else np.sqrt(np.maximum(value, _LEAST))

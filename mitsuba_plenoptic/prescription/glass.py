@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import csv
+import functools
 import importlib
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from importlib import resources
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..bounds import require_wavelength
-from ..errors import InputError, require_number, shown
+from ..errors import InputError, require_known, require_number, shown
 
 LINE_D, LINE_F, LINE_C = 587.5618, 486.1327, 656.2725
 """Wavelengths in nanometres at which catalogues give index and Abbe number: helium d, hydrogen F and C."""
@@ -19,7 +23,7 @@ _COUNTS = {"index": 1, "abbe": 2, "sellmeier": 6, "schott": 6, "table": None}
 _LOWEST, _HIGHEST = 1.0, 5.0
 
 _CATALOGUE = np.arange(380.0, 1001.0, 10.0)
-"""Wavelengths at which a glass of a catalogue is tabulated."""
+"""Wavelengths in nanometres at which a glass of a catalogue is tabulated."""
 
 
 @dataclass(frozen=True)
@@ -176,6 +180,7 @@ class Glass:
             return cls("index", (require_number(where, value, minimum=_LOWEST, maximum=_HIGHEST),))
         name = value.get("name", "")
         forms = {key: entry for key, entry in value.items() if key != "name"}
+        require_known(f"{where}: ", forms, (*_COUNTS, "name"))
         if not isinstance(name, str) or set(forms) not in (
             *({form} for form in _COUNTS if form != "abbe"),
             {"index", "abbe"},
@@ -197,10 +202,13 @@ class Glass:
         return cls(form, tuple(require_number(f"{where}: {form}", entry) for entry in entries), name)
 
 
-def catalogue_glass(name: str, where: str = "glass") -> Glass:
+def catalogue_glass(
+    name: str, where: str = "glass", makers: Sequence[str] | None = None, *, with_hyphens: bool = True
+) -> Glass:
     """Return a glass by its name in a maker's catalogue, as a table that needs the catalogue no more.
 
-    The catalogues are those of refractiveindex.info that come with Optiland, the extra ``lenses``.
+    The catalogues are those of refractiveindex.info that come with Optiland, the extra ``lenses``. Only a glass of just
+    that name is taken, in capitals or not.
 
     Parameters
     ----------
@@ -208,36 +216,82 @@ def catalogue_glass(name: str, where: str = "glass") -> Glass:
         Such as ``N-BK7``, or with the maker before a colon, ``schott:F2``.
     where : str
         What messages call it.
+    makers : sequence of str, optional
+        Whose catalogues are searched, the first first. Default: all; the name must then be in one of them only.
+    with_hyphens : bool
+        Whether hyphens are part of the name; CODE V leaves them out.
 
     Raises
     ------
     InputError
-        If Optiland is not installed, or no catalogue has the name.
+        If Optiland is not installed, no catalogue has the name, or several makers have one.
     """
+    maker, _, own = name.rpartition(":")
+    if maker:
+        makers = [maker]
     try:
-        materials = importlib.import_module("optiland.materials")
+        importlib.import_module("optiland.materials")
     except ImportError:
         raise InputError(
             f"{where} = {shown(name)}: glasses by name need Optiland; pip install 'mitsuba-plenoptic[lenses]', or give "
             "index and abbe"
         ) from None
-    maker, _, own = name.rpartition(":")
-    try:
-        return tabulated_glass(materials.Material(own, maker or None), name)
-    except Exception:  # whatever Optiland makes of a name that it does not know
-        raise InputError(f"{where} = {shown(name)}: no catalogue has a glass of that name") from None
+    plain = own.lower() if with_hyphens else own.lower().replace("-", "")
+    found = {
+        entry.maker: entry
+        for entry in _catalogued()
+        if plain == (entry.name.lower() if with_hyphens else entry.name.lower().replace("-", ""))
+    }
+    # Files of other programs write makers with what belongs to them, such as NIKON-HIKARI.
+    chosen = list(found) if makers is None else [one for by in makers for one in found if one.lower() in by.lower()][:1]
+    if len(chosen) > 1:
+        raise InputError(f"{where} = {shown(name)}: {', '.join(chosen)} have one: write {chosen[0]}:{own}")
+    if not chosen:
+        searched = "no catalogue has" if makers is None else f"{', '.join(makers)}: no such catalogue has"
+        # The same name from other makers, who measured a crystal of that name, then longer names.
+        measured = [entry for entry in _catalogued() if plain == entry.maker.lower()]
+        longer = [entry for entry in _catalogued() if entry.file.startswith("glass/") and plain in entry.name.lower()]
+        like = [f"{entry.maker}:{entry.name}" for entry in [*found.values(), *measured, *longer] if plain]
+        hint = f", as there is {', '.join(dict.fromkeys(like[:3]))}" if like else ""
+        raise InputError(
+            f"{where} = {shown(name)}: {searched} a glass of just that name; give another{hint}, or index and abbe"
+        )
+    return found[chosen[0]].tabulated(name)
 
 
-def tabulated_glass(material: Any, name: str) -> Glass:
-    """Return a material of Optiland as a table, from 380 to 1000 nm.
+class _Entry(NamedTuple):
+    """A material of a catalogue: its maker, name and file, and where in nanometres its data begin and end."""
 
-    Parameters
-    ----------
-    material : optiland.materials.BaseMaterial
-        The material.
-    name : str
-        Its name.
+    maker: str
+    name: str
+    file: str
+    low: float
+    high: float
+
+    def tabulated(self, name: str) -> Glass:
+        """Return it as a table, from 380 to 1000 nm as far as its own data reach."""
+        path = resources.files("optiland.database") / "data-nk" / self.file
+        material = importlib.import_module("optiland.materials").MaterialFile(str(path))
+        # A wavelength at the end of the data stays within them, whatever its digits.
+        wavelengths = [one for one in _CATALOGUE.tolist() if self.low - 1e-6 <= one <= self.high + 1e-6]
+        if len(wavelengths) < 2:
+            raise InputError(f"glass {name}: its data reach from {self.low:g} to {self.high:g} nm only")
+        indices = [float(np.ravel(material.n(wavelength * 1e-3))[0]) for wavelength in wavelengths]
+        pairs = [number for pair in zip(wavelengths, indices, strict=True) for number in pair]
+        return Glass("table", tuple(pairs), name)
+
+
+@functools.cache
+def _catalogued() -> tuple[_Entry, ...]:
+    """Return all materials of Optiland's catalogues.
+
+    They are looked up here, since Optiland itself finds N-SF5 by the name SF5, and names that are alike.
     """
-    indices = [float(np.ravel(material.n(wavelength * 1e-3))[0]) for wavelength in _CATALOGUE]
-    pairs = [number for pair in zip(_CATALOGUE.tolist(), indices, strict=True) for number in pair]
-    return Glass("table", tuple(pairs), name)
+    text = (resources.files("optiland.database") / "catalog_nk.csv").read_text(encoding="utf-8")
+    found = {}
+    for row in csv.DictReader(text.splitlines()):
+        file = row["filename"]
+        maker, name = file.split("/")[1], row["filename_no_ext"]
+        low, high = (1e3 * float(row[f"{end}_wavelength"] or "nan") for end in ("min", "max"))
+        found[file] = _Entry(maker, name, file, low, high)
+    return tuple(found.values())

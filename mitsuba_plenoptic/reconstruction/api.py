@@ -10,7 +10,7 @@ from typing import Any, overload
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_choice, require_count, require_flag, require_number
+from ..errors import InputError, argument, require_choice, require_count, require_flag, require_number, suggest_keywords
 from ..io.captures import Capture
 from ..io.checkpoints import Checkpoint
 from ..optics import guards
@@ -26,9 +26,9 @@ from .arguments import (
     require_response,
     require_wavelengths,
 )
-from .deconvolution.variation import MOST as MOST_VARIATION
+from .deconvolution.variation import MOST as _MOST
 from .displacement import is_known
-from .methods import METHODS, Found, Task
+from .methods import METHODS, Found, Task, require_taken
 from .real_lens import require_upright
 from .reference import reference_white
 from .result import Reconstruction
@@ -44,17 +44,17 @@ def reconstruct(
     method: str = ...,
     camera: PlenopticCamera | None = ...,
     wavelength: float | Sequence[float] | None = ...,
-    interleave: int | str = ...,
-    footprint: str = ...,
-    relay: bool = ...,
+    interleave: int | str | None = ...,
+    footprint: str | None = ...,
+    relay: bool | None = ...,
     oversample: int = ...,
     white: Capture | np.ndarray | None = ...,
     response: str | None = ...,
     iterations: int | None = ...,
-    accelerate: bool = ...,
+    accelerate: bool | None = ...,
     photons: float | None = ...,
-    volume: bool = ...,
-    variation: float = ...,
+    volume: bool | None = ...,
+    variation: float | None = ...,
     progress: Callable[[int, int], None] | None = ...,
     checkpoint: Checkpoint | None = ...,
     batch_map: BatchMap | None = ...,
@@ -67,21 +67,22 @@ def reconstruct(
     method: str = ...,
     camera: PlenopticCamera | None = ...,
     wavelength: float | Sequence[float] | None = ...,
-    interleave: int | str = ...,
-    footprint: str = ...,
-    relay: bool = ...,
+    interleave: int | str | None = ...,
+    footprint: str | None = ...,
+    relay: bool | None = ...,
     oversample: int = ...,
     white: Capture | np.ndarray | None = ...,
     response: str | None = ...,
     iterations: int | None = ...,
-    accelerate: bool = ...,
+    accelerate: bool | None = ...,
     photons: float | None = ...,
-    volume: bool = ...,
-    variation: float = ...,
+    volume: bool | None = ...,
+    variation: float | None = ...,
     progress: Callable[[int, int], None] | None = ...,
     checkpoint: Checkpoint | None = ...,
     batch_map: BatchMap | None = ...,
 ) -> list[Reconstruction]: ...
+@suggest_keywords
 @one_at_a_time
 def reconstruct(
     capture: Capture | np.ndarray,
@@ -90,17 +91,17 @@ def reconstruct(
     method: str = "ray",
     camera: PlenopticCamera | None = None,
     wavelength: float | Sequence[float] | None = None,
-    interleave: int | str = 2,
-    footprint: str = "lens",
-    relay: bool = True,
+    interleave: int | str | None = None,
+    footprint: str | None = None,
+    relay: bool | None = None,
     oversample: int = 1,
     white: Capture | np.ndarray | None = None,
     response: str | None = None,
     iterations: int | None = None,
-    accelerate: bool = True,
+    accelerate: bool | None = None,
     photons: float | None = None,
-    volume: bool = False,
-    variation: float = 0.0,
+    volume: bool | None = None,
+    variation: float | None = None,
     progress: Callable[[int, int], None] | None = None,
     checkpoint: Checkpoint | None = None,
     batch_map: BatchMap | None = None,
@@ -125,22 +126,27 @@ def reconstruct(
     camera : PlenopticCamera, optional
         The camera of a plain array, or another one than the capture's.
     wavelength : float or three floats, optional
-        For waves: wavelength in nanometres, or one for each of three channels. Default: the capture's own.
-    interleave : int or "auto"
-        For ``partial``: a subset is every `interleave`-th lens along both axes. 2 makes four waves; 1 is ``coherent``;
+        For waves: wavelength in nanometres, or one for each of three channels. Default: the capture's own. Methods by
+        rays take none.
+    interleave : int or "auto", optional
+        For ``partial``: a subset is every `interleave`-th lens along both axes. 2, the default, makes four waves; 1 is
+        ``coherent``;
         ``"auto"`` is the limit of large periods, where no two lenses interfere; its last bits follow the number of the
         BLAS's threads.
-    footprint : {"lens", "point"}
-        For rays: whether a pixel spreads over what its whole lens sees, or goes to one bin.
-    relay : bool
-        For waves: whether the microlenses act a second time, in the MLA plane. Without it, which is the literal reading
-        of the paper, planes out of focus stay blurred: see `mitsuba_plenoptic.reconstruction.coherent`.
+    footprint : {"lens", "point"}, optional
+        For ``ray``: whether a pixel spreads over what its whole lens sees (default), or goes to one bin.
+    relay : bool, optional
+        For ``coherent`` and ``partial``: whether the microlenses act a second time, in the MLA plane (default). Without
+        it, which is the literal reading of the paper, planes out of focus stay blurred: see
+        `mitsuba_plenoptic.reconstruction.coherent`.
     oversample : int
         Bins per lens along each axis. A focused camera tells more than one apart:
         `mitsuba_plenoptic.design.suitable_oversample` and ``mitsuba-plenoptic info`` say how many.
     white : Capture or array, optional
-        What the same camera recorded of a scene of uniform radiance 1, by the same wavelengths, in one channel or as
-        many as the capture has. It is refocused in the same way, and images are divided by it; those of unfocused
+        What the same camera recorded of something evenly white that fills the view, by the same wavelengths, in one
+        channel or as many as the capture has. It is scaled to a radiance of 1, channel by channel, so that images
+        stay in units of the capture (see `mitsuba_plenoptic.lightfield.white.white_radiance`). It is refocused in the
+        same way, and images are divided by it; those of unfocused
         cameras behind thin main lenses are also drawn back, to first order, to where their light comes from, which
         borders, diffraction and interference displace (see `mitsuba_plenoptic.reconstruction.displacement`). This takes
         the time of one refocusing for the white and of two more for each distance. Default: what the camera would
@@ -153,17 +159,17 @@ def reconstruct(
     iterations : int, optional
         For ``deconvolved``: steps. Default: until what is left of the capture is as large as its noise, 100 at most,
         where that is known from `photons` or from what `expose` has kept with the capture; else 30.
-    accelerate : bool
+    accelerate : bool, optional
         For ``deconvolved``: whether steps start from points extrapolated along the last ones, which makes one step do
-        the work of several.
+        the work of several. Default: True.
     photons : float, optional
         For ``deconvolved``: photons that a pixel of value 1 has counted, if nothing else makes it noisy.
-    volume : bool
-        For ``deconvolved``: whether all distances together explain the capture, instead of each alone.
-    variation : float
+    volume : bool, optional
+        For ``deconvolved``: whether all distances together explain the capture, instead of each alone (default).
+    variation : float, optional
         For ``deconvolved``: weight of the planes' total variation, at most 0.25, which makes them even between sharp
         borders; 0.002 to 0.02 suit, the more the noisier the capture. It flattens what is fainter than the noise, and
-        makes steps of slopes.
+        makes steps of slopes. Default: 0.
     progress : callable, optional
         Called with the steps done and their number.
     checkpoint : Checkpoint, optional
@@ -181,7 +187,8 @@ def reconstruct(
     ------
     InputError
         If there is no camera, or no wavelength for a wave method; if the array does not fit the camera or holds NaN or
-        infinity; for a wave method, if pixels are wider than lenses; or if an option is out of range.
+        infinity; for a wave method, if pixels are wider than lenses; or if an option is out of range, or one that the
+        method does not take.
     PhysicsError
         If next to none of a capture's light goes back through the main lens by waves, or too much of it misses the
         object plane's window.
@@ -197,28 +204,42 @@ def reconstruct(
     chosen = METHODS[require_choice("method", method, METHODS)]
     if camera.objective is not None and method != "deconvolved":
         raise InputError(
-            f"method = {method}: behind main_lens = {camera.objective.name} captures are deconvolved alone; use method "
-            "deconvolved"
+            f"method = {method}: behind main_lens = {camera.objective.name} captures are only deconvolved; use "
+            f"{argument('method')} deconvolved"
         )
+    if white is not None and method == "deconvolved":
+        raise InputError("white: method deconvolved knows the light of every bin itself; it takes no white capture")
     require_upright(camera)
+    require_taken(
+        chosen,
+        wavelength=wavelength,
+        interleave=interleave,
+        footprint=footprint,
+        relay=relay,
+        response=response,
+        iterations=iterations,
+        accelerate=accelerate,
+        photons=photons,
+        volume=volume,
+        variation=variation,
+        checkpoint=checkpoint,
+        batch_map=batch_map,
+    )
     given = {
-        "footprint": require_choice("footprint", footprint, FOOTPRINTS),
-        "interleave": require_interleave(interleave, camera),
-        "relay": require_flag("relay", relay),
+        "footprint": "lens" if footprint is None else require_choice("footprint", footprint, FOOTPRINTS),
+        "interleave": require_interleave(2 if interleave is None else interleave, camera),
+        "relay": relay is None or require_flag("relay", relay),
         "response": require_response(response, capture, wavelength),
         "iterations": None if iterations is None else require_count("iterations", iterations),
-        "accelerate": require_flag("accelerate", accelerate),
+        "accelerate": accelerate is None or require_flag("accelerate", accelerate),
         "photons": None if photons is None else require_number("photons", photons, positive=True),
-        "volume": require_flag("volume", volume),
-        "variation": require_number("variation", variation, minimum=0, maximum=MOST_VARIATION),
+        "volume": volume is not None and require_flag("volume", volume),
+        "variation": require_number("variation", 0 if variation is None else variation, minimum=0, maximum=_MOST),
     }
     if camera.main_lens is not None and method == "deconvolved" and given["response"] == "ray":
         raise InputError(
             f"response = ray: behind main_lens = {camera.main_lens.name or 'prescription'} it must be wave"
         )
-    for name, value in (("checkpoint", checkpoint), ("batch_map", batch_map)):
-        if value is not None and not chosen.long:
-            raise InputError(f"{name}: method {method} is too quick to need one; leave it out")
     options: dict[str, Any] = {name: given[name] for name in chosen.options}
     oversample = require_count("oversample", oversample)
     distances = require_distances(distance, camera)
@@ -230,9 +251,8 @@ def reconstruct(
     if chosen.waves and not chosen.as_it_is:
         # Images are formed by the lens as it should be.
         camera = camera.replace(wavefront=())
+    require_image_memory(camera, distances, oversample, image.shape, white is not None and is_known(camera))
     reference = None if white is None else reference_white(white, capture, recorded)
-    drawn_back = reference is not None and is_known(camera)
-    require_image_memory(camera, distances, oversample, image.shape, drawn_back)
     wavelengths = require_wavelengths(capture, wavelength, image.shape[2], camera) if waves else []
 
     def report(done: float) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_choice, require_count, require_number, shown
+from ..errors import InputError, argument, require_choice, require_count, require_number, shown
 from ..io.captures import Capture, as_array
 from ..mosaic import require_demosaiced
 from ..optics.phase import in_millimetres
@@ -29,7 +29,7 @@ def as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) ->
             return capture
         return Capture(capture.image, camera, capture.wavelength, capture.model, capture.metadata)
     if camera is None:
-        raise InputError("camera = None: a plain array needs the camera that recorded it, reconstruct(..., camera=...)")
+        raise InputError("camera = None: a plain array needs the camera that recorded it; give camera")
     return Capture(as_array("capture", capture), camera)
 
 
@@ -75,7 +75,9 @@ def require_response(response: Any, capture: Capture, wavelength: Any) -> str:
     """Return how light goes through the camera: by default as the capture was made, by waves at a given wavelength."""
     if response is None:
         return capture.model if wavelength is None else "wave"
-    return require_choice("response", response, RESPONSES)
+    if require_choice("response", response, RESPONSES) == "ray" and wavelength is not None:
+        raise InputError(f"{argument('wavelength')}: a response by rays has none; leave it out")
+    return str(response)
 
 
 def require_wavelengths(capture: Capture, wavelength: Any, channels: int, camera: PlenopticCamera) -> list[float]:
@@ -83,7 +85,7 @@ def require_wavelengths(capture: Capture, wavelength: Any, channels: int, camera
     given: Any = capture.wavelength if wavelength is None else wavelength
     if given is None:
         raise InputError(
-            "wavelength = None: a wave method needs one, the capture's or reconstruct(..., wavelength=...)"
+            f"wavelength = None: a wave method needs one, and the capture has none; give {argument('wavelength')}"
         )
     values = [given] * channels if np.ndim(given) == 0 else list(given)
     if len(values) != channels:
@@ -112,7 +114,7 @@ def require_image_memory(
 
     def fitting(limit: float) -> str | None:
         largest = largest_fitting(memory, limit, oversample)
-        return f"oversample = {largest}" if largest else None
+        return f"{argument('oversample')} = {largest}" if largest else None
 
     what = f"images of {columns * oversample} x {rows * oversample} bins at {len(distances)} distances"
     require_memory(memory(oversample), what, fitting)

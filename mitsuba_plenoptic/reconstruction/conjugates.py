@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import InputError, argument
 from ..optics.fitted_lens import FAR, FittedLens, lens_over_field
 from ..optics.image_stretch import image_stretch
 from ..optics.lens_system import LensSystem
@@ -248,7 +248,7 @@ class RealConjugates:
         else:
             raise InputError(
                 f"distance = {distance:g}: the aberrations of the main_lens change too much over the field for whole "
-                "fields; use method partial with interleave = auto"
+                f"fields; use {argument('method')} partial with {argument('interleave')} auto"
             )
         middle_only = array_module().UInt32(0)
         for row, column in np.ndindex(count, count):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..design import resolution_limit
-from ..errors import InputError
+from ..errors import InputError, argument
 from ..io.checkpoints import digest
 from ..runtime.jobs import Job
 from .deconvolution.fourier import FourierResponse
@@ -44,8 +44,6 @@ def refocus(task: Task, **options: Any) -> list[Found]:
     list of Found
         Radiance, and what is known of it.
     """
-    if task.white is not None:
-        raise InputError("white: method deconvolved knows the light of every bin itself; it takes no white capture")
     noise = Noise.of(task.exposure, options["photons"])
     _require_light(task.image, noise)
     if options["volume"]:
@@ -155,7 +153,7 @@ def _require_light(image: NDArray[np.float32], noise: Noise | None) -> None:
     if negative and noise is None:
         raise InputError(
             f"capture: {negative} of its pixels are below 0, the least of them {float(image.min()):.3g}: no light "
-            "makes these; photons= or the exposure of the capture tells what noise does"
+            f"makes these; their noise is known from {argument('photons')} or from what 'expose' keeps with a capture"
         )
     if float(image.sum(dtype=np.float64)) <= 0:
         raise InputError("capture: the sum of its pixels is not above 0: there is no light to deconvolve")

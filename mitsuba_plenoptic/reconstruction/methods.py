@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..errors import InputError, argument
 from ..io.checkpoints import Checkpoint
 from ..runtime.batches import BatchMap
 
@@ -107,8 +108,22 @@ class Method:
     as_it_is: bool = False
     long: bool = False
 
+    def takes(self, option: str) -> bool:
+        """Whether an option of `reconstruct` that not all methods take is of use for this one."""
+        if option == "wavelength":
+            return self.waves
+        return option in self.options or (self.long and option in ("checkpoint", "batch_map"))
+
 
 METHODS: dict[str, Method] = {}
+
+
+def require_taken(chosen: Method, **given: Any) -> None:
+    """Refuse options of `reconstruct` that a method would ignore; None stands for one that is not given."""
+    for name, value in given.items():
+        if value is not None and not chosen.takes(name):
+            methods = ", ".join(other.name for other in METHODS.values() if other.takes(name))
+            raise InputError(f"{argument(name)}: method {chosen.name} does not take it; methods that do: {methods}")
 
 
 def method(

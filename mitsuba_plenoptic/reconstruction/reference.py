@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, shown
-from ..io.captures import Capture, as_array, require_pixels, require_same_camera
+from ..io.captures import Capture, as_array, require_pixels, require_suitable_white
+from ..lightfield.white import scaled_white
 from ..mosaic import require_demosaiced
+from .ray_sums import white_pixels
 
 
 def reference_white(white: Any, capture: Capture, recorded: Any) -> np.ndarray:
@@ -26,12 +28,13 @@ def reference_white(white: Any, capture: Capture, recorded: Any) -> np.ndarray:
     Returns
     -------
     (rows, columns, channels) float32 array
+        Scaled to a radiance of 1, see `lightfield.white.white_radiance`.
 
     Raises
     ------
     InputError
         If it has other pixels than the capture, or was recorded by another camera, by waves for a capture by rays, at
-        other wavelengths, or through a mosaic.
+        other wavelengths, or through a mosaic; or if it is saturated, or does not fill the view.
     """
     pixels = white.image if isinstance(white, Capture) else as_array("white", white)
     require_pixels("white", pixels)
@@ -41,9 +44,10 @@ def reference_white(white: Any, capture: Capture, recorded: Any) -> np.ndarray:
     if isinstance(white, Capture):
         require_demosaiced(white)
         own = [taken.camera for taken in (capture, recorded) if isinstance(taken, Capture)]
-        require_same_camera("white", white, own)
+        require_suitable_white(white, own)
         _require_same_light(white, capture, image.shape[2])
-    return np.ascontiguousarray(np.broadcast_to(np.atleast_3d(pixels), image.shape), np.float32)
+    scaled = scaled_white(np.atleast_3d(pixels), white_pixels(capture.camera), capture.camera)
+    return np.ascontiguousarray(np.broadcast_to(scaled, image.shape))
 
 
 def _require_same_light(white: Capture, capture: Capture, channels: int) -> None:

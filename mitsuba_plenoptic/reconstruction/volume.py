@@ -15,7 +15,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ..errors import InputError, require_choice
-from ..io.files import atomic_output
+from ..io.files import atomic_output, require_writable
 from ..lightfield.exchange.labelled import require_zarr
 from ..runtime.limits import require_memory
 from .result import Reconstruction
@@ -178,9 +178,7 @@ def require_volume_path(path: str | Path, distances: Sequence[float]) -> Path:
     InputError
         If the suffix is another, planes of an ImageJ TIFF are unevenly spaced, or Zarr is not installed.
     """
-    path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: a volume is written as TIFF or Zarr; its name ends in {', '.join(SUFFIXES)}")
+    path = require_writable(path, *SUFFIXES)
     if path.suffix.lower() == ".zarr":
         require_zarr(path)
     elif not _is_ome(path) and len(distances) > 1:

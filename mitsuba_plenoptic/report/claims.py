@@ -8,7 +8,7 @@ from typing import Any
 
 from .experiment import Experiment
 from .measurements import find
-from .metrics import image_metrics
+from .metrics import image_metrics, ssim_text
 
 CONFIRMED, PARTLY, DIFFERS = "confirmed", "partly", "differs"
 BY_CONSTRUCTION = "by construction"
@@ -131,11 +131,11 @@ def _similarity_to_rays(experiment: Experiment, distances: tuple[float, ...]) ->
         for distance in distances
     ]
     texts = [
-        f"{partial.psnr:.1f} dB, SSIM {partial.ssim:.3f} at {distance:g} mm, coherent {coherent.psnr:.1f} dB"
+        f"{partial.psnr:.1f} dB, SSIM {ssim_text(partial.ssim)} at {distance:g} mm, coherent {coherent.psnr:.1f} dB"
         for (partial, coherent), distance in zip(found, distances, strict=True)
     ]
     near = [
-        partial.psnr > _NEAR_PSNR and partial.ssim > _NEAR_SSIM and partial.psnr - coherent.psnr > _NEARER
+        partial.psnr > _NEAR_PSNR and (partial.ssim or 0) > _NEAR_SSIM and partial.psnr - coherent.psnr > _NEARER
         for partial, coherent in found
     ]
     return Claim(

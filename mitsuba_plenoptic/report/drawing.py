@@ -49,7 +49,7 @@ class Canvas:
 
     def save(self, path: Path) -> None:
         """Write it as PNG."""
-        with atomic_output(path) as temporary:
+        with atomic_output(path, ".png") as temporary:
             self._figure.savefig(temporary, dpi=_DPI)
 
 

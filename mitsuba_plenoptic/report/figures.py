@@ -13,6 +13,7 @@ from .drawing import Canvas, annotate, mark, object_bar, scale_bar, show, show_d
 from .experiment import METHODS, TITLES, Experiment
 from .framing import Zoom, common_peak, letter_zooms, lit_window
 from .images import shrink
+from .metrics import ssim_text
 
 
 def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> None:
@@ -86,7 +87,7 @@ def draw_comparison(
 ) -> dict[str, str]:
     """Draw the figures that every experiment has; return their captions by file name."""
     rows = numbers["reconstructions"]
-    metrics = {(row["method"], row["distance"]): f"{row['psnr']:.1f} dB, SSIM {row['ssim']:.3f}" for row in rows}
+    metrics = {(row["method"], row["distance"]): f"{row['psnr']:.1f} dB, SSIM {ssim_text(row['ssim'])}" for row in rows}
     interference = {
         (row["method"], row["distance"]): f"{row['interference']:.1%} of the mean"
         for row in rows

@@ -12,7 +12,7 @@ from ..io.files import atomic_output
 
 def write_png(path: str | Path, image: np.ndarray, *, peak: float | None = None) -> None:
     """Write a linear image as an 8-bit PNG, encoded by `to_bytes`; a file is replaced only by a complete one."""
-    with atomic_output(path) as temporary:
+    with atomic_output(path, ".png") as temporary:
         Image.fromarray(to_bytes(image, peak)).save(temporary, format="PNG")
 
 

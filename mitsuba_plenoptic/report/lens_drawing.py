@@ -11,9 +11,10 @@ from matplotlib.ticker import MaxNLocator
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..optics import sequential
+from ..io.files import require_writable
 from ..optics.lens_figures import field_figures, ray_paths, spot
 from ..optics.lens_system import LensSystem
+from ..prescription.data import height
 from ..prescription.glass import LINE_C, LINE_D, LINE_F
 from .drawing import Canvas
 
@@ -47,8 +48,7 @@ def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
     InputError
         If its main lens is thin, the file is no PNG by its name, or it cannot be written.
     """
-    if path.suffix.lower() != ".png":
-        raise InputError(f"{path}: a drawing is a picture; give a name that ends in .png")
+    require_writable(path, ".png")
     if camera.prescription is None:
         raise InputError(f"{path}: the camera has no main_lens of surfaces that could be drawn")
     corner = math.hypot(camera.detector_width, camera.detector_height) / 2
@@ -70,7 +70,7 @@ def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> 
     profiles = []
     for surface, vertex, given in zip(surfaces, vertices, lens.prescription.surfaces, strict=True):
         radius = np.linspace(-1, 1, 65) * given.semi_aperture
-        profiles.append((vertex - lens.scale * sequential.height(surface, radius**2), lens.scale * radius))
+        profiles.append((vertex - lens.scale * height(surface, radius**2), lens.scale * radius))
     for number, given in enumerate(lens.prescription.surfaces):
         (z, y), stop = profiles[number], number == lens.prescription.stop
         if given.glass is not None:

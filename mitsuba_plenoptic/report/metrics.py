@@ -11,6 +11,9 @@ import skimage.metrics
 
 from ..camera import PlenopticCamera
 
+_WINDOW = 7
+"""Pixels across the window of the structural similarity."""
+
 
 @dataclass(frozen=True)
 class ImageMetrics:
@@ -20,19 +23,24 @@ class ImageMetrics:
     ----------
     psnr : float
         Peak signal-to-noise ratio in dB; the peak is the reference's maximum.
-    ssim : float
-        Structural similarity over windows of 7 x 7 pixels.
+    ssim : float or None
+        Structural similarity over windows of 7 x 7 pixels; None for smaller images, which have no such window.
     energy : float
         Sum over the reference's sum.
     """
 
     psnr: float
-    ssim: float
+    ssim: float | None
     energy: float
 
-    def to_dict(self) -> dict[str, float]:
+    def to_dict(self) -> dict[str, float | None]:
         """Return the numbers by name, rounded to what they mean."""
-        return {name: round(value, 5) for name, value in asdict(self).items()}
+        return {name: None if value is None else round(value, 5) for name, value in asdict(self).items()}
+
+
+def ssim_text(ssim: float | None) -> str:
+    """Return a structural similarity as text: images too small for it have none."""
+    return "not defined" if ssim is None else f"{ssim:.3f}"
 
 
 def common_scale(images: Sequence[np.ndarray], references: Sequence[np.ndarray]) -> float:
@@ -43,7 +51,7 @@ def common_scale(images: Sequence[np.ndarray], references: Sequence[np.ndarray])
 
 
 def image_metrics(image: np.ndarray, reference: np.ndarray) -> ImageMetrics:
-    """Compare an image with a reference of the same shape, at least 7 x 7 pixels, brightness and all.
+    """Compare an image with a reference of the same shape, brightness and all.
 
     Pixels that are NaN in the image are not compared.
     """
@@ -55,9 +63,18 @@ def image_metrics(image: np.ndarray, reference: np.ndarray) -> ImageMetrics:
     total = float(reference.sum(dtype=np.float64))
     return ImageMetrics(
         psnr=10 * math.log10(peak**2 / mean_square) if mean_square > 0 and peak > 0 else math.inf,
-        ssim=float(skimage.metrics.structural_similarity(image, reference, data_range=peak)) if peak > 0 else 1.0,
+        ssim=_similarity(image, reference, peak),
         energy=float(image.sum(dtype=np.float64)) / total if total > 0 else 1.0,
     )
+
+
+def _similarity(image: np.ndarray, reference: np.ndarray, peak: float) -> float | None:
+    """Return the structural similarity of two images, None if they are smaller than its window."""
+    if min(image.shape) < _WINDOW:
+        return None
+    if peak <= 0:
+        return 1.0
+    return float(skimage.metrics.structural_similarity(image, reference, win_size=_WINDOW, data_range=peak))
 
 
 def relative_error(image: np.ndarray, reference: np.ndarray) -> float:

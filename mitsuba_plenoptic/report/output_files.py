@@ -32,7 +32,7 @@ _ENLARGED = 4
 
 def require_picture_path(path: str | Path) -> Path:
     """Check, before a long computation, that a file ends in .exr or .png and can be written."""
-    return require_writable(_require_suffix(path))
+    return require_writable(path, *_SUFFIXES)
 
 
 def reconstruction_paths(path: str | Path, distances: Sequence[float]) -> list[Path]:
@@ -40,9 +40,9 @@ def reconstruction_paths(path: str | Path, distances: Sequence[float]) -> list[P
 
     One distance gives `path` itself, several give ``name_210.exr``, ``name_240.exr``; none may be given twice.
     """
-    path = _require_suffix(path)
+    path = require_picture_path(path)
     if len(distances) == 1:
-        return [require_writable(path)]
+        return [path]
     names = [f"{path.stem}_{distance:.12g}{path.suffix}" for distance in distances]
     for name, distance in zip(names, distances, strict=True):
         if names.count(name) > 1:
@@ -149,10 +149,3 @@ def _tiled(images: list[np.ndarray]) -> np.ndarray:
     every = images + empty
     rows = [np.concatenate(every[i : i + columns], axis=1) for i in range(0, len(every), columns)]
     return np.concatenate(rows, axis=0)
-
-
-def _require_suffix(path: str | Path) -> Path:
-    path = Path(path)
-    if path.suffix.lower() not in _SUFFIXES:
-        raise InputError(f"{path}: give a name that ends in {' or '.join(_SUFFIXES)}")
-    return path

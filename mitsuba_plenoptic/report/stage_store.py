@@ -20,12 +20,15 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..capture.scene import scene_path
+from ..capture.scene_file import LARGEST_SCENE
 from ..errors import InputError
 from ..io.captures import Capture, read_capture, write_capture
 from ..io.checkpoints import SUFFIX, Checkpoint, Existing
 from ..io.exr import read_exr, write_exr
-from ..io.files import atomic_output
+from ..io.files import atomic_output, read_text, require_size
 from ..runtime.software import software as versions
+
+_LARGEST_JSON = 2**26
 
 Value = TypeVar("Value")
 Progress = Callable[[int, int], None]
@@ -70,6 +73,7 @@ class StageStore:
         self.folder = folder
         self.seconds: dict[str, float] = {}
         self.notify = options.notify
+        self.resume = options.resume
         self._finished = options.finished
         self._existing: Existing = "resume" if options.resume else "resume_if_same"
         self._log = folder / "stages.json"
@@ -110,7 +114,7 @@ class StageStore:
             write_json(path, {"key": key, "value": value})
 
         def read(path: Path) -> tuple[dict[str, Any], str]:
-            content = json.loads(path.read_text())
+            content = json.loads(read_text(path, _LARGEST_JSON))
             return content["value"], content["key"]
 
         return self._get(name, ".json", inputs, make, write, read)[0]
@@ -182,12 +186,12 @@ def _read_kept(path: Path, key: str, read: Callable[[Path], tuple[Value, str]]) 
 
 def _content(path: Path, parameters: dict[str, str]) -> list[tuple[str, str]]:
     """List a scene's files by name and hash; where a name holds parameters, with their values."""
-    data = path.read_bytes()
-    found = [(path.name, hashlib.sha256(data).hexdigest())]
+    with path.open("rb") as file:
+        found = [(path.name, hashlib.file_digest(file, "sha256").hexdigest())]
     if path.suffix.lower() != ".xml":
         return found
     try:
-        root = ElementTree.fromstring(data)
+        root = ElementTree.fromstring(require_size(path, LARGEST_SCENE).read_bytes())
     except ElementTree.ParseError:
         return found
     values = {item.get("name", ""): item.get("value", "") for item in root.iter("default")} | parameters
@@ -202,8 +206,8 @@ def _content(path: Path, parameters: dict[str, str]) -> list[tuple[str, str]]:
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text())
-    except (OSError, ValueError):
+        content = json.loads(read_text(path, _LARGEST_JSON))
+    except (InputError, ValueError):
         return {}
     return content if isinstance(content, dict) else {}
 

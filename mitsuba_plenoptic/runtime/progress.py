@@ -1,9 +1,13 @@
-"""A bar that shows the progress of long computations, on terminals and in notebooks."""
+"""The progress of long computations: a bar on terminals and in notebooks, plain lines in files and pipes."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import TextIO
 
 from rich.console import Console
 from rich.progress import (
@@ -16,6 +20,9 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+FIRST_LINE, INTERVAL, LONGEST_INTERVAL = 0.3, 10.0, 60.0
+"""Seconds to the first plain line, and between two of them at least and at most."""
+
 
 class ProgressBar:
     """Takes progress as every long computation of this package reports it, and shows it.
@@ -24,21 +31,24 @@ class ProgressBar:
     ----------
     fraction : float
         What was done at the last report, from 0 to 1.
+    label : str
+        What is going on.
     """
 
-    def __init__(self, bar: Progress, label: str) -> None:
-        self.fraction = 0.0
-        self._bar, self._task = bar, bar.add_task(label, total=None)
+    def __init__(self, label: str, show: Callable[[int, int], None] | None = None) -> None:
+        self.fraction, self.label = 0.0, label
+        self._show = show
 
     def __call__(self, done: int, total: int) -> None:
         """Show that so much of the total is done."""
         self.fraction = done / max(total, 1)
-        self._bar.update(self._task, completed=done, total=total)
+        if self._show:
+            self._show(done, total)
 
 
 @contextlib.contextmanager
 def progress_bar(label: str) -> Iterator[ProgressBar]:
-    """Show a bar on standard error, or in the notebook; elsewhere, as in a file, nothing.
+    """Show a bar on standard error, or in the notebook; elsewhere, as in a file, print plain lines.
 
     Parameters
     ----------
@@ -55,9 +65,53 @@ def progress_bar(label: str) -> Iterator[ProgressBar]:
     >>> with progress_bar("Rendering") as progress:
     ...     capture = render_capture(scene, progress=progress)
     """
-    console = Console(stderr=True)
-    shown = console.is_terminal or console.is_jupyter
+    if not has_screen():
+        with plain_lines(label) as line:
+            yield line
+        return
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     times = (TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, *times, console=console, transient=True, disable=not shown) as bar:
-        yield ProgressBar(bar, label)
+    with Progress(*columns, *times, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(label, total=None)
+        yield ProgressBar(label, lambda done, total: bar.update(task, completed=done, total=total))
+
+
+def has_screen() -> bool:
+    """Whether standard error is a terminal or a notebook, where a bar can move."""
+    console = Console(stderr=True)
+    return console.is_terminal or console.is_jupyter
+
+
+_under_way: list[ProgressBar] = []
+"""What plain lines are about, the innermost last."""
+
+
+@contextlib.contextmanager
+def plain_lines(label: str) -> Iterator[ProgressBar]:
+    """Print now and then on standard error what is done and for how long, unless a bar can move there.
+
+    Within another such context it is the outer one that prints, what the inner one reports.
+    """
+    line = ProgressBar(label)
+    _under_way.append(line)
+    ended = threading.Event()
+    try:
+        if len(_under_way) == 1 and not has_screen():
+            # Taken now, as it may be another one, closed already, by the time of a line.
+            threading.Thread(target=_print_lines, args=(ended, sys.stderr), daemon=True).start()
+        yield line
+    finally:
+        ended.set()
+        _under_way.remove(line)
+
+
+def _print_lines(ended: threading.Event, output: TextIO) -> None:
+    start, wait = time.monotonic(), FIRST_LINE
+    while not ended.wait(wait) and _under_way:
+        line, elapsed = _under_way[-1], time.monotonic() - start
+        done = f"{100 * line.fraction:.0f} %, " if line.fraction else ""
+        try:
+            print(f"mitsuba-plenoptic: {line.label}: {done}{elapsed:.0f} s", file=output, flush=True)
+        except (OSError, ValueError):
+            return  # Nobody reads it any more.
+        wait = min(max(INTERVAL, elapsed / 10), LONGEST_INTERVAL)

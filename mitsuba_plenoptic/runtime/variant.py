@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from ..errors import InputError
+from ..errors import InputError, require_choice
 from . import llvm
 from .backend import one_at_a_time
 
@@ -22,8 +22,7 @@ def set_variant(variant: str | None) -> None:
         If it does not exist or cannot work here, or this process was forked from one in which Dr.Jit was at work.
     """
     variant = variant or mi.variant() or DEFAULT_VARIANT
-    if variant not in mi.variants():
-        raise InputError(f"variant = {variant!r}: it must be one of {', '.join(mi.variants())}")
+    require_choice("variant", variant, mi.variants())
     if variant.startswith("llvm"):
         llvm.require()
     if variant.startswith("cuda") and not dr.has_backend(dr.JitBackend.CUDA):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import calibration_cases as cases
 import numpy as np
 import pytest
@@ -107,6 +110,88 @@ def test_outliers_neither_hide_nor_spoil(table, centres, found):
     assert abs(spoiled.numbers["focal_length"] - found.numbers["focal_length"]) < 4 * found.deviations["focal_length"]
 
 
+def errors(found, table, bad):
+    """The RMS of the rows that are right."""
+    rest = np.delete(found.evaluation.residuals, bad, axis=0)
+    return np.sqrt((rest**2).sum(1).mean())
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param("few", marks=pytest.mark.slow),
+        "many",
+        "corners",
+        pytest.param("one frame", marks=pytest.mark.slow),
+    ],
+)
+def test_gross_errors_are_named_and_change_nothing(table, centres, found, kind):
+    generator = np.random.default_rng(3)
+    columns, rows = {name: values.copy() for name, values in table.columns.items()}, len(table["k"])
+    if kind == "one frame":
+        first = np.flatnonzero(table["frame"] == 14)
+        bad = generator.choice(first, len(first) // 4, replace=False)
+    else:
+        bad = generator.choice(rows, int(rows * (0.005 if kind == "few" else 0.05)), replace=False)
+    if kind == "corners":
+        columns["cluster"][bad] = (columns["cluster"][bad] + generator.integers(1, 24, len(bad))) % 24
+    else:
+        for name in "uv":
+            columns[name][bad] += generator.choice([-1, 1], len(bad)) * generator.uniform(20, 500, len(bad))
+    spoiled = calibrate(Table("corners.csv", columns), cases.BOARD, START, centres)
+    assert set(bad) <= set(spoiled.evaluation.outliers)
+    assert len(spoiled.evaluation.outliers) < len(bad) + 3
+    assert errors(spoiled, table, bad) == pytest.approx(NOISE * 2**0.5, rel=0.05)
+    assert spoiled.evaluation.error_without_outliers == pytest.approx(NOISE * 2**0.5, rel=0.05)
+    for name, value in spoiled.numbers.items():
+        # A twentieth of the rows less moves numbers by a fifth of their deviations.
+        assert abs(value - found.numbers[name]) < 1.5 * found.deviations[name] + 1e-12, name
+    again = evaluate(Table("corners.csv", columns), cases.BOARD, spoiled.camera)
+    assert set(bad) <= set(again.outliers)
+    assert again.error_without_outliers == pytest.approx(NOISE * 2**0.5, rel=0.05)
+
+
+def test_wrong_centres_are_left_out(table, centres, found):
+    bad = np.arange(7, len(centres["k"]), 50)
+    u = centres["u"].copy()
+    u[bad] += 9
+    spoiled = calibrate(table, cases.BOARD, START, Table("centres.csv", {**centres.columns, "u": u}))
+    np.testing.assert_array_equal(spoiled.centre_outliers, bad)
+    doubtful = np.zeros(len(u), dtype=int)
+    doubtful[bad] = 1
+    marked = calibrate(table, cases.BOARD, START, Table("centres.csv", {**centres.columns, "doubtful": doubtful}))
+    np.testing.assert_array_equal(marked.centre_outliers, bad)
+    for given in (spoiled, marked):
+        for name in NAMES:
+            assert abs(given.numbers[name] - found.numbers[name]) < found.deviations[name] + 1e-12
+
+
+def test_what_the_model_misses_is_in_the_deviations(table, centres, found):
+    # Each frame displaced by a smooth field of its own, of the size of the noise: rows of a frame err together.
+    assert not found.by_frames
+    columns = {name: values.copy() for name, values in table.columns.items()}
+    generator = np.random.default_rng(0)
+    for frame in np.unique(table["frame"]):
+        mine = table["frame"] == frame
+        x, y = (columns["u"][mine] / 1000 - 1, columns["v"][mine] / 750 - 1)
+        for name in "uv":
+            columns[name][mine] += 0.1 * np.array([x, y, x * y, x * x, y * y]).T @ generator.normal(size=5)
+    bent = calibrate(Table("corners.csv", columns), cases.BOARD, START, centres)
+    assert bent.by_frames
+    assert bent.disagreement > 2
+    true = dict(zip(NAMES, numbers_of(cases.CAMERA), strict=True))
+    apart = [
+        (bent.numbers[name] - true[name]) / bent.deviations[name] for name in NAMES if not name.startswith("offset")
+    ]
+    assert np.sqrt(np.mean(np.square(apart))) < 1.5
+
+
+def wrong_corners(table):
+    frame = table["frame"] == 12
+    generator = np.random.default_rng(0)
+    return {**table.columns, "cluster": np.where(frame, generator.integers(0, 24, len(frame)), table["cluster"])}
+
+
 def mirrored(table):
     cluster = table["cluster"]
     columns = cases.BOARD.columns
@@ -117,6 +202,11 @@ def mirrored(table):
     ("change", "words"),
     [
         (mirrored, "seen mirrored"),
+        (wrong_corners, "frame 12: most of its corners do not lie as on a board, as those of other frames do"),
+        (
+            lambda table: {**table.columns, "u": table["u"] + 60 * (table["frame"] == 12)},
+            "frame 12: 300 of its 300 rows lie farther than a lens's width",
+        ),
         (lambda table: table.keep(table["frame"] < 12).columns, "2 poses .* at least 3"),
         (lambda table: table.keep(table["cluster"] < 5).columns, "corners of the board are seen"),
         (lambda table: {**table.columns, "u": table["u"] * 5.5}, "detector has 2000 x 1500 pixels"),
@@ -129,6 +219,20 @@ def mirrored(table):
 def test_mistakes_get_one_line(table, change, words):
     with pytest.raises(InputError, match=words):
         calibrate(Table("corners.csv", change(table)), cases.BOARD, START)
+
+
+@pytest.mark.parametrize(
+    ("board", "words"),
+    [
+        (Board(4, 6, 6.0), "not lie as on a board of 4x6 inner corners: they do on one with 6 along each row"),
+        (Board(7, 4, 6.0), "not lie as on a board of 7x4 inner corners: they do on one with 6 along each row"),
+        (Board(6, 4, 60.0), r"squares of 60 mm and .* f-number .* radius of .* check the distance of the board's"),
+        (Board(6, 4, 0.6), r"squares of 0.6 mm and .* radius of .* but micro-images are .* pixels apart: check"),
+    ],
+)
+def test_boards_of_another_size_are_not_called_mirrored(table, centres, board, words):
+    with pytest.raises(InputError, match=words):
+        calibrate(table, board, START, centres)
 
 
 def test_rows_of_a_hexagonal_lattice_that_run_along_its_columns_are_refused(table):
@@ -208,6 +312,53 @@ def test_a_real_camera(tmp_path, capsys):
     error, rest = last.removeprefix("reprojection error ").split(" ", 1)
     assert rest == "px over 12433 observations of 11 poses"
     assert float(error) <= 0.965
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
+@pytest.mark.parametrize("part", [0.005, 0.05])
+def test_a_real_camera_in_spite_of_gross_errors(part, tmp_path, capsys):
+    header, *lines = (cases.REAL / "corners.csv").read_text().splitlines()
+    names, generator = header.split(","), np.random.default_rng(0)
+    rows = [line.split(",") for line in lines if line]
+    bad = generator.choice(len(rows), int(part * len(rows)), replace=False)
+    for row in bad:
+        for name in "uv":
+            place = names.index(name)
+            rows[row][place] = f"{float(rows[row][place]) + generator.uniform(-500, 500):.3f}"
+    spoiled, output, report = tmp_path / "corners.csv", tmp_path / "camera.json", tmp_path / "report.html"
+    spoiled.write_text("\n".join([header, *map(",".join, rows)]) + "\n")
+    board = ["--board", "9x5", "--square", "10"]
+    given = ["--camera", "raytrix", "--centres", str(cases.REAL / "centres.csv"), "-o", str(output)]
+    assert main(["calibrate", str(spoiled), *board, *given, "--report", str(report)]) == 0
+    named = set(json.loads(output.read_text())["calibration"]["outlier_rows"])
+    assert len(set(bad + 2) - named) <= 2
+    printed = capsys.readouterr().out
+    assert f"{len(named)} outliers, in lines" in printed
+    assert f"{len(named)} rows are outliers" in report.read_text()
+    # The camera is judged by the data as they were measured.
+    assert main(["calibrate", "--evaluate", str(cases.REAL / "corners.csv"), "--camera", str(output), *board]) == 0
+    error = capsys.readouterr().out.splitlines()[-1].removeprefix("reprojection error ").split(" ", 1)[0]
+    assert float(error) <= 0.965
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
+def test_corners_of_a_real_camera_alone_leave_its_focal_length_open():
+    board, start = Board(9, 5, 10.0), PlenopticCamera.preset("raytrix")
+    with pytest.raises(InputError, match=r"focal length open, .* give centres"):
+        calibrate(read_corners(cases.REAL / "corners.csv", board, start.crop_size), board, start)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
+def test_the_camera_of_the_manual_starts_a_real_one(tmp_path, capsys):
+    text = (Path(__file__).parents[2] / "docs" / "calibration.md").read_text()
+    camera, output = tmp_path / "start.json", tmp_path / "camera.json"
+    camera.write_text(text.split("```json\n")[1].split("```")[0])
+    given = ["--centres", str(cases.REAL / "centres.csv"), "--board", "9x5", "--square", "10", "--camera", str(camera)]
+    assert main(["calibrate", str(cases.REAL / "corners.csv"), *given, "-o", str(output)]) == 0
+    assert "reprojection error 0.96" in capsys.readouterr().out
 
 
 @pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")

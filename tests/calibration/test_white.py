@@ -50,6 +50,25 @@ def test_centres_are_found(shifted, diameters, tmp_path):
     np.testing.assert_allclose(read_centres(path).pixel, found.pixel, atol=1e-4)
 
 
+@pytest.mark.parametrize("diameters", [(14.0,), (14.0, 13.4, 13.7)])
+def test_centres_that_dust_displaces_are_doubtful(diameters, tmp_path, capsys):
+    image, true = drawn((640, 700), 0, diameters)
+    assert not find_centres(image).doubtful.any()
+    y, x = np.indices(image.shape) + 0.5
+    for number, (column, row) in enumerate(np.random.default_rng(3).uniform(60, 580, (10, 2))):
+        image *= 1 - 0.7 * np.clip(2.5 + 2 * (number % 4) - np.hypot(x - column, y - row), 0, 1)
+    camera = CAMERA.replace(resolution=(700, 640), detector_width=3.85)
+    write_capture(tmp_path / "white.exr", Capture(image.astype(np.float32), camera))
+    assert main(["calibrate", str(tmp_path / "white.exr"), "-o", str(tmp_path / "centres.csv")]) == 0
+    found = read_centres(tmp_path / "centres.csv")
+    error = np.array([np.hypot(*(true - place - 0.5).T).min() for place in found.pixel])
+    doubtful = found["doubtful"] == 1
+    assert (error > 0.15).sum() > 8
+    assert doubtful[error > 0.15].all()
+    assert not doubtful[error < 0.05].any()
+    assert f"{doubtful.sum()} doubtful centres" in capsys.readouterr().out
+
+
 CAMERA = PlenopticCamera.preset("raytrix").replace(
     resolution=(460, 340), detector_width=2.53, mla_rotation=0.3, mla_aperture="circle", mla_fill=0.6
 )

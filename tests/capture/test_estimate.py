@@ -52,7 +52,7 @@ def test_by_rays_the_time_is_about_right():
 
 
 def test_what_would_be_refused_is_refused():
-    with pytest.raises(InputError, match="workers are of use for model 'wave' only"):
+    with pytest.raises(InputError, match=r"batch_map: a ray capture does not take it"):
         estimate_capture(load_scene("letters"), batch_map=lambda batches: iter(()))
     with pytest.raises(InputError, match="spp = 0"):
         estimate_capture(load_scene("letters"), spp=0)

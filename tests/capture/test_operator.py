@@ -10,6 +10,7 @@ from wave_cases import CAMERAS, LATTICES, WAVELENGTH, capture, error, in_every_l
 
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.capture.operator import PLANS, CaptureOperator
+from mitsuba_plenoptic.capture.point_rays import PointRays
 from mitsuba_plenoptic.capture.point_spread import point_spread_function
 from mitsuba_plenoptic.capture.pupil_weights import PupilWeights
 from mitsuba_plenoptic.errors import InputError
@@ -395,6 +396,17 @@ def test_more_memory_than_allowed_is_refused_with_the_estimate(monkeypatch):
     for work in (operator.estimate, lambda: operator.forward([1.0]), lambda: operator.adjoint(np.ones(SMALL.shape))):
         with pytest.raises(InputError, match=r"1 radiators by patches.*GiB"):
             work()
+
+
+@pytest.mark.parametrize("distance", [0.24, 10.0])
+def test_points_in_metres_are_recognised(distance):
+    camera, points = PlenopticCamera(), [(0.0, 0.0, distance)]
+    words = r"position = \(0, 0, .*\): its light would cover .* microlenses .* are the points in metres\?$"
+    for method in PLANS:
+        with pytest.raises(InputError, match=words):
+            CaptureOperator(camera, points, wavelength=WAVELENGTH, method=method).forward([1.0])
+    with pytest.raises(InputError, match=words):
+        PointRays(camera, np.array(points), WAVELENGTH)
 
 
 def test_many_radiators_at_infinity_are_refused():

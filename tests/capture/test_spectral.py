@@ -147,6 +147,121 @@ def test_colours_are_those_of_rays(variant):
     assert waves.wavelength[0] > waves.wavelength[1] > waves.wavelength[2]
 
 
+def lamp(radiance, board="emitter", **film):
+    """A wall that shines, or is lit by a sky of the radiance."""
+    described = CAMERA.replace(resolution=(64, 64), detector_width=0.128).to_sensor()
+    described["film"] |= film
+    kind = {"emitter": {"type": "area", "radiance": radiance}}
+    if board != "emitter":
+        kind = {"bsdf": {"type": "diffuse", "reflectance": board}}
+    place = mi.ScalarTransform4f().translate([0, 0, 125]).scale(10).rotate([0, 1, 0], 180)
+    scene = {"type": "scene", "camera": described, "board": {"type": "rectangle", "to_world": place, **kind}}
+    if board != "emitter":
+        scene["sky"] = {"type": "constant", "radiance": radiance}
+    return mi.load_dict(scene | {"integrator": {"type": "path"}})
+
+
+def line(middle, half):
+    rows = [(400, 0), (middle - half - 0.1, 0), (middle - half, 1), (middle + half, 1), (middle + half + 0.1, 0)]
+    wavelengths, values = np.array([*rows, (700, 0)], float).T
+    return wavelengths, values, {
+        "type": "irregular", "wavelengths": ",".join(map(str, wavelengths)), "values": ",".join(map(str, values))
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("half", [2, pytest.param(10, marks=pytest.mark.slow)])
+def test_light_of_a_narrow_band_has_its_colour(half):
+    """532 +- 2 and +- 10 nm in linear sRGB, by the integral over Mitsuba's tables of CIE 1931."""
+    mi.set_variant("llvm_ad_spectral")
+    wavelengths, values, radiance = line(532, half)
+    options = {"model": "wave", "spp": 1, "radiators_per_lens": 1}
+    coarse = {"nodes": 1, "wavelength_count": 6}
+    found = render_capture(lamp(radiance, pixel_format="rgb"), **options, **coarse).image.mean((0, 1))
+    places = np.arange(380, 730, 0.02)
+    light = np.interp(places, wavelengths, values)
+    expected = np.trapezoid(colour._srgb_responses(places) * light, places, axis=1)
+    one = render_capture(lamp(radiance), **options, wavelength=532).image.mean()
+    assert found == pytest.approx(expected * one, abs=0.01 * expected[1] * one)
+
+
+@pytest.mark.slow
+def test_a_band_takes_all_light_of_a_line_within_it():
+    mi.set_variant("llvm_ad_spectral")
+    wavelengths, values, radiance = line(532, 2)
+    options = {"model": "wave", "spp": 1, "radiators_per_lens": 1}
+    one = render_capture(lamp(radiance), **options, wavelength=532).image.mean()
+    wide = render_capture(lamp(radiance), **options, nodes=1, wavelength=535, bandwidth=60).image.mean()
+    assert wide == pytest.approx(one * np.trapezoid(values, wavelengths) / 60, rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("half", [2, 10])
+def test_light_of_a_narrow_band_is_that_of_rays(half):
+    """To 1 %, besides what a capture by waves of one wavelength differs from one by rays."""
+    mi.set_variant("llvm_ad_spectral")
+    scene = lamp(line(532, half)[2], pixel_format="rgb")
+    options = {"model": "wave", "spp": 1, "radiators_per_lens": 2}
+    rays = render_capture(scene, spp=2048).image.mean((0, 1))
+    waves = render_capture(scene, **options, nodes=2).image.mean((0, 1))
+    mi.set_variant("llvm_ad_mono")
+    scene = lamp(1.0)
+    share = render_capture(scene, **options, wavelength=532).image.mean() / render_capture(scene, spp=64).image.mean()
+    assert waves == pytest.approx(share * rays, abs=0.01 * float(rays[1]))
+
+
+def test_a_given_wavelength_is_that_of_a_film_of_colours():
+    mi.set_variant("llvm_ad_spectral")
+    options = {"model": "wave", "spp": 1, "radiators_per_lens": 1, "wavelength": 600}
+    rows = {"type": "regular", "wavelength_min": 500.0, "wavelength_max": 700.0, "values": "1, 3"}
+    colours, grey = (render_capture(lamp(rows, pixel_format=kind), **options) for kind in ("rgb", "luminance"))
+    assert colours.wavelength == grey.wavelength == 600
+    assert render_capture(lamp(rows, pixel_format="rgb"), **options | {"spp": 2}, noise=True).noise.shape == (64, 64, 3)
+    assert colours.image[..., 2].mean() == pytest.approx(grey.image.mean(), rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("radiance", "board", "message"),
+    [
+        (1.0, "emitter", "wavelength = 850: emitter board has light from 360 to 830 nm only"),
+        ({"type": "rgb", "value": [1, 1, 1]}, "emitter", "emitter board has light from 360 to 830 nm only"),
+        ({"type": "d65"}, "emitter", "emitter board has light from 360 to 830 nm only"),
+        ({"type": "blackbody", "temperature": 3000}, "emitter", "emitter board has light from 360 to 830 nm only"),
+        (1.0, 0.5, "emitter sky has light from 360 to 830 nm only"),
+        (
+            {"type": "uniform", "value": 1.0},
+            "table",
+            "the reflectance of surface board is a table from 400 to 700 nm",
+        ),
+        ({"type": "uniform", "value": 1.0}, "emitter", None),
+        ({"type": "uniform", "value": 1.0}, 0.5, None),
+    ],
+)
+def test_light_that_mitsuba_does_not_know_is_refused(radiance, board, message):
+    """In spectral variants a number as radiance is D65, of which Mitsuba has the part that is visible."""
+    mi.set_variant("llvm_ad_spectral")
+    table = {"type": "regular", "wavelength_min": 400.0, "wavelength_max": 700.0, "values": "0.5, 0.5"}
+    scene = lamp(radiance, table if board == "table" else board)
+    options = {"model": "wave", "spp": 1, "radiators_per_lens": 1, "wavelength": 850}
+    if message is None:
+        image = render_capture(scene, **options).image
+        # The light of the sky, found by one path, is noisy.
+        assert image.mean() == pytest.approx(0.345 * (1 if board == "emitter" else 0.5), rel=0.3)
+        return
+    with pytest.raises(InputError, match=message) as refused:
+        render_capture(scene, **options)
+    assert "\n" not in str(refused.value)
+
+
+def test_colours_have_no_infrared(tmp_path):
+    """In rgb variants colours become spectra of D65, which has none of what a silicon detector's table reaches to."""
+    table = tmp_path / "silicon.csv"
+    table.write_text("400,1,1,1\n1000,1,1,1\n")
+    with pytest.raises(
+        InputError, match=r"they answer to 8\d\d.* nm; colours have the spectrum of D65, from 360 to 830"
+    ):
+        render_capture(wall("llvm_ad_rgb"), model="wave", spp=1, radiators_per_lens=1, responses=str(table))
+
+
 @pytest.mark.slow
 def test_bands_of_an_rgb_variant(tmp_path):
     scene = wall("llvm_ad_rgb")

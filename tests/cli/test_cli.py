@@ -231,7 +231,7 @@ def test_a_lamp_does_not_make_pictures_dark(tmp_path, run, complaint):
     assert median("--exposure", 1) == pytest.approx(188, abs=2)
     both = ("--exposure", 1, "--percentile", 90)
     said = complaint("views", tmp_path / "raw.exr", "-o", tmp_path / "v.png", *both)
-    assert said == "exposure = 1, percentile = 90: give one of the two"
+    assert said == "--exposure = 1, --percentile = 90: give one of the two"
     assert "percentile = 101" in complaint("epi", tmp_path / "raw.exr", "-o", tmp_path / "v.png", "--percentile", 101)
 
 
@@ -329,7 +329,7 @@ def test_ground_truth_is_of_the_sensor_that_is_rendered(tmp_path, run, complaint
         assert read_capture(path).camera.shape == (size, size)
         assert read_ground_truth(tmp_path / "raw.truth.exr").camera == read_capture(path).camera
     message = complaint("render", scene, "-o", tmp_path / "raw.exr", "--sensor", 2)
-    assert message == "sensor = 2: the scene's are numbered from 0 to 1"
+    assert message == "--sensor = 2: the scene's are numbered from 0 to 1"
 
 
 def test_noise_is_kept_and_told_and_an_estimate_writes_nothing(run, tmp_path):

@@ -1,9 +1,11 @@
 """The command ``fit``."""
 
 import json
+import re
 
 import numpy as np
 import pytest
+from PIL import Image
 from scene_cases import write_scene
 from wave_cases import HALF
 
@@ -33,6 +35,32 @@ def test_a_camera_from_a_capture(tmp_path, capsys):
     assert "mla_offset.1 = " in printed and " +- " in printed and "told to " in printed
 
 
+def test_noise_and_saturation_are_those_that_expose_keeps(tmp_path, run, complaint):
+    path = write_scene(tmp_path, WALL, sensor=SENSOR)
+    capture = render_capture(load_scene(path), model="wave", spp=1, radiators_per_lens=2, accuracy=0.05)
+    write_capture(tmp_path / "clean.exr", capture)
+    # A tenth of the pixels is saturated.
+    full = 600 * float(np.quantile(capture.image, 0.9))
+    run("expose", tmp_path / "clean.exr", "-o", tmp_path / "raw.exr", "--photons", "1000", "--full-well", full)
+    masked = np.zeros(capture.image.shape, np.uint8)
+    masked[:10] = 255
+    Image.fromarray(masked).save(tmp_path / "mask.png")
+    words = ["fit", tmp_path / "raw.exr", "--scene", path, "--number", "mla_offset", "--accuracy", "0.05"]
+    words += ["--radiators-per-lens", "2", "-o", tmp_path / "camera.json"]
+    output = run(*words, "--mask", tmp_path / "mask.png")
+    chi_square, deviation, pixels = re.search(r"per pixel (\S+) \+- (\S+) over (\d+) pixels", output).groups()
+    assert float(chi_square) == pytest.approx(1, abs=4 * float(deviation))
+    assert 0.5 < int(pixels) / capture.image.size < 0.9 * 54 / 64
+    offset = re.search(r"mla_offset.1 = (\S+) \+- (\S+)", output).groups()
+    assert abs(float(offset[0])) < 4 * float(offset[1])
+    assert "keeps the noise that 'expose' gave it; leave out --photons" in complaint(*words, "--photons", "1000")
+    words[1] = tmp_path / "clean.exr"
+    assert "clean.exr: it keeps no noise" in complaint(*words)
+    assert "saturation = 0: it must be" in complaint(*words, "--photons", "9", "--saturation", "0")
+    Image.fromarray(masked[:4]).save(tmp_path / "mask.png")
+    assert "mask.png: it has (4, 64) pixels" in complaint(*words, "--photons", "9", "--mask", tmp_path / "mask.png")
+
+
 def test_a_camera_from_a_capture_by_rays(tmp_path, capsys):
     path = write_scene(tmp_path, WALL, sensor=SENSOR)
     capture = render_capture(load_scene(path), model="ray", spp=256)
@@ -45,7 +73,9 @@ def test_a_camera_from_a_capture_by_rays(tmp_path, capsys):
     found = json.loads((tmp_path / "camera.json").read_text())
     assert np.abs(found["mla_offset"]).max() < 1e-3
     assert not list(tmp_path.glob("*.checkpoint"))
-    capsys.readouterr()
+    # A rendering of 256 samples has more noise than so many photons.
+    said = capsys.readouterr().err
+    assert "fit: chi-square is " in said and said.count("\n") == 1
 
 
 @pytest.mark.parametrize(

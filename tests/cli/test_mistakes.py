@@ -7,9 +7,12 @@ import os
 import numpy as np
 import OpenEXR
 import pytest
+from PIL import Image
 from scene_cases import write_scene
 
+from mitsuba_plenoptic import InputError, read_capture, reconstruct
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.lightfield.exchange import open_light_field
 
 
 @pytest.mark.parametrize(
@@ -54,14 +57,16 @@ def test_a_fit_is_checked_before_light_is_found(raw, tmp_path, complaint, monkey
         "expose {copy} -o {link} --photons 100",
         "demosaic {copy} -o {copy} --mosaic RGGB",
         "calibrate {copy} -o {copy}",
-        "fit {copy} -o {copy} --scene letters --number mla_pitch --photons 9",
+        "fit {copy} -o {json} --scene letters --number mla_pitch --photons 9",
     ],
 )
 def test_what_is_read_is_not_written_over(line, raw, tmp_path, complaint):
     copy, link = tmp_path / "copy.exr", tmp_path / "link.exr"
     copy.write_bytes(raw.read_bytes())
+    json = tmp_path / "copy.json"
     link.symlink_to(copy)
-    said = complaint(*line.format(raw=raw, copy=copy, link=link).split())
+    json.symlink_to(copy)
+    said = complaint(*line.format(raw=raw, copy=copy, link=link, json=json).split())
     assert "it is read, and would be lost; write to another file" in said
     assert copy.read_bytes() == raw.read_bytes()
 
@@ -84,13 +89,13 @@ def test_what_is_read_is_not_written_over(line, raw, tmp_path, complaint):
         ("render letters -o {out}.exr -D resolution=64 --variant scalar_rgb", "scalar_rgb"),
         # The output is checked before the scene is looked at.
         ("render nosuch -o {out}/raw.exr", "does not exist"),
-        ("render nosuch -o .", "OpenEXR"),
-        ("render nosuch -o {out}.png", "OpenEXR"),
-        ("render nosuch -o {out}", "OpenEXR"),
+        ("render nosuch -o .", "it is a folder"),
+        ("render nosuch -o {out}.png", "ends in .exr"),
+        ("render nosuch -o {out}", "ends in .exr"),
         ("render letters -o {out}.exr --camera nokia", "no camera (paper, lytro"),
         ("render letters -o {out}.exr --camera {raw}", "it is an image; a camera is a preset"),
         ("info nokia", "or built-in scene (beads"),
-        ("info paper_double_gauss --drawing {out}.jpg", "a drawing is a picture; give a name that ends in .png"),
+        ("info paper_double_gauss --drawing {out}.jpg", "give a name that ends in .png"),
         ("render letters -o {out}.exr --white {out}.exr", "two results would be written to it"),
         ("render letters -o {out}.exr --white {out}.truth.exr --aov depth", "two results would be written to it"),
         ("reconstruct {raw} -o {out}.png --distance 240 --overview {out}.png", "two results would be written to it"),
@@ -104,17 +109,19 @@ def test_what_is_read_is_not_written_over(line, raw, tmp_path, complaint):
         ("reconstruct {raw} -o {out}.exr --distance 240 --footprint magic", "footprint = 'magic'"),
         ("reconstruct {raw} -o {out}.exr --distance 240 --variant magic", "variant = 'magic'"),
         ("reconstruct {raw} -o {out}/out.exr --distance 240", "does not exist"),
-        ("reconstruct {raw} -o . --distance 240", ".png"),
+        ("reconstruct {raw} -o . --distance 240", "it is a folder"),
         ("reconstruct {raw} -o {out}.jpg --distance 240", ".png"),
         ("reconstruct {raw} -o {out} --distance 240", ".png"),
         ("info nosuch", "letters"),
         ("info nosuch.exr", "there is no such file"),
         ("info letters --wavelength -633", "wavelength = -633"),
         ("info letters --wavelength nan", "wavelength = nan"),
+        ("info letters --wavelength 5320", "it looks like angstroms, 532 nm"),
+        ("info letters --wavelength 0.633", "it looks like micrometres, 633 nm"),
         ("views {raw} -o {out}.tif", ".png"),
         ("views {raw} -o {out}.png --count 99", "count = 99"),
         ("views nosuch.exr -o {out}.png", "nosuch.exr"),
-        ("views {raw} -o {out}.png --view-count 3", "views = 3"),
+        ("views {raw} -o {out}.png --view-count 3", "--view-count = 3: of no use for"),
         ("epi {raw} -o {out}.png --axis sideways", "axis = 'sideways'"),
         ("stack {raw} -o {out}.png --distance 70", "focal length"),
         ("stack {raw} -o {out}.png --distance 240 --method magic", "method = 'magic'"),
@@ -133,6 +140,98 @@ def test_what_is_read_is_not_written_over(line, raw, tmp_path, complaint):
 def test_mistakes(line, words, raw, tmp_path, complaint):
     assert words in complaint(*line.format(raw=raw, out=tmp_path / "out").split())
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("render letters -o {out}.exr --resume", "--resume: a ray capture does not take it; it is for --model wave"),
+        ("render letters -o {out}.exr --checkpoint {out}.c", "--checkpoint: a ray capture does not take it"),
+        ("render letters -o {out}.exr --workers 2", "--workers: a ray capture does not take it"),
+        ("render letters -o {out}.exr --wavelength 633", "--wavelength: a ray capture does not take it"),
+        ("render letters -o {out}.exr --radiators-per-lens 4", "--radiators-per-lens: a ray capture does not take it"),
+        ("render letters --estimate --noise", "--noise: an estimate does not take it"),
+        ("render letters --estimate --resume", "--resume: an estimate does not take it"),
+        ("render letters --estimate --aov depth", "--aov: an estimate does not take it"),
+        ("reconstruct {raw} -o {out}.exr --distance 240 --interleave 2", "--interleave: method ray does not take it"),
+        ("reconstruct {raw} -o {out}.exr --distance 240 --relay", "--relay: method ray does not take it"),
+        ("reconstruct {raw} -o {out}.exr --distance 240 --wavelength 9", "methods that do: coherent, partial, deconv"),
+        ("reconstruct {raw} -o {out}.exr --distance 240 --volume", "--volume: method ray does not take it"),
+        ("reconstruct {raw} -o {out}.exr --distance 240 --workers 2", "--workers: method ray does not take it"),
+        ("reconstruct {raw} -o {out}.exr --distance 240 --percentile 9", "--percentile: it is for pictures (.png)"),
+        ("reconstruct {raw} -o {out}.exr --distance 240 --linear", "--linear: it is for pictures (.png, .tiff)"),
+        ("views {raw} -o {out}.exr --exposure 1", "--exposure: it is for pictures (.png)"),
+        ("epi {raw} -o {out}.exr --percentile 99", "--percentile: it is for pictures (.png)"),
+        ("stack {raw} -o {out}.exr --distance 240 --exposure 1", "--exposure: it is for pictures (.png)"),
+        ("depth {raw} -o {out}.exr --exposure 1", "--exposure: it is for pictures (.png)"),
+        ("convert {raw} -o {out}.mat --linear", "--linear: of no use for"),
+        ("demosaic {raw} -o {out}.exr --mosaic RGGB --linear", "--linear: it is for pictures (.png, .tiff)"),
+        ("sweep letters -o {out}.nc --vary aperture_radius=3,4 --method ray", "--method: nothing is refocused"),
+        (
+            "sweep letters -o {out}.nc --vary aperture_radius=3,4 --resume",
+            "--resume: a ray capture keeps no checkpoint",
+        ),
+        (
+            "sweep letters -o {out}.nc --vary aperture_radius=3,4 --workers 2",
+            "--workers: a ray capture does not take it",
+        ),
+        ("info paper -D resolution=64", "-D: paper is no scene"),
+        ("info {raw} -D resolution=64", "raw.exr is no scene"),
+        ("calibrate w.png -o {out}.csv --square 3", "--square: finding centres in white images does not take it"),
+        ("calibrate w.png -o {out}.csv --camera paper", "--camera: finding centres in white images does not take it"),
+        ("calibrate w.png -o {out}.csv --board 9x5 --square 3", "--square: detecting corners does not take it"),
+        ("calibrate c.csv -o {out}.json --linear", "--linear: a calibration from corners does not take it"),
+        ("calibrate --evaluate c.csv --white w.png", "--white: an evaluation does not take it"),
+    ],
+)
+def test_options_that_would_be_ignored_are_refused(line, words, raw, tmp_path, complaint):
+    assert words in complaint(*line.format(raw=raw, out=tmp_path / "out").split())
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("rendr letters", "Did you mean 'render'?"),
+        ("render leters -o {out}.exr", "did you mean letters?"),
+        ("render letters -o {out}.exr --model wav", "--model = 'wav': it must be one of ray, wave; did you mean wave?"),
+        ("render letters -o {out}.exr --camera litro", "did you mean lytro?"),
+        ("render letters -o {out}.exr --aov depht", "--aov = 'depht': .* did you mean depth?"),
+        ("render letters -o {out}.exr -D resolutoin=64", "did you mean resolution?"),
+        ("stack {raw} -o {out}.png --distance 240 --method fourir", "did you mean fourier?"),
+        ("epi {raw} -o {out}.png --axis horizonal", "did you mean horizontal?"),
+        ("demosaic {raw} -o {out}.exr --mosaic RGGG", "did you mean RGGB?"),
+        ("reproduce --preset quik -o {out}", "did you mean quick?"),
+        ("sweep letters -o {out}.nc --vary aperture_radios=3,4", "did you mean aperture_radius?"),
+        ("fit {raw} -o {out}.json --scene letters --number mla_pich --photons 9", "did you mean mla_pitch?"),
+    ],
+)
+def test_unknown_names_come_with_those_that_they_resemble(line, words, raw, tmp_path, complaint):
+    said = complaint(*line.format(raw=raw, out=tmp_path / "out").split())
+    assert all(part in said for part in words.split(".*"))
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("reconstruct {raw} -o {out}.exr --distance 240 --method coherent", "--wavelength: .* give --wavelength"),
+        ("views {picture} -o {out}.png", "give --white or --camera for a raw picture, or --view-count for a mosaic"),
+        (
+            "stack {mosaic} -o {out}.png --view-count 2 --distance 240",
+            "use a capture, or a light field that has its camera",
+        ),
+    ],
+)
+def test_advice_names_options_at_the_shell_and_arguments_in_python(line, words, raw, tmp_path, complaint):
+    picture, mosaic = tmp_path / "picture.png", tmp_path / "mosaic.png"
+    for path in (picture, mosaic):
+        Image.fromarray(np.zeros((8, 8), np.uint8)).save(path)
+    said = complaint(*line.format(raw=raw, picture=picture, mosaic=mosaic, out=tmp_path / "out").split())
+    assert all(part in said for part in words.split(".*"))
+    with pytest.raises(InputError, match=r"wavelength = None: .* give wavelength$"):
+        reconstruct(read_capture(raw), 240, method="coherent")
+    with pytest.raises(InputError, match="give white or camera for a raw picture, or views for a mosaic"):
+        open_light_field(picture)
 
 
 @pytest.mark.parametrize(

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import pickle
+import shutil
 import signal
 import subprocess
 import sys
 import time
 
+import h5py
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -117,10 +119,77 @@ def test_damage_is_found(made, tmp_path):
         DataSet(folder)
 
 
+def flipped(path, index, array):
+    """Change one bit in the middle of an array of a sample, as a failing disk does."""
+    with h5py.File(path, "r") as file:
+        stored = file[f"{index:06d}/{array}"]
+        place = stored.id.get_offset() + stored.nbytes // 2
+    content = bytearray(path.read_bytes())
+    content[place] ^= 1
+    path.write_bytes(content)
+
+
+def test_a_rerun_renders_damaged_samples_again(made, tmp_path, capsys):
+    shutil.copytree(made, tmp_path / "copy")
+    recipe, folder = tmp_path / "recipe.yaml", tmp_path / "copy"
+    recipe.write_text(yaml.safe_dump(small()))
+    flipped(folder / "shards/shard-00000.h5", 1, "ray")
+    flipped(folder / "shards/shard-00001.h5", 2, "facts")
+    # A byte that belongs to no sample, and a shard of which nothing is left.
+    content = (folder / "shards/shard-00002.h5").read_bytes()
+    (folder / "shards/shard-00002.h5").write_bytes(content + b"?")
+    with pytest.raises(InputError, match="sample 1 is damaged: ray is not what was written"):
+        DataSet(folder)[1]
+    assert DataSet(folder, ["depth"])[1].arrays["depth"].shape == (64, 64)
+    assert main(["dataset", str(recipe), "-o", str(folder)]) == 0
+    said = capsys.readouterr().err
+    assert "sample 1 is damaged: ray is not what was written; it is rendered again" in said
+    assert "sample 2 is damaged: facts is not what was written" in said
+    assert "shard-00002.h5: its checksum differs" in said
+    assert files(folder) == files(made)
+    (folder / "shards/shard-00002.h5").write_bytes(content[:100])
+    make_dataset(parse_recipe(small()), folder)
+    assert files(folder) == files(made)
+
+
+def test_samples_of_a_stopped_run_that_were_damaged_are_rendered_again(made, tmp_path):
+    folder, recipe = tmp_path / "stopped", parse_recipe(small())
+
+    def stopped(tasks):
+        yield tasks[0].prepare()()
+        raise KilledError
+
+    with pytest.raises(KilledError):
+        make_dataset(recipe, folder, batch_map=stopped)
+    flipped(folder / "samples/000000.h5", 0, "depth")
+    # A process that was killed leaves its lock file behind, without the lock.
+    (folder / ".lock").touch()
+    make_dataset(recipe, folder)
+    assert files(folder) == files(made)
+
+
+def test_a_second_process_in_the_folder_is_refused(made, tmp_path, capsys):
+    recipe, folder = tmp_path / "recipe.yaml", tmp_path / "data"
+    recipe.write_text(yaml.safe_dump(small()))
+    found = []
+
+    def meanwhile(tasks):
+        # The lock is that of an opened file, so that it keeps this process out as it does others.
+        found.append(main(["dataset", str(recipe), "-o", str(folder)]))
+        return (task.prepare()() for task in tasks)
+
+    make_dataset(parse_recipe(small()), folder, batch_map=meanwhile)
+    assert found == [2]
+    assert capsys.readouterr().err.splitlines() == [
+        f"mitsuba-plenoptic: error: {folder}: another process is making this data set; wait until it has ended"
+    ]
+    assert files(folder) == files(made)
+
+
 def test_what_is_asked_for_and_not_there_is_named(made):
     with pytest.raises(IndexError):
         DataSet(made)[5]
-    with pytest.raises(InputError, match="sample 0: it has no wave; it has depth, facts"):
+    with pytest.raises(InputError, match="sample 0: it has no wave; it has depth, digests, facts"):
         DataSet(made, ["wave"])[0]
     assert [sample.index for sample in pickle.loads(pickle.dumps(DataSet(made, ["ray"])))] == [0, 1, 2, 3, 4]
 

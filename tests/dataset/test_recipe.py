@@ -73,12 +73,12 @@ def test_shapes_stand_where_the_camera_resolves_them():
     [
         ({"count": 0}, "count = 0: it must be at least 1"),
         ({"count": None}, "recipe: count is missing"),
-        ({"cuont": 3}, "recipe: 'cuont' is not one of name, count"),
+        ({"cuont": 3}, "recipe: cuont: it is not one of name, count"),
         ({"models": ["rays"]}, "models = 'rays': it must be one of ray, wave"),
-        ({"camera": {"focal": 3}}, "camera: 'focal' is not one of focal_length"),
+        ({"camera": {"focal": 3}}, "camera: focal: it is not one of focal_length"),
         ({"camera": {"aperture_radius": {"from": 5, "to": 3}}}, "camera: aperture_radius: from = 5, to = 3: 'from'"),
         ({"camera": {"aperture_radius": {"from": -1, "to": 3}}}, "sample 0: camera: aperture_radius = -"),
-        ({"camera": {"aperture_radius": {"low": 5}}}, "camera: aperture_radius: key = 'low': it must be one of from"),
+        ({"camera": {"aperture_radius": {"low": 5}}}, "camera: aperture_radius: low: it is not one of from"),
         ({"camera": {"preset": "canon"}}, "camera: preset = 'canon': it must be one of paper"),
         ({"scenes": [{"generator": "shape"}]}, "scenes: entry 1: generator = 'shape': it must be one of shapes"),
         ({"scenes": [{"generator": "shapes", "objects": 2.5}]}, "generator shapes: objects = 2.5: it must be a whole"),
@@ -87,9 +87,14 @@ def test_shapes_stand_where_the_camera_resolves_them():
         ({"noise": {"read_noise": 3}}, "noise: photons is missing"),
         ({"noise": {"photons": 5, "bits": 40}}, "sample 0: noise: bits = 40: it must be at most 16"),
         ({"light": {"sky": 0, "lamp": 0}}, "light: sky = 0 and lamp = 0: scenes would be dark"),
-        ({"truth": ["deep"]}, "aov = 'deep': it must be of depth"),
+        ({"truth": ["deep"]}, "aov = 'deep': it must be one of depth"),
         ({"ray": {"spp": 0}}, "sample 0: ray: spp = 0: it must be at least 1"),
-        ({"wave": {"metod": 1}}, "wave: 'metod' is not one of spp, wavelength"),
+        (
+            {"models": ["ray", "wave"], "wave": {"metod": 1}},
+            "metod: it is not one of spp, wavelength, radiators_per_lens, passes, method, accuracy, occlusion; did you "
+            "mean method?",
+        ),
+        ({"wave": {"spp": 1}}, "wave: models = ['ray'] has no wave captures; leave it out"),
     ],
 )
 def test_what_is_wrong_with_a_recipe_is_told_in_one_line(changes, message, tmp_path):

@@ -1,14 +1,18 @@
-"""What pages tell to type exists: commands, their options, and names of Python."""
+"""What pages ask the reader to type: commands, options and Python names exist, and the recipes' code cells run."""
 
 from __future__ import annotations
 
 import functools
+import os
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 import typer
+from check_release import page_code
 
 import mitsuba_plenoptic
 from mitsuba_plenoptic.cli import PROGRAM, app
@@ -30,3 +34,14 @@ def test_commands_and_names_exist(page):
     # What is written in prose, with its folder.
     for path in set(re.findall(r"`(?:python )?((?:tools|tests|docs|asv|mitsuba_plenoptic)/[\w./]+)", text)):
         assert (ROOT / path).exists(), path
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "develop").glob("*.md")), ids=lambda page: page.stem)
+def test_code_cells_run(page, tmp_path):
+    """In a process of their own, since recipes register what they define; the start page and README: `make package`."""
+    code = page_code(page.read_text())
+    if code:
+        environment = os.environ | {"MPLBACKEND": "Agg"}
+        command = [sys.executable, "-c", code]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, env=environment)
+        assert done.returncode == 0, done.stderr

@@ -147,4 +147,7 @@ def test_pages_made_from_the_sources():
     plugins, command = generated_reference.plugins(""), generated_reference.commands("")
     assert "``mla_pitch``" in plugins and "|" not in plugins.split("The sensor")[1].split("All lengths")[0]
     assert "``--radiators-per-lens N``" in command and "[bold]" not in command
+    # Outside of code, two hyphens would become a dash.
+    prose = [line for line in re.sub(r"``[^`]*``", "", command).splitlines() if not line.startswith("   $ ")]
+    assert "``--estimate``" in command and not [line for line in prose if re.search(r"--\w", line)]
     assert "| `undersampled` |" in generated_reference.guards("GUARDS")

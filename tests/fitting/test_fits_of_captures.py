@@ -1,13 +1,17 @@
 """Fits of cameras to captures of known points, judged by the noise that was added."""
 
+import warnings
+
+import mitsuba as mi
 import numpy as np
 import pytest
 from wave_cases import HALF, WAVELENGTH, scattered, small_camera
 
-from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, fit
+from mitsuba_plenoptic import Capture, CaptureOperator, InputError, PlenopticCamera, fit
 from mitsuba_plenoptic.capture.point_rays import PointRays
 from mitsuba_plenoptic.capture.units import brightness_at, brightness_of
-from mitsuba_plenoptic.fitting import View, come_near, lattice_from_white
+from mitsuba_plenoptic.detector import Detector, expose
+from mitsuba_plenoptic.fitting import View, come_near, kept_noise, lattice_from_white
 from mitsuba_plenoptic.io import checkpoints
 
 TRUE = small_camera(2, **HALF)
@@ -51,7 +55,8 @@ def test_numbers_are_found_within_their_deviations():
     difference = np.array([found.values[name] - value for name, value in true.items()])
     assert difference @ inverse @ difference < 13.3
     assert max(map(abs, errors)) < 3.5
-    assert found.chi_square == pytest.approx(1, abs=0.15)
+    assert found.chi_square == pytest.approx(1, abs=4 * found.chi_square_deviation)
+    assert found.chi_square_deviation < 0.05
     assert found.camera.mla_pitch == found.values["mla_pitch"]
     assert found.deviations["mla_pitch"] < 1e-4
     assert [done for done, _ in tried] == list(range(1, found.steps + 1))
@@ -79,8 +84,8 @@ def test_numbers_are_found_by_rays():
     errors = np.array(list(found.values.values())) - (0.064, 0.0, 0.0, true.focal_length)
     # Chi-squared of four numbers: a hundredth lies beyond 13.3.
     assert errors @ np.linalg.solve(found.covariance, errors) < 13.3
-    # Dark pixels do not scatter, and count as if a photon were expected.
-    assert found.chi_square == pytest.approx(np.minimum(image * PHOTONS, 1).mean(), rel=0.15)
+    assert found.chi_square == pytest.approx(1, abs=4 * found.chi_square_deviation)
+    assert found.chi_square_deviation < 0.05
     assert found.deviations["mla_pitch"] < 1e-4
 
 
@@ -140,9 +145,142 @@ def test_a_camera_behind_a_real_lens_is_found():
     assert found.camera.focal_length == pytest.approx(true.focal_length, abs=0.02 * found.deviations["focal_length"])
 
 
-def test_nothing_is_found_by_black_captures():
+@pytest.fixture(scope="module")
+def recorded():
+    """A camera, some points, what they light by rays, and their weights."""
+    true = small_camera(2, **HALF)
+    points = scattered(8, distances=(106.0, 112.0), image=0.05)
+    mi.set_variant("llvm_ad_mono")
+    return (true, points, *by_rays(true, points))
+
+
+def quickly(camera, view, names="mla_pitch", **options):
+    """Fit by rays, from near."""
+    start = camera.replace(mla_pitch=0.06402)
+    return fit(start, view, names, wavelength=WAVELENGTH, method="rays", **({"photons": PHOTONS} | options))
+
+
+@pytest.mark.parametrize("photons", [20.0, 200.0, 2000.0, 20000.0])
+def test_chi_square_of_a_right_model_is_one(recorded, photons):
+    """Counts after Poisson: over noises its mean is 1, and its spread as stated, with few photons and with many."""
+    true, points, image, weights = recorded
+    lit = image * photons
+    found, errors = [], []
+    for seed in range(4):
+        view = View(np.random.default_rng(seed).poisson(lit) / photons, points, weights)
+        found.append(quickly(true, view, photons=photons))
+        errors.append((found[-1].values["mla_pitch"] - 0.064) / found[-1].deviations["mla_pitch"])
+    off = [(one.chi_square - 1) / one.chi_square_deviation for one in found]
+    assert abs(np.mean(off)) < 4 / 2
+    assert max(map(abs, off)) < 4 and max(map(abs, errors)) < 4
+    # Of the squares of many Poisson numbers of mean m over m the variance is 2 + 1 / m.
+    assert found[0].chi_square_deviation < np.sqrt(3.5 / (lit > 1).sum())
+
+
+def test_chi_square_of_what_a_detector_records_is_one(recorded):
+    """With noise of reading and of dark current, rounding, and photons that free no electron, as metadata have it."""
+    true, points, image, weights = recorded
+    detector = Detector(quantum_efficiency=0.5, read_noise=3.0, dark_electrons=4.0, full_well=4000, bits=10)
+    seen = expose(Capture(image, true), detector, photons=4000.0, seed=2)
+    noise, saturation = kept_noise(seen)
+    flat = expose(Capture(np.full(true.shape, 0.4), true), detector, photons=4000.0, seed=3).image
+    assert (noise.electrons * 0.4 + noise.dark_variance) / noise.electrons**2 == pytest.approx(flat.var(), rel=0.1)
+    full = expose(Capture(np.full(true.shape, 40.0), true), detector, photons=4000.0, seed=3).image
+    assert 0.98 * full.max() < saturation <= full.min()
+    found = quickly(true, View(seen.image, points, weights, noise, saturation=saturation), photons=None)
+    assert found.chi_square == pytest.approx(1, abs=4 * found.chi_square_deviation)
+    assert found.values["mla_pitch"] == pytest.approx(0.064, abs=4 * found.deviations["mla_pitch"])
+    assert kept_noise(Capture(image, true)) == (None, None)
+
+
+def test_a_wrong_unit_is_warned_of(recorded):
+    true, points, image, weights = recorded
+    counts = np.random.default_rng(1).poisson(image * PHOTONS).astype(float)
+    with pytest.warns(
+        UserWarning, match=r"chi-square is .* not 1: .* times as bright as the model: are both in the sa"
+    ):
+        quickly(true, View(counts, points, weights))
+    with pytest.warns(UserWarning, match="chi-square is .* not 1"):
+        quickly(true, View(np.full(true.shape, 0.2), points, weights))
+
+
+def test_saturated_pixels_are_left_out(recorded):
+    """A fifth of the pixels with light are saturated: without a word of it that shows, with it they do no harm."""
+    true, points, image, weights = recorded
+    seen = np.random.default_rng(6).poisson(image * PHOTONS) / PHOTONS
+    level = np.quantile(seen[seen > 0.02], 0.8)
+    cut = np.minimum(seen, level)
+    with pytest.warns(UserWarning, match=r"chi-square .* pixels have the same highest value, .* if they are saturated"):
+        bad = quickly(true, View(cut, points, weights))
+    assert bad.chi_square > 1 + 20 * bad.chi_square_deviation
+    for options in ({"saturation": level}, {"mask": image > 0.9 * level}):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            found = quickly(true, View(cut, points, weights, **options))
+        assert found.chi_square == pytest.approx(1, abs=4 * found.chi_square_deviation)
+        assert found.values["mla_pitch"] == pytest.approx(0.064, abs=4 * found.deviations["mla_pitch"])
+        assert found.pixels < (cut < level).sum() + 1 if "saturation" in options else found.pixels < cut.size
+
+
+def test_a_number_at_a_bound_has_a_one_sided_deviation(recorded):
+    """Inside the bound by the deviation the sum of squares is larger by 1, as captures of other cameras have it."""
+    true, points, image, weights = recorded
+    seen = np.random.default_rng(7).poisson(image * PHOTONS) / PHOTONS
+    bound = 0.064 + 2e-6
+    with pytest.warns(UserWarning, match=r"fit: at a bound: mla_pitch = 0\.064002 \(its lowest\)"):
+        found = quickly(true, View(seen, points, weights), bounds={"mla_pitch": (bound, 0.065)})
+    assert found.at_bounds == {"mla_pitch": "lowest"}
+    images = []
+    for pitch in (bound, bound + found.deviations["mla_pitch"]):
+        camera = true.replace(mla_pitch=pitch)
+        rays = PointRays(camera, points, WAVELENGTH)
+        images.append(brightness_of(camera) * rays.image(camera, weights))
+    variance = np.maximum(images[0], 1 / PHOTONS) / PHOTONS
+    squares = [((one - seen) ** 2 / variance).sum() for one in images]
+    assert squares[1] - squares[0] == pytest.approx(1, abs=0.15)
+
+
+def test_from_afar_no_number_leaves_its_bounds(recorded):
+    true, points, image, weights = recorded
+    start = true.replace(mla_pitch=0.068)
+    with pytest.warns(UserWarning, match="come_near: at a bound: mla_pitch = "):
+        near = come_near(start, View(image, points, weights), "mla_pitch", bounds={"mla_pitch": (0.067, 0.07)})
+    assert near.mla_pitch == pytest.approx(0.067, abs=1e-5)
+    # By default lengths stay within half of where they start; what shows no lattice does not tell the pitch.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        near = come_near(start, View(np.eye(*true.shape), points, weights), ["mla_pitch", "mla_distance"])
+    assert 0.034 <= near.mla_pitch <= 0.102 and 30 <= near.mla_distance <= 90
+
+
+@pytest.mark.parametrize("find", [fit, come_near])
+@pytest.mark.parametrize("image", [np.zeros(TRUE.shape), np.full(TRUE.shape, -0.1)])
+def test_nothing_is_found_by_black_captures(find, image):
+    options = {"photons": PHOTONS} if find is fit else {}
     with pytest.raises(InputError, match="image: it is black"):
-        come_near(TRUE, View(np.zeros(TRUE.shape), POINTS, np.ones(len(POINTS))), "mla_distance")
+        find(TRUE, View(image, POINTS, np.ones(len(POINTS))), "mla_distance", **options)
+
+
+def test_what_shows_noise_alone_or_negative_light_is_refused():
+    seen = expose(Capture(np.zeros(TRUE.shape), TRUE), Detector(read_noise=3.0), photons=PHOTONS, seed=4)
+    assert seen.image.max() > 0
+    light = {"points": POINTS, "weights": np.ones(len(POINTS)), "noise": kept_noise(seen)[0]}
+    with pytest.raises(InputError, match="image: it is black"):
+        fit(TRUE, View(seen.image, **light), "mla_pitch")
+    image = np.ones(TRUE.shape)
+    image[3, 5] = -0.2
+    with pytest.raises(InputError, match=r"image: 1 of its pixels are negative, .* -0\.2, at \(3, 5\)"):
+        fit(TRUE, View(image, **light), "mla_pitch")
+    with pytest.raises(InputError, match="image: all of its pixels are left out"):
+        fit(TRUE, View(image, **light, mask=image < 0, saturation=0.5), "mla_pitch")
+    with pytest.raises(InputError, match="weights: 1 of them are negative, the first, -2, at 1: light is at least 0"):
+        View(image, POINTS, [1, -2, 3, 4, 5])
+    with pytest.raises(InputError, match="weights: all of them are 0"):
+        View(image, POINTS, np.zeros(5))
+    with pytest.raises(InputError, match=r"mask of type float64 and shape .*: it must be of booleans"):
+        View(image, POINTS, np.ones(5), mask=image)
+    with pytest.raises(InputError, match="saturation = 0: it must be greater than 0"):
+        View(image, POINTS, np.ones(5), saturation=0)
 
 
 def test_cameras_behind_objectives_are_refused():
@@ -187,9 +325,9 @@ def test_lattice_from_white(numbers):
         ("wavefront", {}, "wavefront: the camera has no coefficients"),
         ((), {}, "names = .*: name at least one"),
         ("mla_fill", {"method": "rays"}, "mla_fill: rays from points know no gaps"),
-        ("mla_pitch", {"method": "light"}, "method = 'light': it must be waves or rays"),
+        ("mla_pitch", {"method": "light"}, "method = 'light': it must be one of waves, rays"),
         ("mla_pitch", {"method": "rays", "accuracy": 0.1}, "accuracy = 0.1: it is for fits by waves"),
-        ("mla_pitch", {"photons": None}, "photons: tell them, or the noise"),
+        ("mla_pitch", {"photons": None}, "photons: give them, or the noise"),
         ("mla_pitch", {"photons": -1}, "photons"),
         ("mla_pitch", {"bounds": {"mla_pitch": (0.07, 0.08)}}, "bounds: mla_pitch starts at 0.064: it must lie from"),
         ("mla_pitch", {"bounds": {"mla_fill": (0.5, 1)}}, "bounds: .*mla_fill.* is not fitted; there are mla_pitch"),
@@ -201,7 +339,7 @@ def test_lattice_from_white(numbers):
     ],
 )
 def test_mistakes(names, options, message):
-    view = View(np.zeros(TRUE.shape), POINTS, np.ones(len(POINTS)))
+    view = View(np.ones(TRUE.shape), POINTS, np.ones(len(POINTS)))
     with pytest.raises(InputError, match=message):
         fit(TRUE, view, names, **({"photons": PHOTONS} | options))
 

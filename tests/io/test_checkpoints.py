@@ -139,6 +139,23 @@ def rewritten(content, change):
     return buffer.getvalue()
 
 
+def claiming(shape, kind="<f4", packed=zipfile.ZIP_STORED):
+    """Return what replaces the image of a checkpoint by an array of a shape of which there is next to nothing."""
+
+    def change(content):
+        with np.load(io.BytesIO(content)) as archive:
+            header = archive["header"]
+        buffer, header_bytes, image = io.BytesIO(), io.BytesIO(), io.BytesIO()
+        np.lib.format.write_array(header_bytes, header)
+        np.lib.format.write_array_header_1_0(image, {"descr": kind, "fortran_order": False, "shape": shape})
+        with zipfile.ZipFile(buffer, "w", packed) as archive:
+            archive.writestr("header.npy", header_bytes.getvalue())
+            archive.writestr("image.npy", image.getvalue() + bytes(100))
+        return buffer.getvalue()
+
+    return change
+
+
 def version_0_1(content):
     """Return an archive as version 0.1 wrote it."""
     buffer = io.BytesIO()
@@ -180,6 +197,10 @@ def test_what_a_checkpoint_says_is_checked(tmp_path, stopped, damage, words):
         (lambda content: b"", "is not a checkpoint of this version"),
         (lambda content: b"text", "is damaged: it is no archive, or cut off"),
         (version_0_1, "is not a checkpoint of this version"),
+        # 2.5 GiB, for which room was made before anything was read.
+        (claiming((25905, 25905, 1)), "image.npy claims 2684276100 bytes in 228"),
+        (claiming((5, 5, 1)), "image has the shape (5, 5, 1) instead of (256, 256, 1)"),
+        (claiming((5, 5, 1), packed=zipfile.ZIP_DEFLATED), "header.npy is compressed"),
     ],
 )
 def test_other_files_are_refused(tmp_path, stopped, damage, words):
@@ -233,9 +254,11 @@ def test_a_ray_capture_leaves_a_checkpoint_alone(tmp_path, capfd):
     kept = tmp_path / "raw.exr.checkpoint"
     kept.write_bytes(b"days of work")
     words = ["letters", "-o", str(tmp_path / "raw.exr"), "-D", "resolution=64"]
-    assert main(["render", *words]) == 2
-    assert "the checkpoint of a run that was stopped" in capfd.readouterr().err
-    assert main(["render", *words, "--resume"]) == 0
+    assert main(["render", *words, "--model", "wave"]) == 2
+    assert "go on from it with --resume, or remove the file" in capfd.readouterr().err
+    assert main(["render", *words, "--resume"]) == 2
+    assert "--resume: a ray capture does not take it" in capfd.readouterr().err
+    assert main(["render", *words]) == 0
     assert kept.read_bytes() == b"days of work"
 
 

@@ -57,7 +57,7 @@ def test_what_is_no_raw_capture_is_refused(tmp_path):
     raw = expose(capture_of(), Detector(mosaic="RGGB"), photons=2000)
     with pytest.raises(InputError, match=r"capture: its values are no digital numbers of its detector"):
         write_raw(tmp_path / "raw.tiff", Capture(raw.image * 1.03, raw.camera, metadata=raw.metadata))
-    with pytest.raises(InputError, match=r"raw pictures end in .png, .tif, .tiff"):
+    with pytest.raises(InputError, match=r"give a name that ends in .png or .tif or .tiff"):
         write_raw(tmp_path / "raw.jpg", raw)
     (tmp_path / "broken.png").write_bytes(b"\x89PNG\r\n\x1a\nnothing")
     with pytest.raises(InputError, match=r"broken.png: it cannot be read as a picture"):

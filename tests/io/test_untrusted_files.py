@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import json
 import os
 import shutil
 import struct
@@ -24,14 +25,20 @@ from mitsuba_plenoptic import (
     Capture,
     InputError,
     PlenopticCamera,
+    Spectrum,
+    decode,
     load_scene,
     read_capture,
     read_ground_truth,
+    read_prescription,
+    read_raw,
     write_capture,
 )
+from mitsuba_plenoptic.calibration import Board, read_camera, read_centres, read_corners
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.dataset import DataSet, read_recipe
 from mitsuba_plenoptic.io.exr import write_exr_parts
-from mitsuba_plenoptic.lightfield.exchange import open_light_field, read_picture
+from mitsuba_plenoptic.lightfield.exchange import open_light_field, read_picture, save_light_field
 
 CAMERA = PlenopticCamera(resolution=(64, 64), detector_width=0.256)
 
@@ -43,7 +50,51 @@ def capture(tmp_path):
     return path
 
 
+def large(path):
+    """Make a file of 3 GiB without any content, which takes no room on the disk."""
+    with path.open("wb") as file:
+        file.truncate(3 * 2**30)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "read"),
+    [
+        ("camera.json", read_camera),
+        ("corners.csv", lambda path: read_corners(path, Board(9, 5, 3.0), (64, 64))),
+        ("centres.csv", read_centres),
+        ("white.grid.json", read_centres),
+        ("responses.csv", Spectrum.sensor),
+        ("lens.yaml", read_prescription),
+        ("lens.zmx", read_prescription),
+        ("recipe.yaml", read_recipe),
+        ("scene.xml", load_scene),
+        ("dataset.json", lambda path: DataSet(path.parent)),
+    ],
+)
+def test_the_size_of_a_file_is_judged_before_it_is_read(tmp_path, name, read):
+    with pytest.raises(InputError, match=rf"{name}: 3221225472 bytes: it may have at most \d+"):
+        read(large(tmp_path / name))
+
+
+@pytest.mark.parametrize(("name", "read"), [("a.png", read_picture), ("a.tiff", read_picture), ("a.tiff", read_raw)])
+def test_pictures_are_judged_by_the_memory_that_is_allowed(tmp_path, monkeypatch, name, read):
+    monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", "4")
+    with pytest.raises(InputError, match=rf"{name}: 3221225472 bytes: it would need 6.0 GiB"):
+        read(large(tmp_path / name))
+
+
 class TestCaptures:
+    def test_the_size_of_a_header_is_judged_before_it_is_read(self, capture):
+        """An attribute that claims 3 GiB, which the file has."""
+        data = capture.read_bytes()
+        place = data.index(b"mitsuba_plenoptic\0string\0") + len(b"mitsuba_plenoptic\0string\0")
+        large(capture)
+        with capture.open("r+b") as file:
+            file.write(data[:place] + struct.pack("<I", 3 * 2**30 - 1000))
+        with pytest.raises(InputError, match=r"raw\.exr: its header claims more than 67108864 bytes"):
+            read_capture(capture)
+
     @pytest.mark.parametrize("size", [(10**9, 10**9), (2**30, 1), (200_000, 200_000), (65, 64)])
     def test_a_header_that_claims_more_than_the_file_holds(self, capture, size):
         data = capture.read_bytes()
@@ -211,6 +262,29 @@ class TestLightFields:
             scipy.io.savemat(path, {"LF": wrong})
             with pytest.raises(InputError, match="not an array of numbers"):
                 open_light_field(path)
+
+    def test_matlab_structures_that_unpack_into_more_than_memory(self, tmp_path, monkeypatch):
+        path, model = tmp_path / "lf.mat", {"HSpacing": np.zeros(2**24)}
+        numbers = np.ones((4, 4, 3, 3, 3), np.uint8)
+        scipy.io.savemat(path, {"LF": numbers, "LensletGridModel": model}, do_compression=True)
+        assert path.stat().st_size < 2**20
+        monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", "0.1")
+        with pytest.raises(InputError, match=r"it unpacks into more than \d+ bytes"):
+            open_light_field(path)
+
+    def test_records_of_zarr_have_an_end(self, tmp_path, monkeypatch):
+        pytest.importorskip("zarr")
+        path = tmp_path / "lf.zarr"
+        save_light_field(path, decode(np.ones((64, 64)), camera=CAMERA))
+        record = json.loads((path / "s" / ".zarray").read_text())
+        (path / "s" / ".zarray").write_text(json.dumps({**record, "shape": [10**12], "chunks": [10**12]}))
+        for file in path.rglob(".zmetadata"):
+            file.unlink()
+        with pytest.raises(InputError, match="a light field: it would need"):
+            open_light_field(path)
+        large(path / ".zattrs")
+        with pytest.raises(InputError, match=r"\.zattrs: 3221225472 bytes: it may have at most 16777216"):
+            open_light_field(path)
 
     @pytest.mark.parametrize("size", [(10**6, 10**6), (2**31 - 1, 2**31 - 1), (100_000, 100_000)])
     def test_a_picture_that_claims_more_than_memory(self, tmp_path, size):

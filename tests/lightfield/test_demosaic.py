@@ -11,7 +11,7 @@ from mitsuba_plenoptic import Capture, Detector, InputError, PlenopticCamera, de
 from mitsuba_plenoptic import demosaic, write_capture  # isort: skip
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.lightfield import white_image
-from mitsuba_plenoptic.lightfield.demosaic import lens_numbers
+from mitsuba_plenoptic.lightfield.grid import lens_numbers
 from mitsuba_plenoptic.mosaic import MOSAICS, filters
 
 CAMERA = PlenopticCamera(resolution=(256, 256), detector_width=0.512)

@@ -154,7 +154,7 @@ class TestDecode:
         assert (lf * lf.weight).sum().item() == pytest.approx(image.sum(), rel=1e-4)
 
     def test_a_given_white_image_is_divided_by(self):
-        vignette = np.linspace(0.3, 1.0, 512, dtype=np.float32)
+        vignette = 1.02 - np.linspace(-0.5, 0.5, 512, dtype=np.float32) ** 2
         white = white_image(PAPER) * vignette
         lf = decode(0.7 * white, camera=PAPER, white=Capture(white, PAPER))
         np.testing.assert_allclose(lf.values[lf.weight.values > 0], 0.7, atol=1e-4)
@@ -256,7 +256,25 @@ class TestViews:
 
     def test_nearest_view(self, lf):
         assert np.array_equal(view(lf).values, lf.values[2, 2])
-        assert np.array_equal(view(lf, u=10, v=0.5).values, lf.values[1, 0])
+        assert np.array_equal(view(lf, u=1.1 * lf.u[0], v=0.5).values, lf.values[1, 0])
+
+    @pytest.mark.parametrize("place", [{"u": 10}, {"v": -10}])
+    def test_a_view_beyond_the_pupil_is_refused(self, lf, place):
+        (name, value), step = *place.items(), float(lf.u[0] - lf.u[1])
+        low, high = float(lf[name][-1]) - step / 2, float(lf[name][0]) + step / 2
+        with pytest.raises(InputError, match=f"{name} = {value}: the light field goes from {low:.4g} to {high:.4g}"):
+            view(lf, **place)
+        assert np.array_equal(view(lf, **{name: high}), view(lf, **{name: float(lf[name][0])}))
+
+    @pytest.mark.parametrize("axis, field, pupil", [("horizontal", "t", "v"), ("vertical", "s", "u")])
+    def test_a_line_beyond_the_field_is_refused(self, lf, axis, field, pupil):
+        for name, places in (("at", field), ("through", pupil)):
+            beyond = 2 * float(lf[places][0])
+            with pytest.raises(InputError, match=f"{name} = {beyond:g}: the light field goes from"):
+                epipolar_image(lf, axis, **{name: beyond})
+
+    def test_of_a_single_view_there_is_nothing_to_choose(self, lf):
+        assert view(pick_views(lf, 1), u=1).shape == (4, 6)
 
     def test_picked_views_divide_the_pupil(self, lf):
         assert np.array_equal(pick_views(lf, 1).values[0, 0], lf.values[2, 2])

@@ -1,8 +1,11 @@
 """Wavelengths and the channels that record them."""
 
+import re
+
 import numpy as np
 import pytest
 
+from mitsuba_plenoptic import PlenopticCamera, point_spread_function
 from mitsuba_plenoptic.errors import InputError
 from mitsuba_plenoptic.optics.spectrum import Spectrum
 
@@ -48,6 +51,90 @@ def test_a_sensor_is_read_from_a_table(tmp_path):
     assert np.array(sensor.responses).sum(1) == pytest.approx([1, 1])
     # A triangle's mean is that of its corners.
     assert sensor.centroids() == pytest.approx((600, 500), abs=0.05)
+
+
+def test_a_table_needs_no_line_of_names(tmp_path):
+    """Without one the first row is data like all others; with one, it may hold digits."""
+    bare, named = tmp_path / "bare.csv", tmp_path / "named.csv"
+    bare.write_text("400,0.5\n500,2\n700,0\n")
+    named.write_text("wavelength/nm,channel 1\n400,0.5\n500,2\n700,0\n")
+    assert Spectrum.sensor(bare) == Spectrum.sensor(named)
+    assert Spectrum.sensor(bare).wavelengths[0] < 402
+
+
+def bell(places):
+    """Responses of two channels."""
+    return np.stack([np.exp(-(((places - middle) / 40) ** 2)) for middle in (540, 610)])
+
+
+def steps(*lines, width):
+    """The table of lamp lines of radiance 1."""
+    rows = [(line + side * (width / 2 + 0.1 * out), 1.0 - out) for line in lines for side, out in SIDES]
+    return np.array(rows).T
+
+
+SIDES = ((-1, 1), (-1, 0), (1, 0), (1, 1))
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        pytest.param(steps(532, width=4), id="532 +- 2"),
+        pytest.param(steps(532, width=20), id="532 +- 10"),
+        pytest.param(steps(532, width=0.05), id="fine"),
+        pytest.param(steps(435.8, 546.1, 577, 579, width=0.5), id="mercury"),
+        pytest.param((np.arange(400.0, 701), np.random.default_rng(0).random(301)), id="rough"),
+    ],
+)
+def test_tables_of_light_are_integrated_right(table):
+    """However narrow, to 1 % of the channel that answers most, by dense sums of trapezes."""
+    spectrum = Spectrum.smooth(bell, 400, 700, 31, [tuple(table)])
+    places = np.sort(np.concatenate([np.arange(400, 700.005, 0.01), table[0]]))
+    expected = np.trapezoid(bell(places) * np.interp(places, *table, left=0, right=0), places, axis=1)
+    found = np.array(spectrum.responses) @ np.interp(spectrum.wavelengths, *table, left=0, right=0)
+    assert np.abs(found - expected).max() < 0.01 * expected.max()
+    assert 31 <= len(spectrum.wavelengths) < 500
+    # Smooth light needs no more nodes than are asked for.
+    smooth = Spectrum.smooth(bell, 400, 700, 31, [(np.array([300.0, 800.0]), np.array([1.0, 2.0]))])
+    assert smooth == Spectrum.smooth(bell, 400, 700, 31)
+
+
+def test_tables_too_rough_are_refused():
+    table = np.arange(400.0, 700, 0.2), np.random.default_rng(0).random(1500)
+    with pytest.raises(InputError, match="more than 1024 wavelengths: sample them more coarsely"):
+        Spectrum.smooth(bell, 400, 700, 31, [table])
+
+
+def test_a_detector_of_narrow_filters(tmp_path):
+    """The channels' responses to a line are those of the table, though all nodes of Gauss would miss them."""
+    table = tmp_path / "filters.csv"
+    table.write_text("400,0,0\n531,0,0\n531.5,1,0\n532.5,1,0\n533,0,0\n600,0,0\n601,0,4\n602,0,0\n900,0,0\n")
+    sensor = Spectrum.sensor(table)
+    assert sensor.centroids() == pytest.approx((532, 601), abs=0.01)
+    assert np.array(sensor.responses).sum(1) == pytest.approx([1, 1], rel=1e-6)
+    light = np.array([531.9, 532, 532.1]), np.array([0.0, 1, 0])
+    found = Spectrum.sensor(table, tables=[light])
+    value = np.array(found.responses) @ np.interp(found.wavelengths, *light, left=0, right=0)
+    assert value == pytest.approx([0.1 / 1.5, 0], rel=0.01, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (5320, "wavelength = 5320: it must be from 200 to 2500 nm; it looks like angstroms, 532 nm"),
+        (0.633, "wavelength = 0.633: it must be from 200 to 2500 nm; it looks like micrometres, 633 nm"),
+        (633e-6, "it looks like millimetres, 633 nm"),
+        (633e-9, "wavelength = 6.33e-07: it must be from 200 to 2500 nm; it looks like metres, 633 nm"),
+        (150, "wavelength = 150: it must be from 200 to 2500 nm"),
+        (-633, "wavelength = -633: it must be greater than 0"),
+        ("633", "it must be a number"),
+    ],
+)
+def test_wavelengths_in_other_units(given, message):
+    with pytest.raises(InputError, match=re.escape(message)):
+        Spectrum((given,), ((1.0,),))
+    with pytest.raises(InputError, match=re.escape(message)):
+        point_spread_function(PlenopticCamera(), (0, 0, 240), wavelength=given)
 
 
 @pytest.mark.parametrize(

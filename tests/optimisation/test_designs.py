@@ -71,6 +71,34 @@ def test_deviation_is_that_of_estimates_from_noise():
     assert np.std(found) == pytest.approx(figure.deviations(CAMERA)[0], rel=0.12)
 
 
+@pytest.mark.parametrize("g", [82.0, 240.0])
+def test_deviation_of_depth_is_that_of_differences_refined(g):
+    """Plain differences by X, Y and g of captures, of two steps each, from which Richardson's rule takes the error."""
+    camera, point = small_camera(4, aperture_radius=1.0), np.array([0.0004, 0.0001, 1.0]) * g
+
+    def image(move):
+        return CaptureOperator(camera, [point + move], wavelength=WAVELENGTH, accuracy=0.02).forward([1.0]).ravel()
+
+    rows = [1e4 * image(0).astype(np.float64)]
+    for axis, step in enumerate((6e-6 * g, 6e-6 * g, 1.5e-5 * g**2)):
+        coarse, fine = (
+            1e4 * (image(move).astype(np.float64) - image(-move)) / (2 * move[axis])
+            for move in (part * step * np.eye(3)[axis] for part in (1.0, 0.5))
+        )
+        rows.append((4 * fine - coarse) / 3)
+    whitened = np.stack(rows) / np.sqrt(rows[0].clip(0) + 1)
+    stated = DepthInformation([point], 1e4).deviations(camera)[0]
+    assert stated == pytest.approx(np.sqrt(np.linalg.inv(whitened @ whitened.T)[3, 3]), rel=3e-3)
+
+
+def test_deviation_of_depth_far_away():
+    """Vergence is told as well at any distance far beyond the focal length, and dg = -g^2 d(1/g)."""
+    camera = small_camera(4, aperture_radius=1.0)
+    points = np.array([[0.0004, 0.0001, 1.0]]) * [[1e6], [1e8]]
+    near, far = DepthInformation(points, 1e4).deviations(camera)
+    assert far == pytest.approx(1e4 * near, rel=2e-3)
+
+
 class Hill:
     """A figure whose best is known."""
 

@@ -72,3 +72,14 @@ def test_groups_that_are_none_are_refused():
         focus_by_group(camera, (1, 2), 51.0)
     with pytest.raises(InputError, match=r"main_lens: a group of it is moved to focus"):
         focus_by_group(PlenopticCamera(), (1, 2), 1000.0)
+
+
+def test_a_group_must_not_run_into_its_neighbours():
+    """The hollow rear of the first lens reaches 1.27 mm over its vertex at its edge, the second's front 0.50 mm."""
+    front = {"radius": 30, "thickness": 5, "glass": 1.6, "semi_aperture": 10, "stop": True}
+    rear = {"radius": 100, "thickness": 4, "glass": 1.6, "semi_aperture": 10}
+    hollow = {"radius": 40, "thickness": 6, "semi_aperture": 10}
+    camera = of({"surfaces": [front, hollow, rear, {"radius": -100, "semi_aperture": 10}]})
+    assert focus_by_group(camera, (3, 4), 1000).main_lens.surfaces[1].thickness > 0.77
+    with pytest.raises(InputError, match="main_lens: surfaces 2 and 3 cross"):
+        focus_by_group(camera, (3, 4), 760)

@@ -133,7 +133,8 @@ def points(request):
 def test_forward_then_back_lands_where_the_point_is(options, points):
     camera, captures = points
     for distance, (cx, cy), spread in captures:
-        image = reconstruct(spread, distance, camera=camera, wavelength=WAVELENGTH, **options).image
+        light = {} if options["method"] == "ray" else {"wavelength": WAVELENGTH}
+        image = reconstruct(spread, distance, camera=camera, **light, **options).image
         row, column = np.unravel_index(image.argmax(), image.shape)
         near = image[row - 1 : row + 2, column - 1 : column + 2].astype(float)
         near -= min(near.min(), 0.2 * near.max())

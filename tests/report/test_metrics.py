@@ -16,6 +16,7 @@ from mitsuba_plenoptic.report.metrics import (
     lit_region,
     relative_error,
     shape_window,
+    ssim_text,
 )
 from mitsuba_plenoptic.report.slanted_edge import edge_sharpness, square_sharpness
 
@@ -104,3 +105,13 @@ def test_where_there_is_no_edge():
         edge_sharpness(np.ones((16, 16)) + 1e-3 * np.random.default_rng(0).random((16, 16)))
     with pytest.raises(ValueError, match="not in view"):
         square_sharpness(square(0.7, 5), 4, 24, 26)
+
+
+@pytest.mark.parametrize("shape", [(4, 4), (6, 40), (1, 1)])
+def test_images_smaller_than_the_window_of_ssim_have_none(shape):
+    reference = np.linspace(1, 2, math.prod(shape)).reshape(shape)
+    found = image_metrics(1.1 * reference, reference)
+    assert found.ssim is None and found.to_dict()["ssim"] is None
+    assert found.energy == pytest.approx(1.1)
+    assert found.psnr == pytest.approx(20 * math.log10(reference.max() / (0.1 * np.sqrt(np.mean(reference**2)))))
+    assert ssim_text(found.ssim) == "not defined"

@@ -208,3 +208,13 @@ def test_seconds_on_one_core(tiny, tmp_path):
     assert all(0 < value < 60 for value in seconds.values())
     with pytest.raises(InputError, match=r"nowhere\.exr: there is no such file"):
         seconds_on_one_core(tmp_path / "nowhere.exr", 280.0)
+
+
+@pytest.mark.slow
+def test_a_camera_of_few_lenses_is_compared(tmp_path, capsys):
+    words = ["--distance", "240", "--spp", "2", "-D", "resolution=64", "-D", "detector_width=0.256"]
+    assert main(["compare", "letters", "-o", str(tmp_path / "few"), *words]) == 0
+    assert "SSIM" in capsys.readouterr().out
+    numbers = json.loads((tmp_path / "few" / "results.json").read_text())
+    assert all(row["ssim"] is None for row in numbers["reconstructions"])
+    assert "not defined" in (tmp_path / "few" / "report.html").read_text()

@@ -190,7 +190,7 @@ def test_a_scheduler_that_dies_is_told_in_one_line_and_the_checkpoint_stays(tmp_
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--workers", "0"], "workers = 0: it must be at least 1"),
+        (["--workers", "0"], "--workers = 0: it must be at least 1"),
         (["--workers", "2", "--scheduler", "tcp://127.0.0.1:1"], "workers, scheduler: give one of the two"),
         (["--scheduler", "tcp://127.0.0.1:1"], "scheduler tcp://127.0.0.1:1: no workers can be had: "),
         (["--scheduler", "here"], "scheduler here: no workers can be had: "),
@@ -207,7 +207,7 @@ def test_mistakes(tmp_path, capfd, monkeypatch, words, message):
 
 def test_rays_need_no_workers(cluster):
     scene = load_scene("letters", parameters={"resolution": "64"})
-    with pytest.raises(InputError, match="workers are of use for model 'wave' only"):
+    with pytest.raises(InputError, match=r"batch_map: a ray capture does not take it"):
         render_capture(scene, spp=1, batch_map=cluster)
 
 

@@ -197,7 +197,7 @@ KINDS = tuple(
         ! expose(capture(), Detector(), photons=10, seed=<<$not_place | $not_whole | -1 | None>>)
         ! point_spread_function(CAMERA, (0, 0, 240), wavelength=$not_wavelength, method=<<'patch' | 'full_field'>>)
         ! point_spread_function(CAMERA, (0, 0, 240), wavelength=633, method=$not_name)
-        ! point_spread_function(CAMERA, <<None | 240.0 | 'abc' | [] | (0, 0) | (0, 0, 0, 240) | {1, 2}>>, wavelength=5)
+        ! point_spread_function(CAMERA, <<None | 240.0 | 'abc' | [] | (0, 0) | (0, 0, 0, 240) | {1}>>, wavelength=633)
         ! point_spread_function(CAMERA, (0, 0, <<-240 | 0 | nan | 10**400 | 1e300 | 1e-300 | 'a'>>), wavelength=633)
         ! $light_field_use(light_field()<<.values | [0] | .drop_vars('weight') | .transpose('s', 't', 'u', 'v')>>)
         ! $light_field_use(<<None | light_field().where(light_field() > 0) | light_field() * np.inf>>)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...errors import InputError, require_number, shown
+from ...errors import InputError, did_you_mean, require_number, shown
 from ...lattice import make_lattice, turn
 from ...optics.fitted_lens import FittedLens, lens_of_waves
 from ...optics.lens_changes import LENS_NUMBERS
@@ -70,7 +70,10 @@ def check_names(names: Iterable[str] | None) -> tuple[str, ...]:
     names = NUMBERS if names is None else (names,) if isinstance(names, str) else tuple(names)
     for name in names:
         if name not in NUMBERS:
-            raise InputError(f"{shown(name)}: it is none of the numbers with a derivative: {', '.join(NUMBERS)}")
+            raise InputError(
+                f"{shown(name)}: it is none of the numbers with a derivative: {', '.join(NUMBERS)}"
+                f"{did_you_mean(name, NUMBERS)}"
+            )
     return tuple(names)
 
 

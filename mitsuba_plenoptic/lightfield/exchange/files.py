@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from ...camera import PlenopticCamera
-from ...errors import InputError
+from ...errors import InputError, argument
 from ...io.captures import Capture, read_capture
 from ...io.files import require_writable
 from ...io.ground_truth import NAME, SUFFIX, GroundTruth, read_ground_truth
@@ -64,6 +64,8 @@ def open_light_field(
         _refuse(path, camera=None if camera is None else "given")
     if white is not None and views is not None:
         raise InputError(f"{path}: a white image and a number of views exclude each other")
+    if not any(str(one).lower().endswith((".png", *TIFF)) for one in (path, white)):
+        _refuse(path, linear=linear or None)
     if name.endswith(".exr"):
         _refuse(path, views=views)
         capture = read_capture(path)
@@ -86,7 +88,8 @@ def open_light_field(
             return decode(read_picture(path, linear=linear), camera=camera, white=reference)
         if reference is None:
             raise InputError(
-                f"{path}: give the white image or the camera of a raw picture, or the number of views of a mosaic"
+                f"{path}: give {argument('white')} or {argument('camera')} for a raw picture, or {argument('views')} "
+                "for a mosaic of views"
             )
         return decode(read_picture(path, linear=linear), white=reference, grid=estimate_lens_grid(reference))
     raise InputError(f"{path}: a capture or light field has a name that ends in .exr, .nc, .zarr, .mat, .png or .tiff")
@@ -161,9 +164,7 @@ def require_light_field_path(path: str | Path) -> Path:
     InputError
         If the name's suffix is unknown or the file cannot be written.
     """
-    if not Path(path).name.lower().endswith((".nc", ".zarr", ".mat", ".png")):
-        raise InputError(f"{path}: give a name that ends in .nc, .zarr, .mat, .eslf.png or .png")
-    return require_writable(path)
+    return require_writable(path, ".nc", ".zarr", ".mat", ".eslf.png", ".png")
 
 
 def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> GroundTruth | None:

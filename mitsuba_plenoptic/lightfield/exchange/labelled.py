@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import xarray as xr
 
 from ...errors import InputError
-from ...io.files import atomic_output, require_file
+from ...io.files import atomic_output, require_file, require_size
 from ...runtime.limits import require_memory
 from ..geometry import camera_of, require_light_field
 
 # Bytes that reading takes for each of a file: the file, and the arrays of which a light field is made and checked.
 _PER_BYTE = 3
+
+# Files in which Zarr keeps shapes and attributes, and their bytes at most.
+_ZARR_RECORDS = ("zarr.json", ".zgroup", ".zarray", ".zattrs", ".zmetadata")
+_LARGEST_RECORD = 2**24
 
 
 def write_labelled(path: str | Path, lf: xr.DataArray) -> None:
@@ -31,7 +36,7 @@ def write_labelled(path: str | Path, lf: xr.DataArray) -> None:
         If it cannot be written.
     """
     path, lf = Path(path), require_light_field(lf)
-    with atomic_output(path) as temporary:
+    with atomic_output(path, ".nc", ".zarr") as temporary:
         if path.suffix.lower() == ".nc":
             lf.to_netcdf(temporary, engine="scipy")
         else:
@@ -59,7 +64,9 @@ def read_labelled(path: str | Path) -> xr.DataArray:
     try:
         if path.suffix.lower() == ".nc":
             require_memory(_PER_BYTE * require_file(path).stat().st_size, f"{path}: a light field")
-            if path.read_bytes()[:3] != b"CDF":
+            with path.open("rb") as file:
+                begins = file.read(3)
+            if begins != b"CDF":
                 raise InputError(
                     f"{path}: it is not NetCDF 3; open other formats with xarray and convert them in Python"
                 )
@@ -68,9 +75,8 @@ def read_labelled(path: str | Path) -> xr.DataArray:
             if not (path / "zarr.json").is_file() and not (path / ".zgroup").is_file():
                 raise InputError(f"{path}: there is no such folder of Zarr")
             require_zarr(path)
-            opened = xr.open_dataarray(path, engine="zarr")
-            require_memory(_PER_BYTE * opened.nbytes, f"{path}: a light field")
-            stored = opened.load()
+            _require_zarr_memory(path)
+            stored = xr.load_dataarray(path, engine="zarr")
     except InputError:
         raise
     except Exception as error:
@@ -83,6 +89,20 @@ def read_labelled(path: str | Path) -> xr.DataArray:
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return lf
+
+
+def _require_zarr_memory(path: Path) -> None:
+    """Refuse a folder whose arrays, or the chunks in which they are read, would not fit into memory."""
+    import zarr
+
+    for file in path.rglob("*"):
+        if file.name in _ZARR_RECORDS:
+            require_size(file, _LARGEST_RECORD)
+    sizes = [
+        array.dtype.itemsize * max(math.prod(array.shape), math.prod(array.chunks))
+        for _, array in zarr.open_group(str(path), mode="r").arrays()
+    ]
+    require_memory(_PER_BYTE * float(sum(sizes)), f"{path}: a light field")
 
 
 def require_zarr(path: Path) -> None:

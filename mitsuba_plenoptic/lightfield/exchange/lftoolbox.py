@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import json
 import math
+import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -24,15 +26,15 @@ from ...camera import PlenopticCamera
 from ...errors import InputError, require_choice, require_number
 from ...io.files import atomic_output, require_file
 from ...io.hdf5 import h5py_module, stored_array
-from ...runtime.limits import require_memory
+from ...runtime.limits import memory_limit, require_memory
 from ..geometry import grid_of, light_field, require_light_field
 from ..grid import LensGrid, bin_grid
 
 # Bytes of a light field's number while it is read: as stored (at most 8), and twice in single precision.
 _NUMBER_BYTES = 8 + 4 + 4
 
-# Bytes of a variable other than the light field: a camera or a lens grid takes a few thousand.
-_SMALL = 2**20
+# Of files of version 5: bytes before the first variable, the type of a packed one, and bytes unpacked at once.
+_HEADER, _PACKED, _PIECE = 128, 15, 2**20
 
 # What is read of a lens grid.
 _MODEL = ("HSpacing", "VSpacing", "HOffset", "VOffset", "Rot", "UMax", "VMax", "FirstPosShiftRow", "Orientation")
@@ -87,7 +89,7 @@ def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uin
     if "camera" in lf.attrs:
         variables["Camera"] = lf.attrs["camera"]
     variables["GeneratedByInfo"] = {"mfilename": "mitsuba_plenoptic"}
-    with atomic_output(path) as temporary, temporary.open("wb") as file:
+    with atomic_output(path, ".mat") as temporary, temporary.open("wb") as file:
         scipy.io.savemat(file, variables, do_compression=True)
 
 
@@ -151,7 +153,27 @@ def _check(shape: tuple[int, ...]) -> None:
     require_memory(_NUMBER_BYTES * float(np.prod(shape, dtype=np.float64)), f"LF has the shape {shape}")
 
 
+def _require_unpacked(path: Path) -> None:
+    """Refuse a file of version 5 whose packed variables would not fit into memory, whatever their structures say."""
+    limit = int(memory_limit())
+    left = limit
+    with path.open("rb") as file:
+        order = "<" if file.read(_HEADER)[-2:] == b"IM" else ">"
+        while len(tag := file.read(8)) == 8:
+            kind, size = struct.unpack(f"{order}II", tag)
+            end = file.tell() + size
+            unpacking = zlib.decompressobj()
+            while kind == _PACKED and (piece := file.read(min(_PIECE, end - file.tell()))):
+                while piece:
+                    left -= len(unpacking.decompress(piece, _PIECE))
+                    piece = unpacking.unconsumed_tail
+                    if left < 0:
+                        raise InputError(f"it unpacks into more than {limit} bytes, which is what may be taken")
+            file.seek(end)
+
+
 def _read_version_5(path: Path) -> dict[str, Any]:
+    _require_unpacked(path)
     variables = scipy.io.whosmat(path)
     for name, shape, kind in variables:
         if name == "LF":

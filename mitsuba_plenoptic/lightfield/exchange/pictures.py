@@ -40,6 +40,7 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
         If the file does not exist, is neither, is damaged, or would take more memory than is allowed.
     """
     path = require_file(path)
+    require_memory(2 * path.stat().st_size, f"{path}: {path.stat().st_size} bytes")
     if path.suffix.lower() in TIFF:
         return _read_tiff(path, linear)
     try:
@@ -91,5 +92,5 @@ def write_picture(path: str | Path, image: np.ndarray) -> None:
     """Write linear values (rows, columns[, 3]), clipped to 0 to 1, as a PNG of 16 bits a channel in sRGB encoding."""
     bitmap = mi.Bitmap(np.ascontiguousarray(np.clip(image, 0, 1), dtype=np.float32))
     encoded = bitmap.convert(bitmap.pixel_format(), mi.Struct.Type.UInt16, srgb_gamma=True)
-    with atomic_output(path) as temporary:
+    with atomic_output(path, ".png") as temporary:
         encoded.write(str(temporary))

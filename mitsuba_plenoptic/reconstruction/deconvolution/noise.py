@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -59,9 +59,8 @@ class Noise:
     def _exposed(cls, exposure: Any) -> Noise:
         """Take it from the detector's numbers: EMVA 1288, Release 4.0 Linear, equation for the digital number."""
         try:
-            photons, values = exposure["photons"], {name: exposure[name] for name in exposure}
-            del values["photons"], values["seed"]
-            detector = Detector(**values)
+            photons = exposure["photons"]
+            detector = Detector(**{field.name: exposure[field.name] for field in fields(Detector)})
         except (KeyError, TypeError) as error:
             raise InputError(f"exposure of the capture: it is not one that 'expose' writes: {error}") from None
         assert detector.gain is not None

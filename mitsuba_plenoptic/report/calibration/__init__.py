@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -51,19 +52,26 @@ def write_calibration_report(
         lstrip_blocks=True,
     )
     size, seen = calibration.camera.crop_size, calibration.evaluation
-    field, depth, lens = (
-        residual_map(calibration, board, corners, by, parts)
-        for by, parts in (("field", _CELLS), ("depth", _PARTS), ("lens", 1))
+    outliers = seen.outliers
+    lens = residual_map(calibration, board, corners, "lens", 1)
+    # Rows far off would hide in means what the others show.
+    calibration = replace(calibration, evaluation=seen.without_outliers())
+    corners = corners.keep(np.delete(np.arange(len(seen.residuals)), outliers))
+    field, depth = (
+        residual_map(calibration, board, corners, by, parts) for by, parts in (("field", _CELLS), ("depth", _PARTS))
     )
     maps = [("Corners", _arrows(field.key, field.mean, size))]
     if centres is not None:
-        middle, cell = field_cells(centres.pixel, size[0] / _CELLS)
-        means = group_means(-calibration.centre_residuals, cell)[1]
+        kept = np.delete(np.arange(len(centres.pixel)), calibration.centre_outliers)
+        middle, cell = field_cells(centres.pixel[kept], size[0] / _CELLS)
+        means = group_means(-calibration.centre_residuals[kept], cell)[1]
         maps.append(("Centres of micro-images", _arrows(middle, means, size)))
     radius = np.hypot(*(corners.pixel - (np.array(size) - 1) / 2).T)
     page = environment.get_template("calibration.html").render(
         calibration=calibration,
         seen=seen,
+        outliers=outliers + 2,
+        outliers_by_frame=np.bincount(seen.pose[outliers], minlength=len(seen.frames)).tolist(),
         units=UNITS,
         weak=calibration.weak_directions(),
         maps=maps,
@@ -71,14 +79,14 @@ def write_calibration_report(
         height=round(_WIDTH * size[1] / size[0]),
         enlarged=_ENLARGED,
         tables=[
-            ("Pixels from the detector's centre", _by(radius, seen.residuals)),
+            ("Pixels from the detector's centre", _by(radius, calibration.evaluation.residuals)),
             ("Distance of the corner, mm", [*zip(*depth.key.T, depth.count, depth.error, strict=True)]),
         ],
         lenses=_lenses(lens, size),
         worst=float(lens.error.max()),
         boards=_boards(calibration, board),
     )
-    with atomic_output(path) as temporary:
+    with atomic_output(path, ".html") as temporary:
         temporary.write_text(page, encoding="utf-8")
 
 

@@ -17,6 +17,7 @@ from ..claims import Claim
 from ..design_sheet import design_sheet
 from ..experiment import TITLES, Experiment
 from ..framing import Zoom
+from ..metrics import ssim_text
 from ..stage_store import software, time_summary, write_json
 from .pictures import captures, geometry, plate, reconstructions, report_window, shown_distances
 
@@ -90,7 +91,13 @@ def _page(folder: Path, report: Report) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"prose": _prose, "number": format, "ratio": _ratio, "first_upper": _first_upper}
+    environment.filters |= {
+        "prose": _prose,
+        "number": format,
+        "ratio": _ratio,
+        "first_upper": _first_upper,
+        "ssim": ssim_text,
+    }
     experiment = report.experiment
     camera, wavelength = experiment.camera, experiment.settings.wavelength
     window = report_window(experiment)

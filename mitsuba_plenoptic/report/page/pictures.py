@@ -14,6 +14,7 @@ from PIL import Image
 from ..experiment import SLIDER_METHODS, Experiment
 from ..framing import Window, Zoom, common_peak, lit_window
 from ..images import to_bytes
+from ..metrics import ssim_text
 
 # Bytes for one capture, so that the file stays below 12 MB; each WebP quality is tried until one fits.
 _CAPTURE_BYTES = 3_500_000
@@ -63,7 +64,7 @@ def reconstructions(experiment: Experiment, numbers: dict[str, Any], window: Win
     peak = common_peak([experiment.truths[distance] for distance in distances], window)
     facts: dict[str, dict[str, list[list[str]]]] = {}
     for row in numbers["reconstructions"]:
-        told = [["PSNR", f"{row['psnr']:.1f} dB"], ["SSIM", f"{row['ssim']:.3f}"], ["Energy", f"{row['energy']:.3f}"]]
+        told = [["PSNR", f"{row['psnr']:.1f} dB"], ["SSIM", ssim_text(row["ssim"])], ["Energy", f"{row['energy']:.3f}"]]
         if "interference" in row:
             told.append(["Interference", f"{row['interference']:.1%}"])
         facts.setdefault(row["method"], {})[f"{row['distance']:g}"] = told

@@ -65,9 +65,7 @@ def sweep(
         import h5netcdf
     except ImportError:
         raise InputError("sweep: datasets need h5netcdf: pip install h5netcdf h5py") from None
-    output = require_writable(output)
-    if output.suffix != ".nc":
-        raise InputError(f"{output}: a dataset is written as NetCDF-4; give a name that ends in .nc")
+    output = require_writable(output, ".nc")
     grid = check_grid(grid)
     set_variant(settings.variant)
     store = StageStore(output.with_suffix(".points"), stages)

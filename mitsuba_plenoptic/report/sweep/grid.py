@@ -12,10 +12,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from ...errors import InputError, require_number
-from ...io.files import require_file
+from ...io.yaml_file import read_yaml
 
 # Names that are not parameters of the scene.
 WAVELENGTH, DISTANCE = "wavelength", "distance"
@@ -23,29 +21,14 @@ WAVELENGTH, DISTANCE = "wavelength", "distance"
 Grid = Mapping[str, Sequence[float]]
 
 _MOST_POINTS = 100_000
-_LARGEST_FILE = 2**16
 
 
 def read_grid(path: Path) -> dict[str, list[Any]]:
     """Read a grid from YAML: names, each with a list of numbers, or with one."""
-    path = require_file(path)
-    if path.stat().st_size > _LARGEST_FILE:
-        raise InputError(f"{path}: {path.stat().st_size} bytes: a grid has at most {_LARGEST_FILE}")
-    try:
-        text = path.read_text()
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
-        content = yaml.safe_load(text)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: it is not YAML: {' '.join(str(error).split())}") from None
+    content = read_yaml(path)
     if not isinstance(content, dict):
         raise InputError(f"{path}: it must hold names, each with a list of numbers, such as 'wavelength: [532, 633]'")
-    # PyYAML itself takes the last of several values in silence.
-    return merge_grids(
-        *({key: value if isinstance(value, list) else [value]} for key, value in content.items()),
-        *({key.value: []} for key in _repeated(node)),
-    )
+    return {name: value if isinstance(value, list) else [value] for name, value in content.items()}
 
 
 def parse_grid(texts: Iterable[str]) -> dict[str, list[Any]]:
@@ -97,10 +80,3 @@ def _number(name: str, value: Any) -> float:
         with contextlib.suppress(ValueError):
             value = float(value)
     return require_number(f"grid: {name}", value)
-
-
-def _repeated(node: Any) -> list[Any]:
-    """Find the keys of a YAML mapping that are there already."""
-    seen: set[str] = set()
-    keys = [key for key, _ in node.value]
-    return [key for key in keys if key.value in seen or seen.add(key.value)]  # type: ignore[func-returns-value]

@@ -9,16 +9,18 @@ from typing import Any
 
 import numpy as np
 
+from ...bounds import require_wavelength
 from ...camera import PlenopticCamera
-from ...capture.render import render_capture
-from ...errors import InputError, require_choice, require_number
+from ...capture.render import is_wave_capture, render_capture
+from ...errors import InputError, argument, require_choice
 from ...io.captures import Capture
+from ...io.checkpoints import Checkpoint
 from ...reconstruction import METHODS
 from ...runtime.batches import BatchMap
 from ...runtime.variant import DEFAULT_VARIANT
 from ...thin_lens import image_distance
 from ..experiment import load_with_sensor, refocused
-from ..stage_store import StageStore, scene_fingerprint
+from ..stage_store import Progress, StageStore, scene_fingerprint
 from .grid import DISTANCE, WAVELENGTH, Grid
 
 
@@ -69,20 +71,22 @@ class Points:
         varied = {name: _text(value) for name, value in point.items() if name != WAVELENGTH}
         for name in varied:
             if name in self.settings.parameters:
-                raise InputError(f"grid: {name} varies and is set by -D too")
+                raise InputError(f"grid: {name} varies and is set by {argument('parameters')} too")
         return {**self.settings.parameters, **varied}
 
     def check(self) -> None:
         """Make every camera once, before the work, and see that they record images of one size."""
         require_choice("method", self.settings.method, METHODS)
         for wavelength in self.axes.get(WAVELENGTH, ()):
-            require_number(WAVELENGTH, wavelength, positive=True)
+            require_wavelength(wavelength)
         sizes: dict[tuple[tuple[str, str], ...], tuple[int, ...]] = {}
         for point in self:
             parameters = self.parameters(point)
             if (key := tuple(parameters.items())) in sizes:
                 continue
             scene = load_with_sensor(self.settings.scene, parameters)
+            if self.store.resume and not is_wave_capture(scene, self.settings.model):
+                raise InputError(f"{argument('resume')}: a ray capture keeps no checkpoint; leave it out")
             camera = PlenopticCamera.from_sensor(scene.sensors()[0])
             sizes[key] = camera.shape + camera.bin_count * bool(self.distances)
             for distance in self.distances:
@@ -111,16 +115,16 @@ class Points:
         if settings.radiators_per_lens is not None:
             options["radiators_per_lens"] = settings.radiators_per_lens
         inputs = {"scene": scene_fingerprint(settings.scene, parameters), "variant": settings.variant, **options}
+
+        def make(progress: Progress, checkpoint: Checkpoint) -> Capture:
+            scene = load_with_sensor(settings.scene, parameters)
+            keeper = checkpoint if is_wave_capture(scene, settings.model) else None
+            return render_capture(scene, progress=progress, checkpoint=keeper, batch_map=batch_map, **options)
+
         return self.store.capture(
             f"capture{_name(point)}",
             inputs,
-            lambda progress, checkpoint: render_capture(
-                load_with_sensor(settings.scene, parameters),
-                progress=progress,
-                checkpoint=checkpoint,
-                batch_map=batch_map,
-                **options,
-            ),
+            make,
         )
 
 

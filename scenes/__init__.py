@@ -1,1 +1,0 @@
-"""The built-in scenes: Mitsuba XML files with their meshes and textures."""

@@ -1,0 +1,1 @@
+"""A stand-in for Optiland where it is not installed: the glasses that `tools/record_optiland.py` recorded."""

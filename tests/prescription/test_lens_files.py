@@ -1,0 +1,305 @@
+"""Lens files of other programs, and our own: read rightly, or refused by file, line and rule."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, read_prescription
+from mitsuba_plenoptic.prescription import Glass, paraxial
+
+ZEMAX = """VERS 140124 258 36214
+MODE SEQ
+NAME Singlet
+UNIT MM X W X CM MR CPMM
+ENPD 10
+ENVD 2.0E+1 1 0
+GFAC 0 0
+GCAT SCHOTT
+FTYP 0 0 1 2 0 0 0
+WAVM 1 0.4861327 1
+WAVM 2 0.5875618 1
+PWAV 2
+SURF 0
+  TYPE STANDARD
+  CURV 0.0 0 0 0 0 ""
+  DISZ INFINITY
+SURF 1
+  COMM front
+  STOP
+  TYPE EVENASPH
+  CURV 0.02 0 0 0 0 ""
+  PARM 1 0
+  PARM 2 1.5e-06
+  PARM 3 -2e-09
+  CONI -0.5
+  DISZ 5
+  GLAS ___BLANK 1 0 1.5168 64.17 0 0 0 0 0 0
+  DIAM 10 1 0 0 1 ""
+SURF 2
+  TYPE STANDARD
+  CURV -0.01
+  DISZ 60
+  MEMA 11 0 0 0 1 ""
+  DIAM 9 1 0 0 1 ""
+SURF 3
+  TYPE STANDARD
+  CURV 0.0
+  DISZ 0
+  DIAM 5
+BLNK
+TOL TOFF   0   0 0 0   0 0 0
+MNUM 1 1
+"""
+
+CODEV = """RDM;LEN "VERSION: 10.7; LENS VERSION: 80"
+TITLE 'Singlet; of two'
+EPD 10.0
+DIM M
+WL 587.5618 486.1327
+REF 1
+YAN 0.0 &
+    3.0
+SO 0.0 0.1e14
+S 50.0 5.0 516800.641700 ! Front
+  STO; CIR 10.0
+  ASP
+  K -0.5
+  A 1.5E-6 ; B -2e-9
+  CCY 0
+S -100.0 60.0
+  CIR EDG 11
+  CIR 9.0
+  PIM
+SI 0.0 0.0
+GO
+"""
+
+
+def read(tmp_path, text, name="lens.zmx", encoding="utf-8"):
+    (tmp_path / name).write_text(text, encoding=encoding)
+    return read_prescription(tmp_path / name)
+
+
+def numbers(lens):
+    return [
+        (s.curvature, s.thickness, s.semi_aperture, s.conic, *s.asphere, *(s.glass.numbers if s.glass else ()))
+        for s in lens.surfaces
+    ]
+
+
+SINGLET = [(0.02, 5, 10, -0.5, 1.5e-6, -2e-9, 1.5168, 64.17), (-0.01, 0, 9, 0)]
+
+
+@pytest.mark.parametrize("name, text", [("lens.zmx", ZEMAX), ("lens.SEQ", CODEV)])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-le"])
+def test_both_formats_give_the_lens(tmp_path, name, text, encoding):
+    lens = read(tmp_path, text, name, encoding)
+    assert (lens.stop, lens.wavelength) == (0, pytest.approx(587.5618)) and lens.name.startswith("Singlet")
+    for found, expected in zip(numbers(lens), SINGLET, strict=True):
+        assert found == pytest.approx(expected, rel=1e-12)
+
+
+# Every length of the file is divided by the unit, so that the lens is the same; coefficients by the unit's powers.
+UNITS = [("ZMX", "IN", 25.4), ("ZMX", "CM", 10.0), ("ZMX", "METER", 1000.0), ("SEQ", "I", 25.4), ("SEQ", "C", 10.0)]
+
+
+@pytest.mark.parametrize("kind, unit, size", UNITS)
+def test_units_of_length(tmp_path, kind, unit, size):
+    c, d, r4, r6 = 0.02 * size, 5 / size, 1.5e-6 * size**3, -2e-9 * size**5
+    if kind == "ZMX":
+        text = (
+            ZEMAX.replace("UNIT MM", f"UNIT {unit}").replace("CURV 0.02", f"CURV {c!r}").replace("DISZ 5", f"DISZ {d}")
+        )
+        text = text.replace("CURV -0.01", f"CURV {-c / 2!r}").replace("DIAM 10", f"DIAM {10 / size!r}")
+        text = text.replace("DIAM 9", f"DIAM {9 / size!r}").replace("1.5e-06", f"{r4!r}").replace("-2e-09", f"{r6!r}")
+    else:
+        text = (
+            CODEV.replace("DIM M", f"DIM {unit}")
+            .replace("S 50.0 5.0", f"S {1 / c!r} {d!r}")
+            .replace("1.5E-6", f"{r4!r}")
+        )
+        text = text.replace("S -100.0 60.0", f"S {-2 / c!r} 1").replace("-2e-9", f"{r6!r}")
+        text = text.replace("CIR 10.0", f"CIR {10 / size!r}").replace("CIR 9.0", f"CIR {9 / size!r}")
+    for found, expected in zip(numbers(read(tmp_path, text, f"lens.{kind}")), SINGLET, strict=True):
+        assert found == pytest.approx(expected, rel=1e-9)
+
+
+def test_forms_of_glass_and_curvature(tmp_path):
+    """Codes of index and Abbe number with all their digits, one index, and curvatures in the place of radii."""
+    for code, index, abbe in [("620410.364", 1.62041, 36.4), ("517642", 1.517, 64.2), ("1.5168:64.17", 1.5168, 64.17)]:
+        lens = read(tmp_path, CODEV.replace("516800.641700", code), "lens.seq")
+        assert lens.surfaces[0].glass.numbers == pytest.approx((index, abbe), rel=1e-12)
+    curved = CODEV.replace("RDM;", "RDM N;").replace("S 50.0", "S 0.02").replace("S -100.0", "S -0.01")
+    assert numbers(read(tmp_path, curved, "lens.seq"))[0] == pytest.approx(SINGLET[0], rel=1e-12)
+    assert read(tmp_path, CODEV.replace("STO; ", "").replace("GO", "STO S2"), "lens.seq").stop == 1
+    assert read(tmp_path, ZEMAX.replace("64.17", "0")).surfaces[0].glass == Glass("index", (1.5168,), "model")
+    aperture = ZEMAX.replace("DIAM 9 1", "CLAP 0 8 0\n  DIAM 9 1")
+    assert read(tmp_path, aperture).surfaces[1].semi_aperture == 8
+
+
+@pytest.mark.parametrize(
+    "old, new, message",
+    [
+        ("UNIT MM", "UNIT FT", "line 4: 'UNIT FT X W X CM MR CPMM': the unit must be one of MM, CM, IN, METER"),
+        ("UNIT MM X W X CM MR CPMM\n", "", "UNIT is missing: the unit of its lengths is not known"),
+        ("MODE SEQ", "MODE NSC", "line 2: 'MODE NSC': only sequential lenses are read"),
+        ("ENVD 2.0E+1 1 0", "ENVD 2.0E+1 0 1", "indices are those at 20 degrees and 1 atmosphere"),
+        ("PWAV 2", "PWAV 3", "wavelength 3, the primary one by PWAV, is missing"),
+        ("0.5875618", "587.5618", "wavelength = 587562: it must be from 200 to 2500 nm"),
+        (
+            "TYPE EVENASPH",
+            "TYPE COORDBRK",
+            "'TYPE COORDBRK': only surfaces of the types STANDARD and EVENASPH are read",
+        ),
+        ("TYPE EVENASPH", "TYPE PARAXIAL", "line 20: 'TYPE PARAXIAL': only surfaces of the types"),
+        ("TYPE EVENASPH", "TYPE DGRATING", "line 20: 'TYPE DGRATING': only surfaces of the types"),
+        ("PARM 1 0", "PARM 1 1e-4", "there must be no term of the second power"),
+        ("PARM 3 ", "PARM 9 ", "an even asphere has the parameters 1 to 8"),
+        ("DIAM 9 1", "CLAP 3 8 0\n  DIAM 9 1", "'CLAP 3 8 0': obscurations are not read"),
+        ("DIAM 9 1", "OBSC 0 3 0\n  DIAM 9 1", "OBSC is not understood, and leaving it out could change the lens"),
+        ("DIAM 9 1", "SQAP 8 8 0\n  DIAM 9 1", "SQAP is not understood"),
+        ("DIAM 9 1", "CLAP 0 8 0\n  OBDC 0 1\n  DIAM 9 1", "'OBDC 0 1': decentred apertures are not read"),
+        ("DIAM 9 1", "DIAM 0 1", "surface 2 has no semi-aperture"),
+        ("GLAS ___BLANK 1", "GLAS MIRROR 0", "mirrors are not read"),
+        ("GLAS ___BLANK 1", "GLAS ___BLANK 4", "only fixed, substitute, picked up and model glasses are read"),
+        ("64.17 0 0", "64.17 0.01 0", "a model glass's deviation of the partial dispersion must be 0"),
+        ("DISZ 5", "DISZ INFINITY", "line 26: 'DISZ INFINITY': value 1 must be a number"),
+        ("DISZ 5", "DISZ -5", "surface 1: thickness = -5"),
+        ("DISZ 5", "DISZ 1", "surfaces 1 and 2 cross"),
+        ("DISZ 5", "DISZ 5,0", "value 1 must be a number"),
+        ("  STOP\n", "", "0 surfaces have stop: true"),
+        ("MNUM 1 1", "MNUM 2 1", "'MNUM 2 1': only files of one configuration are read"),
+        ("CURV 0.0\n  DISZ 0", "CURV 0.1\n  DISZ 0", "surface 3, the image, is curved"),
+        ("DISZ 60", "DISZ 60\n  GLAS ___BLANK 1 0 1.5 50", "air must follow the last surface"),
+        ("DISZ INFINITY", "DISZ INFINITY\n  GLAS ___BLANK 1 0 1.5 50", "air must precede the first surface"),
+        ("SURF 2", "SURF 3", "surfaces must be numbered from 0"),
+        ("CONI -0.5", "CONI -0.5\n  CURV 0.03", "'CURV 0.03': CURV is given twice"),
+        ("PARM 3 ", "PARM 2 ", "PARM 2 is given twice"),
+    ],
+)
+def test_what_a_zemax_file_may_not_hold(tmp_path, old, new, message):
+    assert ZEMAX.count(old) >= 1
+    with pytest.raises(InputError, match=r"^[^\n]*lens\.zmx[^\n]*$") as refused:
+        read(tmp_path, ZEMAX.replace(old, new, 1))
+    assert message in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "old, new, message",
+    [
+        ("RDM;", "", "RDM must precede it: whether radii or curvatures are written is not known"),
+        ("DIM M\n", "", "DIM is missing: the unit of its lengths is not known"),
+        ("DIM M", "DIM F", "line 4: 'DIM F': the unit must be M (millimetres), C (centimetres) or I (inches)"),
+        ("REF 1", "", "the primary wavelength is missing"),
+        ("WL 587.5618", "WL 0.5876", "wavelength = 0.5876: it must be from 200 to 2500 nm; it looks like micrometres"),
+        ("CCY 0", "XDE 1", "'XDE 1': decentred and tilted surfaces are not read"),
+        ("CCY 0", "ADE 45", "'ADE 45': decentred and tilted surfaces are not read"),
+        ("CCY 0", "ADY 2", "'ADY 2': decentred and tilted surfaces are not read"),
+        ("CCY 0", "MFL 50", "'MFL 50': MFL is not understood"),
+        ("CCY 0", "DIF GRT", "'DIF GRT': DIF is not understood"),
+        ("CCY 0", "CUY UMY -0.25", "CUY is not understood"),
+        ("CCY 0", "CIR OBS 3", "obscurations and holes are not read"),
+        ("CCY 0", "REX 3", "REX is not understood"),
+        ("K -0.5\n", "K -0.5 A 1E-6\n", "it must be one number; semicolons separate commands"),
+        ("CCY 0", "CIR 9", "'CIR 9': CIR is given twice"),
+        ("CCY 0", "PIM", "only the last thickness, up to the image, may be found by a solve"),
+        ("CCY 0", "ZOO 3", "ZOO is not understood"),
+        ("CCY 0", "TEM 60", "indices are those at 20 to 25 degrees"),
+        ("516800.641700", "REFL", "line 10: 'S 50.0 5.0 REFL': mirrors are not read"),
+        ("STO; ", "", "0 surfaces have stop: true"),
+        ("CIR 9.0", "", "surface 2 has no semi-aperture"),
+        ("SI 0.0", "SI -20.0", "the image is curved"),
+        ("SI 0.0 0.0\n", "", "there must be SO, the lens's surfaces and SI"),
+    ],
+)
+def test_what_a_codev_file_may_not_hold(tmp_path, old, new, message):
+    assert CODEV.count(old) >= 1
+    with pytest.raises(InputError, match=r"^[^\n]*lens\.seq[^\n]*$") as refused:
+        read(tmp_path, CODEV.replace(old, new, 1), "lens.seq")
+    assert message in str(refused.value)
+
+
+# Of CODE V's codes Optiland drops all digits but three; and it takes the term A for that of the second power.
+FOR_OPTILAND = CODEV.replace("516800.641700", "1.5168:64.17").replace("  A 1.5E-6 ; B -2e-9\n", "")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name, text", [("lens.zmx", ZEMAX), ("lens.seq", FOR_OPTILAND)])
+def test_optiland_reads_the_same_lens(tmp_path, name, text):
+    fileio = pytest.importorskip("optiland.fileio")
+    lens = read(tmp_path, text, name)
+    optic = {"zmx": fileio.load_zemax_file, "seq": fileio.load_codev_file}[name[-3:]](str(tmp_path / name))
+    surfaces = [optic.surfaces[number].geometry for number in (1, 2)]
+    assert [float(surface.radius) for surface in surfaces] == pytest.approx([50, -100], rel=1e-12)
+    assert float(surfaces[0].k) == lens.surfaces[0].conic
+    if lens.surfaces[0].asphere:
+        assert tuple(np.ravel(surfaces[0].coefficients)[1:3].tolist()) == lens.surfaces[0].asphere
+    assert paraxial(lens).focal_length == pytest.approx(float(optic.paraxial.f2()), rel=1e-6)
+
+
+def test_glasses_of_catalogues_by_just_their_names(tmp_path):
+    pytest.importorskip("optiland")
+    indices = {"N-BK7": 1.5168, "schott:SF5": 1.6727, "schott:F2": 1.62004, "CaF2:Malitson": 1.43385}
+    for name, index in indices.items():
+        assert Glass.from_plain(name).at(587.5618) == pytest.approx(index, abs=2e-5)
+    for name, message in [
+        ("SF", "no catalogue has a glass of just that name"),
+        ("BK7", "no catalogue has a glass of just that name; give another, as there is schott:N-BK7"),
+        ("F2", "schott, hikari, cdgm have one: write schott:F2"),
+        ("CaF2", "give another, as there is CaF2:"),
+        ("schott:S-LAH53", "no such catalogue has a glass of just that name; give another, as there is ohara:S-LAH53"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            Glass.from_plain(name)
+    # Beyond its data a glass has no index, rather than one of the formula.
+    with pytest.raises(InputError, match="its table goes from 400 to 700 nm"):
+        Glass.from_plain("hikari:F2").at(850)
+    named = ZEMAX.replace("GLAS ___BLANK 1 0 1.5168 64.17", "GLAS {} 0 0 1.5 40")
+    assert read(tmp_path, named.format("F2")).surfaces[0].glass.at(587.5618) == pytest.approx(1.62004, abs=1e-5)
+    with pytest.raises(InputError, match=r"lens\.zmx, line 27: glass = 'UNOBTAINIUM': SCHOTT: no such catalogue"):
+        read(tmp_path, named.format("UNOBTAINIUM"))
+    hyphens = read(tmp_path, CODEV.replace("516800.641700", "NSSK2_SCHOTT"), "lens.seq")
+    assert hyphens.surfaces[0].glass.at(587.5618) == pytest.approx(1.62229, abs=1e-5)
+
+
+def test_glasses_by_name_need_optiland(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "optiland.materials", None)
+    with pytest.raises(InputError, match=r"lens\.zmx, line 27: glass = 'F2': glasses by name need Optiland; pip"):
+        read(tmp_path, ZEMAX.replace("GLAS ___BLANK 1", "GLAS F2 0"))
+
+
+OWN = {
+    "surfaces": [
+        {"radius": 50, "thickness": 5, "glass": 1.5, "semi_aperture": 10, "stop": True, "asphere": [1e-05, -2e-9]},
+        {"radius": -70, "semi_aperture": 10},
+    ]
+}
+
+
+@pytest.mark.parametrize("name", ["own.json", "own.yaml"])
+def test_own_files_hold_numbers_as_json_writes_them(tmp_path, monkeypatch, name):
+    """PyYAML takes 1e-05, which JSON writes, for text."""
+    (tmp_path / name).write_text(json.dumps(OWN))
+    assert read_prescription(tmp_path / name).surfaces[0].asphere == (1e-05, -2e-9)
+    # A camera takes the file's name, too, wherever it takes a bundled lens's.
+    monkeypatch.chdir(tmp_path)
+    lens = read_prescription(name)
+    assert PlenopticCamera(main_lens=name).main_lens == PlenopticCamera(main_lens=tmp_path / name).main_lens == lens
+    for none in ("none.yaml", "x" * 5000, "a\0b"):
+        with pytest.raises(InputError, match="there is no such file, and the bundled lenses are"):
+            PlenopticCamera(main_lens=none)
+    # What else lies about does not hide a bundled lens.
+    (tmp_path / "tessar").mkdir()
+    assert PlenopticCamera(main_lens="tessar").main_lens.name == "Tessar"
+
+
+def test_surfaces_may_touch_and_stops_may_stand_within_a_hollow(tmp_path):
+    """A lens may end in an edge; a plane without glass is a place, which a lens's own surface may pass."""
+    edge = {"radius": 50, "thickness": 2 * (50 - (50**2 - 10**2) ** 0.5), "glass": 1.5, "semi_aperture": 10}
+    stop = {"semi_aperture": 8, "stop": True}
+    camera = PlenopticCamera(main_lens={"surfaces": [stop, edge, {"radius": -50, "semi_aperture": 10}]})
+    assert len(camera.main_lens.surfaces) == 3
+    hollow = {"radius": -50, "thickness": 3, "glass": 1.5, "semi_aperture": 10}
+    PlenopticCamera(main_lens={"surfaces": [stop, hollow, {"radius": -20, "semi_aperture": 10}]})
