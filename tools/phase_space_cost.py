@@ -1,8 +1,8 @@
-"""What a scene's wave capture by signed rays would cost, from parts timed in one run beside ray captures.
+"""The cost of a scene's wave capture by signed rays, from parts that are timed in one run with ray captures.
 
-A capture by signed rays is a ray capture (timed as it is), the coefficients of each ray that meets light, and the
-Fourier transforms of the images: one for each coefficient forwards and one back. Kernels and tables are planned once a camera. The table printed has
-the parts in seconds and the sum over the ray capture's time; times of a busy machine count for nothing, their ratios little.
+A capture by signed rays is a ray capture, timed as it is, the coefficients of each ray that meets light, and the
+Fourier transforms of the images: one for each coefficient forwards, and one back. Kernels and tables are planned once a
+camera. Prints the parts in seconds and their sum over the ray capture's time, which is what to compare.
 
     python tools/phase_space_cost.py [--pixels 4096] [--samples 16] [--scenes letters still_life]
 """

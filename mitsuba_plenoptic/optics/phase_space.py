@@ -19,8 +19,8 @@ polynomials :math:`P_n` of m that are orthonormal over the aperture, :math:`K_a(
 
 .. math:: I = \sum_n \varphi_n * \sum_{rays} L\, A_n, \qquad A_n(m, P) = \int K_p(P, x)\, a_n(m + x)\, d^2x .
 
-All depends on the camera and the wavelength, nothing on the scene. Coordinates of microlens points count from the centre
-of the lens.
+All depends on the camera and the wavelength, nothing on the scene. Coordinates of microlens points count from the
+centre of the lens.
 """
 
 from __future__ import annotations
@@ -74,8 +74,8 @@ class PhaseSpace:
     camera: PlenopticCamera
     wavelength: float
     degree: int = 4
-    window: int = 5
-    samples: int = 32
+    window: int = 9
+    samples: int = 24
     radial: int = 12
     angular: int = 8
 
@@ -219,10 +219,13 @@ class PhaseSpace:
         for odd_y, odd_x in np.ndindex(2, 2):
             rows, columns = np.nonzero(weights[1 - odd_y :: 2, 1 - odd_x :: 2].any(-1))
             rows, columns = 2 * rows + 1 - odd_y, 2 * columns + 1 - odd_x
-            b, a = (grid.ravel() for grid in np.meshgrid(lags[lags % 2 == odd_y], lags[lags % 2 == odd_x], indexing="ij"))
+            b, a = (
+                grid.ravel() for grid in np.meshgrid(lags[lags % 2 == odd_y], lags[lags % 2 == odd_x], indexing="ij")
+            )
             real, imaginary = _correlate(parts, b * count + a, rows * count + columns, weights[rows, columns])
             result[:, b + farthest, a + farthest] = np.asarray(real) + 1j * np.asarray(imaginary)
-        return lags * step, result * (step * step / lattice.lens_area)
+        # The open area as it is sampled, so that energy is kept.
+        return lags * step, result / result[0, farthest, farthest].real
 
     def kernels(self, step: float, reach: float) -> NDArray[np.float64]:
         """Return the kernels times the area of a grid's cell, on a grid of this step within this reach; (n, k, k)."""
@@ -303,7 +306,7 @@ class RayCoefficients:
 def _correlate(
     transmission: Any, lags: NDArray[np.int64], middles: NDArray[np.int64], weights: NDArray[np.float64]
 ) -> tuple[list[Any], list[Any]]:
-    """Return real and imaginary parts of the sums over midpoints of weight times T T*, for each column of weights and each lag, given as indices."""
+    """Return, real and imaginary, the sums over midpoints of weight times T T*, for each weight and each lag."""
     lag, middle, count = mi.Int(lags.astype(np.int32)), mi.Int(middles.astype(np.int32)), weights.shape[1]
     values = mi.Float(weights.astype(np.float32).ravel())
     real = [dr.zeros(mi.Float, len(lags)) for _ in range(count)]
