@@ -1,0 +1,325 @@
+r"""Diffraction in phase space: what a ray of incoherent light carries behind the main lens's pupil and the microlenses.
+
+In front of the pupil the Wigner function of incoherent light is the radiance along rays (Walther, J. Opt. Soc. Am. 58,
+1256 (1968); Bastiaans, Opt. Commun. 25, 26 (1978)). Two apertures spread it. Behind the *pupil* a ray through the pupil
+point P keeps P, and meets the array at m + x instead of m, with the signed density
+
+.. math:: K_p(P, x) = \frac{1}{(\lambda b)^2} \int O_P(\eta)\, e^{-2 \pi i \eta \cdot x / \lambda b}\, d^2\eta, \qquad
+          O_P(\eta) = t(P + \eta/2)\, t^*(P - \eta/2).
+
+Behind the *array*, of transmission T in units of the lens that the ray meets, it lands on the detector p aside of where
+the ray model puts it, with the signed density
+
+.. math:: K_a(m, p) = \frac{1}{(\lambda z)^2}
+          \int T(m + \xi/2)\, T^*(m - \xi/2)\, e^{-2 \pi i \xi \cdot p / \lambda z}\, d^2\xi.
+
+Pairs of points in two neighbouring lenses are part of it: they are how the fields of neighbours interfere. Projected on
+polynomials :math:`P_n` of m that are orthonormal over the aperture, :math:`K_a(m, p) \approx \sum_n a_n(m)
+\varphi_n(p)`, a capture becomes a ray capture of some values a ray and as many convolutions:
+
+.. math:: I = \sum_n \varphi_n * \sum_{rays} L\, A_n, \qquad A_n(m, P) = \int K_p(P, x)\, a_n(m + x)\, d^2x .
+
+All depends on the camera and the wavelength, nothing on the scene. Coordinates of microlens points count from the
+centre of the lens.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..lattice import Lattice
+from .main_lens import main_lens
+from .phase import in_millimetres
+
+_TRANSFER_SAMPLES = 64
+"""Samples of a lens for its transfer functions: the phase between neighbours turns by a fifth of a period a sample."""
+
+_SPECTRUM_SAMPLES = 256
+"""Samples of a lens for the Fourier coefficients of its polynomials."""
+
+_SUBSAMPLES = 4
+"""Gauss-Legendre nodes, per direction and side, of the pupil's overlap around a node of the table."""
+
+
+@dataclass(frozen=True)
+class PhaseSpace:
+    """Diffraction of one camera at one wavelength, as coefficients that rays carry and kernels that images pass.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A camera with a thin main lens and microlenses of one focal length.
+    wavelength : float
+        In nanometres.
+    degree : int
+        Total degree of the polynomials over a lens. There are (degree + 1) (degree + 2) / 2.
+    window : int
+        Lenses, across, over which the pupil spreads a ray. Light beyond is folded back by whole windows, which keeps
+        the energy.
+    samples : int
+        Samples of the table across a lens.
+    radial, angular : int
+        Nodes of the table along the pupil's radius, dense towards its rim, and over a quarter turn.
+    """
+
+    camera: PlenopticCamera
+    wavelength: float
+    degree: int = 4
+    window: int = 9
+    samples: int = 24
+    radial: int = 12
+    angular: int = 8
+
+    # -- sizes ---------------------------------------------------------------------------------------
+
+    @property
+    def lattice(self) -> Lattice:
+        """The microlens lattice."""
+        return self.camera.lattice
+
+    @cached_property
+    def exponents(self) -> list[tuple[int, int]]:
+        """Powers of u and v that a polynomial adds to those before it."""
+        return [(i, total - i) for total in range(self.degree + 1) for i in range(total, -1, -1)]
+
+    @cached_property
+    def window_size(self) -> tuple[float, float]:
+        """Sides, in the lattice's frame, of the least whole number of periods that holds `window` lenses."""
+        wanted = self.window * self.lattice.pitches[0]
+        first, second = self.lattice.period()
+        return math.ceil(wanted / first - 1e-6) * first, math.ceil(wanted / second - 1e-6) * second
+
+    @cached_property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the table: nodes along the radius and the angle, rows, columns, polynomials."""
+        across = [round(side / self.lattice.pitches[0] * self.samples) for side in self.window_size]
+        return self.radial + 1, self.angular + 1, across[1], across[0], len(self.exponents)
+
+    # -- polynomials over a lens -------------------------------------------------------------------
+
+    def _aperture_grid(self, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+        """Return coordinates, in the lattice's frame, of a grid about a lens, and which points its aperture holds."""
+        reach = float(self.lattice.cell_reach)
+        count = 2 * math.ceil(reach * samples / self.lattice.pitches[0])
+        step = self.lattice.pitches[0] / samples
+        along = (np.arange(count) + 0.5 - count / 2) * step
+        v, u = np.meshgrid(along, along, indexing="ij")
+        return u, v, np.asarray(self.lattice.in_aperture(*self.lattice.from_frame(u, v)))
+
+    @cached_property
+    def _triangle(self) -> NDArray[np.float64]:
+        """Coefficients of the orthonormal polynomials in monomials of u and v over the pitch, by Gram-Schmidt."""
+        u, v, inside = self._aperture_grid(_SPECTRUM_SAMPLES)
+        monomials = self._monomials(u[inside], v[inside])
+        gram = monomials.T @ monomials / len(monomials)
+        return np.linalg.inv(np.linalg.cholesky(gram)).T
+
+    def _monomials(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+        pitch = self.lattice.pitches[0]
+        return np.stack([(u / pitch) ** i * (v / pitch) ** j for i, j in self.exponents], axis=-1)
+
+    def polynomials(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the polynomials, whose mean product over the aperture is 1 of one with itself, else 0."""
+        return self._monomials(u, v) @ self._triangle
+
+    # -- the pupil: coefficients of rays -------------------------------------------------------------
+
+    @cached_property
+    def table(self) -> NDArray[np.float32]:
+        """Coefficients of rays over pupil nodes and microlens points, for linear interpolation between both."""
+        lens = main_lens(self.camera)
+        reach = in_millimetres(self.wavelength) * lens.pupil_distance
+        radius = float(lens.pupil_radius)
+        u, v, inside = self._aperture_grid(_SPECTRUM_SAMPLES)
+        values = np.where(inside[..., None], self.polynomials(u, v), 0) * (u[0, 1] - u[0, 0]) ** 2
+        # Fourier coefficients over the window, of the frequencies that the pupil lets through.
+        to_space, orders, lags = [], [], []
+        for side, count in zip(self.window_size, (self.shape[3], self.shape[2]), strict=True):
+            order = np.arange(-(count // 2) + 1, count // 2)
+            order = order[np.abs(order) * reach / side <= 2 * radius * (1 + 1e-9)]
+            place = (np.arange(count) + 0.5) * side / count - side / 2
+            # What linear interpolation damps is raised beforehand.
+            gain = np.sinc(order / count) ** -2 / side
+            to_space.append((np.exp(2j * np.pi * np.outer(place, order) / side) * gain).astype(np.complex64))
+            orders.append(np.exp(-2j * np.pi * np.outer(order, u[0]) / side))
+            lags.append(order * reach / side)
+        spectra = np.einsum("ay,yxn,bx->nab", orders[1], values, orders[0], optimize=True).astype(np.complex64)
+        table = np.empty(self.shape, np.float32)
+        for node in np.ndindex(self.shape[:2]):
+            overlap = self._overlap(node, lags[0], lags[1][:, None], radius)
+            table[node] = np.moveaxis((to_space[1] @ (spectra * overlap) @ to_space[0].T).real, 0, -1)
+        return table
+
+    def _overlap(
+        self, node: tuple[int, int], lag_u: NDArray[np.float64], lag_v: NDArray[np.float64], radius: float
+    ) -> NDArray[np.float32]:
+        """Return O_P, averaged over the part of the pupil that linear interpolation gives to a node."""
+        abscissae, weights = np.polynomial.legendre.leggauss(_SUBSAMPLES)
+        aside, weights = (abscissae + 1) / 2, weights * (1 - (abscissae + 1) / 2)
+        steps = np.concatenate([-aside, aside])
+        weights = np.concatenate([weights, weights])
+        total = np.zeros(np.broadcast_shapes(lag_u.shape, lag_v.shape))
+        scale = 0.0
+        for step, weight in zip(steps, weights, strict=True):
+            t = 1 - (node[0] + step) / self.radial
+            if not 0 <= t <= 1:
+                continue
+            distance = radius * (1 - t * t)
+            # The area that belongs to a step of t, but on the axis any would be nothing.
+            area = weight * t * distance
+            for turn, share in zip(steps, weights, strict=True):
+                angle = (node[1] + turn) * math.pi / 2 / self.angular
+                Pu, Pv = distance * math.cos(angle), distance * math.sin(angle)
+                both = np.maximum(
+                    (Pu + lag_u / 2) ** 2 + (Pv + lag_v / 2) ** 2, (Pu - lag_u / 2) ** 2 + (Pv - lag_v / 2) ** 2
+                )
+                total += area * share * (both <= radius * radius)
+                scale += area * share
+        return (total / scale).astype(np.float32)
+
+    def bind(self) -> RayCoefficients:
+        """Return the table for Dr.Jit's variant that is set."""
+        return RayCoefficients(self)
+
+    # -- the array: kernels of images ------------------------------------------------------------------
+
+    @cached_property
+    def _transfer(self) -> tuple[NDArray[np.float64], NDArray[np.complex64]]:
+        """Lags, along either axis of the camera frame, and the integrals of polynomial times T T* over a cell."""
+        lattice, f2 = self.lattice, self.camera.mla_focal_length
+        wavelength = in_millimetres(self.wavelength)
+        step = lattice.pitches[0] / _TRANSFER_SAMPLES
+        half = math.ceil(lattice.cell_reach / step)
+        # Pairs in neighbouring lenses are less than two widths of a cell apart.
+        farthest = 2 * _TRANSFER_SAMPLES
+        # Half steps about the lens: with a lag of whole steps, both points of a pair lie between two whole steps.
+        reach = 2 * half + farthest + 1
+        along = np.arange(-reach, reach + 1) * (step / 2)
+        y, x = np.meshgrid(along, along, indexing="ij")
+        centre = lattice.centre(0.0, 0.0)
+        i, j = lattice.cell(x + centre[0], y + centre[1])
+        cx, cy = (c - c0 for c, c0 in zip(lattice.centre(i, j), centre, strict=True))
+        phase = (2 * (x * cx + y * cy) - cx * cx - cy * cy) / (2 * wavelength * f2)
+        T = np.where(lattice.in_aperture(x - cx, y - cy), np.exp(2j * np.pi * phase), 0).astype(np.complex64)
+        own = np.asarray((i == 0) & (j == 0), np.float32)
+        # Points on a border belong to both sides.
+        weights = self.polynomials(*lattice.to_frame(x, y)) * ((own + own[::-1, ::-1]) / 2)[..., None]
+        lags = np.arange(-farthest, farthest + 1)
+        result = np.zeros((len(self.exponents), len(lags), len(lags)), np.complex64)
+        count, parts = len(along), mi.Float(np.stack([T.real, T.imag], -1).ravel())
+        for odd_y, odd_x in np.ndindex(2, 2):
+            rows, columns = np.nonzero(weights[1 - odd_y :: 2, 1 - odd_x :: 2].any(-1))
+            rows, columns = 2 * rows + 1 - odd_y, 2 * columns + 1 - odd_x
+            b, a = (
+                grid.ravel() for grid in np.meshgrid(lags[lags % 2 == odd_y], lags[lags % 2 == odd_x], indexing="ij")
+            )
+            real, imaginary = _correlate(parts, b * count + a, rows * count + columns, weights[rows, columns])
+            result[:, b + farthest, a + farthest] = np.asarray(real) + 1j * np.asarray(imaginary)
+        # The open area as it is sampled, so that energy is kept.
+        return lags * step, result / result[0, farthest, farthest].real
+
+    def kernels(self, step: float, reach: float) -> NDArray[np.float64]:
+        """Return the kernels times the area of a grid's cell, on a grid of this step within this reach; (n, k, k)."""
+        lags, transfer = self._transfer
+        scale = in_millimetres(self.wavelength) * self.camera.detector_distance
+        count = math.ceil(reach / step)
+        place = np.arange(-count, count + 1) * step
+        # A grid holds frequencies to half a cycle a step.
+        kept = np.abs(lags) <= scale / (2 * step)
+        lags, transfer = lags[kept], transfer[:, kept][:, :, kept]
+        waves = np.exp(-2j * np.pi * np.outer(place, lags) / scale) * ((lags[1] - lags[0]) * step / scale)
+        return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
+
+
+class RayCoefficients:
+    """The table of a `PhaseSpace` on the device of the active variant."""
+
+    def __init__(self, plan: PhaseSpace) -> None:
+        self.plan = plan
+        # Coefficients are read four at a time.
+        padding = [(0, 0)] * 4 + [(0, -len(plan.exponents) % 4)]
+        self._table = mi.Float(np.pad(plan.table, padding).ravel())
+        self._radius = float(main_lens(plan.camera).pupil_radius)
+
+    def __call__(
+        self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
+    ) -> list[Any]:
+        """Return the coefficients of rays from points of a lens through points of the pupil.
+
+        Each ray takes one node of the table, by chance, so that the mean is what linear interpolation between the
+        sixteen nodes around it gives.
+
+        Parameters
+        ----------
+        point : (Float, Float)
+            Where the ray meets the array, from the centre of a lens.
+        pupil : (Float, Float)
+            Where it meets the pupil.
+        jitter : four Float
+            Random numbers from 0 to 1.
+        active : Bool
+            Rays that are wanted; of others, and of those outside the pupil or the window, the coefficients are 0.
+        """
+        plan = self.plan
+        radial, angular, rows, columns, count = plan.shape
+        (u, v), (Pu, Pv) = plan.lattice.to_frame(*point), plan.lattice.to_frame(*pupil)
+        width, height = plan.window_size
+        distance = dr.sqrt(Pu * Pu + Pv * Pv) / self._radius
+        active = active & (distance <= 1) & (dr.abs(u) <= width / 2) & (dr.abs(v) <= height / 2)
+        # A quarter of the pupil stands for all of it, mirrored as lenses are.
+        mirrored = Pu < 0, Pv < 0
+        u, v = (dr.select(turned, -place, place) for turned, place in zip(mirrored, (u, v), strict=True))
+        places = (
+            (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * (radial - 1),
+            dr.atan2(dr.abs(Pv), dr.abs(Pu)) * ((angular - 1) * 2 / math.pi),
+            v * (rows / height) + (rows / 2 - 0.5),
+            u * (columns / width) + (columns / 2 - 0.5),
+        )
+        nodes = [mi.Int(dr.floor(place + chance)) for place, chance in zip(places, jitter, strict=True)]
+        index = dr.minimum(nodes[0], radial - 1) * angular + dr.minimum(nodes[1], angular - 1)
+        # The window repeats.
+        for node, size in ((nodes[2], rows), (nodes[3], columns)):
+            index = index * size + dr.select(node < 0, node + size, dr.select(node >= size, node - size, node))
+        packets = -(-count // 4)
+        values = [
+            value
+            for packet in range(packets)
+            for value in dr.gather(mi.Vector4f, self._table, mi.UInt(index * packets + packet), active)
+        ]
+        signs = [dr.select(turned, -1.0, 1.0) for turned in mirrored]
+        return [
+            value * (signs[0] if i % 2 else 1.0) * (signs[1] if j % 2 else 1.0)
+            for (i, j), value in zip(plan.exponents, values, strict=False)
+        ]
+
+
+@dr.syntax
+def _correlate(
+    transmission: Any, lags: NDArray[np.int64], middles: NDArray[np.int64], weights: NDArray[np.float64]
+) -> tuple[list[Any], list[Any]]:
+    """Return, real and imaginary, the sums over midpoints of weight times T T*, for each weight and each lag."""
+    lag, middle, count = mi.Int(lags.astype(np.int32)), mi.Int(middles.astype(np.int32)), weights.shape[1]
+    values = mi.Float(weights.astype(np.float32).ravel())
+    real = [dr.zeros(mi.Float, len(lags)) for _ in range(count)]
+    imaginary = [dr.zeros(mi.Float, len(lags)) for _ in range(count)]
+    step, end = mi.UInt(0), dr.opaque(mi.UInt, len(middles))
+    while step < end:
+        centre = dr.gather(mi.Int, middle, step)
+        plus = dr.gather(mi.Complex2f, transmission, mi.UInt(centre + lag))
+        minus = dr.gather(mi.Complex2f, transmission, mi.UInt(centre - lag))
+        product = plus * dr.conj(minus)
+        for n in range(count):
+            weight = dr.gather(mi.Float, values, step * count + n)
+            real[n] = dr.fma(dr.real(product), weight, real[n])
+            imaginary[n] = dr.fma(dr.imag(product), weight, imaginary[n])
+        step += 1
+    return real, imaginary
