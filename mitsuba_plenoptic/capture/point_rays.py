@@ -78,7 +78,7 @@ class PointRays:
         pupil_weights: PupilWeights | None = None,
     ) -> None:
         _require_known(camera)
-        points = check_positions(points, camera)
+        points = check_positions(points, camera, virtual=True)
         self._points, self._wavelength, self._pupil_weights = points, wavelength, pupil_weights
         lens = lens_of_waves(camera, points, wavelength)
         on_array, on_detector = (2 * float(lens.pupil_radius) * abs(scale) for scale in _scales(camera, lens, points))

@@ -61,7 +61,8 @@ class Spreads:
         return total
 
     def _operators(self, camera: PlenopticCamera, points: NDArray[np.float64] | None) -> Iterable[CaptureOperator]:
-        options: dict[str, Any] = {"accuracy": self._accuracy, "method": self._method}
+        # A step from a point far away may lead across infinity.
+        options: dict[str, Any] = {"accuracy": self._accuracy, "method": self._method, "virtual": points is not None}
         for point in self.points if points is None else points:
             yield CaptureOperator(camera, [point], wavelength=self.wavelength, **options)
 

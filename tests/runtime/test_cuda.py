@@ -49,7 +49,8 @@ def fields():
 
 def refocused(camera=CAMERA, **options):
     image = CAPTURE if camera is CAMERA else CAPTURE[::2, ::2]
-    results = reconstruct(image, [225.0, 240.0], camera=camera, wavelength=633, **options)
+    options = {"wavelength": None if options["method"] == "ray" else 633, **options}
+    results = reconstruct(image, [225.0, 240.0], camera=camera, **options)
     return [result.image for result in results]
 
 

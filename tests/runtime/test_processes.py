@@ -23,9 +23,14 @@ def images(seed):
     yield "by rays", ray.image
     yield "by waves", wave.image
     yield "exposed", mp.expose(ray, mp.Detector(), photons=1000, seed=seed).image
-    for method, interleave in (("ray", 1), ("coherent", 1), ("partial", 2), ("partial", "auto")):
-        result = mp.reconstruct(wave, [210, 240], method=method, interleave=interleave)
-        yield f"{method}_{interleave}", np.stack([each.image for each in result])
+    for method, options in (
+        ("ray", {}),
+        ("coherent", {}),
+        ("partial", {"interleave": 2}),
+        ("partial", {"interleave": "auto"}),
+    ):
+        result = mp.reconstruct(wave, [210, 240], method=method, **options)
+        yield "_".join([method, *map(str, options.values())]), np.stack([each.image for each in result])
 """
 
 
