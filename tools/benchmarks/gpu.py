@@ -95,7 +95,7 @@ def letters(parameters: dict[str, str], runs: int) -> Iterator[Row]:
         "partially coherent, K = 2": {"method": "partial", "interleave": 2},
     }
     works = {
-        name: lambda options=options: reconstruct(capture, 280.0, wavelength=WAVELENGTH, **options)
+        name: lambda options=options: reconstruct(capture, 280.0, **options)
         for name, options in methods.items()
     }
     timings = side_by_side({name: _waited(libraries, work) for name, work in works.items()}, runs)

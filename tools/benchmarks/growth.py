@@ -168,7 +168,8 @@ def _wave_capture(passes: int) -> float:
 def _reconstruct(count: int, method: str, runs: int) -> float:
     capture = _noise(_CAMERA)
     distances = list(np.linspace(210, 280, count))
-    return _seconds(lambda: reconstruct(capture, distances, method=method, wavelength=_WAVELENGTH), runs)
+    wavelength = None if method == "ray" else _WAVELENGTH
+    return _seconds(lambda: reconstruct(capture, distances, method=method, wavelength=wavelength), runs)
 
 
 def _threaded(runs: int) -> float:

@@ -114,7 +114,9 @@ def shift_and_add(views: np.ndarray) -> np.ndarray:
 
 def _compare(name: str, capture: Capture, runs: int) -> Iterator[Row]:
     def work(distance: float | list[float] = _DISTANCE, **options: Any) -> Callable[[], Any]:
-        return lambda: reconstruct(capture, distance, wavelength=_WAVELENGTH, **options)
+        if "method" in options:
+            options["wavelength"] = _WAVELENGTH
+        return lambda: reconstruct(capture, distance, **options)
 
     image = capture.image
     works = {
