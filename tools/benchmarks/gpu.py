@@ -94,10 +94,7 @@ def letters(parameters: dict[str, str], runs: int) -> Iterator[Row]:
         "coherent": {"method": "coherent"},
         "partially coherent, K = 2": {"method": "partial", "interleave": 2},
     }
-    works = {
-        name: lambda options=options: reconstruct(capture, 280.0, **options)
-        for name, options in methods.items()
-    }
+    works = {name: lambda options=options: reconstruct(capture, 280.0, **options) for name, options in methods.items()}
     timings = side_by_side({name: _waited(libraries, work) for name, work in works.items()}, runs)
     for name, timing in timings.items():
         paper = PAPER_SECONDS[name]
