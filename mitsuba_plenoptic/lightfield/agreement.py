@@ -23,7 +23,7 @@ _SEEN = 0.25
 _OPEN = 0.9
 
 
-def view_disagreement(lf: xr.DataArray, slope: float) -> np.ndarray:
+def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the variance, in each bin, of the views moved so that points of one disparity coincide.
 
     It is averaged over neighbouring bins. Where it is less than half of that, twice the variance over the upper, lower,
@@ -38,30 +38,42 @@ def view_disagreement(lf: xr.DataArray, slope: float) -> np.ndarray:
 
     Returns
     -------
-    (t, s) float32 array
+    variance : (t, s) float32 array
         NaN where too few views see a bin, near the border.
+    whole : (t, s) float32 array
+        That variance and the one which the mean of the moved views has among the neighbouring bins: the variance that
+        is to be explained. Interpolation lessens both alike, by an amount that depends on the disparity.
     """
-    variance, seen = _view_variance(lf, slope)
-    parts = scipy.ndimage.gaussian_filter(variance, (0, _WINDOW, _WINDOW), mode="nearest")
+    variance, mean, seen = _moved_views(lf, slope)
+    parts, means, squares = (
+        scipy.ndimage.gaussian_filter(part, (0, _WINDOW, _WINDOW), mode="nearest")
+        for part in (variance, mean, np.square(mean))
+    )
     parts[seen < _SEEN] = np.nan
-    return np.fmin(parts[0], _HALF * np.fmin.reduce(parts[1:]))
+    whole = parts + np.maximum(squares - np.square(means), 0)
+    best = 1 + np.argmin(np.where(np.isnan(parts[1:]), np.inf, parts[1:]), axis=0)
+    half = np.take_along_axis(np.stack([_HALF * parts, whole]), best[None, None], 1)[:, 0]
+    chosen, to_explain = np.where(half[0] < parts[0], half, np.stack([parts[0], whole[0]]))
+    return chosen, to_explain
 
 
-def _view_variance(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray]:
-    """Variance over the views, moved so that points of one disparity, in lenses per view, coincide.
+def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Variance and mean over the views, moved so that points of one disparity, in lenses per view, coincide.
 
     Returns
     -------
     variance : (5, t, s) float32 array
         Of the whole pupil and of its upper, lower, left and right half; samples at the pupil's edge left out, mean
         over the channels.
+    mean : array like it
+        Of the same parts.
     seen : array like it
         Samples of it over those of the bin that has most.
     """
     weight = np.asarray(lf["weight"].values)
     weight = np.where(weight >= _OPEN, weight, 0)
     v, u = view_steps(lf, "v"), view_steps(lf, "u")
-    variance, fraction = np.zeros((2, 5, *lf.shape[2:4]), dtype=np.float32)
+    variance, mean, fraction = np.zeros((3, 5, *lf.shape[2:4]), dtype=np.float32)
     for plane in channel_planes(lf):
         # Sums of weight, weight x value and weight x value^2 over each quadrant of the pupil.
         sums = np.zeros((2, 2, 3, *lf.shape[2:4]), dtype=np.float64)
@@ -81,8 +93,10 @@ def _view_variance(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarr
         for index, (count, total, square) in enumerate(halves):
             seen = np.maximum(count, 1e-6)
             variance[index] += np.maximum(square / seen - (total / seen) ** 2, 0)
+            mean[index] += total / seen
             fraction[index] = count / max(float(count.max()), 1e-6)
-    return variance / (lf.sizes["c"] if "c" in lf.dims else 1), fraction
+    channels = lf.sizes.get("c", 1)
+    return variance / channels, mean / channels, fraction
 
 
 def _sides(step: float) -> tuple[float, float]:

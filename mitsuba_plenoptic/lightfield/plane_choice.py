@@ -54,7 +54,8 @@ class Choice:
     place : (rows, columns) float64 array
         Index of the plane, with fractions.
     probability : (rows, columns) float64 array
-        That the plane is right within the tolerance.
+        That the plane is right within the tolerance; 0 where it is the first or the last one that can be compared, as
+        the right one may lie beyond it.
     """
 
     place: np.ndarray
@@ -68,16 +69,21 @@ class Disagreement:
     Attributes
     ----------
     variance : (planes, rows, columns) array
-        Disagreement about each plane.
+        Disagreement about each plane; NaN where nothing can be compared.
     brightness : (rows, columns) array
         Of the bins.
     inverse : (planes,) array
-        Inverse distances of the planes, falling or rising evenly.
+        Inverse distances of the planes, falling or rising.
     """
 
     variance: np.ndarray
     brightness: np.ndarray
     inverse: np.ndarray
+
+
+def noise_floor(brightness: np.ndarray) -> np.ndarray:
+    """Return the variance of views below which differences mean nothing."""
+    return np.square(_NOISE * np.maximum(brightness, _DARK * brightness.mean()))
 
 
 def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
@@ -93,7 +99,15 @@ def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
         Relative error of a distance that counts as right.
     """
     place, told = indications(found, samples, tolerance)
-    return Choice(place, expit(np.tensordot(WEIGHTS, told, 1)))
+    return Choice(place, np.where(_at_an_end(found.variance, place), 0, expit(np.tensordot(WEIGHTS, told, 1))))
+
+
+def _at_an_end(variance: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Return where the chosen plane is the last on one side that can be compared: the right one may lie beyond it."""
+    known = np.pad(np.isfinite(variance), ((1, 1), (0, 0), (0, 0)))
+    row, column = np.indices(place.shape)
+    nearest = np.rint(place).astype(np.int64)
+    return ~np.logical_and.reduce([known[nearest + step, row, column] for step in (0, 1, 2)])
 
 
 def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
@@ -126,10 +140,12 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
     """
     inverse = found.inverse
     bright = np.maximum(found.brightness, _DARK * found.brightness.mean())
-    level = _NOISE * bright
     # A light field that is black everywhere has no evidence either.
     tiny = np.finfo(np.float32).tiny
-    energy = 0.5 * np.log(found.variance + np.square(level) + tiny)
+    # What cannot be compared agrees as badly as any.
+    worst = np.nan_to_num(np.fmax.reduce(found.variance, axis=0))
+    variance = np.where(np.isnan(found.variance), worst, found.variance)
+    energy = 0.5 * np.log(variance + noise_floor(found.brightness) + tiny)
     alone = _normalised(-samples * energy)
     together = _with_neighbours(_normalised(-_SHARED * energy))
     place = _summit(together)
@@ -152,6 +168,8 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
         _mass(asked, low, high),
         np.log((high - low + 1) / len(inverse)),
         floor.clip(np.log(_STILL)),
+        _rivalry(energy, low, high),
+        _rivalry(averaged, low, high),
     )
     return place, np.stack(told)
 
@@ -162,6 +180,22 @@ def _lead(energy: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     inside = (planes >= low - 0.5) & (planes <= high + 0.5)
     between, beyond = (np.where(part, energy, np.inf).min(axis=0) for part in (inside, ~inside))
     return np.where(np.isfinite(beyond), beyond - between, 0)
+
+
+def _rivalry(energy: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return how deep the deepest valley of the energy outside of two places is, as a fraction of the one between them.
+
+    Depths are taken from the median over all planes. Repeated texture agrees at several distances about as well, and
+    noise at any: the fraction is near 1 then, and above it where the chosen plane is not the best of the bin alone.
+    """
+    planes = np.arange(len(energy))[:, None, None]
+    inside = (planes >= low - 0.5) & (planes <= high + 0.5)
+    around = np.pad(energy, ((1, 1), (0, 0), (0, 0)), constant_values=np.inf)
+    lowest = (energy <= around[:-2]) & (energy <= around[2:])
+    typical = np.median(energy, axis=0)
+    own = typical - np.where(inside, energy, np.inf).min(axis=0)
+    rival = typical - np.where(lowest & ~inside, energy, np.inf).min(axis=0)
+    return np.divide(rival.clip(0), own, out=np.full(own.shape, 2.0), where=own > 0).clip(0, 2)
 
 
 def _normalised(logarithm: np.ndarray) -> np.ndarray:
