@@ -16,7 +16,7 @@ from ..design import focus_types
 from ..errors import InputError, require_count, require_number
 from ..runtime.jobs import Progress, counted
 from ..runtime.limits import require_memory
-from .agreement import view_disagreement
+from .agreement import finer_stripes, view_disagreement
 from .geometry import camera_of, depth_range, disparity, distance_of, require_light_field
 from .lens_agreement import LensComparison
 from .micro_images import MicroImages, micro_images_of
@@ -106,17 +106,21 @@ def depth_map(
     )
     choice = choose(*disagreement_of_planes(lf, slopes, progress, micro_images), RIGHT)
     found = np.interp(choice.place, np.arange(planes), slopes)
-    depth = np.where(choice.probability < 0.5, np.nan, distance_of(lf, found))
     nearest_plane = np.rint(choice.place).astype(np.int64)
     sharp = np.empty(lf.shape[2:], dtype=np.float32)
     for index in np.unique(nearest_plane):
         here = nearest_plane == index
         sharp[here] = shift_and_add(lf, slopes[index]).values[here]
+    probability = choice.probability
+    if not is_focused(lf):
+        # Two distances explain the views of stripes finer than two lenses alike.
+        probability = probability * (1 - finer_stripes(sharp.reshape(*nearest_plane.shape, -1).mean(axis=2)) / 2)
+    depth = np.where(probability < 0.5, np.nan, distance_of(lf, found))
     dims = ("t", "s")
     maps: dict[str, Any] = {
         "depth": (dims, depth, {"units": "mm"}),
         "disparity": (dims, found, {"units": "lenses per view"}),
-        "confidence": (dims, choice.probability),
+        "confidence": (dims, probability),
         "image": (("t", "s", "c")[: sharp.ndim], sharp),
     }
     if "depth" in lf.coords:
@@ -209,6 +213,7 @@ def disagreement_of_planes(
     InputError
         If views have nothing in common on any plane, or micro-images lack or are those of another camera.
     """
+    central = lf.sel(u=0.0, v=0.0, method="nearest").values.reshape(*lf.shape[2:4], -1).mean(axis=2, dtype=np.float64)
     if is_focused(lf):
         images = micro_images_of(lf) if micro_images is None else micro_images
         if images.camera != camera_of(lf) or images.bins.shape != lf.shape[2:4]:
@@ -216,7 +221,6 @@ def disagreement_of_planes(
         measure, samples = LensComparison(images).disagreement, LENSES
     else:
         measure, samples = partial(view_disagreement, lf), VIEWS
-    central = lf.sel(u=0.0, v=0.0, method="nearest").values.reshape(*lf.shape[2:4], -1).mean(axis=2)
     brightness = scipy.ndimage.gaussian_filter(central, _AROUND)
     variance, whole = np.empty((2, len(slopes), *lf.shape[2:4]), dtype=np.float32)
     for index, slope in enumerate(counted(slopes, progress)):

@@ -6,6 +6,7 @@ one unknown deviation have a likelihood proportional to :math:`V_d^{-N/2}` (with
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,11 +27,11 @@ _SHARED = 2.0
 _SURE = 1e-3
 
 
-# Views that are apart by less than this fraction of the brightness agree: without texture they do so on every plane.
-_AGREE = 0.1
-
-# Where they are apart by less than this, that no longer makes a depth surer.
+# Where views are apart by less than this fraction of the brightness, that no longer makes a depth surer.
 _STILL = 0.06
+
+# A valley of the disagreement is closed where it rises, on both sides, by this fraction of its depth.
+_CLOSED = 0.15
 
 # Neighbouring bins that are asked whether they are on the same plane, and over which evidence is averaged: standard
 # deviations of Gaussian windows.
@@ -41,8 +42,8 @@ _ASKED, _AVERAGED = 3.0, 2.0
 VIEWS, LENSES = 20.0, 3.0
 
 # What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood
-# on captures of the scenes that `tools/confidence_fit.py` lists, and rounded.
-WEIGHTS = (-11.29, 0.23, 0.8, 1.64, -3.76, 4.31, -0.21, -1.94, -2.69)
+# on captures of the scenes that `tools/confidence_fit.py` lists, none with the sign that it cannot have, and rounded.
+WEIGHTS = (-1.17, 0.05, 0.31, 1.51, 1.85, -0.55, -0.03, -1.99)
 
 
 @dataclass(frozen=True)
@@ -103,11 +104,25 @@ def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
 
 
 def _at_an_end(variance: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Return where the chosen plane is the last on one side that can be compared: the right one may lie beyond it."""
-    known = np.pad(np.isfinite(variance), ((1, 1), (0, 0), (0, 0)))
+    """Return where no valley of the disagreement is closed at the chosen plane: the right one may be beyond the last.
+
+    On both sides, among the planes that can be compared, the logarithm of the deviation must rise by some of what the
+    chosen plane is below the median of all.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        energy = 0.5 * np.log(variance + np.finfo(np.float32).tiny)
+        typical = np.nanmedian(energy, axis=0)
+    planes = np.arange(len(energy))[:, None, None]
+    least = np.where(np.abs(planes - place) <= 1, np.nan_to_num(energy, nan=np.inf), np.inf).min(axis=0)
+    # Planes that can be compared without a gap between them and the chosen one.
+    gaps = np.cumsum(np.isnan(energy), axis=0)
     row, column = np.indices(place.shape)
-    nearest = np.rint(place).astype(np.int64)
-    return ~np.logical_and.reduce([known[nearest + step, row, column] for step in (0, 1, 2)])
+    joined = np.isfinite(energy) & (gaps == gaps[np.rint(place).astype(np.int64), row, column])
+    wall = np.minimum(
+        *(np.where(joined & side, energy, -np.inf).max(axis=0) for side in (planes < place, planes > place))
+    )
+    return np.asarray(~(wall - least > _CLOSED * (typical - least)))
 
 
 def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
@@ -122,21 +137,19 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
     -------
     place : (rows, columns) array
         Index of the plane, with fractions.
-    told : (9, rows, columns) array
-        What tells whether the plane is right, logarithms but for the first and the seventh:
+    told : (8, rows, columns) array
+        What tells whether the plane is right, logarithms but for the first and those about neighbours and valleys:
 
         - one;
         - the log odds that it is, if the evidence is taken at its word, by the bin alone and with its neighbours;
-        - the deviation that views have even on the best plane, over a tenth of the brightness, or zero where it is
-          less. It is high where no plane explains the views: at edges of what is in front, on gloss and on steep
-          surfaces;
-        - how far the least deviation farther off is above that within the tolerance, in the bin, and on the average
-          over its surroundings: that is small where all planes are alike, as without texture and in noise;
+        - how far the least deviation farther off is above that within the tolerance, on the average over the bin's
+          surroundings: that is small where all planes are alike, as without texture and in noise;
         - the fraction of the neighbours which by their own evidence are within the tolerance of this plane: without
           evidence they are scattered;
-        - the fraction of the planes that is within the tolerance: how often chance is right;
-        - the deviation on the best plane over the brightness, or 0.06 where it is less: an even field without noise
-          tells nothing.
+        - the fraction of the planes that is within the tolerance;
+        - the deviation on the best plane over the brightness, or 0.06 where it is less: at edges of what is in front,
+          on gloss and on steep surfaces no plane explains the views;
+        - how deep the deepest other valley of the deviation is beside this one: `_rivalry`.
     """
     inverse = found.inverse
     bright = np.maximum(found.brightness, _DARK * found.brightness.mean())
@@ -162,13 +175,10 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
     told = (
         np.ones_like(place),
         *odds,
-        (floor - np.log(_AGREE)).clip(0),
-        _lead(energy, low, high),
         _lead(averaged, low, high),
         _mass(asked, low, high),
         np.log((high - low + 1) / len(inverse)),
         floor.clip(np.log(_STILL)),
-        _rivalry(energy, low, high),
         _rivalry(averaged, low, high),
     )
     return place, np.stack(told)
