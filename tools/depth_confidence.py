@@ -1,12 +1,13 @@
-"""Stated depths and their confidence against the truth, where depth is hard to see: the table quoted in the documentation.
+"""Stated depths and their confidence against the truth, where depth is hard to see: a table of the documentation.
 
 Renders the scenes of `depth_scenes.SCENES` before four small cameras, records each without noise, with 2000 and with
 500 photons in a pixel of value 1, and estimates depth by the default search. In a plane mirror the true depth is that
 of the mirrored object; bins that show curved mirrors have none and do not count. The limits:
 
 - of the depths stated with a confidence above 0.9, at least 85 % are within 1 % of the truth, in each capture;
-- the stated confidence is the found rate within 0.1 in each tenth (0 to 0.1, ...) of all bins together, and within 0.2
-  in each tenth of one capture that holds at least 300 bins of at least 5 objects;
+- the confidence is the found rate within 0.1 in each tenth (0 to 0.1, ...) of all bins together, and within 0.2 in each
+  tenth of one capture that holds at least 300 bins of at least 5 objects; a confidence of 0, at the ends of what can be
+  compared, states nothing and does not count;
 - given the results of an earlier version, at least 90 % of the bins that it stated rightly are still stated, in each
   capture of a scene with texture.
 
@@ -84,8 +85,8 @@ def estimated(capture: mp.Capture, known: Result) -> Result:
 
 
 def rates(confidence: np.ndarray, right: np.ndarray, objects: np.ndarray) -> list[dict[str, float]]:
-    """Return stated confidence and found rate of each tenth, with how many bins and objects are in it."""
-    tenth = np.minimum((10 * confidence).astype(int), 9)
+    """Return confidence and found rate of each tenth, with how many bins and objects are in it."""
+    tenth = np.where(confidence > 0, np.minimum((10 * confidence).astype(int), 9), -1)
     return [
         {
             "stated": float(confidence[here].mean()),
@@ -124,6 +125,7 @@ def main() -> None:
     """Measure all captures and write the table."""
     parser = accuracy.options("depth_confidence", __doc__)
     parser.add_argument("--captures", type=Path, help="folder that keeps the rendered captures")
+    parser.add_argument("--scenes", nargs="*", choices=SCENES, default=list(SCENES), help="these alone")
     parser.add_argument("--before", type=Path, help="depth_confidence.npz of an earlier version")
     arguments = accuracy.start(parser)
     mi.set_log_level(mi.LogLevel.Error)
@@ -131,7 +133,7 @@ def main() -> None:
     results: dict[str, Result] = {}
     rows: dict[tuple[str, int], dict[str, Any]] = {}
     figures = {}
-    for name in SCENES:
+    for name in arguments.scenes:
         for camera in CAMERAS:
             capture, known = captured(name, camera, arguments.captures)
             for photons in PHOTONS:
