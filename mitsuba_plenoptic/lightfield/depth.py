@@ -145,6 +145,12 @@ def _default_search(lf: xr.DataArray) -> tuple[float, float]:
     return max(float(near), 1.01 * camera_of(lf).focal_length), float(far)
 
 
+def default_slopes(lf: xr.DataArray) -> np.ndarray:
+    """Return the disparities of the planes of the default search."""
+    near, far = _default_search(lf)
+    return _slopes(lf, disparity(lf, near), disparity(lf, far), None)
+
+
 def _slopes(lf: xr.DataArray, first: float, last: float, planes: int | None) -> np.ndarray:
     """Return the disparities of the planes, from the first to the last.
 

@@ -43,7 +43,7 @@ VIEWS, LENSES = 20.0, 3.0
 
 # What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood
 # on captures of the scenes that `tools/confidence_fit.py` lists, none with the sign that it cannot have, and rounded.
-WEIGHTS = (-1.17, 0.05, 0.31, 1.51, 1.85, -0.55, -0.03, -1.99)
+WEIGHTS = (-2.21, 0.06, 0.35, 1.31, 1.55, -0.58, -0.5, -2.09)
 
 
 @dataclass(frozen=True)
@@ -100,10 +100,10 @@ def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
         Relative error of a distance that counts as right.
     """
     place, told = indications(found, samples, tolerance)
-    return Choice(place, np.where(_at_an_end(found.variance, place), 0, expit(np.tensordot(WEIGHTS, told, 1))))
+    return Choice(place, np.where(at_an_end(found.variance, place), 0, expit(np.tensordot(WEIGHTS, told, 1))))
 
 
-def _at_an_end(variance: np.ndarray, place: np.ndarray) -> np.ndarray:
+def at_an_end(variance: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Return where no valley of the disagreement is closed at the chosen plane: the right one may be beyond the last.
 
     On both sides, among the planes that can be compared, the logarithm of the deviation must rise by some of what the

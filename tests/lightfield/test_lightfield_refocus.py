@@ -266,24 +266,27 @@ class TestDepth:
     @pytest.mark.parametrize(("near", "far"), [(200, 260), (285, 330)])
     def test_a_card_beyond_the_search_is_unknown(self, blank, near, far):
         lf = flat_scene(blank, 273.0, texture(6))
-        found = depth_map(lf, near, far, planes=24)
-        assert float(np.isfinite(found.depth).mean()) < 0.02
-        assert float(found.confidence.mean()) < 0.05
+        found = depth_map(lf, near, far, planes=24).isel(s=slice(3, -3), t=slice(3, -3))
+        assert float(np.isfinite(found.depth).mean()) < 0.05
+        assert float((found.confidence == 0).mean()) > 0.9
 
     @pytest.mark.parametrize("period", [1.3, 2.0])
     def test_stripes_that_agree_at_several_distances_are_not_sure(self, blank, period):
-        lf = flat_scene(blank, 254.0, lambda x, y: 0.5 + 0.4 * np.sin(2 * np.pi * x / period) + 0 * y)
-        found = depth_map(lf, planes=96)
-        sure = found.confidence.values > 0.9
-        right = np.abs(found.depth.values / 254 - 1) < 0.01
-        assert np.count_nonzero(sure & ~right) <= 0.15 * max(1, np.count_nonzero(sure))
+        # Lenses average over their width.
+        height = 0.45 * np.sinc(1 / period)
+        lf = flat_scene(blank, 246.0, lambda x, y: 0.5 + height * np.sin(2 * np.pi * x / period) + 0 * y)
+        found = depth_map(lf, 205, 290)
+        wrong = ~(np.abs(found.depth.values / 246 - 1) < 0.01)
+        assert np.count_nonzero(wrong & (found.confidence.values > 0.9)) < 5
+        assert float((found.confidence.values[wrong] > 0.5).mean()) < 0.1
 
     @pytest.mark.parametrize("lattice", ["square", "hexagonal"])
     def test_an_even_field_with_few_photons_has_no_depth(self, lattice):
         camera = CAMERA.replace(mla_lattice=lattice)
         white = Capture(0.5 * white_image(camera), camera)
         found = depth_map(decode(expose(white, Detector(), photons=500)), planes=48)
-        assert float(np.isfinite(found.depth).mean()) < 0.005
+        assert float(np.isfinite(found.depth).mean()) < 0.03
+        assert float(found.confidence.max()) < 0.9
 
     @pytest.mark.parametrize(("near", "words"), [(50, "focal length"), (math.nan, "near")])
     def test_refused(self, blank, near, words):
