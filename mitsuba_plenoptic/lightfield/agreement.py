@@ -77,18 +77,23 @@ def finer_stripes(image: np.ndarray) -> np.ndarray:
     image : (rows, columns) array
         The image in focus everywhere: the mean of the views, of less noise than each.
     """
+    if min(image.shape) < 3:
+        return np.zeros(image.shape)
     image = image.astype(np.float64)
     detail = image - scipy.ndimage.gaussian_filter(image, _BACKGROUND)
     bent = -scipy.ndimage.laplace(detail)
+    # At the border the Laplacian is not known.
+    inner = np.pad(np.ones((image.shape[0] - 2, image.shape[1] - 2)), 1)
     power, bend, steepness, mean = (
-        scipy.ndimage.gaussian_filter(part, _PATCH)
+        scipy.ndimage.gaussian_filter(part * inner, _PATCH, mode="constant")
         for part in (np.square(detail), detail * bent, np.square(bent), image)
     )
+    seen = scipy.ndimage.gaussian_filter(inner, _PATCH, mode="constant")
     tiny = np.finfo(np.float64).tiny
     # Only of a single frequency is the Laplacian proportional to the image.
     single = bend / np.sqrt(power * steepness + tiny)
     frequency = np.arccos((1 - bend / (2 * power + tiny)).clip(-1, 1)) / (2 * np.pi)
-    contrast = np.sqrt(2 * power) / np.maximum(mean, tiny)
+    contrast = np.sqrt(2 * power * seen) / np.maximum(mean, tiny)
     most = np.sinc(1 - frequency)
     return np.asarray(((single - _BROAD) / (_SINGLE - _BROAD)).clip(0, 1) * ((1.3 - contrast / most) / 0.3).clip(0, 1))
 

@@ -274,7 +274,7 @@ class TestDepth:
     def test_stripes_that_agree_at_several_distances_are_not_sure(self, blank, period):
         # Lenses average over their width.
         height = 0.45 * np.sinc(1 / period)
-        lf = flat_scene(blank, 246.0, lambda x, y: 0.5 + height * np.sin(2 * np.pi * x / period) + 0 * y)
+        lf = flat_scene(blank, 246.0, lambda x, y: 0.5 + height * np.sin(2 * np.pi * x / period + 0.7) + 0 * y)
         found = depth_map(lf, 205, 290)
         wrong = ~(np.abs(found.depth.values / 246 - 1) < 0.01)
         assert np.count_nonzero(wrong & (found.confidence.values > 0.9)) < 5
