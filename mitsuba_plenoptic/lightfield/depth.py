@@ -47,27 +47,30 @@ def depth_map(
 ) -> xr.Dataset:
     r"""Estimate the depth that every bin of the central view sees, and how probably it is right.
 
-    For planes evenly spaced in disparity it is measured how well the views agree: those of an unfocused camera by
+    For planes spaced in disparity it is measured how well the views agree: those of an unfocused camera by
     `agreement.view_disagreement`, micro-images of a focused one by `lens_agreement.LensComparison`. `plane_choice`
-    makes probabilities of it, with what neighbouring bins tell, and takes the most probable plane, refined by a
+    makes probabilities of it, with those of neighbouring bins, and takes the most probable plane, refined by a
     parabola.
 
-    The confidence is the probability that a depth is within 1 % of the true one, as far as that is on the planes. Where
-    it is less than 1/2, which is the case where there is no texture or where nothing makes the views agree (gloss), the
-    depth is unknown, NaN. A focused camera tells no depth near the plane that is in focus on its microlens array, where
-    neighbouring lenses see nothing in common.
+    The confidence is an estimate of the probability that a depth is within 1 % of the true one. Where it is less than
+    1/2 the depth is unknown, NaN: without texture, in noise, where views agree at several distances about as well, and
+    where stripes may be finer than two lenses. It is 0 where views agree best at an end of the search: the depth is
+    then unknown, at least that near or that far. Near the plane that is in focus on the array of a focused camera
+    neighbouring lenses see nothing in common; what is there is unknown in the same way.
 
     Parameters
     ----------
     lf : xarray.DataArray
         A light field of a camera.
     near, far : float
-        Range of distances in millimetres to search. Default: `depth_range`, where views differ by at most a lens.
+        Range of distances in millimetres to search. Default: where a point moves by at most two lenses from view to
+        view, twice as far as `depth_range`; of a focused camera `depth_range`.
     micro_images : MicroImages, optional
         What `micro_images` makes of the same capture. A focused camera whose lenses are not upright and square needs
         them, as its light field is interpolated between lenses; others do without.
-    planes : int
-        How many planes, at least 3.
+    planes : int, optional
+        How many planes, at least 3. Default: 64, and more where they would be farther than 1/32 lens per view apart, or
+        micro-images of a focused camera would move by more than a quarter of a pixel between them.
     progress : callable, optional
         Called with the planes done and their number.
 
@@ -98,7 +101,7 @@ def depth_map(
     bins, channels = lf.sizes["t"] * lf.sizes["s"], lf.sizes.get("c", 1)
     # Views are moved in copies, probabilities are taken in several of the cost that each plane leaves.
     samples = lf.size if micro_images is None else micro_images.values.size
-    copies, plane = (40.0 if is_focused(lf) else 6.0) * samples + 4.0 * bins * channels, 40.0 * bins
+    copies, plane = (40.0 if is_focused(lf) else 6.0) * samples + 4.0 * bins * channels, 48.0 * bins
     require_memory(
         copies + plane * planes,
         f"depth map of {planes} planes",
