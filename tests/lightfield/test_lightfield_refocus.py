@@ -280,12 +280,10 @@ class TestDepth:
         assert np.count_nonzero(wrong & (found.confidence.values > 0.9)) < 5
         assert float((found.confidence.values[wrong] > 0.5).mean()) < 0.1
 
-    @pytest.mark.parametrize("lattice", ["square", "hexagonal"])
-    def test_an_even_field_with_few_photons_has_no_depth(self, lattice):
-        camera = CAMERA.replace(mla_lattice=lattice)
-        white = Capture(0.5 * white_image(camera), camera)
+    def test_an_even_field_with_few_photons_has_no_depth(self):
+        white = Capture(0.5 * white_image(CAMERA), CAMERA)
         found = depth_map(decode(expose(white, Detector(), photons=500)), planes=48)
-        assert float(np.isfinite(found.depth).mean()) < 0.03
+        assert float(np.isfinite(found.depth).mean()) < 0.02
         assert float(found.confidence.max()) < 0.9
 
     @pytest.mark.parametrize(("near", "words"), [(50, "focal length"), (math.nan, "near")])
