@@ -105,30 +105,39 @@ def _scene(camera: mp.PlenopticCamera, objects: dict[str, Any], sampler: str = "
 
 # -- objects of which the depth is hard to see -------------------------------------------------------
 
-CAMERAS: dict[str, tuple[mp.PlenopticCamera, float, float]] = {
-    "square": (_square := mp.PlenopticCamera(detector_width=3.072, resolution=(768, 768)), 215, 265),
-    "hexagonal": (_square.replace(mla_lattice="hexagonal"), 215, 265),
-    "focused": (_square.replace(mla_focal_length=0.384, mla_distance=121.536, aperture_radius=4.9), 234.5, 243),
+Range = tuple[float, float]
+CAMERAS: dict[str, tuple[mp.PlenopticCamera, tuple[Range, ...]]] = {
+    "square": (_square := mp.PlenopticCamera(detector_width=3.072, resolution=(768, 768)), ((215, 265),)),
+    "hexagonal": (_square.replace(mla_lattice="hexagonal"), ((215, 265),)),
+    "focused": (
+        _square.replace(mla_focal_length=0.384, mla_distance=121.536, aperture_radius=4.9),
+        ((219.5, 225), (240.5, 247)),
+    ),
     "multi-focus": (
         _square.replace(
             mla_lattice="hexagonal", mla_focal_length=(0.768, 0.72, 0.82), mla_distance=118.464, aperture_radius=4.3
-        ), 234.5, 243,
+        ),
+        ((231.5, 238.5), (259.5, 266)),
     ),
 }  # fmt: skip
-"""Small cameras of 48 lenses by 48, and the distances in mm between which their scenes are.
+"""Small cameras of 48 lenses by 48, and the ranges of distances in mm in which the objects of their scenes are.
 
 Of Keplerian and of Galilean lenses; their light is spread over few enough lenses to be rendered with little noise.
+Objects before focused cameras are on both sides of the distances at which neighbouring lenses see nothing in common
+(227 to 238 mm, and 241 to 257 mm), by more than 1 %: there such a camera shows no depth, and a depth on their other
+side would be near enough to count as right.
 """
 
-BEYOND = {"square": (300, 200), "hexagonal": (300, 200), "focused": (290, 222), "multi-focus": (290, 222)}
-"""Distances of cards that are farther off and nearer, most of them beyond where views differ by a lens."""
+BEYOND = {"square": (300, 200), "hexagonal": (300, 200), "focused": (290, 200), "multi-focus": (300, 205)}
+"""Distances of cards that are farther off and nearer: where views differ by more than a lens, and beyond the default
+search of the focused cameras."""
 
 
 class Stage:
     """A camera and what stands before it, placed by fractions of the field and of the range of distances."""
 
     def __init__(self, camera: str, seed: int) -> None:
-        self.camera, self.near, self.far = CAMERAS[camera]
+        self.camera, self.ranges = CAMERAS[camera]
         self.beyond = BEYOND[camera]
         self.random = np.random.default_rng(seed)
         self.lenses = self.camera.detector_width / self.camera.mla_pitch
@@ -137,8 +146,11 @@ class Stage:
         """Depth of what is seen in mirrors, by the name of the object; NaN where it has none."""
 
     def distance(self, fraction: float) -> float:
-        """Return a distance by its fraction of the range, moved a little at random."""
-        return self.near + (self.far - self.near) * (fraction + 0.1 * self.random.uniform(-1, 1))
+        """Return a distance by its fraction of the ranges put together, moved a little at random."""
+        ends = np.cumsum([0.0, *(far - near for near, far in self.ranges)])
+        place = float(np.clip(fraction + 0.1 * self.random.uniform(-1, 1), 0, 1)) * ends[-1]
+        index = min(int(np.searchsorted(ends, place, side="right")) - 1, len(self.ranges) - 1)
+        return float(self.ranges[index][0] + place - ends[index])
 
     def half_field(self, distance: float) -> float:
         """Return half the width of the field at a distance, in mm."""
@@ -186,7 +198,9 @@ def _two_planes(stage: Stage) -> None:
 
 
 def _slanted(stage: Stage) -> None:
-    tilt = np.degrees(np.arctan2(0.25 * (stage.far - stage.near), 1.2 * stage.half_field(stage.near)))
+    near, far = stage.ranges[-1]
+    stage.ranges = ((near, far),)
+    tilt = np.degrees(np.arctan2(0.25 * (far - near), 1.2 * stage.half_field(near)))
     stage.card(stage.distance(0.5), stage.noise(1.0, stretch=1 / np.cos(np.radians(tilt))), tilt=tilt)
 
 
@@ -244,7 +258,7 @@ def _mirror(stage: Stage) -> None:
 
 def _balls(stage: Stage) -> None:
     """Put mirror balls and glossy ones before a card, in surroundings that they show."""
-    span = stage.far - stage.near
+    span = sum(far - near for near, far in stage.ranges)
     for number in range(6):
         distance = stage.distance(stage.random.uniform(0.1, 0.7))
         half = stage.half_field(distance)
@@ -270,7 +284,7 @@ def _edges(stage: Stage) -> None:
     for rank, fraction in zip(order, np.linspace(0.05, 0.85, 9), strict=True):
         left = -1.1 + 0.22 * rank + 0.03 * stage.random.uniform(-1, 1)
         stage.card(stage.distance(fraction), stage.noise(stage.random.uniform(0.5, 1.5)), left, left + 0.45)
-    stage.card(stage.far, stage.noise(1.0))
+    stage.card(stage.ranges[-1][1], stage.noise(1.0))
 
 
 SCENES: dict[str, Callable[[Stage], None]] = {
