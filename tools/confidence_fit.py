@@ -32,8 +32,8 @@ from mitsuba_plenoptic.lightfield.depth import RIGHT, default_slopes, disagreeme
 from mitsuba_plenoptic.lightfield.plane_choice import WEIGHTS, at_an_end, indications
 
 PHOTONS = (0, 500)
-MAY_BE_FINER = 0.5
-"""Bins of which `finer_stripes` says so are left out: what it says is no matter of weights."""
+MAY_BE_FINER = 0.25
+"""Bins of which `finer_stripes` returns more are left out: what it returns is no matter of weights."""
 
 BOUNDS = [(None, None), (0, None), (0, None), (0, None), (0, None), (None, None), (None, -1.4), (None, 0)]
 """Of each weight. That of what no plane explains is at least 1.4: the scenes fitted to have little of it."""

@@ -65,12 +65,14 @@ def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.nd
 
 
 def finer_stripes(image: np.ndarray) -> np.ndarray:
-    """Return, from 0 to 1, whether what a view shows may be stripes finer than two lenses.
+    """Return how probably what a view shows are stripes finer than two lenses.
 
     Of a texture with a single frequency f, in cycles per lens, a view sampled once a lens is the same for the frequency
     1 - f, which moves otherwise from view to view: the depth at which views agree is not the true one then. A lens
-    averages over its width, so that the finer stripes have a contrast of at most sinc(1 - f). Texture of many
-    frequencies agrees only at its depth.
+    averages over its width, so that the coarser stripes have a contrast of at most sinc(f), the finer ones of at most
+    sinc(1 - f). With any contrast up to these alike before, a contrast that both can have is that of the finer ones
+    with a probability of sinc(f) / (sinc(f) + sinc(1 - f)), 1/2 or more. Texture of many frequencies agrees only at its
+    depth.
 
     Parameters
     ----------
@@ -94,8 +96,9 @@ def finer_stripes(image: np.ndarray) -> np.ndarray:
     single = bend / np.sqrt(power * steepness + tiny)
     frequency = np.arccos((1 - bend / (2 * power + tiny)).clip(-1, 1)) / (2 * np.pi)
     contrast = np.sqrt(2 * power * seen) / np.maximum(mean, tiny)
-    most = np.sinc(1 - frequency)
-    return np.asarray(((single - _BROAD) / (_SINGLE - _BROAD)).clip(0, 1) * ((1.3 - contrast / most) / 0.3).clip(0, 1))
+    coarser, finer = np.sinc(frequency), np.sinc(1 - frequency)
+    possible = ((single - _BROAD) / (_SINGLE - _BROAD)).clip(0, 1) * ((1.3 - contrast / finer) / 0.3).clip(0, 1)
+    return np.asarray(possible * coarser / (coarser + finer))
 
 
 def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

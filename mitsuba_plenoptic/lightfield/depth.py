@@ -117,7 +117,7 @@ def depth_map(
     probability = choice.probability
     if not is_focused(lf):
         # Two distances explain the views of stripes finer than two lenses alike.
-        probability = probability * (1 - finer_stripes(sharp.reshape(*nearest_plane.shape, -1).mean(axis=2)) / 2)
+        probability = probability * (1 - finer_stripes(sharp.reshape(*nearest_plane.shape, -1).mean(axis=2)))
     depth = np.where(probability < 0.5, np.nan, distance_of(lf, found))
     dims = ("t", "s")
     maps: dict[str, Any] = {
