@@ -2,8 +2,8 @@
 
 Depth is estimated in scenes that no table judges, `depth_scenes.FITTED_SCENES`, before four cameras, without noise and
 with 500 photons in a pixel of value 1. What `plane_choice.indications` returns of each bin is held against whether its
-depth is within 1 % of the truth, by logistic regression: maximum likelihood, all captures counted alike, one set of
-weights for all cameras, none with the sign that it cannot have. Each scene is also judged by weights that were fitted
+depth is within 1 % of the truth, by logistic regression: maximum likelihood, all bins counted alike, one set of weights
+for all cameras, none with the sign that it cannot have. Each scene is also judged by weights that were fitted
 to the others.
 
 Prints the weights, the likelihood of those in use, and for each scene left out the stated confidence and the rate of
@@ -35,8 +35,8 @@ PHOTONS = (0, 500)
 MAY_BE_FINER = 0.25
 """Bins of which `finer_stripes` returns more are left out: what it returns is no matter of weights."""
 
-BOUNDS = [(None, None), (0, None), (0, None), (0, None), (0, None), (None, None), (None, -1.4), (None, 0)]
-"""Of each weight. That of what no plane explains is at least 1.4: the scenes fitted to have little of it."""
+BOUNDS = [(None, None), (0, None), (0, None), (0, None), (0, None), (None, None), (None, -1.0), (None, 0)]
+"""Of each weight. That of what no plane explains is at most -1: the scenes fitted to have little of it."""
 
 COLUMNS = {
     "scene left out": "{scene}",
@@ -64,12 +64,12 @@ def observe(capture: mp.Capture, truth: np.ndarray) -> Observed:
 
 
 def loss_of(weights: np.ndarray, scenes: list[Observed]) -> tuple[float, np.ndarray]:
-    """Return the negative log likelihood per bin, the mean over scenes, and its derivative by the weights."""
-    loss, slope = 0.0, np.zeros_like(weights)
+    """Return the negative log likelihood per bin, and its derivative by the weights."""
+    loss, slope, bins = 0.0, np.zeros_like(weights), sum(len(right) for _, right in scenes)
     for told, right in scenes:
         odds = told @ weights
-        loss += float((np.logaddexp(0, odds) - right * odds).mean()) / len(scenes)
-        slope += told.T @ (expit(odds) - right) / len(right) / len(scenes)
+        loss += float((np.logaddexp(0, odds) - right * odds).sum()) / bins
+        slope += told.T @ (expit(odds) - right) / bins
     return loss, slope
 
 

@@ -43,7 +43,7 @@ VIEWS, LENSES = 20.0, 3.0
 
 # What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood
 # on captures of the scenes that `tools/confidence_fit.py` lists, none with the sign that it cannot have, and rounded.
-WEIGHTS = (-5.2, 0.3, 0.26, 1.31, 2.08, -0.63, -1.4, -1.59)
+WEIGHTS = (-12.6, 0.18, 0.31, 0.0, 4.43, -3.01, -1.0, -0.98)
 
 
 @dataclass(frozen=True)
