@@ -42,8 +42,8 @@ _ASKED, _AVERAGED = 3.0, 2.0
 VIEWS, LENSES = 20.0, 3.0
 
 # What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood
-# on captures of the scenes that `tools/confidence_fit.py` lists, none with the sign that it cannot have, and rounded.
-WEIGHTS = (-12.6, 0.18, 0.31, 0.0, 4.43, -3.01, -1.0, -0.98)
+# on captures of the scenes that `tools/confidence_fit.py` lists, within its bounds, and rounded.
+WEIGHTS = (-12.6, 0.18, 0.31, 4.43, -3.01, -1.0, -0.98)
 
 
 @dataclass(frozen=True)
@@ -137,13 +137,11 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
     -------
     place : (rows, columns) array
         Index of the plane, with fractions.
-    told : (8, rows, columns) array
+    told : (7, rows, columns) array
         What tells whether the plane is right, logarithms but for the first and those about neighbours and valleys:
 
         - one;
         - the log odds that it is, if the evidence is taken at its word, by the bin alone and with its neighbours;
-        - how far the least deviation farther off is above that within the tolerance, on the average over the bin's
-          surroundings: that is small where all planes are alike, as without texture and in noise;
         - the fraction of the neighbours which by their own evidence are within the tolerance of this plane: without
           evidence they are scattered;
         - the fraction of the planes that is within the tolerance;
@@ -175,21 +173,12 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
     told = (
         np.ones_like(place),
         *odds,
-        _lead(averaged, low, high),
         _mass(asked, low, high),
         np.log((high - low + 1) / len(inverse)),
         floor.clip(np.log(_STILL)),
         _rivalry(averaged, low, high),
     )
     return place, np.stack(told)
-
-
-def _lead(energy: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return by how much the least energy outside of two places is above the least between them; 0 if all is inside."""
-    planes = np.arange(len(energy))[:, None, None]
-    inside = (planes >= low - 0.5) & (planes <= high + 0.5)
-    between, beyond = (np.where(part, energy, np.inf).min(axis=0) for part in (inside, ~inside))
-    return np.where(np.isfinite(beyond), beyond - between, 0)
 
 
 def _rivalry(energy: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

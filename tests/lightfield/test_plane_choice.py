@@ -46,20 +46,10 @@ def test_neighbours_that_see_another_plane_make_less_sure():
     found = Disagreement(np.tile(np.square(deviation)[:, None, :], (1, 9, 1)), np.ones((9, 40)), INVERSE)
     sure = choose(found, VIEWS, 0.01).probability[4]
     # The window reaches over the border at half of its weight.
-    asked = indications(found, VIEWS, 0.01)[1][4, 4]
+    asked = indications(found, VIEWS, 0.01)[1][3, 4]
     assert asked[5] > 0.99
     assert 0.4 < asked[19] < 0.65
     assert sure[5] > 0.9
-
-
-def test_the_lead_is_that_of_the_best_plane_farther_off():
-    found = disagreement(0.05, 0.5)
-    _, told = indications(found, VIEWS, 0.01)
-    energy = 0.5 * np.log(found.variance[:, 0, 0] + 0.02**2)
-    # The true plane is at 1 / 233.7 mm, of which 1 % is 1.03 steps: planes 16 to 18 are within, the next is the 19th.
-    np.testing.assert_allclose(told[3], min(energy[15], energy[19]) - energy[17], atol=1e-6)
-    # With all planes within the tolerance there is none.
-    np.testing.assert_array_equal(indications(found, VIEWS, 0.9)[1][3], 0)
 
 
 @pytest.mark.parametrize("samples", [VIEWS, LENSES])
@@ -71,7 +61,8 @@ def test_a_valley_as_deep_elsewhere_makes_unsure(samples):
         return Disagreement(np.tile((deviation**2)[:, None, None], (1, *SHAPE)), np.ones(SHAPE), INVERSE)
 
     ambiguous, clear = (choose(rivals(depth), samples, 0.01).probability for depth in (0.88, 0.1))
-    assert np.all(ambiguous < clear - 0.05)
+    # Wrong at least three times as often.
+    assert np.all(1 - ambiguous > 3 * (1 - clear))
 
 
 @pytest.mark.parametrize("true", [-2.0, 0.3, PLANES - 1.2, PLANES + 3.0])
