@@ -35,7 +35,7 @@ PHOTONS = (0, 500)
 MAY_BE_FINER = 0.25
 """Bins of which `finer_stripes` returns more are left out: what it returns is no matter of weights."""
 
-BOUNDS = [(None, None), (0, None), (0, None), (0, None), (None, None), (None, -1.0), (None, 0)]
+BOUNDS = [(None, None), (0, None), (0, None), (None, -1.0), (None, 0)]
 """Of each weight. That of what no plane explains is at most -1: the scenes fitted to have little of it."""
 
 COLUMNS = {

@@ -43,7 +43,7 @@ VIEWS, LENSES = 20.0, 3.0
 
 # What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood
 # on captures of the scenes that `tools/confidence_fit.py` lists, within its bounds, and rounded.
-WEIGHTS = (-12.6, 0.18, 0.31, 4.43, -3.01, -1.0, -0.98)
+WEIGHTS = (-2.92, 0.49, 3.8, -1.0, -1.5)
 
 
 @dataclass(frozen=True)
@@ -137,14 +137,13 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
     -------
     place : (rows, columns) array
         Index of the plane, with fractions.
-    told : (7, rows, columns) array
+    told : (5, rows, columns) array
         What tells whether the plane is right, logarithms but for the first and those about neighbours and valleys:
 
         - one;
-        - the log odds that it is, if the evidence is taken at its word, by the bin alone and with its neighbours;
+        - the log odds that it is, if the evidence of the bin alone is taken at its word;
         - the fraction of the neighbours which by their own evidence are within the tolerance of this plane: without
           evidence they are scattered;
-        - the fraction of the planes that is within the tolerance;
         - the deviation on the best plane over the brightness, or 0.06 where it is less: at edges of what is in front,
           on gloss and on steep surfaces no plane explains the views;
         - how deep the deepest other valley of the deviation is beside this one: `_rivalry`.
@@ -165,16 +164,14 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
     at = np.interp(place, planes, inverse)
     ends = [np.interp(at / (1 + sign * tolerance), inverse[order], planes[order]) for sign in (-1, 1)]
     low, high = np.minimum(*ends), np.maximum(*ends)
-    odds = [logit(_mass(part, low, high).clip(_SURE, 1 - _SURE)) for part in (alone, together)]
     floor = energy.min(axis=0) - np.log(bright + tiny)
     averaged = scipy.ndimage.gaussian_filter(energy, (0, _AVERAGED, _AVERAGED), mode="nearest")
     own = energy.argmin(axis=0) == planes[:, None, None]
     asked = scipy.ndimage.gaussian_filter(own.astype(np.float64), (0, _ASKED, _ASKED), mode="nearest")
     told = (
         np.ones_like(place),
-        *odds,
+        logit(_mass(alone, low, high).clip(_SURE, 1 - _SURE)),
         _mass(asked, low, high),
-        np.log((high - low + 1) / len(inverse)),
         floor.clip(np.log(_STILL)),
         _rivalry(averaged, low, high),
     )

@@ -29,7 +29,8 @@ def test_the_plane_of_least_disagreement_is_chosen(samples):
 def test_what_no_plane_explains_is_less_sure(samples):
     # The same relative minimum, of views that are apart on every plane.
     explained, unexplained = (choose(disagreement(0.06 * k, 0.3 * k), samples, 0.01).probability for k in (1, 4))
-    assert np.all(unexplained < explained - 0.02)
+    # Wrong at least three times as often, however sure the first is.
+    assert np.all(1 - unexplained > 3 * (1 - explained))
 
 
 @pytest.mark.parametrize("samples", [VIEWS, LENSES])
@@ -46,7 +47,7 @@ def test_neighbours_that_see_another_plane_make_less_sure():
     found = Disagreement(np.tile(np.square(deviation)[:, None, :], (1, 9, 1)), np.ones((9, 40)), INVERSE)
     sure = choose(found, VIEWS, 0.01).probability[4]
     # The window reaches over the border at half of its weight.
-    asked = indications(found, VIEWS, 0.01)[1][3, 4]
+    asked = indications(found, VIEWS, 0.01)[1][2, 4]
     assert asked[5] > 0.99
     assert 0.4 < asked[19] < 0.65
     assert sure[5] > 0.9
