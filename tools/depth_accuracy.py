@@ -2,8 +2,8 @@
 
 Renders captures with their ground truth, estimates depth, and compares it bin by bin: how far it is off where the scene
 has texture, and how often the stated confidence keeps its word. Confidence is the probability that a depth is within
-1 % of the distance. `made 1` to `made 4` are heaps of tiles with random patterns; those with `--tuning` are the ones by
-which constants were chosen.
+1 % of the distance; 0 states nothing, at the ends of what can be compared, and does not count. `made 1` to `made 4` are
+heaps of tiles with random patterns; those with `--tuning` are the ones by which constants were chosen.
 
     python tools/depth_accuracy.py --output out/depth_accuracy [--spp 16] [--tuning] [--scenes NAME ...]
 """
@@ -133,7 +133,9 @@ def measure(
     told = np.isfinite(depth)
     # The best guess, also where the depth counts as unknown.
     error = np.abs(distance_of(lf, found.disparity.values) / truth - 1)
-    stated, right = confidence[inside], error[inside] < NEAR_BY
+    # At the ends of what can be compared nothing is stated.
+    stating = inside & (confidence > 0)
+    stated, right = confidence[stating], error[stating] < NEAR_BY
     told_of.append((stated, right))
     tenths = by_tenths(stated, right, np.ones(len(right)))
     there = error[textured & told]
@@ -149,7 +151,7 @@ def measure(
         "guessed": float((inside & ~textured & told).sum() / max(1, (inside & ~textured).sum())),
         "tenths": shown_tenths(tenths),
         "worst": worst_tenth(tenths),
-        "chance": chance(stated, right, inside),
+        "chance": chance(stated, right, stating),
     }
 
 

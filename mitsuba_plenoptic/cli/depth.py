@@ -43,12 +43,12 @@ def depth(
         ),
     ],
     near: Annotated[
-        float | None, number("Nearest distance to search.", "where views differ by a lens", unit="MM")
+        float | None, number("Nearest distance to search.", "as near as the capture shows depth", unit="MM")
     ] = None,
     far: Annotated[
-        float | None, number("Farthest distance to search.", "where views differ by a lens", unit="MM")
+        float | None, number("Farthest distance to search.", "as far as the capture shows depth", unit="MM")
     ] = None,
-    planes: Annotated[int, number("Number of distances to try.")] = 64,
+    planes: Annotated[int | None, number("Number of distances to try.", "64, more for a wide search")] = None,
     white: White = None,
     view_count: ViewCount = None,
     linear: Linear = False,
@@ -59,9 +59,10 @@ def depth(
 ) -> None:
     """Estimate depth, and an image in focus everywhere, from how well the views agree.
 
-    Depth is measured from the main lens along the axis. The confidence tells
-    where to believe it: above half, no other depth explains the views nearly
-    as well. Where ground truth is known, the depth's error is told.
+    Depth is measured from the main lens along the axis. The confidence is an
+    estimate of the probability that it is within 1 %; below half the depth is
+    unknown. It is 0 where the views agree best at an end of the search. Where
+    ground truth is known, the depth's error is printed.
 
     [bold]Example:[/bold]
 

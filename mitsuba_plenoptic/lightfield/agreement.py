@@ -22,8 +22,15 @@ _SEEN = 0.25
 # coordinate says, which would pull depths towards the plane in focus.
 _OPEN = 0.9
 
+# Bins that are background of the texture of a bin, and those that show it: standard deviations of Gaussian windows.
+_BACKGROUND, _PATCH = 4.0, 3.0
 
-def view_disagreement(lf: xr.DataArray, slope: float) -> np.ndarray:
+# Correlation of a texture with its Laplacian: at most the first where it has many frequencies, above the second where
+# it has but one. Smooth random textures were found between 0.55 and 0.9, stripes above 0.92.
+_BROAD, _SINGLE = 0.88, 0.96
+
+
+def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the variance, in each bin, of the views moved so that points of one disparity coincide.
 
     It is averaged over neighbouring bins. Where it is less than half of that, twice the variance over the upper, lower,
@@ -38,30 +45,79 @@ def view_disagreement(lf: xr.DataArray, slope: float) -> np.ndarray:
 
     Returns
     -------
-    (t, s) float32 array
+    variance : (t, s) float32 array
         NaN where too few views see a bin, near the border.
+    whole : (t, s) float32 array
+        That variance and the one which the mean of the moved views has among the neighbouring bins: the variance that
+        is to be explained. Interpolation lessens both alike, by an amount that depends on the disparity.
     """
-    variance, seen = _view_variance(lf, slope)
-    parts = scipy.ndimage.gaussian_filter(variance, (0, _WINDOW, _WINDOW), mode="nearest")
+    variance, mean, seen = _moved_views(lf, slope)
+    parts, means, squares = (
+        scipy.ndimage.gaussian_filter(part, (0, _WINDOW, _WINDOW), mode="nearest")
+        for part in (variance, mean, np.square(mean))
+    )
     parts[seen < _SEEN] = np.nan
-    return np.fmin(parts[0], _HALF * np.fmin.reduce(parts[1:]))
+    whole = parts + np.maximum(squares - np.square(means), 0)
+    best = 1 + np.argmin(np.where(np.isnan(parts[1:]), np.inf, parts[1:]), axis=0)
+    half = np.take_along_axis(np.stack([_HALF * parts, whole]), best[None, None], 1)[:, 0]
+    chosen, to_explain = np.where(half[0] < parts[0], half, np.stack([parts[0], whole[0]]))
+    return chosen, to_explain
 
 
-def _view_variance(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray]:
-    """Variance over the views, moved so that points of one disparity, in lenses per view, coincide.
+def finer_stripes(image: np.ndarray) -> np.ndarray:
+    """Return how probably what a view shows are stripes finer than two lenses.
+
+    Of a texture with a single frequency f, in cycles per lens, a view sampled once a lens is the same for the frequency
+    1 - f, which moves otherwise from view to view: the depth at which views agree is not the true one then. A lens
+    averages over its width, so that the coarser stripes have a contrast of at most sinc(f), the finer ones of at most
+    sinc(1 - f). With any contrast up to these alike before, a contrast that both can have is that of the finer ones
+    with a probability of sinc(f) / (sinc(f) + sinc(1 - f)), 1/2 or more. Texture of many frequencies agrees only at its
+    depth.
+
+    Parameters
+    ----------
+    image : (rows, columns) array
+        The image in focus everywhere: the mean of the views, of less noise than each.
+    """
+    if min(image.shape) < 3:
+        return np.zeros(image.shape)
+    image = image.astype(np.float64)
+    detail = image - scipy.ndimage.gaussian_filter(image, _BACKGROUND)
+    bent = -scipy.ndimage.laplace(detail)
+    # At the border the Laplacian is not known.
+    inner = np.pad(np.ones((image.shape[0] - 2, image.shape[1] - 2)), 1)
+    power, bend, steepness, mean = (
+        scipy.ndimage.gaussian_filter(part * inner, _PATCH, mode="constant")
+        for part in (np.square(detail), detail * bent, np.square(bent), image)
+    )
+    seen = scipy.ndimage.gaussian_filter(inner, _PATCH, mode="constant")
+    tiny = np.finfo(np.float64).tiny
+    # Only of a single frequency is the Laplacian proportional to the image.
+    single = bend / np.sqrt(power * steepness + tiny)
+    frequency = np.arccos((1 - bend / (2 * power + tiny)).clip(-1, 1)) / (2 * np.pi)
+    contrast = np.sqrt(2 * power * seen) / np.maximum(mean, tiny)
+    coarser, finer = np.sinc(frequency), np.sinc(1 - frequency)
+    possible = ((single - _BROAD) / (_SINGLE - _BROAD)).clip(0, 1) * ((1.3 - contrast / finer) / 0.3).clip(0, 1)
+    return np.asarray(possible * coarser / (coarser + finer))
+
+
+def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Variance and mean over the views, moved so that points of one disparity, in lenses per view, coincide.
 
     Returns
     -------
     variance : (5, t, s) float32 array
         Of the whole pupil and of its upper, lower, left and right half; samples at the pupil's edge left out, mean
         over the channels.
+    mean : array like it
+        Of the same parts.
     seen : array like it
         Samples of it over those of the bin that has most.
     """
     weight = np.asarray(lf["weight"].values)
     weight = np.where(weight >= _OPEN, weight, 0)
     v, u = view_steps(lf, "v"), view_steps(lf, "u")
-    variance, fraction = np.zeros((2, 5, *lf.shape[2:4]), dtype=np.float32)
+    variance, mean, fraction = np.zeros((3, 5, *lf.shape[2:4]), dtype=np.float32)
     for plane in channel_planes(lf):
         # Sums of weight, weight x value and weight x value^2 over each quadrant of the pupil.
         sums = np.zeros((2, 2, 3, *lf.shape[2:4]), dtype=np.float64)
@@ -81,8 +137,10 @@ def _view_variance(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarr
         for index, (count, total, square) in enumerate(halves):
             seen = np.maximum(count, 1e-6)
             variance[index] += np.maximum(square / seen - (total / seen) ** 2, 0)
+            mean[index] += total / seen
             fraction[index] = count / max(float(count.max()), 1e-6)
-    return variance / (lf.sizes["c"] if "c" in lf.dims else 1), fraction
+    channels = lf.sizes.get("c", 1)
+    return variance / channels, mean / channels, fraction
 
 
 def _sides(step: float) -> tuple[float, float]:

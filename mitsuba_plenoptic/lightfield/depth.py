@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -14,15 +16,21 @@ from ..design import focus_types
 from ..errors import InputError, require_count, require_number, suggest_keywords
 from ..runtime.jobs import Progress, counted
 from ..runtime.limits import require_memory
-from .agreement import view_disagreement
+from .agreement import finer_stripes, view_disagreement
 from .geometry import camera_of, depth_range, disparity, distance_of, require_light_field
 from .lens_agreement import LensComparison
 from .micro_images import MicroImages, micro_images_of
-from .plane_choice import LENSES, VIEWS, Disagreement, choose
+from .plane_choice import LENSES, VIEWS, Disagreement, choose, noise_floor
 from .refocus import shift_and_add
 
 RIGHT = 0.01
 """Relative error of a depth that counts as right."""
+
+# Lenses per view up to which depth is sought by default: views, that then show blur as wide, still show coarse texture.
+_WIDEST = 2.0
+
+# Planes for each lens per view, and for each pixel that micro-images of neighbouring lenses are moved.
+_PER_LENS, _PER_PIXEL = 32, 4
 
 # Bins around one that tell how bright it is: standard deviation of the Gaussian window.
 _AROUND = 2.0
@@ -35,32 +43,35 @@ def depth_map(
     far: float | None = None,
     *,
     micro_images: MicroImages | None = None,
-    planes: int = 64,
+    planes: int | None = None,
     progress: Progress | None = None,
 ) -> xr.Dataset:
     r"""Estimate the depth that every bin of the central view sees, and how probably it is right.
 
-    For planes evenly spaced in disparity it is measured how well the views agree: those of an unfocused camera by
+    For planes spaced in disparity it is measured how well the views agree: those of an unfocused camera by
     `agreement.view_disagreement`, micro-images of a focused one by `lens_agreement.LensComparison`. `plane_choice`
-    makes probabilities of it, with what neighbouring bins tell, and takes the most probable plane, refined by a
+    makes probabilities of it, with those of neighbouring bins, and takes the most probable plane, refined by a
     parabola.
 
-    The confidence is the probability that a depth is within 1 % of the true one, as far as that is on the planes. Where
-    it is less than 1/2, which is the case where there is no texture or where nothing makes the views agree (gloss), the
-    depth is unknown, NaN. A focused camera tells no depth near the plane that is in focus on its microlens array, where
-    neighbouring lenses see nothing in common.
+    The confidence is an estimate of the probability that a depth is within 1 % of the true one. Where it is less than
+    1/2 the depth is unknown, NaN: without texture, in noise, where views agree at several distances about as well, and
+    where stripes may be finer than two lenses. It is 0 where views agree best at an end of the search: the depth is
+    then unknown, at least that near or that far. Near the plane that is in focus on the array of a focused camera
+    neighbouring lenses see nothing in common; what is there is unknown in the same way.
 
     Parameters
     ----------
     lf : xarray.DataArray
         A light field of a camera.
     near, far : float
-        Range of distances in millimetres to search. Default: `depth_range`, where views differ by at most a lens.
+        Range of distances in millimetres to search. Default: where a point moves by at most two lenses from view to
+        view, twice as far as `depth_range`; of a focused camera `depth_range`.
     micro_images : MicroImages, optional
         What `micro_images` makes of the same capture. A focused camera whose lenses are not upright and square needs
         them, as its light field is interpolated between lenses; others do without.
-    planes : int
-        How many planes, at least 3.
+    planes : int, optional
+        How many planes, at least 3. Default: 64, and more where they would be farther than 1/32 lens per view apart, or
+        micro-images of a focused camera would move by more than a quarter of a pixel between them.
     progress : callable, optional
         Called with the planes done and their number.
 
@@ -79,35 +90,41 @@ def depth_map(
         no depth between near and far, or its micro-images are needed and not given, or of another camera.
     """
     lf = require_light_field(lf)
-    nearest, farthest = depth_range(lf)
+    nearest, farthest = _default_search(lf)
     near = require_number("near", nearest if near is None else near)
     far = require_number("far", farthest if far is None else far, finite=False)
-    planes = require_count("planes", planes, minimum=3, maximum=1024)
     if not near < far:
         raise InputError(f"near = {near:g}, far = {far:g}: near must be less than far")
+    if planes is not None:
+        planes = require_count("planes", planes, minimum=3, maximum=1024)
+    slopes = _slopes(lf, disparity(lf, near), disparity(lf, far), planes)
+    planes = len(slopes)
     bins, channels = lf.sizes["t"] * lf.sizes["s"], lf.sizes.get("c", 1)
     # Views are moved in copies, probabilities are taken in several of the cost that each plane leaves.
     samples = lf.size if micro_images is None else micro_images.values.size
-    copies, plane = (40.0 if is_focused(lf) else 6.0) * samples + 4.0 * bins * channels, 40.0 * bins
+    copies, plane = (40.0 if is_focused(lf) else 6.0) * samples + 4.0 * bins * channels, 48.0 * bins
     require_memory(
         copies + plane * planes,
         f"depth map of {planes} planes",
         lambda limit: f"planes = {int((limit - copies) // plane)}" if limit > copies + 3 * plane else None,
     )
-    slopes = np.linspace(disparity(lf, near), disparity(lf, far), planes)
     choice = choose(*disagreement_of_planes(lf, slopes, progress, micro_images), RIGHT)
     found = np.interp(choice.place, np.arange(planes), slopes)
-    depth = np.where(choice.probability < 0.5, np.nan, distance_of(lf, found))
     nearest_plane = np.rint(choice.place).astype(np.int64)
     sharp = np.empty(lf.shape[2:], dtype=np.float32)
     for index in np.unique(nearest_plane):
         here = nearest_plane == index
         sharp[here] = shift_and_add(lf, slopes[index]).values[here]
+    probability = choice.probability
+    if not is_focused(lf):
+        # Two distances explain the views of stripes finer than two lenses alike.
+        probability = probability * (1 - finer_stripes(sharp.reshape(*nearest_plane.shape, -1).mean(axis=2)))
+    depth = np.where(probability < 0.5, np.nan, distance_of(lf, found))
     dims = ("t", "s")
     maps: dict[str, Any] = {
         "depth": (dims, depth, {"units": "mm"}),
         "disparity": (dims, found, {"units": "lenses per view"}),
-        "confidence": (dims, choice.probability),
+        "confidence": (dims, probability),
         "image": (("t", "s", "c")[: sharp.ndim], sharp),
     }
     if "depth" in lf.coords:
@@ -117,6 +134,64 @@ def depth_map(
         coords={dim: lf[dim] for dim in ("t", "s", "c") if dim in lf.coords},
         attrs={**lf.attrs, "near": near, "far": far, "planes": planes},
     )
+
+
+def _default_search(lf: xr.DataArray) -> tuple[float, float]:
+    """Return the nearest and the farthest distance of which views or micro-images can show the depth.
+
+    Views show it while they move by up to `_WIDEST` lenses, twice as far as `depth_range`; micro-images of focused
+    cameras while their lenses are not farther apart than what they show.
+    """
+    if is_focused(lf):
+        return depth_range(lf)
+    near, far = distance_of(lf, np.array([-_WIDEST, _WIDEST]))
+    # Nothing nearer than the focal length has an image.
+    return max(float(near), 1.01 * camera_of(lf).focal_length), float(far)
+
+
+def default_slopes(lf: xr.DataArray) -> np.ndarray:
+    """Return the disparities of the planes of the default search."""
+    near, far = _default_search(lf)
+    return _slopes(lf, disparity(lf, near), disparity(lf, far), None)
+
+
+def _slopes(lf: xr.DataArray, first: float, last: float, planes: int | None) -> np.ndarray:
+    """Return the disparities of the planes, from the first to the last.
+
+    Views move evenly from plane to plane. Micro-images of focused cameras move by the inverse of the disparity, so that
+    planes are the denser the smaller it is, and those at which neighbouring lenses have nothing in common are left out,
+    but for one in the middle of them.
+    """
+    if not is_focused(lf):
+        return np.linspace(first, last, planes or max(64, math.ceil(_PER_LENS * (last - first)) + 1))
+    # A lens's neighbour shows the same at least two views away from the last.
+    smallest = 1 / max(1, max(lf.shape[:2]) - 2)
+    dense = math.sqrt(_PER_PIXEL / _PER_LENS)
+
+    def steps(slope: np.ndarray | float) -> Any:
+        """Count planes from a disparity of `dense` on: the integral of the greater of both densities."""
+        return np.where(
+            slope < dense, _PER_PIXEL * (1 / dense - 1 / np.maximum(slope, 1e-9)), _PER_LENS * (slope - dense)
+        )
+
+    fine = np.linspace(smallest, max(abs(first), abs(last), smallest), 4096)
+    sides = [
+        (sign, *np.clip(ends, smallest, None))
+        for sign, ends in ((-1, (max(0.0, -last), -first)), (1, (max(0.0, first), last)))
+        if ends[1] > smallest
+    ]
+    if not sides:
+        return np.linspace(first, last, planes or 3)
+    counts = [float(steps(high) - steps(low)) for _, low, high in sides]
+    hole = len(sides) == 2
+    total = (planes or max(64, math.ceil(sum(counts)) + 1)) - hole
+    found = [np.zeros(1)] if hole else []
+    left = total
+    for index, ((sign, low, high), count) in enumerate(zip(sides, counts, strict=True)):
+        number = left if index == len(sides) - 1 else min(max(1, round(total * count / sum(counts))), total - 1)
+        left -= number
+        found.append(sign * np.interp(np.linspace(steps(low), steps(high), number), steps(fine), fine))
+    return np.sort(np.concatenate(found))
 
 
 def is_focused(lf: xr.DataArray) -> bool:
@@ -137,7 +212,7 @@ def disagreement_of_planes(
     lf : xarray.DataArray
         A light field of a camera.
     slopes : (planes,) array
-        Disparities in lenses per view, evenly spaced.
+        Disparities in lenses per view, rising.
     progress : callable, optional
         Called with the planes done and their number.
     micro_images : MicroImages, optional
@@ -148,6 +223,7 @@ def disagreement_of_planes(
     InputError
         If views have nothing in common on any plane, or micro-images lack or are those of another camera.
     """
+    central = lf.sel(u=0.0, v=0.0, method="nearest").values.reshape(*lf.shape[2:4], -1).mean(axis=2, dtype=np.float64)
     if is_focused(lf):
         images = micro_images_of(lf) if micro_images is None else micro_images
         if images.camera != camera_of(lf) or images.bins.shape != lf.shape[2:4]:
@@ -155,20 +231,24 @@ def disagreement_of_planes(
         measure, samples = LensComparison(images).disagreement, LENSES
     else:
         measure, samples = partial(view_disagreement, lf), VIEWS
-    variance = np.empty((len(slopes), *lf.shape[2:4]), dtype=np.float32)
+    brightness = scipy.ndimage.gaussian_filter(central, _AROUND)
+    variance, whole = np.empty((2, len(slopes), *lf.shape[2:4]), dtype=np.float32)
     for index, slope in enumerate(counted(slopes, progress)):
-        variance[index] = measure(float(slope))
-    # What cannot be compared agrees as badly as any.
-    worst = np.fmax.reduce(variance, axis=0)
+        variance[index], whole[index] = measure(float(slope))
     distances = distance_of(lf, slopes)
-    if np.isnan(worst).all():
+    if np.isnan(variance).all():
         raise InputError(
             f"near = {distances[0]:g}, far = {distances[-1]:g}: views have nothing in common there; of a focused "
             "camera, neighbouring lenses see no common part of what is near the plane in focus on the microlens array"
         )
-    variance = np.where(np.isnan(variance), np.nan_to_num(worst), variance)
-    central = lf.sel(u=0.0, v=0.0, method="nearest").values.reshape(*lf.shape[2:4], -1).mean(axis=2)
-    return Disagreement(variance, scipy.ndimage.gaussian_filter(central, _AROUND), 1 / distances), samples
+    # Interpolation smooths views or micro-images the more, the farther they are moved from whole samples: on some
+    # planes noise and fine texture would agree better than on others, if the variance was not held against the whole.
+    floor = noise_floor(brightness)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        typical = np.nanmedian(whole, axis=0)
+    variance *= ((typical + floor) / (whole + floor)).astype(np.float32)
+    return Disagreement(variance, brightness, 1 / distances), samples
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ class LensComparison:
         self._values = _smoothed(images.values, images.weight)
         self._steps = tuple(np.arange(size) - (size - 1) / 2 for size in images.weight.shape[2:])
 
-    def disagreement(self, slope: float) -> np.ndarray:
+    def disagreement(self, slope: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the variance between micro-images of neighbouring lenses, moved so that one disparity coincides.
 
         Parameters
@@ -70,15 +70,17 @@ class LensComparison:
 
         Returns
         -------
-        (t, s) float32 array
+        variance : (t, s) float32 array
             For the bins of the light field; NaN where neighbours see nothing in common.
+        whole : (t, s) float32 array
+            The variance that the same samples have in each bin: what is to be explained. Interpolation lessens both.
         """
         shape = self._images.bins.shape
         # In focus on the array, or seen in one direction alone, nothing is seen by two lenses.
         if slope == 0 or min(self._images.weight.shape[2:]) < 3:
-            return np.full(shape, np.nan, dtype=np.float32)
+            return np.full(shape, np.nan, dtype=np.float32), np.full(shape, np.nan, dtype=np.float32)
         values, opened = self._straightened(slope)
-        squares, counts = np.zeros((2, *opened.shape), dtype=np.float32)
+        squares, counts, sums, sums_of_squares = np.zeros((4, *opened.shape), dtype=np.float32)
         views = opened.shape[2:]
         for own, other, vector in self._pairs:
             move = vector / slope
@@ -88,18 +90,25 @@ class LensComparison:
 
             target = (*own, v, u)
             both = (_moved(opened[(*other, next_v, next_u)], fv, fu) > 1 - 1e-3) * opened[target]
+            first, second = values[target], _moved(values[(*other, next_v, next_u)], fv, fu)
             # The difference of two has twice the variance of each.
-            squares[target] += (
-                np.square(_moved(values[(*other, next_v, next_u)], fv, fu) - values[target]).mean(axis=4) * both / 2
-            )
+            squares[target] += np.square(second - first).mean(axis=4) * both / 2
+            mean = (first + second).mean(axis=4) / 2
+            sums[target] += mean * both
+            sums_of_squares[target] += np.square(mean) * both
             counts[target] += both
         bins = self._bins_of(slope)
         found = [
             np.bincount(bins.ravel(), part.ravel(), minlength=math.prod(shape) + 1)[:-1].reshape(shape)
-            for part in (squares, counts)
+            for part in (squares, counts, sums, sums_of_squares)
         ]
-        total, seen = scipy.ndimage.gaussian_filter(found, (0, _WINDOW, _WINDOW), mode="nearest")
-        return np.where(seen >= _FEWEST, total / np.maximum(seen, 1), np.nan).astype(np.float32)
+        total, seen, first, second = scipy.ndimage.gaussian_filter(found, (0, _WINDOW, _WINDOW), mode="nearest")
+        many = np.maximum(seen, 1)
+        variance = total / many
+        # The mean of two has half of the variance by which both differ, and all of that which they share.
+        whole = np.maximum(second / many - np.square(first / many), 0) + variance / 2
+        variance, whole = np.where(seen >= _FEWEST, (variance, whole), np.nan).astype(np.float32)
+        return variance, whole
 
     @cached_property
     def _pairs(self) -> list[tuple[tuple[slice, slice], tuple[slice, slice], np.ndarray]]:

@@ -6,6 +6,7 @@ one unknown deviation have a likelihood proportional to :math:`V_d^{-N/2}` (with
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,11 +27,11 @@ _SHARED = 2.0
 _SURE = 1e-3
 
 
-# Views that are apart by less than this fraction of the brightness agree: without texture they do so on every plane.
-_AGREE = 0.1
-
-# Where they are apart by less than this, that no longer makes a depth surer.
+# Where views are apart by less than this fraction of the brightness, that no longer makes a depth surer.
 _STILL = 0.06
+
+# A valley of the disagreement is closed where it rises, on both sides, by this fraction of its depth.
+_CLOSED = 0.15
 
 # Neighbouring bins that are asked whether they are on the same plane, and over which evidence is averaged: standard
 # deviations of Gaussian windows.
@@ -41,8 +42,8 @@ _ASKED, _AVERAGED = 3.0, 2.0
 VIEWS, LENSES = 20.0, 3.0
 
 # What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood
-# on captures of the scenes that `tools/confidence_fit.py` lists, and rounded.
-WEIGHTS = (-11.29, 0.23, 0.8, 1.64, -3.76, 4.31, -0.21, -1.94, -2.69)
+# on captures of the scenes that `tools/confidence_fit.py` lists, within its bounds, and rounded.
+WEIGHTS = (-2.92, 0.49, 3.8, -1.0, -1.5)
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,8 @@ class Choice:
     place : (rows, columns) float64 array
         Index of the plane, with fractions.
     probability : (rows, columns) float64 array
-        That the plane is right within the tolerance.
+        That the plane is right within the tolerance; 0 where it is the first or the last one that can be compared, as
+        the right one may lie beyond it.
     """
 
     place: np.ndarray
@@ -68,16 +70,21 @@ class Disagreement:
     Attributes
     ----------
     variance : (planes, rows, columns) array
-        Disagreement about each plane.
+        Disagreement about each plane; NaN where nothing can be compared.
     brightness : (rows, columns) array
         Of the bins.
     inverse : (planes,) array
-        Inverse distances of the planes, falling or rising evenly.
+        Inverse distances of the planes, falling or rising.
     """
 
     variance: np.ndarray
     brightness: np.ndarray
     inverse: np.ndarray
+
+
+def noise_floor(brightness: np.ndarray) -> np.ndarray:
+    """Return the variance of views below which differences mean nothing."""
+    return np.square(_NOISE * np.maximum(brightness, _DARK * brightness.mean()))
 
 
 def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
@@ -93,7 +100,29 @@ def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
         Relative error of a distance that counts as right.
     """
     place, told = indications(found, samples, tolerance)
-    return Choice(place, expit(np.tensordot(WEIGHTS, told, 1)))
+    return Choice(place, np.where(at_an_end(found.variance, place), 0, expit(np.tensordot(WEIGHTS, told, 1))))
+
+
+def at_an_end(variance: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Return where no valley of the disagreement is closed at the chosen plane: the right one may be beyond the last.
+
+    On both sides, among the planes that can be compared, the logarithm of the deviation must rise by some of what the
+    chosen plane is below the median of all.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        energy = 0.5 * np.log(variance + np.finfo(np.float32).tiny)
+        typical = np.nanmedian(energy, axis=0)
+    planes = np.arange(len(energy))[:, None, None]
+    least = np.where(np.abs(planes - place) <= 1, np.nan_to_num(energy, nan=np.inf), np.inf).min(axis=0)
+    # Planes that can be compared without a gap between them and the chosen one.
+    gaps = np.cumsum(np.isnan(energy), axis=0)
+    row, column = np.indices(place.shape)
+    joined = np.isfinite(energy) & (gaps == gaps[np.rint(place).astype(np.int64), row, column])
+    wall = np.minimum(
+        *(np.where(joined & side, energy, -np.inf).max(axis=0) for side in (planes < place, planes > place))
+    )
+    return np.asarray(~(wall - least > _CLOSED * (typical - least)))
 
 
 def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
@@ -108,28 +137,25 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
     -------
     place : (rows, columns) array
         Index of the plane, with fractions.
-    told : (9, rows, columns) array
-        What tells whether the plane is right, logarithms but for the first and the seventh:
+    told : (5, rows, columns) array
+        What tells whether the plane is right, logarithms but for the first and those about neighbours and valleys:
 
         - one;
-        - the log odds that it is, if the evidence is taken at its word, by the bin alone and with its neighbours;
-        - the deviation that views have even on the best plane, over a tenth of the brightness, or zero where it is
-          less. It is high where no plane explains the views: at edges of what is in front, on gloss and on steep
-          surfaces;
-        - how far the least deviation farther off is above that within the tolerance, in the bin, and on the average
-          over its surroundings: that is small where all planes are alike, as without texture and in noise;
+        - the log odds that it is, if the evidence of the bin alone is taken at its word;
         - the fraction of the neighbours which by their own evidence are within the tolerance of this plane: without
           evidence they are scattered;
-        - the fraction of the planes that is within the tolerance: how often chance is right;
-        - the deviation on the best plane over the brightness, or 0.06 where it is less: an even field without noise
-          tells nothing.
+        - the deviation on the best plane over the brightness, or 0.06 where it is less: at edges of what is in front,
+          on gloss and on steep surfaces no plane explains the views;
+        - how deep the deepest other valley of the deviation is beside this one: `_rivalry`.
     """
     inverse = found.inverse
     bright = np.maximum(found.brightness, _DARK * found.brightness.mean())
-    level = _NOISE * bright
     # A light field that is black everywhere has no evidence either.
     tiny = np.finfo(np.float32).tiny
-    energy = 0.5 * np.log(found.variance + np.square(level) + tiny)
+    # What cannot be compared agrees as badly as any.
+    worst = np.nan_to_num(np.fmax.reduce(found.variance, axis=0))
+    variance = np.where(np.isnan(found.variance), worst, found.variance)
+    energy = 0.5 * np.log(variance + noise_floor(found.brightness) + tiny)
     alone = _normalised(-samples * energy)
     together = _with_neighbours(_normalised(-_SHARED * energy))
     place = _summit(together)
@@ -138,30 +164,34 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
     at = np.interp(place, planes, inverse)
     ends = [np.interp(at / (1 + sign * tolerance), inverse[order], planes[order]) for sign in (-1, 1)]
     low, high = np.minimum(*ends), np.maximum(*ends)
-    odds = [logit(_mass(part, low, high).clip(_SURE, 1 - _SURE)) for part in (alone, together)]
     floor = energy.min(axis=0) - np.log(bright + tiny)
     averaged = scipy.ndimage.gaussian_filter(energy, (0, _AVERAGED, _AVERAGED), mode="nearest")
     own = energy.argmin(axis=0) == planes[:, None, None]
     asked = scipy.ndimage.gaussian_filter(own.astype(np.float64), (0, _ASKED, _ASKED), mode="nearest")
     told = (
         np.ones_like(place),
-        *odds,
-        (floor - np.log(_AGREE)).clip(0),
-        _lead(energy, low, high),
-        _lead(averaged, low, high),
+        logit(_mass(alone, low, high).clip(_SURE, 1 - _SURE)),
         _mass(asked, low, high),
-        np.log((high - low + 1) / len(inverse)),
         floor.clip(np.log(_STILL)),
+        _rivalry(averaged, low, high),
     )
     return place, np.stack(told)
 
 
-def _lead(energy: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return by how much the least energy outside of two places is above the least between them; 0 if all is inside."""
+def _rivalry(energy: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return how deep the deepest valley of the energy outside of two places is, as a fraction of the one between them.
+
+    Depths are taken from the median over all planes. Repeated texture agrees at several distances about as well, and
+    noise at any: the fraction is near 1 then, and above it where the chosen plane is not the best of the bin alone.
+    """
     planes = np.arange(len(energy))[:, None, None]
     inside = (planes >= low - 0.5) & (planes <= high + 0.5)
-    between, beyond = (np.where(part, energy, np.inf).min(axis=0) for part in (inside, ~inside))
-    return np.where(np.isfinite(beyond), beyond - between, 0)
+    around = np.pad(energy, ((1, 1), (0, 0), (0, 0)), constant_values=np.inf)
+    lowest = (energy <= around[:-2]) & (energy <= around[2:])
+    typical = np.median(energy, axis=0)
+    own = typical - np.where(inside, energy, np.inf).min(axis=0)
+    rival = typical - np.where(lowest & ~inside, energy, np.inf).min(axis=0)
+    return np.divide(rival.clip(0), own, out=np.full(own.shape, 2.0), where=own > 0).clip(0, 2)
 
 
 def _normalised(logarithm: np.ndarray) -> np.ndarray:

@@ -10,7 +10,16 @@ import pytest
 import xarray as xr
 from scene_cases import letters, pinhole_picture
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, reconstruct, render_capture
+from mitsuba_plenoptic import (
+    Capture,
+    Detector,
+    InputError,
+    PlenopticCamera,
+    expose,
+    load_scene,
+    reconstruct,
+    render_capture,
+)
 from mitsuba_plenoptic.design import best_distances
 from mitsuba_plenoptic.lightfield import (
     FourierRefocuser,
@@ -208,7 +217,7 @@ class TestDepth:
         found = depth_map(lf, planes=32)
         assert float((found.confidence < 0.5).mean()) > 0.98
         assert np.array_equal(np.isnan(found.depth), found.confidence < 0.5)
-        assert found.attrs["near"] == pytest.approx(211.2, abs=0.1)
+        assert found.attrs["near"] == pytest.approx(188.5, abs=0.1)
 
     def test_noise_does_not_move_the_depth(self, blank):
         lf = flat_scene(blank, 228.0, texture(4))
@@ -239,13 +248,43 @@ class TestDepth:
         assert float(np.isfinite(inner.depth).mean()) > 0.9
         assert float(abs(inner.depth - sharp).max()) < 0.5
         # The views themselves agree about nothing.
-        by_views = [float(np.median(view_disagreement(lf, disparity(lf, g)))) for g in (sharp, 222.0)]
+        by_views = [float(np.median(view_disagreement(lf, disparity(lf, g))[0])) for g in (sharp, 222.0)]
         lenses = LensComparison(micro_images_of(lf))
-        by_lenses = [float(np.nanmedian(lenses.disagreement(disparity(lf, g)))) for g in (sharp, 222.0)]
+        by_lenses = [float(np.nanmedian(lenses.disagreement(disparity(lf, g))[0])) for g in (sharp, 222.0)]
         assert by_lenses[0] < 0.1 * by_lenses[1]
         assert by_views[0] > 0.3 * by_views[1]
         with pytest.raises(InputError, match="nothing in common"):
             depth_map(lf, 239, 241)
+
+    @pytest.mark.parametrize("distance", [200.0, 300.0])
+    def test_the_default_search_reaches_as_far_as_views_show_depth(self, blank, distance):
+        # Views move by 1.4 lenses and more.
+        found = depth_map(flat_scene(blank, distance, texture(5)), planes=96).isel(s=slice(12, -12), t=slice(12, -12))
+        assert float(np.isfinite(found.depth).mean()) > 0.9
+        assert float(abs(found.depth / distance - 1).max()) < 0.01
+
+    @pytest.mark.parametrize(("near", "far"), [(200, 260), (285, 330)])
+    def test_a_card_beyond_the_search_is_unknown(self, blank, near, far):
+        lf = flat_scene(blank, 273.0, texture(6))
+        found = depth_map(lf, near, far, planes=24).isel(s=slice(3, -3), t=slice(3, -3))
+        assert float(np.isfinite(found.depth).mean()) < 0.05
+        assert float((found.confidence == 0).mean()) > 0.9
+
+    @pytest.mark.parametrize("period", [1.3, 2.0])
+    def test_stripes_that_agree_at_several_distances_are_not_sure(self, blank, period):
+        # Lenses average over their width.
+        height = 0.45 * np.sinc(1 / period)
+        lf = flat_scene(blank, 246.0, lambda x, y: 0.5 + height * np.sin(2 * np.pi * x / period + 0.7) + 0 * y)
+        found = depth_map(lf, 205, 290)
+        wrong = ~(np.abs(found.depth.values / 246 - 1) < 0.01)
+        assert np.count_nonzero(wrong & (found.confidence.values > 0.9)) < 5
+        assert float((found.confidence.values[wrong] > 0.5).mean()) < 0.1
+
+    def test_an_even_field_with_few_photons_has_no_depth(self):
+        white = Capture(0.5 * white_image(CAMERA), CAMERA)
+        found = depth_map(decode(expose(white, Detector(), photons=500)), planes=48)
+        assert float(np.isfinite(found.depth).mean()) < 0.02
+        assert float(found.confidence.max()) < 0.9
 
     @pytest.mark.parametrize(("near", "words"), [(50, "focal length"), (math.nan, "near")])
     def test_refused(self, blank, near, words):
