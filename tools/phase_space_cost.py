@@ -35,7 +35,7 @@ def main() -> int:
     mi.set_variant("llvm_ad_mono")
     captures = {}
     for name in arguments.scenes:
-        scene = mp.load_scene(name, resolution=arguments.pixels)
+        scene = mp.load_scene(name, parameters={"resolution": str(arguments.pixels)})
         start = time.perf_counter()
         image = mp.render_capture(scene, model="ray", spp=arguments.samples).image
         captures[name] = time.perf_counter() - start, float((np.asarray(image) > 0).mean())
