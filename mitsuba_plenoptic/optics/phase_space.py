@@ -302,7 +302,7 @@ class RayCoefficients:
         ]
 
 
-@dr.syntax
+@dr.syntax  # type: ignore[untyped-decorator]
 def _correlate(
     transmission: Any, lags: NDArray[np.int64], middles: NDArray[np.int64], weights: NDArray[np.float64]
 ) -> tuple[list[Any], list[Any]]:
