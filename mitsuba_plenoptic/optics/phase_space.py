@@ -36,9 +36,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..errors import InputError, shown
 from ..lattice import Lattice
 from .main_lens import main_lens
 from .phase import in_millimetres
+from .wave_cameras import require_ideal
 
 _TRANSFER_SAMPLES = 64
 """Samples of a lens for its transfer functions: the phase between neighbours turns by a fifth of a period a sample."""
@@ -57,7 +59,8 @@ class PhaseSpace:
     Parameters
     ----------
     camera : PlenopticCamera
-        A camera with a thin main lens and microlenses of one focal length.
+        A camera with a thin main lens without a wavefront, and a regular array of one focal length, in the focus of
+        which is the detector.
     wavelength : float
         In nanometres.
     degree : int
@@ -69,6 +72,11 @@ class PhaseSpace:
         Samples of the table across a lens.
     radial, angular : int
         Nodes of the table along the pupil's radius, dense towards its rim, and over a quarter turn.
+
+    Raises
+    ------
+    InputError
+        If the camera is another one.
     """
 
     camera: PlenopticCamera
@@ -78,6 +86,19 @@ class PhaseSpace:
     samples: int = 24
     radial: int = 12
     angular: int = 8
+
+    def __post_init__(self) -> None:
+        camera = self.camera
+        require_ideal(camera)
+        in_focus = math.isclose(camera.detector_distance, camera.mla_focal_length, rel_tol=1e-6)
+        for name, refused, rule in (
+            ("main_lens", camera.prescription is not None or camera.objective is not None, "a thin lens"),
+            ("wavefront", len(camera.wavefront) > 0, "without aberrations"),
+            ("mla_focal_length", len(camera.mla_focal_lengths) > 1, "one for all microlenses"),
+            ("detector_distance", not in_focus, "the microlenses' focal length"),
+        ):
+            if refused:
+                raise InputError(f"{name} = {shown(getattr(camera, name))}: for signed rays it must be {rule}")
 
     # -- sizes ---------------------------------------------------------------------------------------
 

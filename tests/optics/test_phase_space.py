@@ -7,7 +7,7 @@ import phase_space_accuracy
 import pytest
 from scipy.special import j1
 
-from mitsuba_plenoptic import PlenopticCamera
+from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.optics.phase_space import PhaseSpace
 
 DISCS = PlenopticCamera(mla_aperture="circle", mla_fill=0.5)
@@ -69,3 +69,18 @@ def test_a_wall_is_that_of_point_spreads(blur):
     assert phase_space_accuracy.error(signed, exact) < 0.06
     assert phase_space_accuracy.error(rays, exact) > 0.15
     assert signed.sum() / exact.sum() == pytest.approx(1, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    "name, value",
+    [("detector_distance", 0.6), ("wavefront", (0.0, 0.1)), ("main_lens", "lfm")],
+)
+def test_cameras_that_it_does_not_know_are_refused(name, value):
+    camera = PlenopticCamera.preset(value) if name == "main_lens" else PlenopticCamera(**{name: value})
+    with pytest.raises(InputError, match=rf"{name} = .*: for signed rays it must be"):
+        PhaseSpace(camera, 633.0)
+
+
+def test_microlenses_of_several_focal_lengths_are_refused():
+    with pytest.raises(InputError, match="mla_focal_length = .*: for signed rays it must be one for all"):
+        PhaseSpace(PlenopticCamera.preset("raytrix"), 633.0)
