@@ -82,5 +82,5 @@ def test_cameras_that_it_does_not_know_are_refused(name, value):
 
 
 def test_microlenses_of_several_focal_lengths_are_refused():
-    with pytest.raises(InputError, match="mla_focal_length = .*: for signed rays it must be one for all"):
+    with pytest.raises(InputError, match=r"mla_focal_length = .*: for signed rays it must be one for all"):
         PhaseSpace(PlenopticCamera.preset("raytrix"), 633.0)
