@@ -28,7 +28,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -48,8 +48,32 @@ _TRANSFER_SAMPLES = 64
 _SPECTRUM_SAMPLES = 256
 """Samples of a lens for the Fourier coefficients of its polynomials."""
 
+_SPREADS = 2.0
+"""Widths of the window about a lens over the width of the pupil's diffraction along the radius, lambda b / 2 h."""
+
+_LEAST_WINDOW = 3
+"""Lenses, across, of the least window."""
+
+_OVERSAMPLING = 1.4
+"""Samples of the table over those that its highest frequency needs."""
+
 _SUBSAMPLES = 4
 """Gauss-Legendre nodes, per direction and side, of the pupil's overlap around a node of the table."""
+
+
+class Node(NamedTuple):
+    """The window of the table at one node of the pupil's radius, in the lattice's frame.
+
+    Attributes
+    ----------
+    sides : (float, float)
+        Its sides, whole numbers of the lattice's periods.
+    counts : (int, int)
+        Samples along them.
+    """
+
+    sides: tuple[float, float]
+    counts: tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -66,10 +90,8 @@ class PhaseSpace:
     degree : int
         Total degree of the polynomials over a lens. There are (degree + 1) (degree + 2) / 2.
     window : int
-        Lenses, across, over which the pupil spreads a ray. Light beyond is folded back by whole windows, which keeps
-        the energy.
-    samples : int
-        Samples of the table across a lens.
+        Lenses, across, over which the pupil's rim spreads a ray, which it does most. Light beyond is folded back by
+        whole windows, which keeps the energy.
     radial, angular : int
         Nodes of the table along the pupil's radius, dense towards its rim, and over a quarter turn.
 
@@ -83,7 +105,6 @@ class PhaseSpace:
     wavelength: float
     degree: int = 4
     window: int = 9
-    samples: int = 24
     radial: int = 12
     angular: int = 8
 
@@ -113,17 +134,21 @@ class PhaseSpace:
         return [(i, total - i) for total in range(self.degree + 1) for i in range(total, -1, -1)]
 
     @cached_property
-    def window_size(self) -> tuple[float, float]:
-        """Sides, in the lattice's frame, of the least whole number of periods that holds `window` lenses."""
-        wanted = self.window * self.lattice.pitches[0]
-        first, second = self.lattice.period()
-        return math.ceil(wanted / first - 1e-6) * first, math.ceil(wanted / second - 1e-6) * second
-
-    @cached_property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of the table: nodes along the radius and the angle, rows, columns, polynomials."""
-        across = [round(side / self.lattice.pitches[0] * self.samples) for side in self.window_size]
-        return self.radial + 1, self.angular + 1, across[1], across[0], len(self.exponents)
+    def nodes(self) -> list[Node]:
+        """The table's nodes along the pupil's radius, and the windows and samples that each needs."""
+        lens = main_lens(self.camera)
+        radius, reach = float(lens.pupil_radius), in_millimetres(self.wavelength) * float(lens.pupil_distance)
+        pitch = self.lattice.pitches[0]
+        made = []
+        for index in range(self.radial + 1):
+            distance, inner = (radius * (1 - (1 - max(r, 0) / self.radial) ** 2) for r in (index, index - 1))
+            spread = _SPREADS * reach / max(radius - distance, 1e-9 * radius)
+            wanted = min(self.window * pitch, max(_LEAST_WINDOW * pitch, pitch + spread))
+            sides = tuple(math.ceil(wanted / period - 1e-6) * period for period in self.lattice.period())
+            # The greatest lag is across the radius.
+            step = reach / (2 * _OVERSAMPLING * 2 * math.sqrt(radius**2 - inner**2))
+            made.append(Node(sides, tuple(math.ceil(side / step) for side in sides)))
+        return made
 
     # -- polynomials over a lens -------------------------------------------------------------------
 
@@ -155,29 +180,31 @@ class PhaseSpace:
     # -- the pupil: coefficients of rays -------------------------------------------------------------
 
     @cached_property
-    def table(self) -> NDArray[np.float32]:
-        """Coefficients of rays over pupil nodes and microlens points, for linear interpolation between both."""
+    def table(self) -> list[NDArray[np.float32]]:
+        """Coefficients of rays at each node of the radius: (nodes of the angle, rows, columns, polynomials)."""
         lens = main_lens(self.camera)
         reach = in_millimetres(self.wavelength) * lens.pupil_distance
         radius = float(lens.pupil_radius)
         u, v, inside = self._aperture_grid(_SPECTRUM_SAMPLES)
         values = np.where(inside[..., None], self.polynomials(u, v), 0) * (u[0, 1] - u[0, 0]) ** 2
-        # Fourier coefficients over the window, of the frequencies that the pupil lets through.
-        to_space, orders, lags = [], [], []
-        for side, count in zip(self.window_size, (self.shape[3], self.shape[2]), strict=True):
-            order = np.arange(-(count // 2) + 1, count // 2)
-            order = order[np.abs(order) * reach / side <= 2 * radius * (1 + 1e-9)]
-            place = (np.arange(count) + 0.5) * side / count - side / 2
-            # What linear interpolation damps is raised beforehand.
-            gain = np.sinc(order / count) ** -2 / side
-            to_space.append((np.exp(2j * np.pi * np.outer(place, order) / side) * gain).astype(np.complex64))
-            orders.append(np.exp(-2j * np.pi * np.outer(order, u[0]) / side))
-            lags.append(order * reach / side)
-        spectra = np.einsum("ay,yxn,bx->nab", orders[1], values, orders[0], optimize=True).astype(np.complex64)
-        table = np.empty(self.shape, np.float32)
-        for node in np.ndindex(self.shape[:2]):
-            overlap = self._overlap(node, lags[0], lags[1][:, None], radius)
-            table[node] = np.moveaxis((to_space[1] @ (spectra * overlap) @ to_space[0].T).real, 0, -1)
+        table = []
+        for radial, node in enumerate(self.nodes):
+            # Fourier coefficients over the window, of the frequencies that the pupil lets through.
+            to_space, orders, lags = [], [], []
+            for side, count in zip(node.sides, node.counts, strict=True):
+                order = np.arange(-((count - 1) // 2), (count - 1) // 2 + 1)
+                place = (np.arange(count) + 0.5) * side / count - side / 2
+                # What linear interpolation damps is raised beforehand.
+                gain = np.sinc(order / count) ** -2 / side
+                to_space.append((np.exp(2j * np.pi * np.outer(place, order) / side) * gain).astype(np.complex64))
+                orders.append(np.exp(-2j * np.pi * np.outer(order, u[0]) / side).astype(np.complex64))
+                lags.append(order * reach / side)
+            spectra = np.einsum("ay,yxn,bx->nab", orders[1], values.astype(np.float32), orders[0], optimize=True)
+            part = np.empty((self.angular + 1, *reversed(node.counts), len(self.exponents)), np.float32)
+            for angle in range(self.angular + 1):
+                overlap = self._overlap((radial, angle), lags[0], lags[1][:, None], radius)
+                part[angle] = np.moveaxis((to_space[1] @ (spectra * overlap) @ to_space[0].T).real, 0, -1)
+            table.append(part)
         return table
 
     def _overlap(
@@ -230,6 +257,8 @@ class PhaseSpace:
         i, j = lattice.cell(x + centre[0], y + centre[1])
         cx, cy = (c - c0 for c, c0 in zip(lattice.centre(i, j), centre, strict=True))
         phase = (2 * (x * cx + y * cy) - cx * cx - cy * cy) / (2 * wavelength * f2)
+        # A ray through m lands m (1 + z / b - z / f2) from where that through the centre and the same pupil point does.
+        phase += (1 / self.camera.detector_distance + 1 / self.camera.mla_distance - 1 / f2) * (x * x + y * y) / (2 * wavelength)
         T = np.where(lattice.in_aperture(x - cx, y - cy), np.exp(2j * np.pi * phase), 0).astype(np.complex64)
         own = np.asarray((i == 0) & (j == 0), np.float32)
         # Points on a border belong to both sides.
@@ -266,9 +295,15 @@ class RayCoefficients:
 
     def __init__(self, plan: PhaseSpace) -> None:
         self.plan = plan
+        count, self._packets = len(plan.exponents), -(-len(plan.exponents) // 4)
         # Coefficients are read four at a time.
-        padding = [(0, 0)] * 4 + [(0, -len(plan.exponents) % 4)]
-        self._table = mi.Float(np.pad(plan.table, padding).ravel())
+        parts = [np.pad(part, [(0, 0)] * 3 + [(0, 4 * self._packets - count)]).ravel() for part in plan.table]
+        self._table = mi.Float(np.concatenate(parts))
+        first = np.cumsum([0] + [part.size // 4 // self._packets for part in parts])[:-1]
+        self._first = mi.Int(first.astype(np.int32))
+        sides, counts = np.array([n.sides for n in plan.nodes]), np.array([n.counts for n in plan.nodes])
+        self._sides = [mi.Float(column) for column in sides.T]
+        self._counts = [mi.Int(column.astype(np.int32)) for column in counts.T]
         self._radius = float(main_lens(plan.camera).pupil_radius)
 
     def __call__(
@@ -291,30 +326,30 @@ class RayCoefficients:
             Rays that are wanted; of others, and of those outside the pupil or the window, the coefficients are 0.
         """
         plan = self.plan
-        radial, angular, rows, columns, count = plan.shape
-        (u, v), (Pu, Pv) = plan.lattice.to_frame(*point), plan.lattice.to_frame(*pupil)
-        width, height = plan.window_size
+        lattice = plan.lattice
+        (u, v), (Pu, Pv) = lattice.to_frame(*point), lattice.to_frame(*pupil)
         distance = dr.sqrt(Pu * Pu + Pv * Pv) / self._radius
-        active = active & (distance <= 1) & (dr.abs(u) <= width / 2) & (dr.abs(v) <= height / 2)
+        active = active & (distance <= 1)
         # A quarter of the pupil stands for all of it, mirrored as lenses are.
         mirrored = Pu < 0, Pv < 0
         u, v = (dr.select(turned, -place, place) for turned, place in zip(mirrored, (u, v), strict=True))
-        places = (
-            (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * (radial - 1),
-            dr.atan2(dr.abs(Pv), dr.abs(Pu)) * ((angular - 1) * 2 / math.pi),
-            v * (rows / height) + (rows / 2 - 0.5),
-            u * (columns / width) + (columns / 2 - 0.5),
-        )
-        nodes = [mi.Int(dr.floor(place + chance)) for place, chance in zip(places, jitter, strict=True)]
-        index = dr.minimum(nodes[0], radial - 1) * angular + dr.minimum(nodes[1], angular - 1)
-        # The window repeats.
-        for node, size in ((nodes[2], rows), (nodes[3], columns)):
-            index = index * size + dr.select(node < 0, node + size, dr.select(node >= size, node - size, node))
-        packets = -(-count // 4)
+        along = (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * plan.radial
+        radial = mi.UInt(dr.minimum(dr.floor(along + jitter[0]), plan.radial))
+        turn = dr.atan2(dr.abs(Pv), dr.abs(Pu)) * (plan.angular * 2 / math.pi)
+        index = dr.gather(mi.Int, self._first, radial)
+        sizes = [dr.gather(mi.Int, each, radial) for each in self._counts]
+        index += mi.Int(dr.floor(turn + jitter[1])) * (sizes[0] * sizes[1])
+        for axis, place, chance, row in ((1, v, jitter[2], sizes[0]), (0, u, jitter[3], 1)):
+            side, size = dr.gather(mi.Float, self._sides[axis], radial), sizes[axis]
+            active &= dr.abs(place) <= side / 2
+            count = mi.Float(size)
+            node = mi.Int(dr.floor(place * (count / side) + (count / 2 - 0.5) + chance))
+            # The window repeats.
+            index += dr.select(node < 0, node + size, dr.select(node >= size, node - size, node)) * row
         values = [
             value
-            for packet in range(packets)
-            for value in dr.gather(mi.Vector4f, self._table, mi.UInt(index * packets + packet), active)
+            for packet in range(self._packets)
+            for value in dr.gather(mi.Vector4f, self._table, mi.UInt(index * self._packets + packet), active)
         ]
         signs = [dr.select(turned, -1.0, 1.0) for turned in mirrored]
         return [
