@@ -15,7 +15,9 @@ which has the same mean, as the coefficients' integral over m is known, and no n
 
 from __future__ import annotations
 
+import itertools
 import math
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -47,16 +49,28 @@ _BLOCK_BYTES = 2**29
 _LANES = 2**22
 """Rays that are traced at once, about."""
 
+_RAY_BYTES = 100
+"""Memory of a ray, about."""
+
+_PROBES, _CELLS = 2**10, 2**16
+"""Cells whose light a capture is known by, and those that are timed for an estimate."""
+
+_TRIAL = 512
+"""Cells across that are convolved for an estimate."""
+
 _STEPS = 1.1673039782614187 ** -np.arange(1.0, 5.0)
 """Steps of an additive sequence that fills four dimensions evenly: powers of 1 over the root of x^5 = x + 1."""
 
-_FALL = 1.0
+_FALL = 1.2
 """Distance, from a lens, over which the density of drawn points begins to fall off, in lambda b / 4 h."""
+
+_TURNED = 1.0
+"""That distance over the width of a lens from which on points are drawn along the pupil's radius and across it."""
 
 _WIDEST = 4.0
 """That distance over the width of a lens, at most."""
 
-_REACH = 2.5
+_REACH = 1.25
 """Distance in lenses to which kernels are computed."""
 
 _ORDER = 2
@@ -74,16 +88,21 @@ class SceneLight:
         The scene, and the plenoptic sensor that says where the main lens is and when the shutter is open.
     integrator : mitsuba.SamplingIntegrator
         Finds the radiance.
+    wavelength : float, optional
+        For spectral variants, in nanometres.
     """
 
     scene: Any
     sensor: Any
     integrator: Any
+    wavelength: float | None = None
 
     def __call__(self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int) -> list[Any]:
         """Return the radiance, by channel, along rays from points of the camera frame."""
         to_world = self.sensor.world_transform()
         ray = mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
+        if self.wavelength is not None:
+            ray.wavelengths = self.wavelength
         sampler = child.random_numbers(seed, dr.width(ray))
         ray.time = self.sensor.shutter_open()
         if self.sensor.shutter_open_time() > 0:
@@ -148,7 +167,7 @@ class SignedRaySum:
             seeds = np.random.SeedSequence([self._seed, number])
             # The threads that compute the batches have put Dr.Jit's own to rest.
             with busy_drjit():
-                sums = self._trace(bins, seeds)
+                sums = self._trace(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds)
             images = [part.numpy().reshape(-1, bins.rows, bins.columns) for part in sums]
             yield Block(bins, images, self._convolutions)
 
@@ -158,22 +177,22 @@ class SignedRaySum:
 
     @cached_property
     def _convolutions(self) -> list[Convolution]:
+        # Channels of the same wavelength share theirs. A pixel is the mean of its cells.
         made = {
-            plan.wavelength: Convolution(
+            id(plan): Convolution(
                 self._camera,
-                # A cell's light is counted as it is; a pixel is the mean of its cells.
-                plan.kernels(self._step, _REACH * self._camera.mla_pitch).astype(np.float32) / self._parts**2,
+                (plan.kernels(self._step, _REACH * self._camera.mla_pitch) / self._parts**2).astype(np.float32),
                 self._step,
                 order=_ORDER - 1,
             )
             for plan in self._plans
         }
-        return [made[plan.wavelength] for plan in self._plans]
+        return [made[id(plan)] for plan in self._plans]
 
     @cached_property
     def _coefficients(self) -> list[RayCoefficients]:
-        made = {plan.wavelength: plan.bind() for plan in self._plans}
-        return [made[plan.wavelength] for plan in self._plans]
+        made = {id(plan): plan.bind() for plan in self._plans}
+        return [made[id(plan)] for plan in self._plans]
 
     @cached_property
     def _candidates(self) -> NDArray[np.int64]:
@@ -190,12 +209,13 @@ class SignedRaySum:
         # Other points of the cell, and of the lens, look a little aside.
         return camera.aperture_radius + self._step * b / z * _ORDER / math.sqrt(2) + camera.lattice.cell_reach
 
-    def _trace(self, box: Box, seeds: np.random.SeedSequence) -> list[Any]:
-        """Trace the rays of a box; return for each channel what they bring of each kernel, (values, cells) flat."""
-        count = box.rows * box.columns
-        sums = [dr.zeros(mi.Float, count * len(plan.exponents)) for plan in self._plans]
-        cells = dr.arange(mi.UInt32, count)
-        dr.eval(sums)
+    def _trace(self, box: Box, cells: Any, seeds: np.random.SeedSequence) -> list[Any]:
+        """Trace the rays of some cells of a box.
+
+        Return for each channel what they bring of each kernel, (values, cells) flat.
+        """
+        sums = [dr.zeros(mi.Float, dr.width(cells) * len(plan.exponents)) for plan in self._plans]
+        dr.eval(cells, sums)
         for steps in self._candidates:
             middle, centre = self._centres(box, cells, steps)
             pupil = self._follow(middle, centre)
@@ -206,8 +226,55 @@ class SignedRaySum:
                     mi.UInt32, lit, dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, min(size, dr.width(lit) - start))
                 )
                 seed = int(seeds.spawn(1)[0].generate_state(1)[0])
-                self._collect(sums, box, some, steps, seed)
+                brought = self._collect(box, dr.gather(mi.UInt32, cells, some), steps, seed)
+                every = dr.opaque(mi.UInt32, dr.width(cells))
+                for total, parts in zip(sums, brought, strict=True):
+                    for number, part in enumerate(parts):
+                        # Every cell is in it once.
+                        dr.scatter_reduce(
+                            dr.ReduceOp.Add, total, part, some + every * number, mode=dr.ReduceMode.NoConflicts
+                        )
+                dr.eval(sums)
         return sums
+
+    def probe(self) -> NDArray[np.float32]:
+        """Return what some cells' rays bring, by which a scene and its camera are known as the same."""
+        cells = self._some(_PROBES)
+        return np.concatenate([part.numpy() for part in self._trace(self._bins, cells, np.random.SeedSequence(0))])
+
+    def cost(self) -> tuple[float, float]:
+        """Estimate the time, in seconds, from some of the cells and tiles, and the bytes that the sum takes."""
+        start = time.perf_counter()
+        convolutions = self._convolutions
+        made = time.perf_counter() - start
+        block = self._blocks[0]
+        trial = Box(block.left, block.top, min(_TRIAL, block.columns), min(_TRIAL, block.rows))
+        start = time.perf_counter()
+        for convolution in convolutions:
+            blank = np.zeros((trial.rows, trial.columns), np.float32)
+            convolution.forward(itertools.repeat(blank, convolution.ranks), trial, convolution.reached(trial))
+        count = self._bins.rows * self._bins.columns
+        convolved = (time.perf_counter() - start) * count / (trial.rows * trial.columns)
+        # The first compiles the kernels.
+        seconds = [self._timed(self._some(_CELLS), seed) for seed in range(3)]
+        images = 4.0 * sum(convolution.ranks for convolution in convolutions) * block.rows * block.columns
+        # Two blocks are convolved, one waits and one is traced.
+        memory = 4 * images + sum(convolution.memory for convolution in convolutions) + _RAY_BYTES * _LANES
+        return made + convolved + min(seconds[1:]) * count, memory
+
+    def _some(self, count: int) -> Any:
+        """Return some cells, evenly over all."""
+        every = self._bins.rows * self._bins.columns
+        return mi.UInt32(np.linspace(0, every - 1, min(count, every)).astype(np.uint32))
+
+    def _timed(self, cells: Any, seed: int) -> float:
+        """Time the rays of some cells; return the seconds a cell."""
+        with busy_drjit():
+            dr.sync_thread()
+            start = time.perf_counter()
+            self._trace(self._bins, cells, np.random.SeedSequence(seed))
+            dr.sync_thread()
+            return (time.perf_counter() - start) / dr.width(cells)
 
     def _centres(self, box: Box, cells: Any, steps: NDArray[np.int64]) -> tuple[Pair, Pair]:
         """Return the middles of cells, and the centres of the lenses that are some steps from those of chief rays."""
@@ -251,27 +318,39 @@ class SignedRaySum:
     def _aside(self, pupil: Pair, random: list[Any]) -> tuple[Pair, Any]:
         """Draw points about a lens, where the pupil spreads rays through it from; return their density, too.
 
-        Along each axis of the lattice they are even over the lens and a little beyond, and fall off by the square of
-        the distance farther out.
+        Along either of two directions they are even over the lens, and fall off by the square of the distance beyond. The directions are those of the lattice, or near the pupil's rim its radius and
+        across it.
         """
         lattice, radius = self._camera.lattice, self._camera.aperture_radius
         Pu, Pv = lattice.to_frame(*pupil)
+        widths = lattice.aperture_widths
+        distance = dr.sqrt(Pu * Pu + Pv * Pv)
+        # Half the widths of the overlap of the pupil with itself about P.
+        across = dr.sqrt(dr.maximum(radius * radius - distance * distance, 0))
+        turned = self._spread > _TURNED * (radius - distance) * max(widths)
+        cosine, sine = dr.select(turned, Pu / distance, 1), dr.select(turned, Pv / distance, 0)
+        halves = [
+            dr.select(turned, at_rim, dr.sqrt(dr.maximum(radius * radius - other * other, 0)) - dr.abs(own))
+            for at_rim, own, other in ((radius - distance, Pu, Pv), (across, Pv, Pu))
+        ]
+        extents = [
+            0.5 * (widths[0] * dr.abs(c) + widths[1] * dr.abs(s)) for c, s in ((cosine, sine), (sine, cosine))
+        ]
         places, density = [], mi.Float(1)
-        for r, own, other, width in zip(random, (Pu, Pv), (Pv, Pu), lattice.aperture_widths, strict=True):
-            # Half the width of the overlap of the pupil with itself about P.
-            half = dr.sqrt(dr.maximum(radius * radius - other * other, 0)) - dr.abs(own)
-            fall = dr.minimum(self._spread / dr.maximum(half, 1e-6 * radius), _WIDEST * width)
-            even = 0.5 * width + fall
+        for r, half, extent in zip(random, halves, extents, strict=True):
+            fall = dr.minimum(self._spread / dr.maximum(half, 1e-6 * radius), _WIDEST * max(widths))
             side = 2 * r - 1
             # The greatest density over that of the place, by its root; from 1 on it is beyond the even part.
-            less = fall / ((even + fall) * dr.maximum(1 - dr.abs(side), 1e-7))
-            far = dr.copysign(even + fall * (less - 1), side)
-            places.append(dr.select(less > 1, far, side * (even + fall)))
-            density *= 0.5 / ((even + fall) * dr.square(dr.maximum(less, 1)))
-        return lattice.from_frame(*places), density
+            less = fall / ((extent + fall) * dr.maximum(1 - dr.abs(side), 1e-7))
+            far = dr.copysign(extent + fall * (less - 1), side)
+            places.append(dr.select(less > 1, far, side * (extent + fall)))
+            density *= 0.5 / ((extent + fall) * dr.square(dr.maximum(less, 1)))
+        u = places[0] * cosine - places[1] * sine
+        v = places[0] * sine + places[1] * cosine
+        return lattice.from_frame(u, v), density
 
-    def _collect(self, sums: list[Any], box: Box, cells: Any, steps: NDArray[np.int64], seed: int) -> None:
-        """Trace the rays of some cells through a lens of each, and add what they bring to the sums."""
+    def _collect(self, box: Box, cells: Any, steps: NDArray[np.int64], seed: int) -> list[list[Any]]:
+        """Trace the rays of some cells through a lens of each; return for each channel what they bring."""
         spp = dr.opaque(mi.UInt32, self._spp)
         count, key = dr.width(cells), dr.opaque(mi.UInt32, seed & ~15)
         lane = dr.arange(mi.UInt32, count * self._spp)
@@ -286,15 +365,7 @@ class SignedRaySum:
         if not dr.all(finite):
             raise InputError("scene: the radiance of some rays is NaN or infinite: all must be finite")
         means = self._means(radiance, seen, count)
-        brought = self._bring(box, cells, steps, key, radiance, means)
-        for channel, parts in enumerate(brought):
-            size = dr.opaque(mi.UInt32, box.rows * box.columns)
-            for number, part in enumerate(parts):
-                # Every cell is in it once.
-                dr.scatter_reduce(
-                    dr.ReduceOp.Add, sums[channel], part, cells + size * number, mode=dr.ReduceMode.NoConflicts
-                )
-        dr.eval(sums)
+        return self._bring(box, cells, steps, key, radiance, means)
 
     def _means(self, radiance: list[Any], seen: Any, count: int) -> list[Pair]:
         """Return, for each channel, the mean radiance that the rays of even and those of odd numbers have found."""

@@ -70,10 +70,13 @@ class Node(NamedTuple):
         Its sides, whole numbers of the lattice's periods.
     counts : (int, int)
         Samples along them.
+    angular : int
+        Nodes over a quarter turn, less one.
     """
 
     sides: tuple[float, float]
     counts: tuple[int, int]
+    angular: int
 
 
 @dataclass(frozen=True)
@@ -92,8 +95,8 @@ class PhaseSpace:
     window : int
         Lenses, across, over which the pupil's rim spreads a ray, which it does most. Light beyond is folded back by
         whole windows, which keeps the energy.
-    radial, angular : int
-        Nodes of the table along the pupil's radius, dense towards its rim, and over a quarter turn.
+    radial : int
+        Nodes of the table along the pupil's radius, dense towards its rim.
 
     Raises
     ------
@@ -106,7 +109,6 @@ class PhaseSpace:
     degree: int = 4
     window: int = 9
     radial: int = 12
-    angular: int = 8
 
     def __post_init__(self) -> None:
         camera = self.camera
@@ -147,7 +149,9 @@ class PhaseSpace:
             sides = tuple(math.ceil(wanted / period - 1e-6) * period for period in self.lattice.period())
             # The greatest lag is across the radius.
             step = reach / (2 * _OVERSAMPLING * 2 * math.sqrt(radius**2 - inner**2))
-            made.append(Node(sides, tuple(math.ceil(side / step) for side in sides)))
+            # From one node to the next the farthest points turn by half a lens.
+            angular = math.ceil(math.pi / 2 * max(sides) / pitch)
+            made.append(Node(sides, tuple(math.ceil(side / step) for side in sides), angular))
         return made
 
     # -- polynomials over a lens -------------------------------------------------------------------
@@ -200,15 +204,15 @@ class PhaseSpace:
                 orders.append(np.exp(-2j * np.pi * np.outer(order, u[0]) / side).astype(np.complex64))
                 lags.append(order * reach / side)
             spectra = np.einsum("ay,yxn,bx->nab", orders[1], values.astype(np.float32), orders[0], optimize=True)
-            part = np.empty((self.angular + 1, *reversed(node.counts), len(self.exponents)), np.float32)
-            for angle in range(self.angular + 1):
-                overlap = self._overlap((radial, angle), lags[0], lags[1][:, None], radius)
+            part = np.empty((node.angular + 1, *reversed(node.counts), len(self.exponents)), np.float32)
+            for angle in range(node.angular + 1):
+                overlap = self._overlap(radial, angle * math.pi / 2 / node.angular, math.pi / 2 / node.angular, lags[0], lags[1][:, None], radius)
                 part[angle] = np.moveaxis((to_space[1] @ (spectra * overlap) @ to_space[0].T).real, 0, -1)
             table.append(part)
         return table
 
     def _overlap(
-        self, node: tuple[int, int], lag_u: NDArray[np.float64], lag_v: NDArray[np.float64], radius: float
+        self, radial: int, angle: float, turn: float, lag_u: NDArray[np.float64], lag_v: NDArray[np.float64], radius: float
     ) -> NDArray[np.float32]:
         """Return O_P, averaged over the part of the pupil that linear interpolation gives to a node."""
         abscissae, weights = np.polynomial.legendre.leggauss(_SUBSAMPLES)
@@ -218,15 +222,14 @@ class PhaseSpace:
         total = np.zeros(np.broadcast_shapes(lag_u.shape, lag_v.shape))
         scale = 0.0
         for step, weight in zip(steps, weights, strict=True):
-            t = 1 - (node[0] + step) / self.radial
+            t = 1 - (radial + step) / self.radial
             if not 0 <= t <= 1:
                 continue
             distance = radius * (1 - t * t)
             # The area that belongs to a step of t, but on the axis any would be nothing.
             area = weight * t * distance
-            for turn, share in zip(steps, weights, strict=True):
-                angle = (node[1] + turn) * math.pi / 2 / self.angular
-                Pu, Pv = distance * math.cos(angle), distance * math.sin(angle)
+            for part, share in zip(steps, weights, strict=True):
+                Pu, Pv = distance * math.cos(angle + part * turn), distance * math.sin(angle + part * turn)
                 both = np.maximum(
                     (Pu + lag_u / 2) ** 2 + (Pv + lag_v / 2) ** 2, (Pu - lag_u / 2) ** 2 + (Pv - lag_v / 2) ** 2
                 )
@@ -240,17 +243,30 @@ class PhaseSpace:
 
     # -- the array: kernels of images ------------------------------------------------------------------
 
-    @cached_property
-    def _transfer(self) -> tuple[NDArray[np.float64], NDArray[np.complex64]]:
-        """Lags, along either axis of the camera frame, and the integrals of polynomial times T T* over a cell."""
-        lattice, f2 = self.lattice, self.camera.mla_focal_length
-        wavelength = in_millimetres(self.wavelength)
+    def kernels(self, step: float, reach: float) -> NDArray[np.float64]:
+        """Return the kernels times the area of a grid's cell, on a grid of this step, at least within a reach; (n, k, k).
+
+        Light beyond is folded back, which keeps the energy.
+        """
+        scale = in_millimetres(self.wavelength) * self.camera.detector_distance
+        fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
+        every = max(1, int(scale / (2 * fine * reach)))
+        # Pairs in neighbouring lenses are less than two widths of a cell apart; a grid holds half a cycle a step.
+        farthest = int(min(2 * _TRANSFER_SAMPLES, scale / (2 * step * fine))) // every
+        transfer = self._transfer(np.arange(-farthest, farthest + 1) * every)
+        count = math.ceil(scale / (2 * fine * every * step) - 0.5)
+        place, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * (every * fine)
+        waves = np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (every * fine * step / scale)
+        return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
+
+    def _transfer(self, lags: NDArray[np.int64]) -> NDArray[np.complex64]:
+        """Return the integrals of polynomial times T T* over a cell at lags of steps, the same along x and y."""
+        lattice, camera = self.lattice, self.camera
+        f2, wavelength = camera.mla_focal_length, in_millimetres(self.wavelength)
         step = lattice.pitches[0] / _TRANSFER_SAMPLES
         half = math.ceil(lattice.cell_reach / step)
-        # Pairs in neighbouring lenses are less than two widths of a cell apart.
-        farthest = 2 * _TRANSFER_SAMPLES
         # Half steps about the lens: with a lag of whole steps, both points of a pair lie between two whole steps.
-        reach = 2 * half + farthest + 1
+        reach = 2 * half + int(lags[-1]) + 1
         along = np.arange(-reach, reach + 1) * (step / 2)
         y, x = np.meshgrid(along, along, indexing="ij")
         centre = lattice.centre(0.0, 0.0)
@@ -258,36 +274,30 @@ class PhaseSpace:
         cx, cy = (c - c0 for c, c0 in zip(lattice.centre(i, j), centre, strict=True))
         phase = (2 * (x * cx + y * cy) - cx * cx - cy * cy) / (2 * wavelength * f2)
         # A ray through m lands m (1 + z / b - z / f2) from where that through the centre and the same pupil point does.
-        phase += (1 / self.camera.detector_distance + 1 / self.camera.mla_distance - 1 / f2) * (x * x + y * y) / (2 * wavelength)
+        converging = 1 / camera.detector_distance + 1 / camera.mla_distance - 1 / f2
+        phase += converging * (x * x + y * y) / (2 * wavelength)
         T = np.where(lattice.in_aperture(x - cx, y - cy), np.exp(2j * np.pi * phase), 0).astype(np.complex64)
         own = np.asarray((i == 0) & (j == 0), np.float32)
         # Points on a border belong to both sides.
         weights = self.polynomials(*lattice.to_frame(x, y)) * ((own + own[::-1, ::-1]) / 2)[..., None]
-        lags = np.arange(-farthest, farthest + 1)
         result = np.zeros((len(self.exponents), len(lags), len(lags)), np.complex64)
-        count, parts = len(along), mi.Float(np.stack([T.real, T.imag], -1).ravel())
-        for odd_y, odd_x in np.ndindex(2, 2):
-            rows, columns = np.nonzero(weights[1 - odd_y :: 2, 1 - odd_x :: 2].any(-1))
-            rows, columns = 2 * rows + 1 - odd_y, 2 * columns + 1 - odd_x
-            b, a = (
-                grid.ravel() for grid in np.meshgrid(lags[lags % 2 == odd_y], lags[lags % 2 == odd_x], indexing="ij")
-            )
-            real, imaginary = _correlate(parts, b * count + a, rows * count + columns, weights[rows, columns])
-            result[:, b + farthest, a + farthest] = np.asarray(real) + 1j * np.asarray(imaginary)
+        middle = len(lags) // 2
+        for row, b in enumerate(lags[middle:].tolist(), middle):
+            for odd in range(2):
+                (places,) = np.nonzero((lags + odd) % 2 == 0)
+                if not len(places):
+                    continue
+                # Midpoints every whole step, between samples of T, of the cell and what its border shares.
+                rows, columns = (reach + 1 - each % 2 + 2 * np.arange(-half, half + 1) for each in (b, odd))
+                weight = weights[np.ix_(rows, columns)].reshape(-1, len(self.exponents)).astype(np.float32)
+                index = (columns + lags[places, None])[:, None]
+                product = T[(rows + b)[:, None], index] * T[(rows - b)[:, None], index[::-1]].conj()
+                product = product.reshape(len(places), -1)
+                result[:, row, places] = ((product.real @ weight) + 1j * (product.imag @ weight)).T
+        # The weights are real.
+        result[:, :middle] = result[:, :middle:-1, ::-1].conj()
         # The open area as it is sampled, so that energy is kept.
-        return lags * step, result / result[0, farthest, farthest].real
-
-    def kernels(self, step: float, reach: float) -> NDArray[np.float64]:
-        """Return the kernels times the area of a grid's cell, on a grid of this step within this reach; (n, k, k)."""
-        lags, transfer = self._transfer
-        scale = in_millimetres(self.wavelength) * self.camera.detector_distance
-        count = math.ceil(reach / step)
-        place = np.arange(-count, count + 1) * step
-        # A grid holds frequencies to half a cycle a step.
-        kept = np.abs(lags) <= scale / (2 * step)
-        lags, transfer = lags[kept], transfer[:, kept][:, :, kept]
-        waves = np.exp(-2j * np.pi * np.outer(place, lags) / scale) * ((lags[1] - lags[0]) * step / scale)
-        return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
+        return np.asarray(result / result[0, middle, middle].real)
 
 
 class RayCoefficients:
@@ -304,6 +314,7 @@ class RayCoefficients:
         sides, counts = np.array([n.sides for n in plan.nodes]), np.array([n.counts for n in plan.nodes])
         self._sides = [mi.Float(column) for column in sides.T]
         self._counts = [mi.Int(column.astype(np.int32)) for column in counts.T]
+        self._angular = mi.Float([node.angular for node in plan.nodes])
         self._radius = float(main_lens(plan.camera).pupil_radius)
 
     def __call__(
@@ -335,7 +346,7 @@ class RayCoefficients:
         u, v = (dr.select(turned, -place, place) for turned, place in zip(mirrored, (u, v), strict=True))
         along = (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * plan.radial
         radial = mi.UInt(dr.minimum(dr.floor(along + jitter[0]), plan.radial))
-        turn = dr.atan2(dr.abs(Pv), dr.abs(Pu)) * (plan.angular * 2 / math.pi)
+        turn = dr.atan2(dr.abs(Pv), dr.abs(Pu)) * (2 / math.pi) * dr.gather(mi.Float, self._angular, radial)
         index = dr.gather(mi.Int, self._first, radial)
         sizes = [dr.gather(mi.Int, each, radial) for each in self._counts]
         index += mi.Int(dr.floor(turn + jitter[1])) * (sizes[0] * sizes[1])
@@ -356,26 +367,3 @@ class RayCoefficients:
             value * (signs[0] if i % 2 else 1.0) * (signs[1] if j % 2 else 1.0)
             for (i, j), value in zip(plan.exponents, values, strict=False)
         ]
-
-
-@dr.syntax  # type: ignore[untyped-decorator]
-def _correlate(
-    transmission: Any, lags: NDArray[np.int64], middles: NDArray[np.int64], weights: NDArray[np.float64]
-) -> tuple[list[Any], list[Any]]:
-    """Return, real and imaginary, the sums over midpoints of weight times T T*, for each weight and each lag."""
-    lag, middle, count = mi.Int(lags.astype(np.int32)), mi.Int(middles.astype(np.int32)), weights.shape[1]
-    values = mi.Float(weights.astype(np.float32).ravel())
-    real = [dr.zeros(mi.Float, len(lags)) for _ in range(count)]
-    imaginary = [dr.zeros(mi.Float, len(lags)) for _ in range(count)]
-    step, end = mi.UInt(0), dr.opaque(mi.UInt, len(middles))
-    while step < end:
-        centre = dr.gather(mi.Int, middle, step)
-        plus = dr.gather(mi.Complex2f, transmission, mi.UInt(centre + lag))
-        minus = dr.gather(mi.Complex2f, transmission, mi.UInt(centre - lag))
-        product = plus * dr.conj(minus)
-        for n in range(count):
-            weight = dr.gather(mi.Float, values, step * count + n)
-            real[n] = dr.fma(dr.real(product), weight, real[n])
-            imaginary[n] = dr.fma(dr.imag(product), weight, imaginary[n])
-        step += 1
-    return real, imaginary

@@ -15,6 +15,8 @@ from ..capture.patch_plan import Cost
 from ..capture.render_gradients import RenderGradients
 from ..capture.replay import Replay
 from ..capture.sight import Sight
+from ..capture.signed_capture import SignedCapture
+from ..capture.signed_rays import SceneLight
 from ..capture.spectral import SpectralCapture
 from ..capture.wave_capture import WaveCapture
 from ..errors import InputError
@@ -32,6 +34,9 @@ MOST_RADIATORS = 256
 
 MOST_PASSES = 1024
 """Passes at most; their radiators are held together."""
+
+SIGNED_RAYS = "signed_rays"
+"""The method that takes all light from the rays of a capture by rays."""
 
 # Integrators that follow light from the emitters and cannot tell the radiance along a ray.
 _LIGHT_TRACERS = ("ParticleTracerIntegrator", "AdjointIntegrator")
@@ -144,7 +149,7 @@ def make_class() -> type:
             self.wavelengths = self.colours.wavelengths
             self.radiators_per_lens = read_count(props, NAME, "radiators_per_lens", 8, maximum=MOST_RADIATORS)
             self.passes = read_count(props, NAME, "passes", 1, maximum=MOST_PASSES)
-            self.method = read_choice(props, NAME, "method", ("auto", *METHODS))
+            self.method = read_choice(props, NAME, "method", ("auto", *METHODS, SIGNED_RAYS))
             self.occlusion = read_flag(props, NAME, "occlusion", True)
             if self.method == "bank" and not self.occlusion:
                 raise InputError(f"{NAME}: occlusion = false: by method bank, objects hide what is behind them")
@@ -256,9 +261,14 @@ def make_class() -> type:
             """Return the spectrum that a sensor's film records; None if each channel has one wavelength."""
             return self.colours.spectrum_for(sensor.film().base_channels_count(), scene)
 
-        def _capture(self, scene: Any, sensor: Any) -> WaveCapture | SpectralCapture:
+        def _capture(self, scene: Any, sensor: Any) -> WaveCapture | SpectralCapture | SignedCapture:
             camera = PlenopticCamera.from_sensor(sensor)
             require_ideal(camera)
+            if self.method == SIGNED_RAYS:
+                if self.spectrum_of(scene, sensor) is not None:
+                    raise InputError(f"{NAME}: method = {SIGNED_RAYS}: it takes no bands and responses yet; use auto")
+                light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
+                return SignedCapture(camera, light, self.wavelengths, self.accuracy)
             if camera.objective is not None and self.method == "bank":
                 raise InputError(f"method = bank: it does not know main_lens = {camera.objective.name}; use patch")
             if self.method == "bank":
