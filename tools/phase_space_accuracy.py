@@ -67,7 +67,7 @@ def main() -> int:
         start = time.perf_counter()
         plan = PhaseSpace(camera, WAVELENGTH, degree=arguments.degree, window=arguments.window)
         plan.kernels(camera.pixel_size / arguments.parts, 2.5 * camera.mla_pitch)
-        size = plan.table.nbytes / 2**20
+        size = sum(part.nbytes for part in plan.table) / 2**20
         print(
             f"{name}: {len(plan.exponents)} coefficients, {size:.0f} MiB, {time.perf_counter() - start:.0f} s",
             flush=True,

@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import InputError, shown
 from ..lattice import Lattice
+from ..runtime.blas import single_threaded_blas
 from .main_lens import main_lens
 from .phase import in_millimetres
 from .wave_cameras import require_ideal
@@ -184,6 +185,7 @@ class PhaseSpace:
     # -- the pupil: coefficients of rays -------------------------------------------------------------
 
     @cached_property
+    @single_threaded_blas()
     def table(self) -> list[NDArray[np.float32]]:
         """Coefficients of rays at each node of the radius: (nodes of the angle, rows, columns, polynomials)."""
         lens = main_lens(self.camera)
@@ -243,6 +245,7 @@ class PhaseSpace:
 
     # -- the array: kernels of images ------------------------------------------------------------------
 
+    @single_threaded_blas()
     def kernels(self, step: float, reach: float) -> NDArray[np.float64]:
         """Return the kernels times the area of a grid's cell, on a grid of this step, at least within a reach; (n, k, k).
 
