@@ -12,8 +12,10 @@ from pathlib import Path
 # Glasses by name need Optiland, an extra of 800 MB: where it is not installed, what was recorded of it stands in.
 sys.path.append(str(Path(__file__).parent / "optiland_records" / "stand_in"))
 
-# Two test processes share the cores; Dr.Jit's own pool would start as many threads in each.
+# Two test processes share the cores; the pools of Dr.Jit and of NumPy's and SciPy's linear algebra would start as many
+# threads in each, and those of the latter wait for one another by counting.
 os.environ.setdefault("DRJIT_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 
