@@ -43,6 +43,12 @@ def no_progress_lines(monkeypatch):
     monkeypatch.setattr("mitsuba_plenoptic.runtime.progress.FIRST_LINE", float(2**20))
 
 
+@pytest.fixture(autouse=True)
+def short_trials(monkeypatch):
+    """Have captures by waves, which estimate their time from trials, try a few point spreads only."""
+    monkeypatch.setattr("mitsuba_plenoptic.capture.patch_plan._TRIAL_SECONDS", 0.0)
+
+
 @pytest.fixture
 def camera_dict():
     """Describe a small plenoptic sensor: 16 x 16 lenses of the paper's camera."""

@@ -30,10 +30,10 @@ TOOL = Path(__file__).parents[2] / "tools" / "point_spread_accuracy.py"
     "camera, position, wavelength",
     [
         (SMALL, (0.4, -0.3, 240.0), 633),
-        (SMALL, (0.2, 0.1, 215.0), 633),
+        pytest.param(SMALL, (0.2, 0.1, 215.0), 633, marks=pytest.mark.slow),
         (SMALL, (-0.3, 0.5, 270.0), 450),
         (OTHER, (0.5, 0.4, 175.0), 532),
-        (OTHER, (-0.2, 0.6, 190.0), 700),
+        pytest.param(OTHER, (-0.2, 0.6, 190.0), 700, marks=pytest.mark.slow),
     ],
 )
 def test_patch_against_full_field(camera, position, wavelength):

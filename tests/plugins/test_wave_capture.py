@@ -32,7 +32,7 @@ def scene_of(sensor, **objects):
 @pytest.mark.parametrize("place", [(0.3, -0.2, 210.0), (-0.1, 0.2, 240.0), (0.2, 0.4, 280.0)])
 def test_one_tiny_emitter_renders_its_point_spread(camera_dict, place):
     # So many radiators that a source of 1 um is met a few times; only those that shine cost time.
-    scene = scene_of(camera_dict(), point=disk(place, 0.0005))
+    scene = scene_of(camera_dict(resolution=256, detector_width=0.512), point=disk(place, 0.0005))
     wave = render_capture(scene, model="wave", spp=1, radiators_per_lens=256)
     psf = point_spread_function(wave.camera, place, wavelength=633)
     scale = (wave.image * psf).sum() / (psf * psf).sum()
@@ -52,14 +52,16 @@ def test_a_white_scene_is_the_pupil_blurred_by_the_microlens(camera_dict):
     """Disc of the pupil * sinc^2 of the square microlens * pixel, repeated from lens to lens."""
     film = {"crop_offset_x": 224, "crop_offset_y": 224, "crop_width": 64, "crop_height": 64}
     wave = render_capture(scene_of(camera_dict(film=film), wall=disk((0, 0, 240.0), 5.0)), model="wave", spp=1)
-    camera, fine = wave.camera, 9
+    camera, fine = wave.camera, 5
     step = camera.pixel_size / fine
     x = np.arange(-230 * fine, 230 * fine + 1) * step
     spot = np.sinc(x / design.spot_radius(camera, 633)) ** 2
     spot /= spot.sum()
     box = np.ones(fine) / fine
     profile = np.convolve(spot, box, mode="same")
-    disc = (np.hypot(x[:, None], x[None, :]) <= camera.micro_image_diameter / 2).astype(float)
+    radius = camera.micro_image_diameter / 2
+    disc = (np.hypot(x[:, None], x[None, :]) <= radius).astype(float)
+    disc *= np.pi * (radius / step) ** 2 / disc.sum()
     blurred = fftconvolve(fftconvolve(disc, profile[None, :], mode="same"), profile[:, None], mode="same")
     # Pixel centres seen from the nearest micro-images' centres.
     pixels = (np.arange(224, 288) + 0.5 - 256) * camera.pixel_size
