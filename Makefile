@@ -19,6 +19,7 @@ help:
 demo: $(VENV)/.ready llvm
 	$(BIN)/mitsuba-plenoptic reproduce --preset quick -o demo
 
+# The tests of a file stay in one process, which they share captures and compiled kernels in.
 test: $(VENV)/.ready llvm
 	$(BIN)/python -m pytest -n 2 --dist loadfile $(if $(COVERAGE),--cov --cov-report=term)
 

@@ -118,7 +118,7 @@ def test_what_has_no_derivatives():
 
 def wall(variant, **film):
     mi.set_variant(variant)
-    described = CAMERA.replace(resolution=(64, 64), detector_width=0.128).to_sensor()
+    described = CAMERA.replace(resolution=(128, 128), detector_width=0.256).to_sensor()
     described["film"] |= {"pixel_format": "rgb"} | film
     T = mi.ScalarTransform4f
     paint = {"type": "rgb", "value": [0.8, 0.4, 0.1]}

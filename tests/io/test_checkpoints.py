@@ -45,7 +45,9 @@ def render(checkpoint=None, parameters=None, **options):
     """Render the capture by waves, or one a little different from it."""
     scene = load_scene("letters", parameters=SCENE | (parameters or {}))
     return render_capture(
-        scene, checkpoint=checkpoint, **{"model": "wave", "spp": 1, "radiators_per_lens": 4} | options
+        scene,
+        checkpoint=checkpoint,
+        **{"model": "wave", "method": "patch", "spp": 1, "radiators_per_lens": 4} | options,
     )
 
 

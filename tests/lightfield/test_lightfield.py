@@ -322,7 +322,7 @@ class TestScenes:
                 },
             }
         )
-        capture = render_capture(scene, spp=48, seed=1)
+        capture = render_capture(scene, spp=128, seed=1)
         lf = decode(capture)
         lit = lf.weight.min(("t", "s")) > 0.999
         assert int(lit.sum()) > 200

@@ -52,16 +52,14 @@ def test_a_white_scene_is_the_pupil_blurred_by_the_microlens(camera_dict):
     """Disc of the pupil * sinc^2 of the square microlens * pixel, repeated from lens to lens."""
     film = {"crop_offset_x": 224, "crop_offset_y": 224, "crop_width": 64, "crop_height": 64}
     wave = render_capture(scene_of(camera_dict(film=film), wall=disk((0, 0, 240.0), 5.0)), model="wave", spp=1)
-    camera, fine = wave.camera, 5
+    camera, fine = wave.camera, 9
     step = camera.pixel_size / fine
     x = np.arange(-230 * fine, 230 * fine + 1) * step
     spot = np.sinc(x / design.spot_radius(camera, 633)) ** 2
     spot /= spot.sum()
     box = np.ones(fine) / fine
     profile = np.convolve(spot, box, mode="same")
-    radius = camera.micro_image_diameter / 2
-    disc = (np.hypot(x[:, None], x[None, :]) <= radius).astype(float)
-    disc *= np.pi * (radius / step) ** 2 / disc.sum()
+    disc = (np.hypot(x[:, None], x[None, :]) <= camera.micro_image_diameter / 2).astype(float)
     blurred = fftconvolve(fftconvolve(disc, profile[None, :], mode="same"), profile[:, None], mode="same")
     # Pixel centres seen from the nearest micro-images' centres.
     pixels = (np.arange(224, 288) + 0.5 - 256) * camera.pixel_size

@@ -27,6 +27,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarnin
 
 CAMERA = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
 SMALL = PlenopticCamera(detector_width=0.256, resolution=(128, 128), aperture_radius=1.5)
+TINY = SMALL.replace(detector_width=0.128, resolution=(64, 64))
 SIDE = 2048
 """Numbers that may leave the device before the end: the sums of a grid's rows, by which the physics is guarded."""
 TURNED = CAMERA.replace(mla_lattice="hexagonal", mla_rotation=7.0)
@@ -70,7 +71,7 @@ ADJOINTS = {
     "adjoint": lambda: [CaptureOperator(CAMERA, POSITIONS, wavelength=633, pupil_weights=PUPILS).adjoint(CAPTURE)],
     "adjoint on a turned array": lambda: [CaptureOperator(TURNED, POSITIONS[:6], wavelength=633).adjoint(CAPTURE)],
     "deconvolved": lambda: [
-        reconstruct(CAPTURE[:128, :128], 253.0, camera=SMALL, wavelength=633, method="deconvolved", iterations=3).image
+        reconstruct(CAPTURE[:64, :64], 253.0, camera=TINY, wavelength=633, method="deconvolved", iterations=3).image
     ],
 }
 """They hand parts of the image to their batches, or the bins between steps, through the host."""
