@@ -86,7 +86,7 @@ def test_a_sky_does_not_shine_through_a_black_card():
     ("scene", "per_lens"),
     [
         (in_fog, 4),
-        (lambda: lamp_behind_glass(True), 8),
+        pytest.param(lambda: lamp_behind_glass(True), 8, marks=pytest.mark.slow),
         pytest.param(lambda: lamp_behind_glass(False), 8, marks=pytest.mark.slow),
         pytest.param(lambda: lit_mirror(2), 4, marks=pytest.mark.slow),
         pytest.param(lambda: plastic(6), 4, marks=pytest.mark.slow),
