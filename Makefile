@@ -19,13 +19,14 @@ help:
 demo: $(VENV)/.ready llvm
 	$(BIN)/mitsuba-plenoptic reproduce --preset quick -o demo
 
+# The tests of a file stay in one process, which they share captures and compiled kernels in.
 test: $(VENV)/.ready llvm
-	$(BIN)/python -m pytest -n 2 $(if $(COVERAGE),--cov --cov-report=term)
+	$(BIN)/python -m pytest -n 2 --dist loadfile $(if $(COVERAGE),--cov --cov-report=term)
 
 # Measuring takes a sixth more of the processor, so 'make test' leaves it out unless COVERAGE=yes, as .ci/run has it.
 coverage: $(VENV)/.ready llvm
 	rm -rf build/coverage && mkdir -p build/coverage
-	$(BIN)/python -m pytest -n 2 --cov --cov-report=html --cov-report=term
+	$(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=html --cov-report=term
 	$(BIN)/python tools/show_coverage.py
 
 slow: $(VENV)/.ready llvm

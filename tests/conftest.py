@@ -12,8 +12,10 @@ from pathlib import Path
 # Glasses by name need Optiland, an extra of 800 MB: where it is not installed, what was recorded of it stands in.
 sys.path.append(str(Path(__file__).parent / "optiland_records" / "stand_in"))
 
-# Two test processes share the cores; Dr.Jit's own pool would start as many threads in each.
+# Two test processes share the cores; the pools of Dr.Jit and of NumPy's and SciPy's linear algebra would start as many
+# threads in each, and those of the latter wait for one another by counting.
 os.environ.setdefault("DRJIT_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 
@@ -39,6 +41,12 @@ def guarded_physics():
 def no_progress_lines(monkeypatch):
     """Keep the plain lines of progress, which come with time, out of what commands print in tests."""
     monkeypatch.setattr("mitsuba_plenoptic.runtime.progress.FIRST_LINE", float(2**20))
+
+
+@pytest.fixture(autouse=True)
+def short_trials(monkeypatch):
+    """Have captures by waves, which estimate their time from trials, try a few point spreads only."""
+    monkeypatch.setattr("mitsuba_plenoptic.capture.patch_plan._TRIAL_SECONDS", 0.0)
 
 
 @pytest.fixture

@@ -6,11 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import compare_versions
 import numpy as np
 import OpenEXR
 import pytest
-
-TOOL = Path(__file__).resolve().parent.parent / "tools" / "compare_versions.py"
 
 # Writes the same pixels whatever it renders or refocuses, but only from a capture that is there.
 STAND_IN = """#!/bin/sh
@@ -37,9 +36,17 @@ def environment(folder: Path, pixels: np.ndarray, script: str = STAND_IN) -> Pat
     return folder
 
 
-def compare(*arguments: object) -> subprocess.CompletedProcess[str]:
-    call = [sys.executable, str(TOOL), *map(str, arguments)]
-    return subprocess.run(call, capture_output=True, text=True, check=False)
+@pytest.fixture
+def compare(monkeypatch, capfd):
+    """Run the tool within the tests' process."""
+
+    def compare(*arguments: object) -> subprocess.CompletedProcess[str]:
+        monkeypatch.setattr(sys, "argv", ["compare_versions", *map(str, arguments)])
+        capfd.readouterr()
+        status = compare_versions.main()
+        return subprocess.CompletedProcess(sys.argv, status, *capfd.readouterr())
+
+    return compare
 
 
 @pytest.fixture
@@ -52,7 +59,7 @@ def old(tmp_path, pixels) -> Path:
     return environment(tmp_path / "old", pixels)
 
 
-def test_equal_versions_have_the_same_bits(tmp_path, old, pixels):
+def test_equal_versions_have_the_same_bits(tmp_path, compare, old, pixels):
     new = environment(tmp_path / "new", pixels)
     table = tmp_path / "tables" / "out.md"
     done = compare(old, new / "bin" / "mitsuba-plenoptic", "--only", "letters", "help", "--pairs", "2", "-o", table)
@@ -65,7 +72,7 @@ def test_equal_versions_have_the_same_bits(tmp_path, old, pixels):
 
 
 @pytest.mark.parametrize(("change", "verdict", "status"), [(1e-6, "<= 1e-5", 0), (1e-3, "differs", 1)])
-def test_what_differs_is_judged_by_the_tolerance(tmp_path, old, pixels, change, verdict, status):
+def test_what_differs_is_judged_by_the_tolerance(tmp_path, compare, old, pixels, change, verdict, status):
     changed = pixels.copy()
     changed[-1, -1] += change
     done = compare(old, environment(tmp_path / "new", changed), "--only", "raytrix")
@@ -77,7 +84,7 @@ def test_what_differs_is_judged_by_the_tolerance(tmp_path, old, pixels, change, 
     assert float(rows[0][3]) == pytest.approx(change, rel=0.1)
 
 
-def test_another_size_and_nan_differ(tmp_path, old, pixels):
+def test_another_size_and_nan_differ(tmp_path, compare, old, pixels):
     damaged = pixels.copy()
     damaged[0, 0] = np.nan
     for name, other in (("size", pixels[:4]), ("nan", damaged)):
@@ -86,7 +93,7 @@ def test_another_size_and_nan_differ(tmp_path, old, pixels):
         assert done.stdout.count("| differs |") == 8
 
 
-def test_a_command_that_fails_is_told_in_one_line(tmp_path, old, pixels):
+def test_a_command_that_fails_is_told_in_one_line(tmp_path, compare, old, pixels):
     script = FAILING.format(stand_in=old / "bin" / "mitsuba-plenoptic")
     done = compare(old, environment(tmp_path / "new", pixels, script), "--only", "letters")
     assert done.returncode == 2
@@ -96,7 +103,7 @@ def test_a_command_that_fails_is_told_in_one_line(tmp_path, old, pixels):
     assert "Traceback" not in done.stderr
 
 
-def test_an_environment_without_the_command_is_told_in_one_line(tmp_path, old):
+def test_an_environment_without_the_command_is_told_in_one_line(tmp_path, compare, old):
     done = compare(old, tmp_path / "nowhere", "--only", "letters")
     assert done.returncode == 2
     assert done.stderr == f"compare_versions: error: new: {tmp_path / 'nowhere'}: there is no mitsuba-plenoptic\n"

@@ -92,7 +92,7 @@ def test_captures_that_do_not_suit():
     for work in (mp.decode, mp.lightfield.micro_images):
         with pytest.raises(InputError, match=r"white: its camera has mla_pitch = 0\.05, that of the capture 0\.064"):
             work(capture, white=other)
-        work(capture, white=Capture(IMAGE, CAMERA))
+        work(capture, white=Capture(mp.lightfield.white_image(CAMERA), CAMERA))
     mosaic = mp.expose(Capture(np.ones((64, 64, 3)), CAMERA), mp.Detector(mosaic="RGGB"), photons=100)
     with pytest.raises(InputError, match="mosaic = RGGB"):
         mp.decode(capture, white=mosaic)

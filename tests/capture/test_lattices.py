@@ -5,7 +5,7 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 import pytest
-from wave_cases import LATTICES, WAVELENGTH, capture, error, scattered, small_camera
+from wave_cases import HALF, LATTICES, WAVELENGTH, capture, error, scattered, small_camera
 
 from mitsuba_plenoptic import PlenopticCamera, render_capture
 from mitsuba_plenoptic.capture.point_spread import point_spread_function
@@ -18,10 +18,10 @@ lattices = pytest.mark.parametrize("lattice", LATTICES.values(), ids=LATTICES)
 
 @lattices
 @pytest.mark.parametrize(
-    "position", [(0.2, -0.1, 225.0), pytest.param((-0.1, 0.2, 240.0), marks=pytest.mark.slow)], ids=["blurred", "sharp"]
+    "position", [(0.2, -0.1, 112.5), pytest.param((-0.1, 0.2, 120.0), marks=pytest.mark.slow)], ids=["blurred", "sharp"]
 )
 def test_patch_against_full_field(lattice, position):
-    camera = small_camera(**lattice)
+    camera = small_camera(**lattice, **HALF)
     patch, full = (
         point_spread_function(camera, position, wavelength=WAVELENGTH, method=name) for name in ("patch", "full_field")
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.special import j1
-from wave_cases import WAVELENGTH, capture, error, in_every_lens, small_camera
+from wave_cases import HALF, WAVELENGTH, capture, error, in_every_lens, small_camera
 
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.capture.full_field import full_field
@@ -30,10 +30,10 @@ TOOL = Path(__file__).parents[2] / "tools" / "point_spread_accuracy.py"
     "camera, position, wavelength",
     [
         (SMALL, (0.4, -0.3, 240.0), 633),
-        (SMALL, (0.2, 0.1, 215.0), 633),
+        pytest.param(SMALL, (0.2, 0.1, 215.0), 633, marks=pytest.mark.slow),
         (SMALL, (-0.3, 0.5, 270.0), 450),
         (OTHER, (0.5, 0.4, 175.0), 532),
-        (OTHER, (-0.2, 0.6, 190.0), 700),
+        pytest.param(OTHER, (-0.2, 0.6, 190.0), 700, marks=pytest.mark.slow),
     ],
 )
 def test_patch_against_full_field(camera, position, wavelength):
@@ -70,8 +70,8 @@ def test_patch_of_extreme_cameras_against_full_field(camera, g):
 @pytest.mark.parametrize("fill", [0.5, pytest.param(0.25, marks=pytest.mark.slow)])
 def test_gaps_between_microlenses_at_the_default_accuracy(fill):
     """Many radiators, in 2 x 2 places of a lens."""
-    camera = small_camera(4, mla_fill=fill)
-    points = in_every_lens(camera, 1, 230.0, per_lens=2) + np.array([0.06, -0.05, 0.0])
+    camera = small_camera(4, mla_fill=fill, **HALF)
+    points = in_every_lens(camera, 1, 115.0, per_lens=2) + np.array([0.06, -0.05, 0.0])
     exact = capture(camera, points, np.full(len(points), 150.0), method="full_field")
     many = np.repeat(points, 150, axis=0)
     assert error(capture(camera, many, np.ones(len(many))), exact) < 0.01

@@ -172,7 +172,7 @@ def test_interrupt_leaves_nothing(tmp_path):
 def test_interrupted_waves_write_a_checkpoint_and_say_how_to_go_on(tmp_path):
     # The small detector shows little of the letters, with many radiators.
     words = ["render", "letters", "-o", tmp_path / "raw.exr", "--model", "wave", "--spp", "1", "--resume"]
-    words += ["--checkpoint", tmp_path / "kept", "--radiators-per-lens", "32"]
+    words += ["--checkpoint", tmp_path / "kept", "--radiators-per-lens", "16"]
     words += definitions(letters(8))
     process = start_command(*words)
     # Batches have begun once there is a checkpoint, which this command writes after each.
@@ -189,9 +189,6 @@ def test_interrupted_waves_write_a_checkpoint_and_say_how_to_go_on(tmp_path):
 
 def test_the_package_runs_as_the_command_does():
     command = [sys.executable, "-m", "mitsuba_plenoptic"]
-    assert subprocess.run([*command, "--version"], capture_output=True, text=True, check=True).stdout.startswith(
-        "mitsuba-plenoptic"
-    )
     asked = {"_MITSUBA_PLENOPTIC_COMPLETE": "complete_bash", "COMP_WORDS": "mitsuba-plenoptic re", "COMP_CWORD": "1"}
     found = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ | asked).stdout
     assert found.split() == ["render", "reconstruct", "reproduce"]

@@ -28,7 +28,7 @@ from mitsuba_plenoptic.io.checkpoints import Checkpoint
 from mitsuba_plenoptic.runtime.jobs import Job
 
 SMALL = small_camera()
-SCENE = letters(8)
+SCENE = letters(4)
 WAVE = ["render", "letters", "--model", "wave", "--spp", "1", "--radiators-per-lens", "4", *definitions(SCENE)]
 
 
@@ -45,7 +45,9 @@ def render(checkpoint=None, parameters=None, **options):
     """Render the capture by waves, or one a little different from it."""
     scene = load_scene("letters", parameters=SCENE | (parameters or {}))
     return render_capture(
-        scene, checkpoint=checkpoint, **{"model": "wave", "spp": 1, "radiators_per_lens": 4} | options
+        scene,
+        checkpoint=checkpoint,
+        **{"model": "wave", "method": "patch", "spp": 1, "radiators_per_lens": 4} | options,
     )
 
 
@@ -175,7 +177,7 @@ def version_0_1(content):
         ),
         (lambda header, _: header.update(batches=10**6), "1000000 batches"),
         (lambda header, _: header.update(sums=-1), "is damaged: sums = -1"),
-        (lambda _, arrays: arrays.update(image=np.zeros((1, 4, 1), np.float32)), "shape (1, 4, 1) instead of (256, 25"),
+        (lambda _, arrays: arrays.update(image=np.zeros((1, 4, 1), np.float32)), "shape (1, 4, 1) instead of (128, 12"),
         (lambda _, arrays: arrays.update(partial=np.zeros((1, 4, 4), np.float32)), "batches of shape"),
         (lambda _, arrays: arrays.update(partial=np.zeros((1, 4, 4))), "partial is of type float64"),
         (lambda _, arrays: arrays["partial"].fill(np.nan), "partial holds numbers that are not finite"),
@@ -199,7 +201,7 @@ def test_what_a_checkpoint_says_is_checked(tmp_path, stopped, damage, words):
         (version_0_1, "is not a checkpoint of this version"),
         # 2.5 GiB, for which room was made before anything was read.
         (claiming((25905, 25905, 1)), "image.npy claims 2684276100 bytes in 228"),
-        (claiming((5, 5, 1)), "image has the shape (5, 5, 1) instead of (256, 256, 1)"),
+        (claiming((5, 5, 1)), "image has the shape (5, 5, 1) instead of (128, 128, 1)"),
         (claiming((5, 5, 1), packed=zipfile.ZIP_DEFLATED), "header.npy is compressed"),
     ],
 )

@@ -56,7 +56,15 @@ def test_a_window_without_a_lens_is_refused(lattice):
         lens_grid(camera)
 
 
-@pytest.mark.parametrize("name", ["hexagonal", "turned", "rectangular", "hexagonal, stretched"])
+# The stretched one is hexagonal and has two pitches.
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("hexagonal", "rectangular")),
+        "turned",
+        "hexagonal, stretched",
+    ],
+)
 def test_views_show_the_scene_from_their_place_on_the_pupil(name):
     lattice = {key: ", ".join(map(str, np.ravel(value))) for key, value in LATTICES[name].items()}
     scene = load_scene("letters", parameters=letters(32, **lattice))

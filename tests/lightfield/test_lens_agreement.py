@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.lightfield import depth_map, distance_of, micro_images
 
-MULTI_FOCUS = mp.PlenopticCamera.preset("raytrix").replace(detector_width=3.3, resolution=(600, 480))
+MULTI_FOCUS = mp.PlenopticCamera.preset("raytrix").replace(detector_width=2.64, resolution=(480, 384))
 
 
 @functools.cache
@@ -91,4 +91,4 @@ def test_left_out_views_are_refused():
 def test_micro_images_need_a_camera():
     grid = mp.lightfield.lens_grid(MULTI_FOCUS)
     with pytest.raises(mp.InputError, match="camera = None"):
-        micro_images(np.ones((480, 600)), grid=grid, white=np.ones((480, 600)))
+        micro_images(np.ones((384, 480)), grid=grid, white=np.ones((384, 480)))

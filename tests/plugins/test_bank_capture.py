@@ -67,7 +67,7 @@ def test_coarse_pixels_are_cut_into_bins_that_hold_the_spots_of_lenses(pixels):
     [pytest.param(name, marks=[pytest.mark.slow] * (name != "square")) for name in SOME],
 )
 def test_a_wall_is_that_of_exact_spreads(name):
-    camera = small_camera(14, **SOME[name])
+    camera = small_camera(10, **SOME[name])
     radius = 1.5 * camera.mla_pitches[0] * NEAR / camera.mla_distance
     scene = scene_of(camera, radius=radius)
     image = by_bank(scene, spp=16).image

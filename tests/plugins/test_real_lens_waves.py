@@ -33,7 +33,7 @@ def test_a_scene_is_that_by_rays_and_that_of_the_thin_lens():
     for lens in (None, "double_gauss"):
         camera = with_lens(lens)
         scene = scene_of(camera, disk((0.1, 0.05, 236), 0.45), disk((-0.35, 0.1, 225), 0.2))
-        for model, options in (("ray", {"spp": 64}), ("wave", {"wavelength": WAVELENGTH, "radiators_per_lens": 8})):
+        for model, options in (("ray", {"spp": 64}), ("wave", {"wavelength": WAVELENGTH, "radiators_per_lens": 4})):
             capture = render_capture(scene, model=model, **options)
             images[lens, model] = np.nan_to_num(reconstruct(capture, 236.0).image)
     real = images["double_gauss", "ray"]

@@ -32,7 +32,7 @@ def scene_of(sensor, **objects):
 @pytest.mark.parametrize("place", [(0.3, -0.2, 210.0), (-0.1, 0.2, 240.0), (0.2, 0.4, 280.0)])
 def test_one_tiny_emitter_renders_its_point_spread(camera_dict, place):
     # So many radiators that a source of 1 um is met a few times; only those that shine cost time.
-    scene = scene_of(camera_dict(), point=disk(place, 0.0005))
+    scene = scene_of(camera_dict(resolution=256, detector_width=0.512), point=disk(place, 0.0005))
     wave = render_capture(scene, model="wave", spp=1, radiators_per_lens=256)
     psf = point_spread_function(wave.camera, place, wavelength=633)
     scale = (wave.image * psf).sum() / (psf * psf).sum()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -27,6 +29,7 @@ CAMERAS = {
 }
 
 
+@functools.cache
 def response_of(camera, distance=253.0, oversample=2, wavelength=WAVELENGTH):
     return Response(camera, [distance], wavelength=wavelength, oversample=oversample)
 
@@ -43,7 +46,10 @@ def exact_capture(camera, cells, index, values, distance, parts):
     return operator.forward(weights[lit])
 
 
-@pytest.mark.parametrize("name", CAMERAS)
+# That of three types is hexagonal, too.
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "hexagonal")) for name in CAMERAS]
+)
 def test_response_is_that_of_exact_point_spreads(name):
     camera = CAMERAS[name]
     response = response_of(camera)
@@ -101,7 +107,7 @@ def test_volume_is_the_sum_of_its_planes():
 @pytest.mark.parametrize("name", ["square", "hexagonal", "turned, moved, two pitches", "three types"])
 def test_bins_are_upright_whatever_the_lattice(name):
     camera, oversample = CAMERAS[name], 4
-    response = response_of(camera, oversample=oversample)
+    response = response_of(camera, oversample=oversample, wavelength=None)
     cells, lit = response.cells, response.planes[0].lit
     places = np.stack([cells.bin_places(cell)[:, 0] for cell in lit.index])
     x, y = turn(places[..., 0], places[..., 1], camera.mla_rotation)

@@ -88,7 +88,7 @@ def test_a_sum_that_was_stopped_goes_on_elsewhere(cluster, tiny_groups):
 
 
 def test_a_capture_on_workers_has_the_same_bits(cluster):
-    scene = load_scene("letters", parameters=letters(8))
+    scene = load_scene("letters", parameters=letters(4))
     options = {"model": "wave", "spp": 1, "radiators_per_lens": 3, "passes": 2}
     alone, shared = (render_capture(scene, batch_map=batch_map, **options).image for batch_map in (None, cluster))
     assert alone.any()
