@@ -41,6 +41,8 @@ CAMERAS = {
     ),
 }
 BLURS = (0.0, 0.5, -1.0, 2.0, -4.5)
+
+
 def main() -> int:
     """Compare, and write table and pictures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -77,9 +79,7 @@ def main() -> int:
             wall = Wall(camera, blur, arguments.lenses, arguments.points, arguments.off_axis)
             view = around(camera, wall, arguments.margin)
             exact = reference(view, wall)
-            image, other = (
-                capture(plan, view, wall, arguments.samples, arguments.parts, seed) for seed in (1, 2)
-            )
+            image, other = (capture(plan, view, wall, arguments.samples, arguments.parts, seed) for seed in (1, 2))
             noise = error(image, other) / 2
             image = (image + other) / 2
             whole = wall.weight.sum()

@@ -68,8 +68,14 @@ def coloured_panes() -> Any:
         # A mask has one opacity for all colours; what absorbs one at a time has each.
         panes |= {
             f"pane_{side}": facing(
-                1.0, (10.0, 20.0), (10.0 * side, 0.0), bsdf={"type": "thindielectric", "int_ior": 1.0 + 1e-6,
-                "specular_transmittance": {"type": "rgb", "value": list(colour)}}
+                1.0,
+                (10.0, 20.0),
+                (10.0 * side, 0.0),
+                bsdf={
+                    "type": "thindielectric",
+                    "int_ior": 1.0 + 1e-6,
+                    "specular_transmittance": {"type": "rgb", "value": list(colour)},
+                },
             )
         }
         del opacity
@@ -150,9 +156,7 @@ SCENES: dict[str, tuple[Callable[[], Any], float]] = {
     "stripes of four lenses in focus before a wall": (
         lambda: scene_of(
             camera(),
-            pane=facing(
-                240.0, 4.096, bsdf={"type": "mask", "opacity": pattern(0.512, 4.096), "nested": BLACK}
-            ),
+            pane=facing(240.0, 4.096, bsdf={"type": "mask", "opacity": pattern(0.512, 4.096), "nested": BLACK}),
             wall=wall(262.0),
         ),
         0.05,

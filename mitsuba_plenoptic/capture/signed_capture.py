@@ -33,9 +33,6 @@ _KEPT = (1.5, 4.0)
 """Cells of the grid over the highest frequency of a lens's diffraction, in cycles: half of them hold it whole, of which
 the last quarter is next to nothing; twice as many hold the interference of neighbours, too."""
 
-_LEAST = 2
-"""Rays of each cell and lens at least: two halves of them correct each other."""
-
 
 @dataclass(frozen=True)
 class SignedCapture:
@@ -76,9 +73,7 @@ class SignedCapture:
         return math.ceil(_KEPT[self.accuracy < _FINE] * highest)
 
     def _sum(self, spp: int, seed: int) -> SignedRaySum:
-        return SignedRaySum(
-            self.camera, self.light, self._plans, parts=self._parts, spp=max(_LEAST, spp), seed=seed
-        )
+        return SignedRaySum(self.camera, self.light, self._plans, parts=self._parts, spp=spp, seed=seed)
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
         """Capture the scene.
@@ -93,7 +88,7 @@ class SignedCapture:
         float32 array (rows, columns, channels)
             Pixel values, none negative; with noise twice as many channels, those of the standard deviations last.
         """
-        runs = max(2, min(PARTS, spp // _LEAST)) if noise else 1
+        runs = max(2, min(PARTS, spp // 2)) if noise else 1
         sums = [
             # Neighbouring seeds must not share runs.
             self._sum(-(-spp // runs), int(own))

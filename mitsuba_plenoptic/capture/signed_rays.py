@@ -16,12 +16,11 @@ which has the same mean, as the coefficients' integral over m is known, and no n
 from __future__ import annotations
 
 import itertools
-import math
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -30,8 +29,6 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..optics import rays
-from ..optics.phase import in_millimetres
 from ..optics.phase_space import PhaseSpace, RayCoefficients
 from ..optics.thin import ThinLens
 from ..runtime.batches import Box, PartialSum
@@ -40,8 +37,7 @@ from . import child
 from .bank.convolution import Convolution
 from .draws import channels
 from .lens_rays import Block, _blocks
-
-Pair = tuple[Any, Any]
+from .signed_draws import ORDER, Cells, Draws, Means, Pair, jitter
 
 _BLOCK_BYTES = 2**29
 """Memory of the images of one block of the detector."""
@@ -57,25 +53,11 @@ _PROBES, _CELLS = 2**10, 2**16
 
 _TRIAL = 512
 """Cells across that are convolved for an estimate."""
-
-_STEPS = 1.1673039782614187 ** -np.arange(1.0, 5.0)
-"""Steps of an additive sequence that fills four dimensions evenly: powers of 1 over the root of x^5 = x + 1."""
-
-_FALL = 1.2
-"""Distance, from a lens, over which the density of drawn points begins to fall off, in lambda b / 4 h."""
-
-_TURNED = 1.0
-"""That distance over the width of a lens from which on points are drawn along the pupil's radius and across it."""
-
-_WIDEST = 4.0
-"""That distance over the width of a lens, at most."""
+_LEAST = 2
+"""Rays from each cell through each lens at least: two halves of them correct each other."""
 
 _REACH = 1.25
 """Distance in lenses to which kernels are computed."""
-
-_ORDER = 2
-"""Points of the detector about a cell are drawn with the density of a B-spline of this order, so that what varies from
-cell to cell faster than the grid can hold does not fold back into it."""
 
 
 @dataclass(frozen=True)
@@ -110,17 +92,6 @@ class SceneLight:
         return channels(child.sample(self.integrator, self.scene, sampler, ray, self.sensor.get_medium(), active))
 
 
-class _Drawn(NamedTuple):
-    """Rays that are drawn for cells of the detector."""
-
-    pupil: Pair
-    point: Pair  # on the array, from the centre of the lens
-    place: Pair  # on the array, in the camera frame
-    weight: Any  # one over the density of the points over the aperture
-    open: Any  # whether the pupil lets them through
-    active: Any  # whether they may bring light, too
-
-
 class SignedRaySum:
     """A capture by signed rays, block of the detector by block; a `runtime.jobs.LongSum`.
 
@@ -135,7 +106,7 @@ class SignedRaySum:
     parts : int
         Cells of the grid across a pixel.
     spp : int
-        Rays from each cell through each lens that lights it.
+        Rays from each cell: through one lens, or shared by those that light it, of which each gets two at least.
     seed : int
         Of the random numbers.
     """
@@ -146,18 +117,17 @@ class SignedRaySum:
         self, camera: PlenopticCamera, light: Any, plans: Sequence[PhaseSpace], *, parts: int, spp: int, seed: int
     ) -> None:
         self._camera, self._light, self._plans = camera, light, plans
-        self._parts, self._spp, self._seed = parts, spp, seed
+        self._parts, self._seed = parts, seed
         self._step = camera.pixel_size / parts
         self._lens = ThinLens(camera.focal_length, camera.aperture_radius, camera.mla_distance, "parabolic")
-        self._spread = _FALL * in_millimetres(max(plan.wavelength for plan in plans)) * camera.mla_distance / 4
-        self._lens_area = float(camera.lattice.lens_area)
-        self._window = max(math.hypot(*node.sides) / 2 for plan in plans for node in plan.nodes)
+        self._draws = Draws(camera, plans, self._step)
+        self._spp = max(_LEAST, round(spp / max(1.0, self._draws.lit_lenses)))
         self.channels = len(plans)
         rows, columns = camera.shape
         self.box = Box(0, 0, columns, rows)
         # Kernels are made before the images, whose memory they would add to.
         self._bins = self._convolutions[0].box
-        values = sum(len(plan.exponents) for plan in plans)
+        values = sum(convolution.ranks for convolution in self._convolutions)
         self._blocks = _blocks(self._bins, _BLOCK_BYTES // (4 * values))
         self.items = np.array([block.rows * block.columns for block in self._blocks])
 
@@ -181,9 +151,14 @@ class SignedRaySum:
         made = {
             id(plan): Convolution(
                 self._camera,
-                (plan.kernels(self._step, _REACH * self._camera.mla_pitch) / self._parts**2).astype(np.float32),
+                np.concatenate(
+                    [
+                        plan.kernels(self._step, _REACH * max(self._camera.mla_pitches), kind) / self._parts**2
+                        for kind in range(len(self._camera.mla_focal_lengths))
+                    ]
+                ).astype(np.float32),
                 self._step,
-                order=_ORDER - 1,
+                order=ORDER - 1,
             )
             for plan in self._plans
         }
@@ -195,44 +170,36 @@ class SignedRaySum:
         return [made[id(plan)] for plan in self._plans]
 
     @cached_property
-    def _candidates(self) -> NDArray[np.int64]:
-        """Lenses that can light a cell, in steps from that of its chief ray."""
-        camera = self._camera
-        b, z = camera.mla_distance, camera.detector_distance
-        return camera.lattice.neighbours(self._widest * z / (b + z))
-
-    @property
-    def _widest(self) -> float:
-        """Distance from the axis, on the pupil's plane, within which the ray from a lit cell's middle comes."""
-        camera = self._camera
-        b, z = camera.mla_distance, camera.detector_distance
-        # Other points of the cell, and of the lens, look a little aside.
-        return camera.aperture_radius + self._step * b / z * _ORDER / math.sqrt(2) + camera.lattice.cell_reach
+    def _means(self) -> list[Means | None]:
+        made = {id(each): self._draws.means(each) for each in self._coefficients}
+        return [made[id(each)] for each in self._coefficients]
 
     def _trace(self, box: Box, cells: Any, seeds: np.random.SeedSequence) -> list[Any]:
         """Trace the rays of some cells of a box.
 
         Return for each channel what they bring of each kernel, (values, cells) flat.
         """
-        sums = [dr.zeros(mi.Float, dr.width(cells) * len(plan.exponents)) for plan in self._plans]
+        types = len(self._camera.mla_focal_lengths)
+        sums = [dr.zeros(mi.Float, dr.width(cells) * types * len(plan.exponents)) for plan in self._plans]
         dr.eval(cells, sums)
-        for steps in self._candidates:
-            middle, centre = self._centres(box, cells, steps)
-            pupil = self._follow(middle, centre)
-            lit = dr.compress(dr.square(pupil[0]) + dr.square(pupil[1]) <= self._widest**2)
+        for steps in self._draws.candidates:
+            middle, centre, kind = self._draws.centres(Cells(box, cells, steps))
+            pupil = self._draws.through_centre(middle, centre)
+            lit = dr.compress(dr.square(pupil[0]) + dr.square(pupil[1]) <= self._draws.widest**2)
             size = max(1, _LANES // self._spp)
             for start in range(0, dr.width(lit), size):
                 some = dr.gather(
                     mi.UInt32, lit, dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, min(size, dr.width(lit) - start))
                 )
                 seed = int(seeds.spawn(1)[0].generate_state(1)[0])
-                brought = self._collect(box, dr.gather(mi.UInt32, cells, some), steps, seed)
+                brought = self._collect(Cells(box, dr.gather(mi.UInt32, cells, some), steps), seed)
                 every = dr.opaque(mi.UInt32, dr.width(cells))
                 for total, parts in zip(sums, brought, strict=True):
+                    first = some if types == 1 else some + every * (dr.gather(mi.UInt32, kind, some) * len(parts))
                     for number, part in enumerate(parts):
                         # Every cell is in it once.
                         dr.scatter_reduce(
-                            dr.ReduceOp.Add, total, part, some + every * number, mode=dr.ReduceMode.NoConflicts
+                            dr.ReduceOp.Add, total, part, first + every * number, mode=dr.ReduceMode.NoConflicts
                         )
                 dr.eval(sums)
         return sums
@@ -276,86 +243,13 @@ class SignedRaySum:
             dr.sync_thread()
             return (time.perf_counter() - start) / dr.width(cells)
 
-    def _centres(self, box: Box, cells: Any, steps: NDArray[np.int64]) -> tuple[Pair, Pair]:
-        """Return the middles of cells, and the centres of the lenses that are some steps from those of chief rays."""
-        camera = self._camera
-        # Opaque numbers do not compile the kernels again.
-        columns = dr.opaque(mi.UInt32, box.columns)
-        left, top = (dr.opaque(mi.Int32, number) for number in (box.left, box.top))
-        row = cells // columns
-        middle = tuple(
-            (mi.Float(mi.Int32(index) + low) + 0.5) * self._step - 0.5 * camera.resolution[axis] * camera.pixel_size
-            for axis, index, low in ((0, cells - row * columns, left), (1, row, top))
-        )
-        lattice, b, z = camera.lattice, camera.mla_distance, camera.detector_distance
-        i, j = lattice.cell(*(rays.chief_point(p, b, z) for p in middle))
-        i, j = (index + dr.opaque(mi.Float, float(step)) for index, step in zip((i, j), steps, strict=True))
-        return middle, lattice.centre(i, j)
-
-    def _follow(self, detector: Pair, centre: Pair) -> Pair:
-        """Follow rays from the detector through the centres of lenses to the pupil."""
-        z, b = self._camera.detector_distance, self._camera.mla_distance
-        return tuple(rays.pupil_point(c, (c - p) / z, b) for c, p in zip(centre, detector, strict=True))
-
-    def _draw(self, box: Box, cells: Any, sample: Any, steps: NDArray[np.int64], seed: Any) -> _Drawn:
-        """Return the rays of these numbers from some cells."""
-        middle, centre = self._centres(box, cells, steps)
-        # Rays of even and of odd numbers are independent.
-        half = sample & 1
-        index = mi.Float(sample >> 1)
-        random = []
-        for axis, step in enumerate(_STEPS):
-            value = index * step + mi.sample_tea_float32(cells, seed ^ (half * 8 + axis + 1))
-            random.append(value - dr.floor(value))
-        detector = tuple(p + _tent(r) * self._step for p, r in zip(middle, random[2:], strict=True))
-        pupil = self._follow(detector, centre)
-        point, density = self._aside(pupil, random[:2])
-        place = tuple(c + m for c, m in zip(centre, point, strict=True))
-        is_open = dr.square(pupil[0]) + dr.square(pupil[1]) <= self._camera.aperture_radius**2
-        near = dr.square(point[0]) + dr.square(point[1]) <= self._window**2
-        return _Drawn(pupil, point, place, 1 / (density * self._lens_area), is_open, is_open & near)
-
-    def _aside(self, pupil: Pair, random: list[Any]) -> tuple[Pair, Any]:
-        """Draw points about a lens, where the pupil spreads rays through it from; return their density, too.
-
-        Along either of two directions they are even over the lens, and fall off by the square of the distance beyond. The directions are those of the lattice, or near the pupil's rim its radius and
-        across it.
-        """
-        lattice, radius = self._camera.lattice, self._camera.aperture_radius
-        Pu, Pv = lattice.to_frame(*pupil)
-        widths = lattice.aperture_widths
-        distance = dr.sqrt(Pu * Pu + Pv * Pv)
-        # Half the widths of the overlap of the pupil with itself about P.
-        across = dr.sqrt(dr.maximum(radius * radius - distance * distance, 0))
-        turned = self._spread > _TURNED * (radius - distance) * max(widths)
-        cosine, sine = dr.select(turned, Pu / distance, 1), dr.select(turned, Pv / distance, 0)
-        halves = [
-            dr.select(turned, at_rim, dr.sqrt(dr.maximum(radius * radius - other * other, 0)) - dr.abs(own))
-            for at_rim, own, other in ((radius - distance, Pu, Pv), (across, Pv, Pu))
-        ]
-        extents = [
-            0.5 * (widths[0] * dr.abs(c) + widths[1] * dr.abs(s)) for c, s in ((cosine, sine), (sine, cosine))
-        ]
-        places, density = [], mi.Float(1)
-        for r, half, extent in zip(random, halves, extents, strict=True):
-            fall = dr.minimum(self._spread / dr.maximum(half, 1e-6 * radius), _WIDEST * max(widths))
-            side = 2 * r - 1
-            # The greatest density over that of the place, by its root; from 1 on it is beyond the even part.
-            less = fall / ((extent + fall) * dr.maximum(1 - dr.abs(side), 1e-7))
-            far = dr.copysign(extent + fall * (less - 1), side)
-            places.append(dr.select(less > 1, far, side * (extent + fall)))
-            density *= 0.5 / ((extent + fall) * dr.square(dr.maximum(less, 1)))
-        u = places[0] * cosine - places[1] * sine
-        v = places[0] * sine + places[1] * cosine
-        return lattice.from_frame(u, v), density
-
-    def _collect(self, box: Box, cells: Any, steps: NDArray[np.int64], seed: int) -> list[list[Any]]:
+    def _collect(self, cells: Cells, seed: int) -> list[list[Any]]:
         """Trace the rays of some cells through a lens of each; return for each channel what they bring."""
         spp = dr.opaque(mi.UInt32, self._spp)
-        count, key = dr.width(cells), dr.opaque(mi.UInt32, seed & ~15)
+        count, key = dr.width(cells.index), dr.opaque(mi.UInt32, seed & ~15)
         lane = dr.arange(mi.UInt32, count * self._spp)
         own = lane // spp
-        drawn = self._draw(box, dr.gather(mi.UInt32, cells, own), lane - own * spp, steps, key)
+        drawn = self._draws.draw(replace(cells, index=dr.gather(mi.UInt32, cells.index, own)), lane - own * spp, key)
         slope = tuple((P - q) / self._camera.mla_distance for P, q in zip(drawn.pupil, drawn.place, strict=True))
         start, direction, _ = self._lens.trace(drawn.place, slope)
         radiance = self._light(start, direction, drawn.active, seed)
@@ -364,19 +258,17 @@ class SignedRaySum:
         dr.eval(finite, radiance, seen)
         if not dr.all(finite):
             raise InputError("scene: the radiance of some rays is NaN or infinite: all must be finite")
-        means = self._means(radiance, seen, count)
-        return self._bring(box, cells, steps, key, radiance, means)
+        known = self._known(radiance, seen, count)
+        return self._bring(cells, key, radiance, known)
 
-    def _means(self, radiance: list[Any], seen: Any, count: int) -> list[Pair]:
+    def _known(self, radiance: list[Any], seen: Any, count: int) -> list[Pair]:
         """Return, for each channel, the mean radiance that the rays of even and those of odd numbers have found."""
         spp, first = dr.opaque(mi.UInt32, self._spp), dr.arange(mi.UInt32, count) * dr.opaque(mi.UInt32, self._spp)
 
         def add(k: Any, totals: list[Any]) -> tuple[Any, list[Any]]:
             values = [dr.gather(mi.Float, each, first + k) for each in (seen, *radiance)]
             even = (k & 1) == 0
-            return k + 1, [
-                total + dr.select(even == (i % 2 == 0), values[i // 2], 0) for i, total in enumerate(totals)
-            ]
+            return k + 1, [total + dr.select(even == (i % 2 == 0), values[i // 2], 0) for i, total in enumerate(totals)]
 
         nothing = [mi.Float(0) for _ in range(2 * (1 + len(radiance)))]
         _, totals = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < spp, add, label="means")
@@ -387,30 +279,32 @@ class SignedRaySum:
         dr.eval(result)
         return result
 
-    def _bring(
-        self, box: Box, cells: Any, steps: NDArray[np.int64], key: Any, radiance: list[Any], means: list[Pair]
-    ) -> list[list[Any]]:
+    def _bring(self, cells: Cells, key: Any, radiance: list[Any], known: list[Pair]) -> list[list[Any]]:
         """Return, for each channel, what rays bring of each kernel."""
         spp = dr.opaque(mi.UInt32, self._spp)
-        first = dr.arange(mi.UInt32, dr.width(cells)) * spp
+        first = dr.arange(mi.UInt32, dr.width(cells.index)) * spp
+        # Tables are made before the loop, of which they are no part.
+        all_coefficients, all_means = self._coefficients, self._means
         lit = mi.Bool(False)
-        for even, odd in means:
+        for even, odd in known:
             lit |= (even > 0) | (odd > 0)
 
         def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
-            drawn = self._draw(box, cells, k, steps, key)
-            jitter = _jitter(cells, key ^ (k << 4))
-            even = (k & 1) == 0
+            drawn, chance, even = self._draws.draw(cells, k, key), jitter(cells.index, key ^ (k << 4)), (k & 1) == 0
             result = []
-            for light, pair, coefficients, before in zip(
-                radiance, means, self._coefficients, brought, strict=True
+            for light, pair, coefficients, means, before in zip(
+                radiance, known, all_coefficients, all_means, brought, strict=True
             ):
-                known = dr.select(even, pair[1], pair[0])
-                change = (dr.gather(mi.Float, light, first + k) - known) * drawn.weight
+                other = dr.select(even, pair[1], pair[0])
+                change = (dr.gather(mi.Float, light, first + k) - other) * drawn.weight
                 active = drawn.active & (change != 0)
-                values = coefficients(drawn.point, drawn.pupil, jitter, active)
+                values = coefficients(drawn.point, drawn.pupil, chance, active)
                 after = [old + dr.select(active, value * change, 0) for old, value in zip(before, values, strict=True)]
-                after[0] += dr.select(drawn.open, known, 0)
+                if means is None:
+                    after[0] += dr.select(drawn.open, other, 0)
+                else:
+                    integrals = means(drawn.middle, drawn.kind, chance, other != 0)
+                    after = [old + other * value for old, value in zip(after, integrals, strict=True)]
                 result.append(after)
             return k + 1, result
 
@@ -418,16 +312,3 @@ class SignedRaySum:
         end = dr.select(lit, spp, 0)
         _, brought = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < end, bring, label="signed rays")
         return [[part / mi.Float(spp) for part in parts] for parts in brought]
-
-
-def _tent(value: Any) -> Any:
-    """Turn evenly distributed numbers into those of the density 1 - |t|, a B-spline of order 2."""
-    return dr.select(value < 0.5, dr.sqrt(2 * value) - 1, 1 - dr.sqrt(2 * (1 - value)))
-
-
-def _jitter(cells: Any, key: Any) -> tuple[Any, Any, Any, Any]:
-    """Return four random numbers, of 16 bits each."""
-    words = mi.sample_tea_32(cells, key)
-    low = [mi.Float(word & 0xFFFF) * 2.0**-16 for word in words]
-    high = [mi.Float(word >> 16) * 2.0**-16 for word in words]
-    return low[0], low[1], high[0], high[1]

@@ -26,6 +26,7 @@ centre of the lens.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -58,6 +59,9 @@ _LEAST_WINDOW = 3
 _OVERSAMPLING = 1.4
 """Samples of the table over those that its highest frequency needs."""
 
+_MOST_PHASE = 1.0
+"""Radians at a lens's edge up to which polynomials of low degree describe where its rays land."""
+
 _SUBSAMPLES = 4
 """Gauss-Legendre nodes, per direction and side, of the pupil's overlap around a node of the table."""
 
@@ -87,8 +91,7 @@ class PhaseSpace:
     Parameters
     ----------
     camera : PlenopticCamera
-        A camera with a thin main lens without a wavefront, and a regular array of one focal length, in the focus of
-        which is the detector.
+        A camera with a thin main lens without a wavefront, and a regular array.
     wavelength : float
         In nanometres.
     degree : int
@@ -114,12 +117,9 @@ class PhaseSpace:
     def __post_init__(self) -> None:
         camera = self.camera
         require_ideal(camera)
-        in_focus = math.isclose(camera.detector_distance, camera.mla_focal_length, rel_tol=1e-6)
         for name, refused, rule in (
             ("main_lens", camera.prescription is not None or camera.objective is not None, "a thin lens"),
             ("wavefront", len(camera.wavefront) > 0, "without aberrations"),
-            ("mla_focal_length", len(camera.mla_focal_lengths) > 1, "one for all microlenses"),
-            ("detector_distance", not in_focus, "the microlenses' focal length"),
         ):
             if refused:
                 raise InputError(f"{name} = {shown(getattr(camera, name))}: for signed rays it must be {rule}")
@@ -182,6 +182,14 @@ class PhaseSpace:
         """Return the polynomials, whose mean product over the aperture is 1 of one with itself, else 0."""
         return self._monomials(u, v) @ self._triangle
 
+    def mirrored(self, values: Sequence[Any], across: Any, up: Any) -> list[Any]:
+        """Return the values of polynomials of a place that is mirrored along u, along v, or both."""
+        signs = dr.select(across, -1.0, 1.0), dr.select(up, -1.0, 1.0)
+        return [
+            value * (signs[0] if i % 2 else 1.0) * (signs[1] if j % 2 else 1.0)
+            for (i, j), value in zip(self.exponents, values, strict=False)
+        ]
+
     # -- the pupil: coefficients of rays -------------------------------------------------------------
 
     @cached_property
@@ -208,13 +216,26 @@ class PhaseSpace:
             spectra = np.einsum("ay,yxn,bx->nab", orders[1], values.astype(np.float32), orders[0], optimize=True)
             part = np.empty((node.angular + 1, *reversed(node.counts), len(self.exponents)), np.float32)
             for angle in range(node.angular + 1):
-                overlap = self._overlap(radial, angle * math.pi / 2 / node.angular, math.pi / 2 / node.angular, lags[0], lags[1][:, None], radius)
+                overlap = self._overlap(
+                    radial,
+                    angle * math.pi / 2 / node.angular,
+                    math.pi / 2 / node.angular,
+                    lags[0],
+                    lags[1][:, None],
+                    radius,
+                )
                 part[angle] = np.moveaxis((to_space[1] @ (spectra * overlap) @ to_space[0].T).real, 0, -1)
             table.append(part)
         return table
 
     def _overlap(
-        self, radial: int, angle: float, turn: float, lag_u: NDArray[np.float64], lag_v: NDArray[np.float64], radius: float
+        self,
+        radial: int,
+        angle: float,
+        turn: float,
+        lag_u: NDArray[np.float64],
+        lag_v: NDArray[np.float64],
+        radius: float,
     ) -> NDArray[np.float32]:
         """Return O_P, averaged over the part of the pupil that linear interpolation gives to a node."""
         abscissae, weights = np.polynomial.legendre.leggauss(_SUBSAMPLES)
@@ -246,41 +267,63 @@ class PhaseSpace:
     # -- the array: kernels of images ------------------------------------------------------------------
 
     @single_threaded_blas()
-    def kernels(self, step: float, reach: float) -> NDArray[np.float64]:
-        """Return the kernels times the area of a grid's cell, on a grid of this step, at least within a reach; (n, k, k).
+    def kernels(self, step: float, reach: float, lens_type: int = 0) -> NDArray[np.float64]:
+        """Return the kernels of lenses of a type times the area of a grid's cell; (n, k, k).
 
-        Light beyond is folded back, which keeps the energy.
+        The grid has this step, and the kernels reach at least so far. Light beyond is folded back, which keeps the
+        energy.
         """
         scale = in_millimetres(self.wavelength) * self.camera.detector_distance
         fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
         every = max(1, int(scale / (2 * fine * reach)))
         # Pairs in neighbouring lenses are less than two widths of a cell apart; a grid holds half a cycle a step.
         farthest = int(min(2 * _TRANSFER_SAMPLES, scale / (2 * step * fine))) // every
-        transfer = self._transfer(np.arange(-farthest, farthest + 1) * every)
+        transfer = self._transfer(np.arange(-farthest, farthest + 1) * every, lens_type)
         count = math.ceil(scale / (2 * fine * every * step) - 0.5)
         place, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * (every * fine)
         waves = np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (every * fine * step / scale)
         return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
 
-    def _transfer(self, lags: NDArray[np.int64]) -> NDArray[np.complex64]:
+    def shift(self, lens_type: int = 0) -> float:
+        """Return by how much a ray through a point of the lens lands aside, over the point's distance from the centre.
+
+        Compared are rays through the same point of the pupil. It is 0 where kernels about the ray through the centre
+        account for it, as they do if the detector is close to the focus.
+        """
+        shift = self._convergence(lens_type) * self.camera.detector_distance
+        wavelength = in_millimetres(self.wavelength)
+        phase = math.pi * abs(self._convergence(lens_type)) * self.lattice.aperture_reach**2 / wavelength
+        return float(shift) if phase > _MOST_PHASE else 0.0
+
+    def _convergence(self, lens_type: int) -> float:
+        """Return the curvature of the waves from a point of the pupil, behind a lens, over those to the detector."""
+        camera = self.camera
+        return 1 / camera.detector_distance + 1 / camera.mla_distance - 1 / camera.mla_focal_lengths[lens_type]
+
+    def _transfer(self, lags: NDArray[np.int64], lens_type: int = 0) -> NDArray[np.complex64]:
         """Return the integrals of polynomial times T T* over a cell at lags of steps, the same along x and y."""
         lattice, camera = self.lattice, self.camera
-        f2, wavelength = camera.mla_focal_length, in_millimetres(self.wavelength)
+        wavelength = in_millimetres(self.wavelength)
         step = lattice.pitches[0] / _TRANSFER_SAMPLES
         half = math.ceil(lattice.cell_reach / step)
         # Half steps about the lens: with a lag of whole steps, both points of a pair lie between two whole steps.
         reach = 2 * half + int(lags[-1]) + 1
         along = np.arange(-reach, reach + 1) * (step / 2)
         y, x = np.meshgrid(along, along, indexing="ij")
-        centre = lattice.centre(0.0, 0.0)
+        # Types follow each other along a row.
+        centre = lattice.centre(float(lens_type), 0.0)
         i, j = lattice.cell(x + centre[0], y + centre[1])
         cx, cy = (c - c0 for c, c0 in zip(lattice.centre(i, j), centre, strict=True))
-        phase = (2 * (x * cx + y * cy) - cx * cx - cy * cy) / (2 * wavelength * f2)
-        # A ray through m lands m (1 + z / b - z / f2) from where that through the centre and the same pupil point does.
-        converging = 1 / camera.detector_distance + 1 / camera.mla_distance - 1 / f2
-        phase += converging * (x * x + y * y) / (2 * wavelength)
+        powers = 1 / np.array(camera.mla_focal_lengths)
+        types = lattice.lens_type(i, j).astype(int) if len(powers) > 1 else np.zeros(i.shape, int)
+        phase = ((x * x + y * y) * powers[lens_type] - ((x - cx) ** 2 + (y - cy) ** 2) * powers[types]) / (
+            2 * wavelength
+        )
+        if self.shift(lens_type) == 0:
+            # A quadratic phase shifts what lands, by the place on the lens.
+            phase += self._convergence(lens_type) * (x * x + y * y) / (2 * wavelength)
         T = np.where(lattice.in_aperture(x - cx, y - cy), np.exp(2j * np.pi * phase), 0).astype(np.complex64)
-        own = np.asarray((i == 0) & (j == 0), np.float32)
+        own = np.asarray((i == lens_type) & (j == 0), np.float32)
         # Points on a border belong to both sides.
         weights = self.polynomials(*lattice.to_frame(x, y)) * ((own + own[::-1, ::-1]) / 2)[..., None]
         result = np.zeros((len(self.exponents), len(lags), len(lags)), np.complex64)
@@ -365,8 +408,4 @@ class RayCoefficients:
             for packet in range(self._packets)
             for value in dr.gather(mi.Vector4f, self._table, mi.UInt(index * self._packets + packet), active)
         ]
-        signs = [dr.select(turned, -1.0, 1.0) for turned in mirrored]
-        return [
-            value * (signs[0] if i % 2 else 1.0) * (signs[1] if j % 2 else 1.0)
-            for (i, j), value in zip(plan.exponents, values, strict=False)
-        ]
+        return plan.mirrored(values, *mirrored)
