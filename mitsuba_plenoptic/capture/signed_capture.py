@@ -5,9 +5,8 @@ from __future__ import annotations
 import logging
 import math
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +27,9 @@ _FINE = 0.005
 
 _DEGREES, _WINDOWS = (4, 6), (9, 13)
 """Degrees of the polynomials and windows of plans, usual and finer ones."""
+
+_DEFOCUS = 4.0
+"""Radians of the microlenses' defocus from which on polynomials are of two degrees more."""
 
 _KEPT = (1.5, 4.0)
 """Cells of the grid over the highest frequency of a lens's diffraction, in cycles: half of them hold it whole, of which
@@ -58,10 +60,10 @@ class SignedCapture:
     @cached_property
     def _plans(self) -> list[PhaseSpace]:
         fine = self.accuracy < _FINE
-        made = {
-            wavelength: PhaseSpace(self.camera, wavelength, degree=_DEGREES[fine], window=_WINDOWS[fine])
-            for wavelength in dict.fromkeys(self.wavelengths)
-        }
+        made = {}
+        for wavelength in dict.fromkeys(self.wavelengths):
+            plan = PhaseSpace(self.camera, wavelength, degree=_DEGREES[fine], window=_WINDOWS[fine])
+            made[wavelength] = replace(plan, degree=plan.degree + 2) if plan.defocus > _DEFOCUS else plan
         return [made[wavelength] for wavelength in self.wavelengths]
 
     @property

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..optics import rays
 from ..optics.phase import in_millimetres
-from ..optics.phase_space import PhaseSpace, RayCoefficients
+from ..optics.phase_space import PhaseSpace
 from ..runtime.batches import Box
 
 Pair = tuple[Any, Any]
@@ -37,9 +37,6 @@ ORDER = 2
 """Points of the detector about a cell are drawn with the density of a B-spline of this order, so that what varies from
 cell to cell faster than the grid can hold does not fold back into it."""
 
-_RADIAL, _ANGULAR, _POINTS = 96, 24, 2**13
-"""Nodes of the table of means along the radius and over a quarter turn, and points over which each is taken."""
-
 
 class Drawn(NamedTuple):
     """Rays that are drawn for cells of the detector.
@@ -52,10 +49,6 @@ class Drawn(NamedTuple):
         One over the density of the points over the aperture.
     open, active : Bool
         Whether the pupil lets them through, and whether they may bring light, too.
-    middle : (Float, Float)
-        Where the ray through the centre of the lens passes the pupil's plane.
-    kind : UInt32
-        Type of the lens.
     """
 
     pupil: Pair
@@ -64,8 +57,6 @@ class Drawn(NamedTuple):
     weight: Any
     open: Any
     active: Any
-    middle: Pair
-    kind: Any
 
 
 @dataclass(frozen=True)
@@ -105,21 +96,14 @@ class Draws:
         self._spread = _FALL * in_millimetres(max(plan.wavelength for plan in plans)) * camera.mla_distance / 4
         self._lens_area = float(camera.lattice.lens_area)
         self._window = max(math.hypot(*node.sides) / 2 for plan in plans for node in plan.nodes)
-        shifts = [plans[0].shift(kind) for kind in range(len(camera.mla_focal_lengths))]
-        self.turns = [shift * camera.mla_distance / camera.detector_distance for shift in shifts]
-        """How far apart rays from one point of the detector pass the pupil, over their distance on lenses of types."""
 
     @property
     def widest(self) -> float:
         """Distance from the axis, on the pupil's plane, within which the ray from a lit cell's middle comes."""
         camera = self._camera
-        # Other points of the cell, and of the lens, look aside.
+        # Other points of the cell look aside.
         cell = self._step * camera.mla_distance / camera.detector_distance * ORDER / math.sqrt(2)
-        return float(camera.aperture_radius + self._aside + cell)
-
-    @property
-    def _aside(self) -> float:
-        return float(max(abs(turn) for turn in self.turns) * self._camera.lattice.aperture_reach)
+        return float(camera.aperture_radius + cell)
 
     @cached_property
     def candidates(self) -> NDArray[np.int64]:
@@ -147,7 +131,7 @@ class Draws:
         )
         i, j = lattice.cell(*(rays.chief_point(p, camera.mla_distance, camera.detector_distance) for p in (x, y)))
         i, j = (index + dr.opaque(mi.Float, float(step)) for index, step in zip((i, j), cells.steps, strict=True))
-        kind = mi.UInt32(lattice.lens_type(i, j)) if len(self.turns) > 1 else dr.zeros(mi.UInt32, dr.width(i))
+        kind = mi.UInt32(lattice.lens_type(i, j)) if len(camera.mla_focal_lengths) > 1 else mi.UInt32(0)
         return (x, y), lattice.centre(i, j), kind
 
     def through_centre(self, detector: Pair, centre: Pair) -> Pair:
@@ -158,35 +142,19 @@ class Draws:
 
     def draw(self, cells: Cells, sample: Any, seed: Any) -> Drawn:
         """Return the rays of these numbers; those of even and of odd numbers are independent."""
-        middle, centre, kind = self.centres(cells)
+        middle, centre, _ = self.centres(cells)
         half, index = sample & 1, mi.Float(sample >> 1)
         random = []
         for axis, step in enumerate(_STEPS):
             value = index * step + mi.sample_tea_float32(cells.index, seed ^ (half * 8 + axis + 1))
             random.append(value - dr.floor(value))
         x, y = (p + _tent(r) * self._step for p, r in zip(middle, random[2:], strict=True))
-        through = self.through_centre((x, y), centre)
-        point, weight = self._about(through, random[:2])
-        pupil = self._passed(through, point, kind)
+        pupil = self.through_centre((x, y), centre)
+        point, weight = self._about(pupil, random[:2])
         is_open = dr.square(pupil[0]) + dr.square(pupil[1]) <= self._camera.aperture_radius**2
         near = dr.square(point[0]) + dr.square(point[1]) <= self._window**2
         place = centre[0] + point[0], centre[1] + point[1]
-        return Drawn(pupil, point, place, weight, is_open, is_open & near, through, kind)
-
-    def _passed(self, through: Pair, point: Pair, kind: Any) -> Pair:
-        """Return where rays pass the pupil of which those through the centres of the lenses pass other places."""
-        if not any(self.turns):
-            return through
-        # What the pupil spreads into a lens passes it, and lands, as a ray through its nearest point does.
-        lattice = self._camera.lattice
-        inside = lattice.from_frame(
-            *(
-                dr.clip(s, -side / 2, side / 2)
-                for s, side in zip(lattice.to_frame(*point), lattice.aperture_widths, strict=True)
-            )
-        )
-        turn = dr.gather(mi.Float, mi.Float(self.turns), kind)
-        return through[0] + turn * inside[0], through[1] + turn * inside[1]
+        return Drawn(pupil, point, place, weight, is_open, is_open & near)
 
     def _about(self, pupil: Pair, random: list[Any]) -> tuple[Pair, Any]:
         """Draw points about a lens, where the pupil spreads rays through it from; return their weights, too.
@@ -218,75 +186,6 @@ class Draws:
             weight *= 2 * (extent + fall) * dr.square(dr.maximum(less, 1))
         point = lattice.from_frame(places[0] * cosine - places[1] * sine, places[0] * sine + places[1] * cosine)
         return point, weight
-
-    def means(self, coefficients: RayCoefficients) -> Means | None:
-        """Return the integrals of the coefficients over lenses; None if they are 1 and 0."""
-        return Means(self, coefficients) if any(self.turns) else None
-
-    def mean_nodes(self) -> tuple[Any, Any]:
-        """Return the nodes of the table of means: places on the pupil's plane, and types of lenses."""
-        node = dr.arange(mi.UInt32, len(self.turns) * _RADIAL * _ANGULAR)
-        angle = mi.Float(node % _ANGULAR) * (math.pi / 2 / (_ANGULAR - 1))
-        distance = mi.Float(node // _ANGULAR % _RADIAL) * self.mean_step
-        return self._camera.lattice.from_frame(distance * dr.cos(angle), distance * dr.sin(angle)), node // (
-            _ANGULAR * _RADIAL
-        )
-
-    @property
-    def mean_step(self) -> float:
-        """Distance of the table's nodes along the radius."""
-        return (self._camera.aperture_radius + self._aside) / (_RADIAL - 1)
-
-    def mean_at(self, nodes: tuple[Pair, Any], index: Any, coefficients: RayCoefficients) -> list[Any]:
-        """Return the coefficients, with their weights, of one point of the lens for each node."""
-        through, kind = nodes
-        lane = dr.arange(mi.UInt32, dr.width(kind))
-        random = []
-        for axis, step in enumerate(_STEPS[:2]):
-            value = mi.Float(index) * step + mi.sample_tea_float32(lane, axis)
-            random.append(value - dr.floor(value))
-        point, weight = self._about(through, random)
-        pupil = self._passed(through, point, kind)
-        active = dr.square(pupil[0]) + dr.square(pupil[1]) <= self._camera.aperture_radius**2
-        return [weight * value for value in coefficients(point, pupil, jitter(lane, index + 4), active)]
-
-
-class Means:
-    """Integrals of the coefficients over a lens, where rays through its points pass different places of the pupil."""
-
-    def __init__(self, draws: Draws, coefficients: RayCoefficients) -> None:
-        self._draws, self._plan = draws, coefficients.plan
-        nodes = draws.mean_nodes()
-        count = len(self._plan.exponents)
-        dr.eval(nodes)
-
-        def add(index: Any, totals: list[Any]) -> tuple[Any, list[Any]]:
-            values = draws.mean_at(nodes, index, coefficients)
-            return index + 1, [
-                total + dr.select(dr.isfinite(value), value, 0) for total, value in zip(totals, values, strict=True)
-            ]
-
-        nothing = [dr.zeros(mi.Float, dr.width(nodes[1])) for _ in range(count)]
-        _, totals = dr.while_loop((mi.UInt32(0), nothing), lambda index, _: index < _POINTS, add, label="means")
-        table = np.zeros((dr.width(nodes[1]), count + -count % 4), np.float32)
-        table[:, :count] = np.stack([np.array(total) for total in totals], -1) / _POINTS
-        self._table = mi.Float(table.ravel())
-        self._packets = table.shape[1] // 4
-
-    def __call__(self, through: Pair, kind: Any, jitter: tuple[Any, ...], active: Any) -> list[Any]:
-        """Return the integrals for rays that pass, through the centre of the lens, these places of the pupil's plane."""
-        u, v = self._plan.lattice.to_frame(*through)
-        radial = dr.sqrt(u * u + v * v) / self._draws.mean_step
-        angle = dr.atan2(dr.abs(v), dr.abs(u)) * ((_ANGULAR - 1) * 2 / math.pi)
-        active = active & (radial <= _RADIAL - 1)
-        rows = [mi.UInt32(dr.floor(place + chance)) for place, chance in zip((radial, angle), jitter, strict=False)]
-        node = (kind * _RADIAL + dr.minimum(rows[0], _RADIAL - 1)) * _ANGULAR + dr.minimum(rows[1], _ANGULAR - 1)
-        values = [
-            value
-            for packet in range(self._packets)
-            for value in dr.gather(mi.Vector4f, self._table, node * self._packets + packet, active)
-        ]
-        return self._plan.mirrored(values, u < 0, v < 0)
 
 
 def jitter(lane: Any, key: Any) -> tuple[Any, Any, Any, Any]:

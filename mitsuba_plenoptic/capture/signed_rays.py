@@ -37,7 +37,7 @@ from . import child
 from .bank.convolution import Convolution
 from .draws import channels
 from .lens_rays import Block, _blocks
-from .signed_draws import ORDER, Cells, Draws, Means, Pair, jitter
+from .signed_draws import ORDER, Cells, Draws, Pair, jitter
 
 _BLOCK_BYTES = 2**29
 """Memory of the images of one block of the detector."""
@@ -169,11 +169,6 @@ class SignedRaySum:
         made = {id(plan): plan.bind() for plan in self._plans}
         return [made[id(plan)] for plan in self._plans]
 
-    @cached_property
-    def _means(self) -> list[Means | None]:
-        made = {id(each): self._draws.means(each) for each in self._coefficients}
-        return [made[id(each)] for each in self._coefficients]
-
     def _trace(self, box: Box, cells: Any, seeds: np.random.SeedSequence) -> list[Any]:
         """Trace the rays of some cells of a box.
 
@@ -283,8 +278,8 @@ class SignedRaySum:
         """Return, for each channel, what rays bring of each kernel."""
         spp = dr.opaque(mi.UInt32, self._spp)
         first = dr.arange(mi.UInt32, dr.width(cells.index)) * spp
-        # Tables are made before the loop, of which they are no part.
-        all_coefficients, all_means = self._coefficients, self._means
+        # Made before the loop, of which they are no part.
+        tables = self._coefficients
         lit = mi.Bool(False)
         for even, odd in known:
             lit |= (even > 0) | (odd > 0)
@@ -292,19 +287,13 @@ class SignedRaySum:
         def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
             drawn, chance, even = self._draws.draw(cells, k, key), jitter(cells.index, key ^ (k << 4)), (k & 1) == 0
             result = []
-            for light, pair, coefficients, means, before in zip(
-                radiance, known, all_coefficients, all_means, brought, strict=True
-            ):
+            for light, pair, coefficients, before in zip(radiance, known, tables, brought, strict=True):
                 other = dr.select(even, pair[1], pair[0])
                 change = (dr.gather(mi.Float, light, first + k) - other) * drawn.weight
                 active = drawn.active & (change != 0)
                 values = coefficients(drawn.point, drawn.pupil, chance, active)
                 after = [old + dr.select(active, value * change, 0) for old, value in zip(before, values, strict=True)]
-                if means is None:
-                    after[0] += dr.select(drawn.open, other, 0)
-                else:
-                    integrals = means(drawn.middle, drawn.kind, chance, other != 0)
-                    after = [old + other * value for old, value in zip(after, integrals, strict=True)]
+                after[0] += dr.select(drawn.open, other, 0)
                 result.append(after)
             return k + 1, result
 

@@ -59,8 +59,8 @@ _LEAST_WINDOW = 3
 _OVERSAMPLING = 1.4
 """Samples of the table over those that its highest frequency needs."""
 
-_MOST_PHASE = 1.0
-"""Radians at a lens's edge up to which polynomials of low degree describe where its rays land."""
+MOST_PHASE = 8.0
+"""Radians of defocus at a lens's edge up to which polynomials describe where its rays land."""
 
 _SUBSAMPLES = 4
 """Gauss-Legendre nodes, per direction and side, of the pupil's overlap around a node of the table."""
@@ -91,7 +91,8 @@ class PhaseSpace:
     Parameters
     ----------
     camera : PlenopticCamera
-        A camera with a thin main lens without a wavefront, and a regular array.
+        A camera with a thin main lens without a wavefront, and a regular array, not far out of whose focus is the
+        detector.
     wavelength : float
         In nanometres.
     degree : int
@@ -120,9 +121,26 @@ class PhaseSpace:
         for name, refused, rule in (
             ("main_lens", camera.prescription is not None or camera.objective is not None, "a thin lens"),
             ("wavefront", len(camera.wavefront) > 0, "without aberrations"),
+            ("detector_distance", self.defocus > MOST_PHASE, f"closer to the microlenses' focus, {self._limits}"),
         ):
             if refused:
                 raise InputError(f"{name} = {shown(getattr(camera, name))}: for signed rays it must be {rule}")
+
+    @property
+    def defocus(self) -> float:
+        """Radians by which the microlenses' waves are out of focus on the detector, at their edges, at most."""
+        square = float(self.lattice.aperture_reach) ** 2
+        most = max(abs(self._convergence(kind)) for kind in range(len(self.camera.mla_focal_lengths)))
+        return math.pi * most * square / in_millimetres(self.wavelength)
+
+    @property
+    def _limits(self) -> str:
+        """Where the detector may be."""
+        camera = self.camera
+        aside = MOST_PHASE * in_millimetres(self.wavelength) / math.pi / float(self.lattice.aperture_reach) ** 2
+        powers = [1 / f2 - 1 / camera.mla_distance for f2 in camera.mla_focal_lengths]
+        near, far = 1 / (min(powers) + aside), 1 / max(max(powers) - aside, 1e-9)
+        return f"from {near:.4g} to {far:.4g} mm" if near <= far else "which several focal lengths do not allow"
 
     # -- sizes ---------------------------------------------------------------------------------------
 
@@ -284,17 +302,6 @@ class PhaseSpace:
         waves = np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (every * fine * step / scale)
         return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
 
-    def shift(self, lens_type: int = 0) -> float:
-        """Return by how much a ray through a point of the lens lands aside, over the point's distance from the centre.
-
-        Compared are rays through the same point of the pupil. It is 0 where kernels about the ray through the centre
-        account for it, as they do if the detector is close to the focus.
-        """
-        shift = self._convergence(lens_type) * self.camera.detector_distance
-        wavelength = in_millimetres(self.wavelength)
-        phase = math.pi * abs(self._convergence(lens_type)) * self.lattice.aperture_reach**2 / wavelength
-        return float(shift) if phase > _MOST_PHASE else 0.0
-
     def _convergence(self, lens_type: int) -> float:
         """Return the curvature of the waves from a point of the pupil, behind a lens, over those to the detector."""
         camera = self.camera
@@ -319,9 +326,8 @@ class PhaseSpace:
         phase = ((x * x + y * y) * powers[lens_type] - ((x - cx) ** 2 + (y - cy) ** 2) * powers[types]) / (
             2 * wavelength
         )
-        if self.shift(lens_type) == 0:
-            # A quadratic phase shifts what lands, by the place on the lens.
-            phase += self._convergence(lens_type) * (x * x + y * y) / (2 * wavelength)
+        # A quadratic phase shifts what lands, by the place on the lens.
+        phase += self._convergence(lens_type) * (x * x + y * y) / (2 * wavelength)
         T = np.where(lattice.in_aperture(x - cx, y - cy), np.exp(2j * np.pi * phase), 0).astype(np.complex64)
         own = np.asarray((i == lens_type) & (j == 0), np.float32)
         # Points on a border belong to both sides.
