@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import logging
+import functools
 import math
 import warnings
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +19,17 @@ from .noise import PARTS, keep_spread, with_spread
 from .patch_plan import Cost
 from .signed_rays import SceneLight, SignedRaySum
 
-_log = logging.getLogger(__name__)
-
 _FINE = 0.005
 """Accuracy below which finer plans are made."""
 
 _DEGREES, _WINDOWS = (4, 6), (9, 13)
 """Degrees of the polynomials and windows of plans, usual and finer ones."""
+
+_SAMPLES = 4
+"""Rays a cell of each of the captures from whose spread the noise is found: few correct each other less well."""
+
+_SPOTS = 1.5
+"""Distance, in spots of a lens's diffraction, within which chance below zero is made up for."""
 
 _DEFOCUS = 4.0
 """Radians of the microlenses' defocus from which on polynomials are of two degrees more."""
@@ -57,14 +60,10 @@ class SignedCapture:
     wavelengths: tuple[float, ...]
     accuracy: float
 
-    @cached_property
+    @property
     def _plans(self) -> list[PhaseSpace]:
         fine = self.accuracy < _FINE
-        made = {}
-        for wavelength in dict.fromkeys(self.wavelengths):
-            plan = PhaseSpace(self.camera, wavelength, degree=_DEGREES[fine], window=_WINDOWS[fine])
-            made[wavelength] = replace(plan, degree=plan.degree + 2) if plan.defocus > _DEFOCUS else plan
-        return [made[wavelength] for wavelength in self.wavelengths]
+        return [_plan(self.camera, wavelength, fine) for wavelength in self.wavelengths]
 
     @property
     def _parts(self) -> int:
@@ -90,7 +89,7 @@ class SignedCapture:
         float32 array (rows, columns, channels)
             Pixel values, none negative; with noise twice as many channels, those of the standard deviations last.
         """
-        runs = max(2, min(PARTS, spp // 2)) if noise else 1
+        runs = max(2, min(PARTS, spp // _SAMPLES)) if noise else 1
         sums = [
             # Neighbouring seeds must not share runs.
             self._sum(-(-spp // runs), int(own))
@@ -111,15 +110,39 @@ class SignedCapture:
         image = job.run(tasks, shape, sum(task.items for task in tasks), lambda: {"scene_digest": digest(found)})
         if noise:
             image = with_spread(image, runs)
-        # What is left below zero, by chance and beyond the band of the grid, is not light.
-        np.maximum(image, 0, out=image)
+        np.maximum(image[..., channels:], 0, out=image[..., channels:])
         np.sqrt(image[..., channels:], out=image[..., channels:])
+        extent = in_millimetres(max(self.wavelengths)) * self.camera.detector_distance
+        spot = extent / float(self.camera.lattice.aperture_width) / self.camera.pixel_size
+        for channel in range(channels):
+            image[..., channel] = _without_negatives(image[..., channel], 2 * math.ceil(_SPOTS * spot) + 1)
         return image
 
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
         """Estimate what `compute` takes, from some of the rays."""
         seconds, memory = self._sum(spp, seed).cost()
         return Cost(0, 0, seconds, memory)
+
+
+@functools.lru_cache(maxsize=4)
+def _plan(camera: PlenopticCamera, wavelength: float, fine: bool) -> PhaseSpace:
+    """Return a plan, which several captures of a camera share."""
+    plan = PhaseSpace(camera, wavelength, degree=_DEGREES[fine], window=_WINDOWS[fine])
+    return replace(plan, degree=plan.degree + 2) if plan.defocus > _DEFOCUS else plan
+
+
+def _without_negatives(image: NDArray[np.float32], size: int) -> NDArray[np.float32]:
+    """Return an image in which what is below zero, by chance, is taken from the light around it.
+
+    To set it to zero would brighten what is dark, the more the fewer samples there are.
+    """
+    from scipy.ndimage import uniform_filter
+
+    light = np.maximum(image, 0)
+    around = uniform_filter(light, size)
+    missing = uniform_filter(light - image, size)
+    share = np.divide(missing, around, out=np.zeros_like(image), where=around > 0)
+    return np.asarray(light * (1 - np.minimum(share, 1)), np.float32)
 
 
 def _share(work: SignedRaySum, runs: int) -> Task:

@@ -47,8 +47,8 @@ class Drawn(NamedTuple):
         Where they pass the pupil; the array, from the centre of the lens; and the array in the camera frame.
     weight : Float
         One over the density of the points over the aperture.
-    open, active : Bool
-        Whether the pupil lets them through, and whether they may bring light, too.
+    open : Bool
+        Whether the pupil lets them through.
     """
 
     pupil: Pair
@@ -56,7 +56,6 @@ class Drawn(NamedTuple):
     place: Pair
     weight: Any
     open: Any
-    active: Any
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ class Draws:
         self._camera, self._step = camera, step
         self._spread = _FALL * in_millimetres(max(plan.wavelength for plan in plans)) * camera.mla_distance / 4
         self._lens_area = float(camera.lattice.lens_area)
-        self._window = max(math.hypot(*node.sides) / 2 for plan in plans for node in plan.nodes)
+        self._window = max(max(node.sides) / 2 for plan in plans for node in plan.nodes)
 
     @property
     def widest(self) -> float:
@@ -152,9 +151,8 @@ class Draws:
         pupil = self.through_centre((x, y), centre)
         point, weight = self._about(pupil, random[:2])
         is_open = dr.square(pupil[0]) + dr.square(pupil[1]) <= self._camera.aperture_radius**2
-        near = dr.square(point[0]) + dr.square(point[1]) <= self._window**2
         place = centre[0] + point[0], centre[1] + point[1]
-        return Drawn(pupil, point, place, weight, is_open, is_open & near)
+        return Drawn(pupil, point, place, weight, is_open)
 
     def _about(self, pupil: Pair, random: list[Any]) -> tuple[Pair, Any]:
         """Draw points about a lens, where the pupil spreads rays through it from; return their weights, too.
@@ -178,12 +176,14 @@ class Draws:
         places, weight = [], mi.Float(1 / self._lens_area)
         for r, half, extent in zip(random, halves, extents, strict=True):
             fall = dr.minimum(self._spread / dr.maximum(half, 1e-6 * radius), _WIDEST * max(widths))
-            side = 2 * r - 1
+            # None are drawn beyond the window.
+            most = 1 - fall * fall / ((extent + fall) * (self._window - extent + fall))
+            side = (2 * r - 1) * most
             # The root of the greatest density over that of the place; from 1 on it is beyond the lens.
             less = fall / ((extent + fall) * dr.maximum(1 - dr.abs(side), 1e-7))
             far = dr.copysign(extent + fall * (less - 1), side)
             places.append(dr.select(less > 1, far, side * (extent + fall)))
-            weight *= 2 * (extent + fall) * dr.square(dr.maximum(less, 1))
+            weight *= 2 * most * (extent + fall) * dr.square(dr.maximum(less, 1))
         point = lattice.from_frame(places[0] * cosine - places[1] * sine, places[0] * sine + places[1] * cosine)
         return point, weight
 

@@ -247,9 +247,9 @@ class SignedRaySum:
         drawn = self._draws.draw(replace(cells, index=dr.gather(mi.UInt32, cells.index, own)), lane - own * spp, key)
         slope = tuple((P - q) / self._camera.mla_distance for P, q in zip(drawn.pupil, drawn.place, strict=True))
         start, direction, _ = self._lens.trace(drawn.place, slope)
-        radiance = self._light(start, direction, drawn.active, seed)
+        radiance = self._light(start, direction, drawn.open, seed)
         finite = dr.all([dr.isfinite(light) for light in radiance], axis=0)
-        seen = dr.select(drawn.active, mi.Float(1), 0)
+        seen = dr.select(drawn.open, mi.Float(1), 0)
         dr.eval(finite, radiance, seen)
         if not dr.all(finite):
             raise InputError("scene: the radiance of some rays is NaN or infinite: all must be finite")
@@ -290,7 +290,7 @@ class SignedRaySum:
             for light, pair, coefficients, before in zip(radiance, known, tables, brought, strict=True):
                 other = dr.select(even, pair[1], pair[0])
                 change = (dr.gather(mi.Float, light, first + k) - other) * drawn.weight
-                active = drawn.active & (change != 0)
+                active = drawn.open & (change != 0)
                 values = coefficients(drawn.point, drawn.pupil, chance, active)
                 after = [old + dr.select(active, value * change, 0) for old, value in zip(before, values, strict=True)]
                 after[0] += dr.select(drawn.open, other, 0)

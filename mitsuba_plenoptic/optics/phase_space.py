@@ -284,13 +284,24 @@ class PhaseSpace:
 
     # -- the array: kernels of images ------------------------------------------------------------------
 
-    @single_threaded_blas()
     def kernels(self, step: float, reach: float, lens_type: int = 0) -> NDArray[np.float64]:
         """Return the kernels of lenses of a type times the area of a grid's cell; (n, k, k).
 
         The grid has this step, and the kernels reach at least so far. Light beyond is folded back, which keeps the
         energy.
         """
+        key = step, reach, lens_type
+        if key not in self._kept:
+            self._kept[key] = self._kernels(*key)
+        return self._kept[key]
+
+    @cached_property
+    def _kept(self) -> dict[tuple[float, float, int], NDArray[np.float64]]:
+        return {}
+
+    @single_threaded_blas()
+    def _kernels(self, step: float, reach: float, lens_type: int) -> NDArray[np.float64]:
+        """Return the kernels that `kernels` keeps."""
         scale = in_millimetres(self.wavelength) * self.camera.detector_distance
         fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
         every = max(1, int(scale / (2 * fine * reach)))
