@@ -151,12 +151,11 @@ class SignedRaySum:
         made = {
             id(plan): Convolution(
                 self._camera,
-                np.concatenate(
-                    [
-                        plan.kernels(self._step, _REACH * max(self._camera.mla_pitches), kind) / self._parts**2
-                        for kind in range(len(self._camera.mla_focal_lengths))
-                    ]
-                ).astype(np.float32),
+                [
+                    (kernel / self._parts**2).astype(np.float32)
+                    for kind in range(len(self._camera.mla_focal_lengths))
+                    for kernel in plan.kernels(self._step, _REACH * max(self._camera.mla_pitches), kind)
+                ],
                 self._step,
                 order=ORDER - 1,
             )

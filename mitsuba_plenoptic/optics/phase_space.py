@@ -120,7 +120,9 @@ class PhaseSpace:
         require_ideal(camera)
         for name, refused, rule in (
             ("main_lens", camera.prescription is not None or camera.objective is not None, "a thin lens"),
-            ("wavefront", len(camera.wavefront) > 0, "without aberrations"),
+            ("wavefront", any(camera.wavefront), "without aberrations"),
+            ("glass", camera.glass is not None, "the same for all wavelengths"),
+            ("mla_glass", camera.mla_glass is not None, "the same for all wavelengths"),
             ("detector_distance", self.defocus > MOST_PHASE, f"closer to the microlenses' focus, {self._limits}"),
         ):
             if refused:

@@ -83,7 +83,8 @@ def make_class() -> type:
              focus only; beyond some lenses of blur, by one ray from each pixel through each lens's centre and a bank
              of kernels of single lenses, at the price of a capture by rays; in one wavelength where glasses of a
              ``main_lens`` disperse light. ``full_field``: on all of the array, the
-             slow reference. ``auto``: the quicker one of the first two. (Default: ``auto``)
+             slow reference. ``auto``: the quicker one of the first two. ``signed_rays``: from the rays of a capture
+             by rays, see below. (Default: ``auto``)
          * - occlusion
            - |bool|
            - Whether objects before a radiator hide a part of the pupil from it; method ``bank`` asks for it.
@@ -108,6 +109,14 @@ def make_class() -> type:
         where :math:`psf` is the fraction of the power through the visible pupil that lands in the pixel and
         :math:`f` the fraction of the visible pupil whose rays land in the sampled part of the array. The pixel's
         unit is that of the sensor by rays: a scene of radiance 1 reads 1 inside wide micro-images.
+
+        Method ``signed_rays`` has no radiators. It follows the rays that a sensor with ``lens_model="parabolic"`` would
+        draw, and some beside each lens, into the scene; ``spp`` is the number of rays a pixel, as by rays. What pupil
+        and microlenses diffract is in signed coefficients of each ray and in kernels, which depend on the camera alone.
+        So light may differ over the pupil and over a lens, and the scene may hold all that the nested integrator knows,
+        at the price of a capture by rays. It takes thin main lenses without a wavefront, regular arrays and detectors
+        not far from the microlenses' focus, and lines instead of bands and responses; it has no gradients. It has no use
+        for ``radiators_per_lens``, ``passes`` and ``occlusion``; ``accuracy`` below 0.005 takes finer kernels.
 
         With a band or responses, one set of radiators serves all wavelengths. In spectral variants light has the
         scene's own spectra, in rgb ones those of D65 times the smoothest reflectances that have the colours, in mono
