@@ -54,8 +54,8 @@ def observe(capture: mp.Capture, truth: np.ndarray) -> Observed:
     """Return what tells of the depths of a capture's bins, and which are right."""
     lf = mp.decode(capture)
     images = micro_images(capture) if is_focused(lf) else None
-    found, samples = disagreement_of_planes(lf, default_slopes(lf), None, images)
-    place, told = indications(found, samples, RIGHT)
+    found = disagreement_of_planes(lf, default_slopes(lf), None, images)
+    place, told = indications(found, RIGHT)
     depth = 1 / np.interp(place, np.arange(len(found.inverse)), found.inverse)
     inside = np.isfinite(truth) & ~at_an_end(found.variance, place)
     if not is_focused(lf):
