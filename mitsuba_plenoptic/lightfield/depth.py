@@ -20,7 +20,7 @@ from .agreement import finer_stripes, view_disagreement
 from .geometry import camera_of, depth_range, disparity, distance_of, require_light_field
 from .lens_agreement import LensComparison
 from .micro_images import MicroImages, micro_images_of
-from .plane_choice import Disagreement, choose, noise_floor
+from .plane_choice import LENSES, VIEWS, Disagreement, choose, noise_floor
 from .refocus import shift_and_add
 
 RIGHT = 0.01
@@ -108,7 +108,7 @@ def depth_map(
         f"depth map of {planes} planes",
         lambda limit: f"planes = {int((limit - copies) // plane)}" if limit > copies + 3 * plane else None,
     )
-    choice = choose(disagreement_of_planes(lf, slopes, progress, micro_images), RIGHT)
+    choice = choose(*disagreement_of_planes(lf, slopes, progress, micro_images), RIGHT)
     found = np.interp(choice.place, np.arange(planes), slopes)
     nearest_plane = np.rint(choice.place).astype(np.int64)
     sharp = np.empty(lf.shape[2:], dtype=np.float32)
@@ -204,8 +204,8 @@ def disagreement_of_planes(
     slopes: np.ndarray,
     progress: Progress | None = None,
     micro_images: MicroImages | None = None,
-) -> Disagreement:
-    """Measure how badly the views agree about planes of some disparities.
+) -> tuple[Disagreement, float]:
+    """Measure how badly the views agree about planes of some disparities, and how many samples that counts for.
 
     Parameters
     ----------
@@ -228,9 +228,9 @@ def disagreement_of_planes(
         images = micro_images_of(lf) if micro_images is None else micro_images
         if images.camera != camera_of(lf) or images.bins.shape != lf.shape[2:4]:
             raise InputError("micro_images: they are of another camera than the light field, or of another part of it")
-        measure = LensComparison(images).disagreement
+        measure, samples = LensComparison(images).disagreement, LENSES
     else:
-        measure = partial(view_disagreement, lf)
+        measure, samples = partial(view_disagreement, lf), VIEWS
     brightness = scipy.ndimage.gaussian_filter(central, _AROUND)
     variance, whole = np.empty((2, len(slopes), *lf.shape[2:4]), dtype=np.float32)
     for index, slope in enumerate(counted(slopes, progress)):
@@ -248,7 +248,7 @@ def disagreement_of_planes(
         warnings.simplefilter("ignore", RuntimeWarning)
         typical = np.nanmedian(whole, axis=0)
     variance *= ((typical + floor) / (whole + floor)).astype(np.float32)
-    return Disagreement(variance, brightness, 1 / distances)
+    return Disagreement(variance, brightness, 1 / distances), samples
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,7 @@
 r"""Which of some planes each bin is on: probabilities from how well views agree, each with those of its neighbours.
 
 The logarithm of the variance :math:`V_d` that views have about the plane d is the evidence: N independent samples of
-one unknown deviation have a likelihood proportional to :math:`V_d^{-N/2}` (with that deviation taken out). Neighbours
-share windows and are wrong together, so that N is small.
+one unknown deviation have a likelihood proportional to :math:`V_d^{-N/2}` (with that deviation taken out).
 """
 
 from __future__ import annotations
@@ -21,8 +20,8 @@ _NOISE, _DARK = 0.02, 0.02
 # A neighbour is on the same plane or, half as likely, on each of the next ones; with this probability on any.
 _NEXT, _ANY = 0.5, 0.3
 
-# Samples that the evidence of a bin is worth, N.
-_SAMPLES = 2.0
+# Samples that the evidence is worth where neighbours take part in it: they share windows, and model errors are alike.
+_SHARED = 2.0
 
 # A probability counts as no smaller, and no greater than one less that.
 _SURE = 1e-3
@@ -38,9 +37,13 @@ _CLOSED = 0.15
 # deviations of Gaussian windows.
 _ASKED, _AVERAGED = 3.0, 2.0
 
+
+# Independent samples that the disagreement of a bin's surroundings counts for: of views, and of micro-images of focused cameras.
+VIEWS, LENSES = 20.0, 3.0
+
 # What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood
 # on captures of the scenes that `tools/confidence_fit.py` lists, within its bounds, and rounded.
-WEIGHTS = (-2.92, 0.49, 3.8, -1.0, -1.5)
+WEIGHTS = (-2.7, 0.7, 3.2, -1.0, -0.3)
 
 
 @dataclass(frozen=True)
@@ -84,17 +87,19 @@ def noise_floor(brightness: np.ndarray) -> np.ndarray:
     return np.square(_NOISE * np.maximum(brightness, _DARK * brightness.mean()))
 
 
-def choose(found: Disagreement, tolerance: float) -> Choice:
+def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
     """Choose the most probable plane of each bin.
 
     Parameters
     ----------
     found : Disagreement
         About all planes.
+    samples : float
+        N of the bin's surroundings: `VIEWS` or `LENSES`.
     tolerance : float
         Relative error of a distance that counts as right.
     """
-    place, told = indications(found, tolerance)
+    place, told = indications(found, samples, tolerance)
     return Choice(place, np.where(at_an_end(found.variance, place), 0, expit(np.tensordot(WEIGHTS, told, 1))))
 
 
@@ -120,12 +125,12 @@ def at_an_end(variance: np.ndarray, place: np.ndarray) -> np.ndarray:
     return np.asarray(~(wall - least > _CLOSED * (typical - least)))
 
 
-def indications(found: Disagreement, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the most probable planes, and what tells whether they are right.
 
     Parameters
     ----------
-    found, tolerance
+    found, samples, tolerance
         As for `choose`.
 
     Returns
@@ -136,7 +141,8 @@ def indications(found: Disagreement, tolerance: float) -> tuple[np.ndarray, np.n
         What tells whether the plane is right, logarithms but for the first and those about neighbours and valleys:
 
         - one;
-        - the log odds that it is, if the evidence of the bin and of those around it is taken at its word;
+        - the log odds that it is, if the evidence of the bin's surroundings, on average, is taken at its word: noise
+          hides the evidence of weak texture in a bin alone;
         - the fraction of the neighbours which by their own evidence are within the tolerance of this plane: without
           evidence they are scattered;
         - the deviation on the best plane over the brightness, or 0.06 where it is less: at edges of what is in front,
@@ -151,7 +157,7 @@ def indications(found: Disagreement, tolerance: float) -> tuple[np.ndarray, np.n
     worst = np.nan_to_num(np.fmax.reduce(found.variance, axis=0))
     variance = np.where(np.isnan(found.variance), worst, found.variance)
     energy = 0.5 * np.log(variance + noise_floor(found.brightness) + tiny)
-    together = _with_neighbours(_normalised(-_SAMPLES * energy))
+    together = _with_neighbours(_normalised(-_SHARED * energy))
     place = _summit(together)
     planes = np.arange(len(inverse))
     order = np.argsort(inverse)
@@ -164,7 +170,7 @@ def indications(found: Disagreement, tolerance: float) -> tuple[np.ndarray, np.n
     asked = scipy.ndimage.gaussian_filter(own.astype(np.float64), (0, _ASKED, _ASKED), mode="nearest")
     told = (
         np.ones_like(place),
-        logit(_mass(together, low, high).clip(_SURE, 1 - _SURE)),
+        logit(_mass(_normalised(-samples * averaged), low, high).clip(_SURE, 1 - _SURE)),
         _mass(asked, low, high),
         floor.clip(np.log(_STILL)),
         _rivalry(averaged, low, high),
