@@ -38,7 +38,8 @@ _CLOSED = 0.15
 _ASKED, _AVERAGED = 3.0, 2.0
 
 
-# Independent samples that the disagreement of a bin's surroundings counts for: of views, and of micro-images of focused cameras.
+# Independent samples that the disagreement of a bin's surroundings counts for: of views, and of micro-images of focused
+# cameras.
 VIEWS, LENSES = 20.0, 3.0
 
 # What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood

@@ -26,7 +26,7 @@ def wall(distance, blurred=None, **changes):
     """Render a wall with a random pattern, some pixels fine, before a camera of three focal lengths or of `BLURRED`."""
     camera = MULTI_FOCUS.replace(**changes)
     if blurred:
-        camera = mp.PlenopticCamera(detector_width=1.536, resolution=(384, 384), **BLURRED[blurred][0])
+        camera = mp.PlenopticCamera(detector_width=1.536, resolution=(384, 384)).replace(**BLURRED[blurred][0])
     pattern = gaussian_filter(np.random.default_rng(1).normal(size=(256, 256)), 1.0, mode="wrap")
     pattern = np.clip(0.5 + 0.25 * pattern / pattern.std(), 0.02, 0.98).astype(np.float32)
     texture = {"type": "bitmap", "raw": True, "data": mi.TensorXf(pattern[..., None])}
