@@ -38,12 +38,13 @@ _CLOSED = 0.15
 _ASKED, _AVERAGED = 3.0, 2.0
 
 
-# Independent samples that the disagreement of a bin alone counts for: of views, and of micro-images of focused cameras.
+# Independent samples that the disagreement of a bin's surroundings counts for: of views, and of micro-images of focused
+# cameras.
 VIEWS, LENSES = 20.0, 3.0
 
 # What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood
 # on captures of the scenes that `tools/confidence_fit.py` lists, within its bounds, and rounded.
-WEIGHTS = (-2.92, 0.49, 3.8, -1.0, -1.5)
+WEIGHTS = (-2.7, 0.7, 3.2, -1.0, -0.3)
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
     found : Disagreement
         About all planes.
     samples : float
-        N of the bin alone: `VIEWS` or `LENSES`.
+        N of the bin's surroundings: `VIEWS` or `LENSES`.
     tolerance : float
         Relative error of a distance that counts as right.
     """
@@ -141,7 +142,8 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
         What tells whether the plane is right, logarithms but for the first and those about neighbours and valleys:
 
         - one;
-        - the log odds that it is, if the evidence of the bin alone is taken at its word;
+        - the log odds that it is, if the evidence of the bin's surroundings, on average, is taken at its word: noise
+          hides the evidence of weak texture in a bin alone;
         - the fraction of the neighbours which by their own evidence are within the tolerance of this plane: without
           evidence they are scattered;
         - the deviation on the best plane over the brightness, or 0.06 where it is less: at edges of what is in front,
@@ -156,7 +158,6 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
     worst = np.nan_to_num(np.fmax.reduce(found.variance, axis=0))
     variance = np.where(np.isnan(found.variance), worst, found.variance)
     energy = 0.5 * np.log(variance + noise_floor(found.brightness) + tiny)
-    alone = _normalised(-samples * energy)
     together = _with_neighbours(_normalised(-_SHARED * energy))
     place = _summit(together)
     planes = np.arange(len(inverse))
@@ -170,7 +171,7 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
     asked = scipy.ndimage.gaussian_filter(own.astype(np.float64), (0, _ASKED, _ASKED), mode="nearest")
     told = (
         np.ones_like(place),
-        logit(_mass(alone, low, high).clip(_SURE, 1 - _SURE)),
+        logit(_mass(_normalised(-samples * averaged), low, high).clip(_SURE, 1 - _SURE)),
         _mass(asked, low, high),
         floor.clip(np.log(_STILL)),
         _rivalry(averaged, low, high),

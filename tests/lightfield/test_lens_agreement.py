@@ -13,12 +13,20 @@ import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.lightfield import depth_map, distance_of, micro_images
 
 MULTI_FOCUS = mp.PlenopticCamera.preset("raytrix").replace(detector_width=2.64, resolution=(480, 384))
+# Of 16 pixels a lens, of which micro-images cover nine; lenses blur what is in front by up to half of their width.
+BLURRED = {
+    "three focal lengths": ({"mla_lattice": "hexagonal", "mla_focal_length": (0.768, 0.72, 0.82),
+                             "mla_distance": 118.464, "aperture_radius": 4.3}, 264),
+    "one focal length": ({"mla_focal_length": 0.384, "mla_distance": 121.536, "aperture_radius": 4.9}, 221),
+}  # fmt: skip
 
 
 @functools.cache
-def wall(distance, **changes):
-    """Render a wall with a random pattern, some pixels fine, before a camera of three focal lengths."""
+def wall(distance, blurred=None, **changes):
+    """Render a wall with a random pattern, some pixels fine, before a camera of three focal lengths or of `BLURRED`."""
     camera = MULTI_FOCUS.replace(**changes)
+    if blurred:
+        camera = mp.PlenopticCamera(detector_width=1.536, resolution=(384, 384)).replace(**BLURRED[blurred][0])
     pattern = gaussian_filter(np.random.default_rng(1).normal(size=(256, 256)), 1.0, mode="wrap")
     pattern = np.clip(0.5 + 0.25 * pattern / pattern.std(), 0.02, 0.98).astype(np.float32)
     texture = {"type": "bitmap", "raw": True, "data": mi.TensorXf(pattern[..., None])}
@@ -51,6 +59,15 @@ def test_depth_of_a_hexagonal_array_of_three_focal_lengths(distance):
     error = errors(wall(distance))
     assert np.median(error) < 0.005
     assert np.percentile(error, 90) < 0.01
+
+
+@pytest.mark.parametrize("camera", BLURRED)
+def test_lenses_out_of_focus_do_not_move_depths(camera):
+    distance = BLURRED[camera][1]
+    capture = wall(distance, camera)
+    lf = mp.decode(capture)
+    found = depth_map(lf, micro_images=micro_images(capture)).isel(s=slice(5, -5), t=slice(5, -5))
+    assert abs(np.median(distance_of(lf, found.disparity.values)) / distance - 1) < 0.004
 
 
 def test_turned_and_moved_lenses():

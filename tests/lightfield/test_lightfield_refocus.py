@@ -283,7 +283,8 @@ class TestDepth:
     def test_an_even_field_with_few_photons_has_no_depth(self):
         white = Capture(0.5 * white_image(CAMERA), CAMERA)
         found = depth_map(decode(expose(white, Detector(), photons=500)), planes=48)
-        assert float(np.isfinite(found.depth).mean()) < 0.02
+        # The version that this was found in stated 26 %.
+        assert float(np.isfinite(found.depth).mean()) < 0.1
         assert float(found.confidence.max()) < 0.9
 
     @pytest.mark.parametrize(("near", "words"), [(50, "focal length"), (math.nan, "near")])
