@@ -142,7 +142,7 @@ SCENES: dict[str, tuple[Callable[[], Any], float]] = {
     "floor": (floor, 0.05),
     "dirty pane": (dirt, 0.03),
     "camera in fog": (fog_around, 0.03),
-    "texture of a lens and a half": (
+    "texture finer than a lens": (
         lambda: scene_of(
             camera(),
             card=facing(240.0, 4.0, **{"bsdf": BLACK, "emitter": {"type": "area", "radiance": pattern(0.09, 4.0)}}),

@@ -113,10 +113,11 @@ def make_class() -> type:
         Method ``signed_rays`` has no radiators. It follows the rays that a sensor with ``lens_model="parabolic"`` would
         draw, and some beside each lens, into the scene; ``spp`` is the number of rays a pixel, as by rays. What pupil
         and microlenses diffract is in signed coefficients of each ray and in kernels, which depend on the camera alone.
-        So light may differ over the pupil and over a lens, and the scene may hold all that the nested integrator knows,
-        at the price of a capture by rays. It takes thin main lenses without a wavefront, regular arrays and detectors
-        not far from the microlenses' focus, and lines instead of bands and responses; it has no gradients. It has no use
-        for ``radiators_per_lens``, ``passes`` and ``occlusion``; ``accuracy`` below 0.005 takes finer kernels.
+        So light may differ over the pupil and over a lens, and the scene may hold all that the nested integrator
+        knows, at the price of a capture by rays. It takes thin main lenses without a wavefront, regular arrays and
+        detectors not far from the microlenses' focus, and lines instead of bands and responses; it has no gradients.
+        ``radiators_per_lens``, ``passes`` and ``occlusion`` do not concern it; ``accuracy`` below 0.005 takes finer
+        kernels.
 
         With a band or responses, one set of radiators serves all wavelengths. In spectral variants light has the
         scene's own spectra, in rgb ones those of D65 times the smoothest reflectances that have the colours, in mono
