@@ -94,7 +94,7 @@ class LensRaySum:
         rows, columns = camera.shape
         self.box = Box(0, 0, columns, rows)
         self._paths = paths_of(camera, [bank for of_channel in banks for bank in of_channel], wavelength)
-        margin = max(margin_of(of_channel) for of_channel in banks)
+        margin = margin_of([kernel for of_channel in banks for bank in of_channel for kernel in bank.kernels])
         left, top = (offset * self._parts - margin for offset in camera.crop_offset)
         self._bins = Box(left, top, columns * self._parts + 2 * margin, rows * self._parts + 2 * margin)
         ranks = [sum(bank.rank for bank in of_channel) for of_channel in banks]
@@ -118,7 +118,9 @@ class LensRaySum:
         # Channels of the same kernels share theirs.
         keys = [tuple(id(bank.kernels) for bank in banks) for banks in self._banks]
         made = {
-            key: Convolution(self._camera, banks, order=1, size=largest)
+            key: Convolution(
+                self._camera, [kernel for bank in banks for kernel in bank.kernels], self._pitch, order=1, size=largest
+            )
             for key, banks in dict(zip(keys, self._banks, strict=True)).items()
         }
         return [made[key] for key in keys]

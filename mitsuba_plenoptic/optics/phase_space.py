@@ -26,9 +26,10 @@ centre of the lens.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -38,6 +39,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import InputError, shown
 from ..lattice import Lattice
+from ..runtime.blas import single_threaded_blas
 from .main_lens import main_lens
 from .phase import in_millimetres
 from .wave_cameras import require_ideal
@@ -48,8 +50,38 @@ _TRANSFER_SAMPLES = 64
 _SPECTRUM_SAMPLES = 256
 """Samples of a lens for the Fourier coefficients of its polynomials."""
 
+_SPREADS = 2.0
+"""Widths of the window about a lens over the width of the pupil's diffraction along the radius, lambda b / 2 h."""
+
+_LEAST_WINDOW = 3
+"""Lenses, across, of the least window."""
+
+_OVERSAMPLING = 1.4
+"""Samples of the table over those that its highest frequency needs."""
+
+MOST_PHASE = 8.0
+"""Radians of defocus at a lens's edge up to which polynomials describe where its rays land."""
+
 _SUBSAMPLES = 4
 """Gauss-Legendre nodes, per direction and side, of the pupil's overlap around a node of the table."""
+
+
+class Node(NamedTuple):
+    """The window of the table at one node of the pupil's radius, in the lattice's frame.
+
+    Attributes
+    ----------
+    sides : (float, float)
+        Its sides, whole numbers of the lattice's periods.
+    counts : (int, int)
+        Samples along them.
+    angular : int
+        Nodes over a quarter turn, less one.
+    """
+
+    sides: tuple[float, float]
+    counts: tuple[int, int]
+    angular: int
 
 
 @dataclass(frozen=True)
@@ -59,19 +91,17 @@ class PhaseSpace:
     Parameters
     ----------
     camera : PlenopticCamera
-        A camera with a thin main lens without a wavefront, and a regular array of one focal length, in the focus of
-        which is the detector.
+        A camera with a thin main lens without a wavefront, and a regular array, not far out of whose focus is the
+        detector.
     wavelength : float
         In nanometres.
     degree : int
         Total degree of the polynomials over a lens. There are (degree + 1) (degree + 2) / 2.
     window : int
-        Lenses, across, over which the pupil spreads a ray. Light beyond is folded back by whole windows, which keeps
-        the energy.
-    samples : int
-        Samples of the table across a lens.
-    radial, angular : int
-        Nodes of the table along the pupil's radius, dense towards its rim, and over a quarter turn.
+        Lenses, across, over which the pupil's rim spreads a ray, which it does most. Light beyond is folded back by
+        whole windows, which keeps the energy.
+    radial : int
+        Nodes of the table along the pupil's radius, dense towards its rim.
 
     Raises
     ------
@@ -83,22 +113,36 @@ class PhaseSpace:
     wavelength: float
     degree: int = 4
     window: int = 9
-    samples: int = 24
     radial: int = 12
-    angular: int = 8
 
     def __post_init__(self) -> None:
         camera = self.camera
         require_ideal(camera)
-        in_focus = math.isclose(camera.detector_distance, camera.mla_focal_length, rel_tol=1e-6)
         for name, refused, rule in (
             ("main_lens", camera.prescription is not None or camera.objective is not None, "a thin lens"),
-            ("wavefront", len(camera.wavefront) > 0, "without aberrations"),
-            ("mla_focal_length", len(camera.mla_focal_lengths) > 1, "one for all microlenses"),
-            ("detector_distance", not in_focus, "the microlenses' focal length"),
+            ("wavefront", any(camera.wavefront), "without aberrations"),
+            ("glass", camera.glass is not None, "the same for all wavelengths"),
+            ("mla_glass", camera.mla_glass is not None, "the same for all wavelengths"),
+            ("detector_distance", self.defocus > MOST_PHASE, f"closer to the microlenses' focus, {self._limits}"),
         ):
             if refused:
                 raise InputError(f"{name} = {shown(getattr(camera, name))}: for signed rays it must be {rule}")
+
+    @property
+    def defocus(self) -> float:
+        """Radians by which the microlenses' waves are out of focus on the detector, at their edges, at most."""
+        square = float(self.lattice.aperture_reach) ** 2
+        most = max(abs(self._convergence(kind)) for kind in range(len(self.camera.mla_focal_lengths)))
+        return math.pi * most * square / in_millimetres(self.wavelength)
+
+    @property
+    def _limits(self) -> str:
+        """Where the detector may be."""
+        camera = self.camera
+        aside = MOST_PHASE * in_millimetres(self.wavelength) / math.pi / float(self.lattice.aperture_reach) ** 2
+        powers = [1 / f2 - 1 / camera.mla_distance for f2 in camera.mla_focal_lengths]
+        near, far = 1 / (min(powers) + aside), 1 / max(max(powers) - aside, 1e-9)
+        return f"from {near:.4g} to {far:.4g} mm" if near <= far else "which several focal lengths do not allow"
 
     # -- sizes ---------------------------------------------------------------------------------------
 
@@ -113,17 +157,23 @@ class PhaseSpace:
         return [(i, total - i) for total in range(self.degree + 1) for i in range(total, -1, -1)]
 
     @cached_property
-    def window_size(self) -> tuple[float, float]:
-        """Sides, in the lattice's frame, of the least whole number of periods that holds `window` lenses."""
-        wanted = self.window * self.lattice.pitches[0]
-        first, second = self.lattice.period()
-        return math.ceil(wanted / first - 1e-6) * first, math.ceil(wanted / second - 1e-6) * second
-
-    @cached_property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of the table: nodes along the radius and the angle, rows, columns, polynomials."""
-        across = [round(side / self.lattice.pitches[0] * self.samples) for side in self.window_size]
-        return self.radial + 1, self.angular + 1, across[1], across[0], len(self.exponents)
+    def nodes(self) -> list[Node]:
+        """The table's nodes along the pupil's radius, and the windows and samples that each needs."""
+        lens = main_lens(self.camera)
+        radius, reach = float(lens.pupil_radius), in_millimetres(self.wavelength) * float(lens.pupil_distance)
+        pitch = self.lattice.pitches[0]
+        made = []
+        for index in range(self.radial + 1):
+            distance, inner = (radius * (1 - (1 - max(r, 0) / self.radial) ** 2) for r in (index, index - 1))
+            spread = _SPREADS * reach / max(radius - distance, 1e-9 * radius)
+            wanted = min(self.window * pitch, max(_LEAST_WINDOW * pitch, pitch + spread))
+            sides = tuple(math.ceil(wanted / period - 1e-6) * period for period in self.lattice.period())
+            # The greatest lag is across the radius.
+            step = reach / (2 * _OVERSAMPLING * 2 * math.sqrt(radius**2 - inner**2))
+            # From one node to the next the farthest points turn by half a lens.
+            angular = math.ceil(math.pi / 2 * max(sides) / pitch)
+            made.append(Node(sides, tuple(math.ceil(side / step) for side in sides), angular))
+        return made
 
     # -- polynomials over a lens -------------------------------------------------------------------
 
@@ -152,36 +202,60 @@ class PhaseSpace:
         """Return the polynomials, whose mean product over the aperture is 1 of one with itself, else 0."""
         return self._monomials(u, v) @ self._triangle
 
+    def mirrored(self, values: Sequence[Any], across: Any, up: Any) -> list[Any]:
+        """Return the values of polynomials of a place that is mirrored along u, along v, or both."""
+        signs = dr.select(across, -1.0, 1.0), dr.select(up, -1.0, 1.0)
+        return [
+            value * (signs[0] if i % 2 else 1.0) * (signs[1] if j % 2 else 1.0)
+            for (i, j), value in zip(self.exponents, values, strict=False)
+        ]
+
     # -- the pupil: coefficients of rays -------------------------------------------------------------
 
     @cached_property
-    def table(self) -> NDArray[np.float32]:
-        """Coefficients of rays over pupil nodes and microlens points, for linear interpolation between both."""
+    @single_threaded_blas()
+    def table(self) -> list[NDArray[np.float32]]:
+        """Coefficients of rays at each node of the radius: (nodes of the angle, rows, columns, polynomials)."""
         lens = main_lens(self.camera)
         reach = in_millimetres(self.wavelength) * lens.pupil_distance
         radius = float(lens.pupil_radius)
         u, v, inside = self._aperture_grid(_SPECTRUM_SAMPLES)
         values = np.where(inside[..., None], self.polynomials(u, v), 0) * (u[0, 1] - u[0, 0]) ** 2
-        # Fourier coefficients over the window, of the frequencies that the pupil lets through.
-        to_space, orders, lags = [], [], []
-        for side, count in zip(self.window_size, (self.shape[3], self.shape[2]), strict=True):
-            order = np.arange(-(count // 2) + 1, count // 2)
-            order = order[np.abs(order) * reach / side <= 2 * radius * (1 + 1e-9)]
-            place = (np.arange(count) + 0.5) * side / count - side / 2
-            # What linear interpolation damps is raised beforehand.
-            gain = np.sinc(order / count) ** -2 / side
-            to_space.append((np.exp(2j * np.pi * np.outer(place, order) / side) * gain).astype(np.complex64))
-            orders.append(np.exp(-2j * np.pi * np.outer(order, u[0]) / side))
-            lags.append(order * reach / side)
-        spectra = np.einsum("ay,yxn,bx->nab", orders[1], values, orders[0], optimize=True).astype(np.complex64)
-        table = np.empty(self.shape, np.float32)
-        for node in np.ndindex(self.shape[:2]):
-            overlap = self._overlap(node, lags[0], lags[1][:, None], radius)
-            table[node] = np.moveaxis((to_space[1] @ (spectra * overlap) @ to_space[0].T).real, 0, -1)
+        table = []
+        for radial, node in enumerate(self.nodes):
+            # Fourier coefficients over the window, of the frequencies that the pupil lets through.
+            to_space, orders, lags = [], [], []
+            for side, count in zip(node.sides, node.counts, strict=True):
+                order = np.arange(-((count - 1) // 2), (count - 1) // 2 + 1)
+                place = (np.arange(count) + 0.5) * side / count - side / 2
+                # What linear interpolation damps is raised beforehand.
+                gain = np.sinc(order / count) ** -2 / side
+                to_space.append((np.exp(2j * np.pi * np.outer(place, order) / side) * gain).astype(np.complex64))
+                orders.append(np.exp(-2j * np.pi * np.outer(order, u[0]) / side).astype(np.complex64))
+                lags.append(order * reach / side)
+            spectra = np.einsum("ay,yxn,bx->nab", orders[1], values.astype(np.float32), orders[0], optimize=True)
+            part = np.empty((node.angular + 1, *reversed(node.counts), len(self.exponents)), np.float32)
+            for angle in range(node.angular + 1):
+                overlap = self._overlap(
+                    radial,
+                    angle * math.pi / 2 / node.angular,
+                    math.pi / 2 / node.angular,
+                    lags[0],
+                    lags[1][:, None],
+                    radius,
+                )
+                part[angle] = np.moveaxis((to_space[1] @ (spectra * overlap) @ to_space[0].T).real, 0, -1)
+            table.append(part)
         return table
 
     def _overlap(
-        self, node: tuple[int, int], lag_u: NDArray[np.float64], lag_v: NDArray[np.float64], radius: float
+        self,
+        radial: int,
+        angle: float,
+        turn: float,
+        lag_u: NDArray[np.float64],
+        lag_v: NDArray[np.float64],
+        radius: float,
     ) -> NDArray[np.float32]:
         """Return O_P, averaged over the part of the pupil that linear interpolation gives to a node."""
         abscissae, weights = np.polynomial.legendre.leggauss(_SUBSAMPLES)
@@ -191,15 +265,14 @@ class PhaseSpace:
         total = np.zeros(np.broadcast_shapes(lag_u.shape, lag_v.shape))
         scale = 0.0
         for step, weight in zip(steps, weights, strict=True):
-            t = 1 - (node[0] + step) / self.radial
+            t = 1 - (radial + step) / self.radial
             if not 0 <= t <= 1:
                 continue
             distance = radius * (1 - t * t)
             # The area that belongs to a step of t, but on the axis any would be nothing.
             area = weight * t * distance
-            for turn, share in zip(steps, weights, strict=True):
-                angle = (node[1] + turn) * math.pi / 2 / self.angular
-                Pu, Pv = distance * math.cos(angle), distance * math.sin(angle)
+            for part, share in zip(steps, weights, strict=True):
+                Pu, Pv = distance * math.cos(angle + part * turn), distance * math.sin(angle + part * turn)
                 both = np.maximum(
                     (Pu + lag_u / 2) ** 2 + (Pv + lag_v / 2) ** 2, (Pu - lag_u / 2) ** 2 + (Pv - lag_v / 2) ** 2
                 )
@@ -213,52 +286,83 @@ class PhaseSpace:
 
     # -- the array: kernels of images ------------------------------------------------------------------
 
+    def kernels(self, step: float, reach: float, lens_type: int = 0) -> NDArray[np.float64]:
+        """Return the kernels of lenses of a type times the area of a grid's cell; (n, k, k).
+
+        The grid has this step, and the kernels reach at least so far. Light beyond is folded back, which keeps the
+        energy.
+        """
+        key = step, reach, lens_type
+        if key not in self._kept:
+            self._kept[key] = self._kernels(*key)
+        return self._kept[key]
+
     @cached_property
-    def _transfer(self) -> tuple[NDArray[np.float64], NDArray[np.complex64]]:
-        """Lags, along either axis of the camera frame, and the integrals of polynomial times T T* over a cell."""
-        lattice, f2 = self.lattice, self.camera.mla_focal_length
+    def _kept(self) -> dict[tuple[float, float, int], NDArray[np.float64]]:
+        return {}
+
+    @single_threaded_blas()
+    def _kernels(self, step: float, reach: float, lens_type: int) -> NDArray[np.float64]:
+        """Return the kernels that `kernels` keeps."""
+        scale = in_millimetres(self.wavelength) * self.camera.detector_distance
+        fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
+        every = max(1, int(scale / (2 * fine * reach)))
+        # Pairs in neighbouring lenses are less than two widths of a cell apart; a grid holds half a cycle a step.
+        farthest = int(min(2 * _TRANSFER_SAMPLES, scale / (2 * step * fine))) // every
+        transfer = self._transfer(np.arange(-farthest, farthest + 1) * every, lens_type)
+        count = math.ceil(scale / (2 * fine * every * step) - 0.5)
+        place, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * (every * fine)
+        waves = np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (every * fine * step / scale)
+        return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
+
+    def _convergence(self, lens_type: int) -> float:
+        """Return the curvature of the waves from a point of the pupil, behind a lens, over those to the detector."""
+        camera = self.camera
+        return 1 / camera.detector_distance + 1 / camera.mla_distance - 1 / camera.mla_focal_lengths[lens_type]
+
+    def _transfer(self, lags: NDArray[np.int64], lens_type: int = 0) -> NDArray[np.complex64]:
+        """Return the integrals of polynomial times T T* over a cell at lags of steps, the same along x and y."""
+        lattice, camera = self.lattice, self.camera
         wavelength = in_millimetres(self.wavelength)
         step = lattice.pitches[0] / _TRANSFER_SAMPLES
         half = math.ceil(lattice.cell_reach / step)
-        # Pairs in neighbouring lenses are less than two widths of a cell apart.
-        farthest = 2 * _TRANSFER_SAMPLES
         # Half steps about the lens: with a lag of whole steps, both points of a pair lie between two whole steps.
-        reach = 2 * half + farthest + 1
+        reach = 2 * half + int(lags[-1]) + 1
         along = np.arange(-reach, reach + 1) * (step / 2)
         y, x = np.meshgrid(along, along, indexing="ij")
-        centre = lattice.centre(0.0, 0.0)
+        # Types follow each other along a row.
+        centre = lattice.centre(float(lens_type), 0.0)
         i, j = lattice.cell(x + centre[0], y + centre[1])
         cx, cy = (c - c0 for c, c0 in zip(lattice.centre(i, j), centre, strict=True))
-        phase = (2 * (x * cx + y * cy) - cx * cx - cy * cy) / (2 * wavelength * f2)
+        powers = 1 / np.array(camera.mla_focal_lengths)
+        types = lattice.lens_type(i, j).astype(int) if len(powers) > 1 else np.zeros(i.shape, int)
+        phase = ((x * x + y * y) * powers[lens_type] - ((x - cx) ** 2 + (y - cy) ** 2) * powers[types]) / (
+            2 * wavelength
+        )
+        # A quadratic phase shifts what lands, by the place on the lens.
+        phase += self._convergence(lens_type) * (x * x + y * y) / (2 * wavelength)
         T = np.where(lattice.in_aperture(x - cx, y - cy), np.exp(2j * np.pi * phase), 0).astype(np.complex64)
-        own = np.asarray((i == 0) & (j == 0), np.float32)
+        own = np.asarray((i == lens_type) & (j == 0), np.float32)
         # Points on a border belong to both sides.
         weights = self.polynomials(*lattice.to_frame(x, y)) * ((own + own[::-1, ::-1]) / 2)[..., None]
-        lags = np.arange(-farthest, farthest + 1)
         result = np.zeros((len(self.exponents), len(lags), len(lags)), np.complex64)
-        count, parts = len(along), mi.Float(np.stack([T.real, T.imag], -1).ravel())
-        for odd_y, odd_x in np.ndindex(2, 2):
-            rows, columns = np.nonzero(weights[1 - odd_y :: 2, 1 - odd_x :: 2].any(-1))
-            rows, columns = 2 * rows + 1 - odd_y, 2 * columns + 1 - odd_x
-            b, a = (
-                grid.ravel() for grid in np.meshgrid(lags[lags % 2 == odd_y], lags[lags % 2 == odd_x], indexing="ij")
-            )
-            real, imaginary = _correlate(parts, b * count + a, rows * count + columns, weights[rows, columns])
-            result[:, b + farthest, a + farthest] = np.asarray(real) + 1j * np.asarray(imaginary)
+        middle = len(lags) // 2
+        for row, b in enumerate(lags[middle:].tolist(), middle):
+            for odd in range(2):
+                (places,) = np.nonzero((lags + odd) % 2 == 0)
+                if not len(places):
+                    continue
+                # Midpoints every whole step, between samples of T, of the cell and what its border shares.
+                rows, columns = (reach + 1 - each % 2 + 2 * np.arange(-half, half + 1) for each in (b, odd))
+                weight = weights[np.ix_(rows, columns)].reshape(-1, len(self.exponents)).astype(np.float32)
+                index = (columns + lags[places, None])[:, None]
+                product = T[(rows + b)[:, None], index] * T[(rows - b)[:, None], index[::-1]].conj()
+                product = product.reshape(len(places), -1)
+                result[:, row, places] = ((product.real @ weight) + 1j * (product.imag @ weight)).T
+        # The weights are real.
+        result[:, :middle] = result[:, :middle:-1, ::-1].conj()
         # The open area as it is sampled, so that energy is kept.
-        return lags * step, result / result[0, farthest, farthest].real
-
-    def kernels(self, step: float, reach: float) -> NDArray[np.float64]:
-        """Return the kernels times the area of a grid's cell, on a grid of this step within this reach; (n, k, k)."""
-        lags, transfer = self._transfer
-        scale = in_millimetres(self.wavelength) * self.camera.detector_distance
-        count = math.ceil(reach / step)
-        place = np.arange(-count, count + 1) * step
-        # A grid holds frequencies to half a cycle a step.
-        kept = np.abs(lags) <= scale / (2 * step)
-        lags, transfer = lags[kept], transfer[:, kept][:, :, kept]
-        waves = np.exp(-2j * np.pi * np.outer(place, lags) / scale) * ((lags[1] - lags[0]) * step / scale)
-        return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
+        return np.asarray(result / result[0, middle, middle].real)
 
 
 class RayCoefficients:
@@ -266,9 +370,16 @@ class RayCoefficients:
 
     def __init__(self, plan: PhaseSpace) -> None:
         self.plan = plan
+        count, self._packets = len(plan.exponents), -(-len(plan.exponents) // 4)
         # Coefficients are read four at a time.
-        padding = [(0, 0)] * 4 + [(0, -len(plan.exponents) % 4)]
-        self._table = mi.Float(np.pad(plan.table, padding).ravel())
+        parts = [np.pad(part, [(0, 0)] * 3 + [(0, 4 * self._packets - count)]).ravel() for part in plan.table]
+        self._table = mi.Float(np.concatenate(parts))
+        first = np.cumsum([0] + [part.size // 4 // self._packets for part in parts])[:-1]
+        self._first = mi.Int(first.astype(np.int32))
+        sides, counts = np.array([n.sides for n in plan.nodes]), np.array([n.counts for n in plan.nodes])
+        self._sides = [mi.Float(column) for column in sides.T]
+        self._counts = [mi.Int(column.astype(np.int32)) for column in counts.T]
+        self._angular = mi.Float([node.angular for node in plan.nodes])
         self._radius = float(main_lens(plan.camera).pupil_radius)
 
     def __call__(
@@ -291,56 +402,29 @@ class RayCoefficients:
             Rays that are wanted; of others, and of those outside the pupil or the window, the coefficients are 0.
         """
         plan = self.plan
-        radial, angular, rows, columns, count = plan.shape
-        (u, v), (Pu, Pv) = plan.lattice.to_frame(*point), plan.lattice.to_frame(*pupil)
-        width, height = plan.window_size
+        lattice = plan.lattice
+        (u, v), (Pu, Pv) = lattice.to_frame(*point), lattice.to_frame(*pupil)
         distance = dr.sqrt(Pu * Pu + Pv * Pv) / self._radius
-        active = active & (distance <= 1) & (dr.abs(u) <= width / 2) & (dr.abs(v) <= height / 2)
+        active = active & (distance <= 1)
         # A quarter of the pupil stands for all of it, mirrored as lenses are.
         mirrored = Pu < 0, Pv < 0
         u, v = (dr.select(turned, -place, place) for turned, place in zip(mirrored, (u, v), strict=True))
-        places = (
-            (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * (radial - 1),
-            dr.atan2(dr.abs(Pv), dr.abs(Pu)) * ((angular - 1) * 2 / math.pi),
-            v * (rows / height) + (rows / 2 - 0.5),
-            u * (columns / width) + (columns / 2 - 0.5),
-        )
-        nodes = [mi.Int(dr.floor(place + chance)) for place, chance in zip(places, jitter, strict=True)]
-        index = dr.minimum(nodes[0], radial - 1) * angular + dr.minimum(nodes[1], angular - 1)
-        # The window repeats.
-        for node, size in ((nodes[2], rows), (nodes[3], columns)):
-            index = index * size + dr.select(node < 0, node + size, dr.select(node >= size, node - size, node))
-        packets = -(-count // 4)
+        along = (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * plan.radial
+        radial = mi.UInt(dr.minimum(dr.floor(along + jitter[0]), plan.radial))
+        turn = dr.atan2(dr.abs(Pv), dr.abs(Pu)) * (2 / math.pi) * dr.gather(mi.Float, self._angular, radial)
+        index = dr.gather(mi.Int, self._first, radial)
+        sizes = [dr.gather(mi.Int, each, radial) for each in self._counts]
+        index += mi.Int(dr.floor(turn + jitter[1])) * (sizes[0] * sizes[1])
+        for axis, place, chance, row in ((1, v, jitter[2], sizes[0]), (0, u, jitter[3], 1)):
+            side, size = dr.gather(mi.Float, self._sides[axis], radial), sizes[axis]
+            active &= dr.abs(place) <= side / 2
+            count = mi.Float(size)
+            node = mi.Int(dr.floor(place * (count / side) + (count / 2 - 0.5) + chance))
+            # The window repeats.
+            index += dr.select(node < 0, node + size, dr.select(node >= size, node - size, node)) * row
         values = [
             value
-            for packet in range(packets)
-            for value in dr.gather(mi.Vector4f, self._table, mi.UInt(index * packets + packet), active)
+            for packet in range(self._packets)
+            for value in dr.gather(mi.Vector4f, self._table, mi.UInt(index * self._packets + packet), active)
         ]
-        signs = [dr.select(turned, -1.0, 1.0) for turned in mirrored]
-        return [
-            value * (signs[0] if i % 2 else 1.0) * (signs[1] if j % 2 else 1.0)
-            for (i, j), value in zip(plan.exponents, values, strict=False)
-        ]
-
-
-@dr.syntax  # type: ignore[untyped-decorator]
-def _correlate(
-    transmission: Any, lags: NDArray[np.int64], middles: NDArray[np.int64], weights: NDArray[np.float64]
-) -> tuple[list[Any], list[Any]]:
-    """Return, real and imaginary, the sums over midpoints of weight times T T*, for each weight and each lag."""
-    lag, middle, count = mi.Int(lags.astype(np.int32)), mi.Int(middles.astype(np.int32)), weights.shape[1]
-    values = mi.Float(weights.astype(np.float32).ravel())
-    real = [dr.zeros(mi.Float, len(lags)) for _ in range(count)]
-    imaginary = [dr.zeros(mi.Float, len(lags)) for _ in range(count)]
-    step, end = mi.UInt(0), dr.opaque(mi.UInt, len(middles))
-    while step < end:
-        centre = dr.gather(mi.Int, middle, step)
-        plus = dr.gather(mi.Complex2f, transmission, mi.UInt(centre + lag))
-        minus = dr.gather(mi.Complex2f, transmission, mi.UInt(centre - lag))
-        product = plus * dr.conj(minus)
-        for n in range(count):
-            weight = dr.gather(mi.Float, values, step * count + n)
-            real[n] = dr.fma(dr.real(product), weight, real[n])
-            imaginary[n] = dr.fma(dr.imag(product), weight, imaginary[n])
-        step += 1
-    return real, imaginary
+        return plan.mirrored(values, *mirrored)

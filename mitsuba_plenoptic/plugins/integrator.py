@@ -15,6 +15,8 @@ from ..capture.patch_plan import Cost
 from ..capture.render_gradients import RenderGradients
 from ..capture.replay import Replay
 from ..capture.sight import Sight
+from ..capture.signed_capture import SignedCapture
+from ..capture.signed_rays import SceneLight
 from ..capture.spectral import SpectralCapture
 from ..capture.wave_capture import WaveCapture
 from ..errors import InputError
@@ -32,6 +34,9 @@ MOST_RADIATORS = 256
 
 MOST_PASSES = 1024
 """Passes at most; their radiators are held together."""
+
+SIGNED_RAYS = "signed_rays"
+"""The method that takes all light from the rays of a capture by rays."""
 
 # Integrators that follow light from the emitters and cannot tell the radiance along a ray.
 _LIGHT_TRACERS = ("ParticleTracerIntegrator", "AdjointIntegrator")
@@ -78,7 +83,8 @@ def make_class() -> type:
              focus only; beyond some lenses of blur, by one ray from each pixel through each lens's centre and a bank
              of kernels of single lenses, at the price of a capture by rays; in one wavelength where glasses of a
              ``main_lens`` disperse light. ``full_field``: on all of the array, the
-             slow reference. ``auto``: the quicker one of the first two. (Default: ``auto``)
+             slow reference. ``auto``: the quicker one of the first two. ``signed_rays``: from the rays of a capture
+             by rays, see below. (Default: ``auto``)
          * - occlusion
            - |bool|
            - Whether objects before a radiator hide a part of the pupil from it; method ``bank`` asks for it.
@@ -103,6 +109,15 @@ def make_class() -> type:
         where :math:`psf` is the fraction of the power through the visible pupil that lands in the pixel and
         :math:`f` the fraction of the visible pupil whose rays land in the sampled part of the array. The pixel's
         unit is that of the sensor by rays: a scene of radiance 1 reads 1 inside wide micro-images.
+
+        Method ``signed_rays`` has no radiators. It follows the rays that a sensor with ``lens_model="parabolic"`` would
+        draw, and some beside each lens, into the scene; ``spp`` is the number of rays a pixel, as by rays. What pupil
+        and microlenses diffract is in signed coefficients of each ray and in kernels, which depend on the camera alone.
+        So light may differ over the pupil and over a lens, and the scene may hold all that the nested integrator
+        knows, at the price of a capture by rays. It takes thin main lenses without a wavefront, regular arrays and
+        detectors not far from the microlenses' focus, and lines instead of bands and responses; it has no gradients.
+        ``radiators_per_lens``, ``passes`` and ``occlusion`` do not concern it; ``accuracy`` below 0.005 takes finer
+        kernels.
 
         With a band or responses, one set of radiators serves all wavelengths. In spectral variants light has the
         scene's own spectra, in rgb ones those of D65 times the smoothest reflectances that have the colours, in mono
@@ -144,7 +159,7 @@ def make_class() -> type:
             self.wavelengths = self.colours.wavelengths
             self.radiators_per_lens = read_count(props, NAME, "radiators_per_lens", 8, maximum=MOST_RADIATORS)
             self.passes = read_count(props, NAME, "passes", 1, maximum=MOST_PASSES)
-            self.method = read_choice(props, NAME, "method", ("auto", *METHODS))
+            self.method = read_choice(props, NAME, "method", ("auto", *METHODS, SIGNED_RAYS))
             self.occlusion = read_flag(props, NAME, "occlusion", True)
             if self.method == "bank" and not self.occlusion:
                 raise InputError(f"{NAME}: occlusion = false: by method bank, objects hide what is behind them")
@@ -256,9 +271,14 @@ def make_class() -> type:
             """Return the spectrum that a sensor's film records; None if each channel has one wavelength."""
             return self.colours.spectrum_for(sensor.film().base_channels_count(), scene)
 
-        def _capture(self, scene: Any, sensor: Any) -> WaveCapture | SpectralCapture:
+        def _capture(self, scene: Any, sensor: Any) -> WaveCapture | SpectralCapture | SignedCapture:
             camera = PlenopticCamera.from_sensor(sensor)
             require_ideal(camera)
+            if self.method == SIGNED_RAYS:
+                if self.spectrum_of(scene, sensor) is not None:
+                    raise InputError(f"{NAME}: method = {SIGNED_RAYS}: it takes no bands and responses yet; use auto")
+                light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
+                return SignedCapture(camera, light, self.wavelengths, self.accuracy)
             if camera.objective is not None and self.method == "bank":
                 raise InputError(f"method = bank: it does not know main_lens = {camera.objective.name}; use patch")
             if self.method == "bank":

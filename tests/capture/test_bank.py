@@ -121,7 +121,7 @@ def test_convolution_in_tiles_its_bands_and_its_adjoint():
     generator = np.random.default_rng(0)
     kernels = generator.random((2, 9, 9), dtype=np.float32)
     bank = LensBank(kernels, camera.pixel_size / 2, camera.detector_distance, None, ())
-    plain, shared = Convolution(camera, [bank], 0), Convolution(camera, [bank], 2)
+    plain, shared = Convolution(camera, bank.kernels, bank.pitch, 0), Convolution(camera, bank.kernels, bank.pitch, 2)
     images = generator.random((2, plain.box.rows, plain.box.columns), dtype=np.float32)
     m = -plain.box.left + 4
     whole = sum(scipy.signal.fftconvolve(image, kernel, "same") for image, kernel in zip(images, kernels, strict=True))
@@ -129,7 +129,7 @@ def test_convolution_in_tiles_its_bands_and_its_adjoint():
     expected = fine.reshape(61, 2, 200, 2).sum((1, 3))
     assert plain.forward(images).shape == (61, 200)
     np.testing.assert_allclose(plain.forward(images), expected, rtol=1e-5)
-    bands, box = Convolution(camera, [bank], 0, size=(25, plain.box.columns)), plain.box
+    bands, box = Convolution(camera, bank.kernels, bank.pitch, 0, size=(25, plain.box.columns)), plain.box
     total = np.zeros((1, 61, 200), np.float32)
     for top in range(0, box.rows, 25):
         rows = Box(box.left, box.top + top, box.columns, min(25, box.rows - top))

@@ -1,4 +1,4 @@
-r"""From the images of what rays bring to the detector's pixels, and back: convolutions with the kernels of banks.
+r"""From the images of what rays bring to the detector's pixels, and back: convolutions with kernels.
 
 The images have samples beyond the recorded pixels on every side, from which light still arrives. They are cut into
 tiles whose convolutions are added where they overlap (overlap-add: Oppenheim and Schafer, "Discrete-Time Signal
@@ -18,7 +18,6 @@ from ...camera import PlenopticCamera
 from ...optics.sampling import fast_length
 from ...runtime.batches import Box, Part, add
 from ...runtime.fft import resting_drjit, worker_count
-from .lens_bank import LensBank
 
 _TAIL = 8
 """Samples by which kernels grow when what collecting the rays has smoothed is sharpened again."""
@@ -28,14 +27,16 @@ _SQUARE = 1024
 
 
 class Convolution:
-    r"""Convolutions with the kernels of some banks of a camera, one after another.
+    r"""Convolutions of images with kernels, one after another.
 
     Parameters
     ----------
     camera : PlenopticCamera
         The camera; the recorded pixels are what comes out.
-    banks : sequence of LensBank
-        One for each type of lenses, of the same pitch.
+    kernels : sequence of float32 arrays (k, k)
+        The kernels, of any odd sizes.
+    pitch : float
+        Distance of their samples in millimetres: a pixel, or a whole part of one.
     order : int
         How rays were collected in the images: 1 in the sample in which they arrive, 4 shared by the nearest four
         along each axis, by a cubic B-spline. This smooths by :math:`\mathrm{sinc}^{order}` along each axis.
@@ -53,14 +54,18 @@ class Convolution:
     """
 
     def __init__(
-        self, camera: PlenopticCamera, banks: Sequence[LensBank], order: int, size: tuple[int, int] | None = None
+        self,
+        camera: PlenopticCamera,
+        kernels: Sequence[NDArray[np.float32]],
+        pitch: float,
+        order: int,
+        size: tuple[int, int] | None = None,
     ) -> None:
-        self.pitch = banks[0].pitch
+        self.pitch = pitch
         self._parts = round(camera.pixel_size / self.pitch)
         left, top = (offset * self._parts for offset in camera.crop_offset)
         self._window = Box(left, top, camera.shape[1] * self._parts, camera.shape[0] * self._parts)
-        kernels = [kernel for bank in banks for kernel in bank.kernels]
-        self._margin = margin_of(banks)
+        self._margin = margin_of(kernels)
         self.ranks, self.box = len(kernels), _grown(self._window, self._margin)
         support = 2 * self._margin + 1
         most = max(_SQUARE - support, support)
@@ -152,10 +157,10 @@ class Convolution:
         return scipy.fft.irfft2(spectrum, self._size, overwrite_x=True, workers=worker_count())
 
 
-def margin_of(banks: Sequence[LensBank]) -> int:
+def margin_of(kernels: Sequence[NDArray[np.float32]]) -> int:
     """Return from how many samples beyond the recorded pixels light still arrives."""
-    # Banks of different types of lenses have kernels of different widths.
-    return max(len(bank.kernels[0]) for bank in banks) // 2 + _TAIL
+    # Those of different types of lenses have different widths.
+    return max(len(kernel) for kernel in kernels) // 2 + _TAIL
 
 
 def _grown(box: Box, margin: int) -> Box:

@@ -60,7 +60,9 @@ class BankPlan:
         types = range(len(camera.mla_focal_lengths))
         pitch, local = finest_pitch(camera, (wavelength,)), local_camera(camera)
         self.banks = [LensBank.learn(local, wavelength, accuracy, between, kind, pitch) for kind in types]
-        self.convolution = Convolution(camera, self.banks, order=4)
+        self.convolution = Convolution(
+            camera, [kernel for bank in self.banks for kernel in bank.kernels], pitch, order=4
+        )
         self._chunks = self._sort(most_blur(camera, vergence))
         self._power = PassedPower.of(self._lens) if isinstance(self._lens, FittedLens) else None
 

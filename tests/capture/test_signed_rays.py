@@ -1,0 +1,159 @@
+"""Captures of scenes by signed rays, against closed forms, rays, and one another."""
+
+import math
+import pickle
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from any_scenes import bars_through, facing, radiating, scene_of, sensor
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, render_capture
+from mitsuba_plenoptic.io.checkpoints import Checkpoint
+
+BLACK = {"type": "diffuse", "reflectance": 0.0}
+
+
+def wall(distance=240.0):
+    return facing(distance, 60.0, **radiating())
+
+
+def by_waves(scene, spp=16, **options):
+    return render_capture(scene, model="wave", method="signed_rays", spp=spp, **options)
+
+
+def quarters(image, lenses):
+    """Return the means over quarters of the inner micro-images: (lenses, upper and lower, lenses, left and right)."""
+    half = image.shape[0] // lenses // 2
+    inner = image.reshape(2 * lenses, half, 2 * lenses, half).mean((1, 3))[4:-4, 4:-4]
+    return inner.reshape(lenses - 4, 2, lenses - 4, 2)
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {},
+        {"detector_distance": 0.41},
+        {"mla_lattice": "hexagonal", "mla_focal_length": "0.48, 0.512, 0.55"},
+        {"mla_fill": 0.5, "mla_aperture": "circle"},
+    ],
+    ids=["in focus", "focused camera", "three focal lengths", "discs"],
+)
+def test_a_white_wall_is_even_and_as_bright_as_by_rays(parameters):
+    scene = scene_of(sensor(10, 16, **parameters), wall=wall())
+    by_rays = render_capture(scene, model="ray", spp=256).image
+    images = [by_waves(scene, spp=4, seed=seed).image for seed in (0, 1)]
+    # What lies beyond the detector brings light, too.
+    assert images[0].mean() == pytest.approx(by_rays.mean(), rel=0.01)
+    noise = np.std(images[0] - images[1]) / math.sqrt(2) / images[0].mean()
+    by_few = [render_capture(scene, model="ray", spp=4, seed=seed).image for seed in (0, 1)]
+    assert noise < np.std(by_few[0] - by_few[1]) / math.sqrt(2) / images[0].mean()
+
+
+def test_what_covers_half_of_the_pupil_darkens_halves_of_micro_images():
+    pane = facing(1.0, (10.0, 20.0), (10.0, 0.0), bsdf={"type": "mask", "opacity": 0.7, "nested": BLACK})
+    scene = scene_of(sensor(10, 16), pane=pane, wall=wall())
+    rays, waves = (
+        quarters(image, 10).mean((0, 1, 2))
+        for image in (render_capture(scene, model="ray", spp=64).image, by_waves(scene).image)
+    )
+    # Diffraction carries a little across the border.
+    assert waves.min() / waves.max() == pytest.approx(rays.min() / rays.max(), abs=0.06)
+    assert np.argmin(waves) == np.argmin(rays)
+
+
+def test_what_differs_from_lens_to_lens_behind_a_pane_is_seen():
+    stripes = {
+        f"stripe_{i}": facing(240.0, (0.256, 20.0), (1.024 * i, 0.0), bsdf=BLACK) for i in range(-8, 9)
+    }  # of four lenses, before a wall far behind
+    scene = scene_of(sensor(16, 8), **stripes, wall=wall(262.0))
+    rays, waves = (
+        image[:, 16:-16].reshape(128, -1, 8).mean((0, 2))
+        for image in (render_capture(scene, model="ray", spp=64).image, by_waves(scene, spp=32).image)
+    )
+    contrast = [np.ptp(lenses) / lenses.mean() for lenses in (rays, waves)]
+    assert contrast[0] > 1.5
+    assert contrast[1] == pytest.approx(contrast[0], rel=0.03)
+
+
+def test_fewer_rays_have_the_same_mean():
+    scene = bars_through("directly", lenses=12)
+    many = by_waves(scene, spp=256, seed=99).image
+    few = np.mean([by_waves(scene, spp=2, seed=seed).image for seed in range(32)], axis=0)
+    # Light is added up over a lens: pixels below zero share what they lack with their surroundings.
+    lenses = [image.reshape(12, 16, 12, 16).mean((1, 3)) for image in (many, few)]
+    assert lenses[1] == pytest.approx(lenses[0], abs=0.03 * float(lenses[0].max()))
+
+
+def test_the_noise_is_that_of_seeds():
+    scene = bars_through("directly", lenses=8)
+    captures = [by_waves(scene, noise=True, seed=seed) for seed in range(12)]
+    found = np.std([capture.image for capture in captures], axis=0, ddof=1)
+    stated = np.mean([capture.noise**2 for capture in captures])
+    assert math.sqrt(stated) == pytest.approx(math.sqrt((found**2).mean()), rel=0.15)
+
+
+def test_a_point_of_light_is_found_however_small():
+    # 0.02 mm in a lens of 0.128 mm in the scene.
+    lamps = {
+        f"lamp_{i}_{j}": facing(240.0, 0.01, (0.47 * i, 0.41 * j), **radiating(100.0))
+        for i in (-1, 0, 1)
+        for j in (-1, 0, 1)
+    }
+    scene = scene_of(sensor(16, 16), **lamps)
+    sums = [
+        image.sum() for image in (render_capture(scene, model="ray", spp=1024).image, by_waves(scene, spp=1024).image)
+    ]
+    assert sums[1] == pytest.approx(sums[0], rel=0.1)
+
+
+def test_the_same_seed_gives_the_same_bits_in_parts(tmp_path):
+    scene = bars_through("directly", lenses=8)
+    once, again = by_waves(scene), by_waves(scene)
+    assert np.array_equal(once.image, again.image)
+    assert not np.array_equal(once.image, by_waves(scene, seed=1).image)
+    path = tmp_path / "kept"
+    assert np.array_equal(by_waves(scene, checkpoint=Checkpoint(path)).image, once.image)
+
+
+def test_estimates_take_some_of_the_rays():
+    cost = estimate_capture(bars_through("directly", lenses=8), model="wave", method="signed_rays")
+    assert 0 < cost.seconds < 600
+    assert 0 < cost.memory < 2**32
+
+
+def test_black_scenes_are_black_and_said_to_be():
+    with pytest.warns(UserWarning, match="none of some rays meets anything that shines"):
+        image = by_waves(scene_of(sensor(4, 8), card=facing(240.0, 5.0, bsdf=BLACK))).image
+    assert not image.any()
+
+
+@pytest.mark.parametrize(
+    "parameters, message",
+    [
+        ({"main_lens": "double_gauss"}, "main_lens"),
+        ({"wavefront": "0, 0, 0, 0.2"}, "wavefront"),
+        ({"detector_distance": 1.0}, "detector_distance"),
+        ({"mla_glass": "1.5"}, "mla_glass"),
+        ({"glass": '{"index": 1.5168, "abbe": 64.2}'}, "glass"),
+    ],
+)
+def test_cameras_that_are_not_served_are_refused_by_name(parameters, message):
+    scene = scene_of(sensor(4, 8, **parameters), wall=wall())
+    with pytest.raises(InputError, match=rf"{message} = .*: for signed rays it must be"):
+        by_waves(scene)
+
+
+def test_gradients_are_refused():
+    scene = scene_of(sensor(4, 8), wall=wall())
+    integrator = mi.load_dict({"type": "plenoptic_wave", "method": "signed_rays"})
+    with pytest.raises(InputError, match="method = signed_rays: it has no gradients; use patch"):
+        integrator.render_forward(scene, mi.traverse(scene))
+
+
+def test_plans_are_the_same_in_another_process():
+    from mitsuba_plenoptic.optics.phase_space import PhaseSpace
+
+    plan = PhaseSpace(PlenopticCamera(), 550.0, degree=2)
+    other = pickle.loads(pickle.dumps(plan))
+    assert np.array_equal(plan.kernels(0.002, 0.08), other.kernels(0.002, 0.08))
