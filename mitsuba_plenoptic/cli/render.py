@@ -49,6 +49,14 @@ def render(
             unit="NM",
         ),
     ] = None,
+    method: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            show_default="the scene's, else auto",
+            help="By waves: auto, patch, bank, full_field, or signed_rays, which takes the rays of a ray capture.",
+        ),
+    ] = None,
     radiators_per_lens: RadiatorsPerLens = None,
     noise: Annotated[
         bool,
@@ -105,6 +113,8 @@ def render(
 
       mitsuba-plenoptic render letters -o wave.exr --model wave
 
+      mitsuba-plenoptic render letters -o wave.exr --model wave --method signed_rays --spp 16
+
       mitsuba-plenoptic render letters -o small.exr -D resolution=1024
 
       mitsuba-plenoptic render still_life --model wave --estimate
@@ -118,7 +128,7 @@ def render(
       mitsuba-plenoptic render still_life -o raw.exr --aov depth,normal,shape_index
     """
     parameters = parse_definitions(define)
-    options = {"wavelength": wavelength, "radiators_per_lens": radiators_per_lens}
+    options = {"wavelength": wavelength, "method": method, "radiators_per_lens": radiators_per_lens}
     wave = {name: value for name, value in options.items() if value is not None}
     if estimate:
         refused = {"noise": noise, "resume": resume, "checkpoint": checkpoint, "white": white, "aov": aov}

@@ -79,18 +79,18 @@ def test_what_differs_from_lens_to_lens_behind_a_pane_is_seen():
 def test_fewer_rays_have_the_same_mean():
     scene = bars_through("directly", lenses=12)
     many = by_waves(scene, spp=256, seed=99).image
-    few = np.mean([by_waves(scene, spp=2, seed=seed).image for seed in range(32)], axis=0)
+    few = np.mean([by_waves(scene, spp=2, seed=seed).image for seed in range(16)], axis=0)
     # Light is added up over a lens: pixels below zero share what they lack with their surroundings.
     lenses = [image.reshape(12, 16, 12, 16).mean((1, 3)) for image in (many, few)]
-    assert lenses[1] == pytest.approx(lenses[0], abs=0.03 * float(lenses[0].max()))
+    assert lenses[1] == pytest.approx(lenses[0], abs=0.04 * float(lenses[0].max()))
 
 
 def test_the_noise_is_that_of_seeds():
     scene = bars_through("directly", lenses=8)
-    captures = [by_waves(scene, noise=True, seed=seed) for seed in range(12)]
+    captures = [by_waves(scene, noise=True, seed=seed) for seed in range(8)]
     found = np.std([capture.image for capture in captures], axis=0, ddof=1)
     stated = np.mean([capture.noise**2 for capture in captures])
-    assert math.sqrt(stated) == pytest.approx(math.sqrt((found**2).mean()), rel=0.15)
+    assert math.sqrt(stated) == pytest.approx(math.sqrt((found**2).mean()), rel=0.2)
 
 
 def test_a_point_of_light_is_found_however_small():
@@ -102,7 +102,7 @@ def test_a_point_of_light_is_found_however_small():
     }
     scene = scene_of(sensor(16, 16), **lamps)
     sums = [
-        image.sum() for image in (render_capture(scene, model="ray", spp=1024).image, by_waves(scene, spp=1024).image)
+        image.sum() for image in (render_capture(scene, model="ray", spp=512).image, by_waves(scene, spp=256).image)
     ]
     assert sums[1] == pytest.approx(sums[0], rel=0.1)
 
@@ -134,7 +134,7 @@ def test_black_scenes_are_black_and_said_to_be():
         ({"main_lens": "double_gauss"}, "main_lens"),
         ({"wavefront": "0, 0, 0, 0.2"}, "wavefront"),
         ({"detector_distance": 1.0}, "detector_distance"),
-        ({"mla_glass": "1.5"}, "mla_glass"),
+        ({"mla_glass": '{"index": 1.5168, "abbe": 64.2}'}, "mla_glass"),
         ({"glass": '{"index": 1.5168, "abbe": 64.2}'}, "glass"),
     ],
 )
