@@ -53,6 +53,7 @@ _PROBES, _CELLS = 2**10, 2**16
 
 _TRIAL = 512
 """Cells across that are convolved for an estimate."""
+
 _LEAST = 2
 """Rays from each cell through each lens at least: two halves of them correct each other."""
 
