@@ -173,7 +173,7 @@ KINDS = tuple(
         ! reconstruct(capture(), $not_distance)
         ! reconstruct(capture(), 240, <<method | footprint>>=$not_name)
         ! reconstruct(capture(), 240, oversample=<<$not_count | 100_000 | 10**9>>)
-        ! reconstruct(capture(), 240, method='partial', interleave=<<$not_place | $not_positive | $not_whole | 10**9 | 'AUTO'>>)
+        ! reconstruct(capture(), 240, method='partial', interleave=<<$not_place | $not_positive | 10**9 | 'AUTO'>>)
         ! reconstruct(capture(), 240, camera=<<'camera' | 1 | {} | SMALL_CAMERA>>)
         ! reconstruct(image(), 240, camera=CAMERA, method=<<'coherent' | 'partial'>>, wavelength=$not_wavelength)
         reconstruct(image(at=$pixel, to=-1e-3), 240, camera=CAMERA, method='coherent', wavelength=633)
