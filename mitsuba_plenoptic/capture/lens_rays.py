@@ -12,7 +12,6 @@ known of how a scene point shines over the pupil, nor of what hides it.
 
 from __future__ import annotations
 
-import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -30,7 +29,7 @@ from ..errors import InputError
 from ..optics import rays
 from ..runtime.batches import Box, Part, PartialSum
 from ..runtime.fft import busy_drjit
-from .bank import Convolution, LensBank, margin_of, near_weight
+from .bank import Convolution, LensBank, cost_of, margin_of, near_weight
 from .lens_paths import Path, paths_of
 from .sight import Sight
 
@@ -43,8 +42,8 @@ _LANES = 2**21
 _FEWER = 16
 """By how much fewer rays are traced where light comes by diffraction alone."""
 
-_TRIAL, _FEW_BINS, _MANY_BINS, _TRIALS = 512, 2**14, 2**16, 2
-"""Pixels across whose convolution, and bins whose rays are timed for an estimate; how often the many are."""
+_FEW_BINS, _MANY_BINS, _TRIALS = 2**14, 2**16, 2
+"""Bins whose rays are timed for an estimate; how often the many are."""
 
 _RAY_BYTES = 200
 """Memory of a ray, about."""
@@ -98,7 +97,7 @@ class LensRaySum:
         left, top = (offset * self._parts - margin for offset in camera.crop_offset)
         self._bins = Box(left, top, columns * self._parts + 2 * margin, rows * self._parts + 2 * margin)
         ranks = [sum(bank.rank for bank in of_channel) for of_channel in banks]
-        self._blocks = _blocks(self._bins, _BLOCK_BYTES // (4 * sum(ranks)))
+        self._blocks = blocks_of(self._bins, _BLOCK_BYTES // (4 * sum(ranks)))
         self.items = np.array([block.rows * block.columns for block in self._blocks])
 
     def batches(self, first: int) -> Iterator[Block]:
@@ -141,18 +140,9 @@ class LensRaySum:
         start = time.perf_counter()
         convolutions = self._convolutions
         made = time.perf_counter() - start
-        # A part of a block whose convolution is a few tiles.
-        block = self._blocks[0]
-        trial = Box(block.left, block.top, min(_TRIAL, block.columns), min(_TRIAL, block.rows))
-        start = time.perf_counter()
-        for convolution in convolutions:
-            blank = np.zeros((trial.rows, trial.columns), np.float32)
-            convolution.forward(itertools.repeat(blank, convolution.ranks), trial, convolution.reached(trial))
-        convolved = (time.perf_counter() - start) * self._bins.rows * self._bins.columns / (trial.rows * trial.columns)
-        images = 4.0 * sum(convolution.ranks for convolution in convolutions) * block.rows * block.columns
-        # Two blocks are convolved, one waits and one is traced.
-        memory = 4 * images + sum(convolution.memory for convolution in convolutions) + _RAY_BYTES * _LANES
-        return made + convolved + self._tracing(), memory
+        count = self._bins.rows * self._bins.columns
+        convolved, memory = cost_of(convolutions, self._blocks[0], count)
+        return made + convolved + self._tracing(), memory + _RAY_BYTES * _LANES
 
     def _tracing(self) -> float:
         """Estimate the seconds that all rays take: a part for each block, and a part for each bin."""
@@ -358,7 +348,7 @@ def _convolve(block: Block) -> Part:
     return Part(pixels, np.stack([each.forward(images, block.bins, pixels) for each, images in pairs]))
 
 
-def _blocks(box: Box, most: int) -> list[Box]:
+def blocks_of(box: Box, most: int) -> list[Box]:
     """Cut a box into nearly square ones of about so many samples, the largest first."""
     rows = math.ceil(box.rows / math.ceil(box.rows / math.sqrt(max(most, 1))))
     columns = math.ceil(box.columns / math.ceil(box.columns * rows / max(most, rows)))

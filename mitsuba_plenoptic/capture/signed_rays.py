@@ -15,7 +15,6 @@ which has the same mean, as the coefficients' integral over m is known, and no n
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -34,9 +33,9 @@ from ..optics.thin import ThinLens
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
 from . import child
-from .bank.convolution import Convolution
+from .bank.convolution import Convolution, cost_of
 from .draws import channels
-from .lens_rays import Block, _blocks
+from .lens_rays import Block, blocks_of
 from .signed_draws import ORDER, Cells, Draws, Pair, jitter
 
 _BLOCK_BYTES = 2**29
@@ -50,9 +49,6 @@ _RAY_BYTES = 100
 
 _PROBES, _CELLS = 2**10, 2**16
 """Cells whose light a capture is known by, and those that are timed for an estimate."""
-
-_TRIAL = 512
-"""Cells across that are convolved for an estimate."""
 
 _LEAST = 2
 """Rays from each cell through each lens at least: two halves of them correct each other."""
@@ -107,7 +103,7 @@ class SignedRaySum:
     parts : int
         Cells of the grid across a pixel.
     spp : int
-        Rays from each cell: through one lens, or shared by those that light it, of which each gets two at least.
+        Rays of a pixel, shared by its cells and by the lenses that light them: each pair of these gets two at least.
     seed : int
         Of the random numbers.
     """
@@ -122,14 +118,14 @@ class SignedRaySum:
         self._step = camera.pixel_size / parts
         self._lens = ThinLens(camera.focal_length, camera.aperture_radius, camera.mla_distance, "parabolic")
         self._draws = Draws(camera, plans, self._step)
-        self._spp = max(_LEAST, round(spp / max(1.0, self._draws.lit_lenses)))
+        self._spp = max(_LEAST, round(spp / (parts**2 * max(1.0, self._draws.lit_lenses))))
         self.channels = len(plans)
         rows, columns = camera.shape
         self.box = Box(0, 0, columns, rows)
         # Kernels are made before the images, whose memory they would add to.
         self._bins = self._convolutions[0].box
         values = sum(convolution.ranks for convolution in self._convolutions)
-        self._blocks = _blocks(self._bins, _BLOCK_BYTES // (4 * values))
+        self._blocks = blocks_of(self._bins, _BLOCK_BYTES // (4 * values))
         self.items = np.array([block.rows * block.columns for block in self._blocks])
 
     def batches(self, first: int) -> Iterator[Block]:
@@ -209,20 +205,11 @@ class SignedRaySum:
         start = time.perf_counter()
         convolutions = self._convolutions
         made = time.perf_counter() - start
-        block = self._blocks[0]
-        trial = Box(block.left, block.top, min(_TRIAL, block.columns), min(_TRIAL, block.rows))
-        start = time.perf_counter()
-        for convolution in convolutions:
-            blank = np.zeros((trial.rows, trial.columns), np.float32)
-            convolution.forward(itertools.repeat(blank, convolution.ranks), trial, convolution.reached(trial))
         count = self._bins.rows * self._bins.columns
-        convolved = (time.perf_counter() - start) * count / (trial.rows * trial.columns)
+        convolved, memory = cost_of(convolutions, self._blocks[0], count)
         # The first compiles the kernels.
         seconds = [self._timed(self._some(_CELLS), seed) for seed in range(3)]
-        images = 4.0 * sum(convolution.ranks for convolution in convolutions) * block.rows * block.columns
-        # Two blocks are convolved, one waits and one is traced.
-        memory = 4 * images + sum(convolution.memory for convolution in convolutions) + _RAY_BYTES * _LANES
-        return made + convolved + min(seconds[1:]) * count, memory
+        return made + convolved + min(seconds[1:]) * count, memory + _RAY_BYTES * _LANES
 
     def _some(self, count: int) -> Any:
         """Return some cells, evenly over all."""

@@ -121,8 +121,8 @@ class PhaseSpace:
         for name, refused, rule in (
             ("main_lens", camera.prescription is not None or camera.objective is not None, "a thin lens"),
             ("wavefront", any(camera.wavefront), "without aberrations"),
-            ("glass", camera.glass is not None, "the same for all wavelengths"),
-            ("mla_glass", camera.mla_glass is not None, "the same for all wavelengths"),
+            ("glass", camera.glass is not None, "left out, as all wavelengths take the same rays"),
+            ("mla_glass", camera.mla_glass is not None, "left out, as all wavelengths take the same rays"),
             ("detector_distance", self.defocus > MOST_PHASE, f"closer to the microlenses' focus, {self._limits}"),
         ):
             if refused:

@@ -1,7 +1,7 @@
 """Waves at the price of rays: kernels of single lenses, which any number of rays share."""
 
 from .blend import near_weight
-from .convolution import Convolution, margin_of
+from .convolution import Convolution, cost_of, margin_of
 from .lens_bank import LensBank, finest_pitch
 from .local_lens import (
     TOLERANCE,
@@ -18,6 +18,7 @@ __all__ = [
     "Convolution",
     "LensBank",
     "at_pupil",
+    "cost_of",
     "finest_pitch",
     "less_than_told",
     "local_camera",

@@ -7,7 +7,9 @@ Processing", section 8.7), so that only some of an image and the spectra of its 
 
 from __future__ import annotations
 
+import itertools
 import math
+import time
 from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
@@ -24,6 +26,9 @@ _TAIL = 8
 
 _SQUARE = 1024
 """Samples across the convolution of a tile, about."""
+
+_TRIAL = 512
+"""Samples across that are convolved for an estimate."""
 
 
 class Convolution:
@@ -161,6 +166,20 @@ def margin_of(kernels: Sequence[NDArray[np.float32]]) -> int:
     """Return from how many samples beyond the recorded pixels light still arrives."""
     # Those of different types of lenses have different widths.
     return max(len(kernel) for kernel in kernels) // 2 + _TAIL
+
+
+def cost_of(convolutions: Sequence[Convolution], block: Box, count: int) -> tuple[float, float]:
+    """Estimate the seconds that the convolutions of some samples take, and the bytes of those of blocks of them."""
+    # A part of a block whose convolution is a few tiles.
+    trial = Box(block.left, block.top, min(_TRIAL, block.columns), min(_TRIAL, block.rows))
+    start = time.perf_counter()
+    for convolution in convolutions:
+        blank = np.zeros((trial.rows, trial.columns), np.float32)
+        convolution.forward(itertools.repeat(blank, convolution.ranks), trial, convolution.reached(trial))
+    seconds = (time.perf_counter() - start) * count / (trial.rows * trial.columns)
+    images = 4.0 * sum(convolution.ranks for convolution in convolutions) * block.rows * block.columns
+    # Two blocks are convolved, one waits and one is traced.
+    return seconds, 4 * images + sum(convolution.memory for convolution in convolutions)
 
 
 def _grown(box: Box, margin: int) -> Box:
