@@ -40,9 +40,8 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, shown
 from ..lattice import Lattice
 from ..runtime.blas import single_threaded_blas
-from .main_lens import main_lens
+from .lens_kinds import Kind, LensKinds
 from .phase import in_millimetres
-from .wave_cameras import require_ideal
 
 _TRANSFER_SAMPLES = 64
 """Samples of a lens for its transfer functions: the phase between neighbours turns by a fifth of a period a sample."""
@@ -91,8 +90,7 @@ class PhaseSpace:
     Parameters
     ----------
     camera : PlenopticCamera
-        A camera with a thin main lens without a wavefront, and a regular array, not far out of whose focus is the
-        detector.
+        A camera not far out of whose microlenses' focus is the detector.
     wavelength : float
         In nanometres.
     degree : int
@@ -117,10 +115,8 @@ class PhaseSpace:
 
     def __post_init__(self) -> None:
         camera = self.camera
-        require_ideal(camera)
         for name, refused, rule in (
-            ("main_lens", camera.prescription is not None or camera.objective is not None, "a thin lens"),
-            ("wavefront", any(camera.wavefront), "without aberrations"),
+            ("main_lens", camera.objective is not None and camera.objective.is_fourier, "not of the Fourier arrangement"),
             ("glass", camera.glass is not None, "left out, as all wavelengths take the same rays"),
             ("mla_glass", camera.mla_glass is not None, "left out, as all wavelengths take the same rays"),
             ("detector_distance", self.defocus > MOST_PHASE, f"closer to the microlenses' focus, {self._limits}"),
@@ -132,7 +128,7 @@ class PhaseSpace:
     def defocus(self) -> float:
         """Radians by which the microlenses' waves are out of focus on the detector, at their edges, at most."""
         square = float(self.lattice.aperture_reach) ** 2
-        most = max(abs(self._convergence(kind)) for kind in range(len(self.camera.mla_focal_lengths)))
+        most = max(abs(self._convergence(kind)) for kind in self.kinds)
         return math.pi * most * square / in_millimetres(self.wavelength)
 
     @property
@@ -140,7 +136,8 @@ class PhaseSpace:
         """Where the detector may be."""
         camera = self.camera
         aside = MOST_PHASE * in_millimetres(self.wavelength) / math.pi / float(self.lattice.aperture_reach) ** 2
-        powers = [1 / f2 - 1 / camera.mla_distance for f2 in camera.mla_focal_lengths]
+        own = (camera.objective is None) / camera.pupil_distance
+        powers = [1 / f2 - own for f2 in camera.mla_focal_lengths]
         near, far = 1 / (min(powers) + aside), 1 / max(max(powers) - aside, 1e-9)
         return f"from {near:.4g} to {far:.4g} mm" if near <= far else "which several focal lengths do not allow"
 
@@ -152,6 +149,11 @@ class PhaseSpace:
         return self.camera.lattice
 
     @cached_property
+    def kinds(self) -> list[Kind]:
+        """The kinds of microlenses."""
+        return LensKinds(self.camera).every
+
+    @cached_property
     def exponents(self) -> list[tuple[int, int]]:
         """Powers of u and v that a polynomial adds to those before it."""
         return [(i, total - i) for total in range(self.degree + 1) for i in range(total, -1, -1)]
@@ -159,8 +161,7 @@ class PhaseSpace:
     @cached_property
     def nodes(self) -> list[Node]:
         """The table's nodes along the pupil's radius, and the windows and samples that each needs."""
-        lens = main_lens(self.camera)
-        radius, reach = float(lens.pupil_radius), in_millimetres(self.wavelength) * float(lens.pupil_distance)
+        radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
         pitch = self.lattice.pitches[0]
         made = []
         for index in range(self.radial + 1):
@@ -216,9 +217,7 @@ class PhaseSpace:
     @single_threaded_blas()
     def table(self) -> list[NDArray[np.float32]]:
         """Coefficients of rays at each node of the radius: (nodes of the angle, rows, columns, polynomials)."""
-        lens = main_lens(self.camera)
-        reach = in_millimetres(self.wavelength) * lens.pupil_distance
-        radius = float(lens.pupil_radius)
+        radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
         u, v, inside = self._aperture_grid(_SPECTRUM_SAMPLES)
         values = np.where(inside[..., None], self.polynomials(u, v), 0) * (u[0, 1] - u[0, 0]) ** 2
         table = []
@@ -286,15 +285,15 @@ class PhaseSpace:
 
     # -- the array: kernels of images ------------------------------------------------------------------
 
-    def kernels(self, step: float, reach: float, lens_type: int = 0) -> NDArray[np.float64]:
-        """Return the kernels of lenses of a type times the area of a grid's cell; (n, k, k).
+    def kernels(self, step: float, reach: float, kind: int = 0) -> NDArray[np.float64]:
+        """Return the kernels of lenses of a kind times the area of a grid's cell; (n, k, k).
 
         The grid has this step, and the kernels reach at least so far. Light beyond is folded back, which keeps the
         energy.
         """
-        key = step, reach, lens_type
+        key = step, reach, kind
         if key not in self._kept:
-            self._kept[key] = self._kernels(*key)
+            self._kept[key] = self._kernels(step, reach, self.kinds[kind])
         return self._kept[key]
 
     @cached_property
@@ -302,25 +301,26 @@ class PhaseSpace:
         return {}
 
     @single_threaded_blas()
-    def _kernels(self, step: float, reach: float, lens_type: int) -> NDArray[np.float64]:
+    def _kernels(self, step: float, reach: float, kind: Kind) -> NDArray[np.float64]:
         """Return the kernels that `kernels` keeps."""
-        scale = in_millimetres(self.wavelength) * self.camera.detector_distance
+        scale = in_millimetres(self.wavelength) * kind.detector_distance
         fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
         every = max(1, int(scale / (2 * fine * reach)))
         # Pairs in neighbouring lenses are less than two widths of a cell apart; a grid holds half a cycle a step.
         farthest = int(min(2 * _TRANSFER_SAMPLES, scale / (2 * step * fine))) // every
-        transfer = self._transfer(np.arange(-farthest, farthest + 1) * every, lens_type)
+        transfer = self._transfer(np.arange(-farthest, farthest + 1) * every, kind)
         count = math.ceil(scale / (2 * fine * every * step) - 0.5)
         place, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * (every * fine)
         waves = np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (every * fine * step / scale)
         return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
 
-    def _convergence(self, lens_type: int) -> float:
+    def _convergence(self, kind: Kind) -> float:
         """Return the curvature of the waves from a point of the pupil, behind a lens, over those to the detector."""
-        camera = self.camera
-        return 1 / camera.detector_distance + 1 / camera.mla_distance - 1 / camera.mla_focal_lengths[lens_type]
+        # Waves from a point of an objective's stop are plane.
+        own = (self.camera.objective is None) / self.camera.pupil_distance
+        return 1 / kind.detector_distance + own - 1 / kind.focal_length
 
-    def _transfer(self, lags: NDArray[np.int64], lens_type: int = 0) -> NDArray[np.complex64]:
+    def _transfer(self, lags: NDArray[np.int64], kind: Kind) -> NDArray[np.complex64]:
         """Return the integrals of polynomial times T T* over a cell at lags of steps, the same along x and y."""
         lattice, camera = self.lattice, self.camera
         wavelength = in_millimetres(self.wavelength)
@@ -331,18 +331,19 @@ class PhaseSpace:
         along = np.arange(-reach, reach + 1) * (step / 2)
         y, x = np.meshgrid(along, along, indexing="ij")
         # Types follow each other along a row.
-        centre = lattice.centre(float(lens_type), 0.0)
+        centre = lattice.centre(float(kind.lens_type), 0.0)
         i, j = lattice.cell(x + centre[0], y + centre[1])
         cx, cy = (c - c0 for c, c0 in zip(lattice.centre(i, j), centre, strict=True))
-        powers = 1 / np.array(camera.mla_focal_lengths)
+        # Neighbours are as irregular.
+        powers = camera.mla_focal_lengths[kind.lens_type] / kind.focal_length / np.array(camera.mla_focal_lengths)
         types = lattice.lens_type(i, j).astype(int) if len(powers) > 1 else np.zeros(i.shape, int)
-        phase = ((x * x + y * y) * powers[lens_type] - ((x - cx) ** 2 + (y - cy) ** 2) * powers[types]) / (
+        phase = ((x * x + y * y) * powers[kind.lens_type] - ((x - cx) ** 2 + (y - cy) ** 2) * powers[types]) / (
             2 * wavelength
         )
         # A quadratic phase shifts what lands, by the place on the lens.
-        phase += self._convergence(lens_type) * (x * x + y * y) / (2 * wavelength)
+        phase += self._convergence(kind) * (x * x + y * y) / (2 * wavelength)
         T = np.where(lattice.in_aperture(x - cx, y - cy), np.exp(2j * np.pi * phase), 0).astype(np.complex64)
-        own = np.asarray((i == lens_type) & (j == 0), np.float32)
+        own = np.asarray((i == kind.lens_type) & (j == 0), np.float32)
         # Points on a border belong to both sides.
         weights = self.polynomials(*lattice.to_frame(x, y)) * ((own + own[::-1, ::-1]) / 2)[..., None]
         result = np.zeros((len(self.exponents), len(lags), len(lags)), np.complex64)
@@ -380,7 +381,7 @@ class RayCoefficients:
         self._sides = [mi.Float(column) for column in sides.T]
         self._counts = [mi.Int(column.astype(np.int32)) for column in counts.T]
         self._angular = mi.Float([node.angular for node in plan.nodes])
-        self._radius = float(main_lens(plan.camera).pupil_radius)
+        self._radius = plan.camera.pupil_radius
 
     def __call__(
         self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
