@@ -46,6 +46,8 @@ CAMERAS = {
     "comatic": PlenopticCamera(wavefront=(0, 0, 0, 0, 0, 0, 0.2)),
     "objective": PlenopticCamera.preset("lfm"),
     "water": PlenopticCamera.preset("lfm_water"),
+    "raytrix": PlenopticCamera.preset("raytrix"),
+    "raytrix double Gauss": PlenopticCamera.preset("raytrix_double_gauss"),
     "second": PlenopticCamera(
         focal_length=50.0, aperture_radius=4.0, mla_distance=70.0, mla_focal_length=0.4, mla_pitch=0.05
     ),
@@ -61,6 +63,7 @@ def main() -> int:
     parser.add_argument("--blurs", nargs="+", type=float, default=list(BLURS), help="radius in lenses, of either sign")
     parser.add_argument("--degree", type=int, default=4)
     parser.add_argument("--window", type=int, default=9)
+    parser.add_argument("--radial", type=int, default=12)
     parser.add_argument("--lenses", type=int, default=3, help="across the wall")
     parser.add_argument("--points", type=int, default=16, help="points of the wall across a lens")
     parser.add_argument("--samples", type=int, default=1024, help="rays from each cell of the grid")
@@ -77,7 +80,7 @@ def main() -> int:
     for name in arguments.cameras:
         camera = CAMERAS[name]
         start = time.perf_counter()
-        plan = PhaseSpace(camera, WAVELENGTH, degree=arguments.degree, window=arguments.window)
+        plan = PhaseSpace(camera, WAVELENGTH, degree=arguments.degree, window=arguments.window, radial=arguments.radial)
         plan.kernels(camera.pixel_size / arguments.parts, 2.5 * camera.mla_pitch)
         size = sum(part.nbytes for part in plan.table) / 2**20
         print(
@@ -121,7 +124,9 @@ class Wall:
         if lens is not None:
             self.distance = blur * pitch / (lens.magnification * math.tan(lens.half_angle))
         else:
-            self.distance = 1 / (1 / camera.focal_length - (1 - blur * pitch / camera.pupil_radius) / camera.mla_distance)
+            self.distance = 1 / (
+                1 / camera.focal_length - (1 - blur * pitch / camera.pupil_radius) / camera.mla_distance
+            )
         self.step = pitch / per_lens
         self._scale, self._objective = _scale(camera, self.distance), lens
         self.axis = (np.arange(lenses * per_lens) + 0.5) * self.step - lenses * pitch / 2

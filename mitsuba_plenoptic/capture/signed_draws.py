@@ -35,6 +35,9 @@ _TURNED = 1.0
 _WIDEST = 4.0
 """That distance over the width of a lens, at most."""
 
+_AIRY, _AIRY_REACH = 1024, 200.0
+"""Steps of the energy of Airy's pattern, and how far it goes in units of lambda b / 2 pi R; 0.3 % lies beyond."""
+
 ORDER = 2
 """Points of the detector about a cell are drawn with the density of a B-spline of this order, so that what varies from
 cell to cell faster than the grid can hold does not fold back into it."""
@@ -126,7 +129,11 @@ class Draws:
         self._camera, self._step = camera, step
         self.pupil = RayPupil(camera, plans[0].wavelength)
         self.kinds = LensKinds(camera)
-        self._spread = _FALL * in_millimetres(max(plan.wavelength for plan in plans)) * camera.pupil_distance / 4
+        # Rays that land by their own points of a lens see the pupil from there.
+        self.by_points = any(plan.by_points for plan in plans)
+        self._turns = mi.Float([plans[0].convergence(kind) * camera.pupil_distance for kind in plans[0].kinds])
+        self._wavelength = in_millimetres(max(plan.wavelength for plan in plans))
+        self._spread = _FALL * self._wavelength * camera.pupil_distance / 4
         self._lens_area = float(camera.lattice.lens_area)
         self._window = max(max(node.sides) / 2 for plan in plans for node in plan.nodes)
 
@@ -136,7 +143,8 @@ class Draws:
         camera = self._camera
         # Other points of the cell look aside.
         cell = self._step * camera.pupil_distance / camera.detector_distance * ORDER / math.sqrt(2)
-        return self.pupil.reach + cell
+        lens = float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._turns))[0]) if self.by_points else 0.0
+        return self.pupil.reach + cell + lens
 
     @cached_property
     def candidates(self) -> NDArray[np.int64]:
@@ -180,28 +188,59 @@ class Draws:
 
     def draw(self, cells: Cells, sample: Any, seed: Any) -> Drawn:
         """Return the rays of these numbers; those of even and of odd numbers are independent."""
-        aims = self.aims(cells)
+        aims, lattice = self.aims(cells), self._camera.lattice
         half, index = sample & 1, mi.Float(sample >> 1)
         random = []
         for axis, step in enumerate(_STEPS):
             value = index * step + mi.sample_tea_float32(cells.index, seed ^ (half * 8 + axis + 1))
             random.append(value - dr.floor(value))
-        x, y = (p + _tent(r) * self._step for p, r in zip(aims.middle, random[2:], strict=True))
+        spread = (lambda r: r - 0.5) if self.by_points else _tent
+        x, y = (p + spread(r) * self._step for p, r in zip(aims.middle, random[2:], strict=True))
         pupil = self.seen((x, y), aims)
-        inner = self.pupil.inner(pupil, aims.centre)
-        point, weight = self._about(inner, random[:2])
+        if self.by_points:
+            point, aside, weight = lattice.aperture_point(*random[:2]), self._diffracted(cells.index, sample, seed), 1.0
+            turn = dr.gather(mi.Float, self._turns, aims.kind)
+            pupil = tuple(P + turn * m for P, m in zip(pupil, point, strict=True))
+            inner = self.pupil.inner(pupil, aims.centre)
+        else:
+            inner, aside = self.pupil.inner(pupil, aims.centre), (0.0, 0.0)
+            point, weight = self._about(inner, random[:2])
         is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self.pupil.radius**2
-        place = aims.centre[0] + point[0], aims.centre[1] + point[1]
+        place = tuple(c + m - x for c, m, x in zip(aims.centre, point, aside, strict=True))
         detector = x - aims.centre[0], y - aims.centre[1]
         return Drawn(pupil, inner, point, place, detector, aims.height, weight, is_open)
 
+    def _within(self, point: Pair) -> Pair:
+        """Return the nearest places on a lens."""
+        lattice = self._camera.lattice
+        (u, v), (across, up) = lattice.to_frame(*point), lattice.aperture_widths
+        return lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
+
     def incidence(self, drawn: Drawn) -> Any:
         """Return the angles at which light of rays comes to the detector: beside a lens, from its nearest point."""
-        lattice = self._camera.lattice
-        (u, v), (across, up) = lattice.to_frame(*drawn.point), lattice.aperture_widths
-        x, y = lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
+        x, y = self._within(drawn.point)
         aside = dr.hypot(x - drawn.detector[0], y - drawn.detector[1])
         return dr.atan(aside / (self._camera.detector_distance + drawn.height))
+
+    def _diffracted(self, cell: Any, sample: Any, seed: Any) -> Pair:
+        """Draw by how much the whole pupil moves light on the array, from Airy's pattern."""
+        first, second = (mi.sample_tea_float32(cell, seed ^ (sample << 4) ^ number) for number in (11, 12))
+        place = first * (_AIRY - 1)
+        low = mi.UInt32(place)
+        v = dr.lerp(dr.gather(mi.Float, self._airy, low), dr.gather(mi.Float, self._airy, low + 1), place - low)
+        y, x = dr.sincos(2 * math.pi * second)
+        return v * x, v * y
+
+    @cached_property
+    def _airy(self) -> Any:
+        """Radii within which even steps of the energy of Airy's pattern lie (Born and Wolf, section 8.5.2)."""
+        from scipy.special import j0, j1
+
+        camera = self._camera
+        v = np.linspace(0, _AIRY_REACH, 1 << 14)
+        energy = 1 - j0(v) ** 2 - j1(v) ** 2
+        radius = np.interp(np.linspace(0, energy[-1], _AIRY), energy, v)
+        return mi.Float(radius * self._wavelength * camera.pupil_distance / (2 * math.pi * camera.pupil_radius))
 
     def _about(self, pupil: Pair, random: list[Any]) -> tuple[Pair, Any]:
         """Draw points about a lens, where the pupil spreads rays through it from; return their weights, too.

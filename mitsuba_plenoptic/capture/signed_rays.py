@@ -117,6 +117,8 @@ class SignedRaySum:
         self._parts, self._seed = parts, seed
         self._step = camera.pixel_size / parts
         self._draws = Draws(camera, plans, self._step)
+        # The coefficients' integral is known where all rays of a cell and lens pass one point of the pupil.
+        self._known_part = 0.0 if self._draws.by_points else 1.0
         self._response = angular_response(camera.pixel_response)
         self._spp = max(_LEAST, round(spp / (parts**2 * max(1.0, self._draws.lit_lenses))))
         self.channels = len(plans)
@@ -154,7 +156,7 @@ class SignedRaySum:
                     for kernel in plan.kernels(self._step, _REACH * max(self._camera.mla_pitches), kind)
                 ],
                 self._step,
-                order=ORDER - 1,
+                order=0 if plan.by_points else ORDER - 1,
             )
             for plan in self._plans
         }
@@ -279,7 +281,7 @@ class SignedRaySum:
             drawn, chance, even = self._draws.draw(cells, k, key), jitter(cells.index, key ^ (k << 4)), (k & 1) == 0
             result = []
             for light, pair, coefficients, before in zip(radiance, known, tables, brought, strict=True):
-                other = dr.select(even, pair[1], pair[0])
+                other = dr.select(even, pair[1], pair[0]) * self._known_part
                 change = (dr.gather(mi.Float, light, first + k) - other) * drawn.weight
                 active = drawn.open & (change != 0)
                 values = coefficients(drawn.point, drawn.inner, chance, active)
