@@ -23,11 +23,12 @@ import numpy as np
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
 from mitsuba_plenoptic.capture.signed_rays import SignedRaySum
-from mitsuba_plenoptic.capture.units import radiance_weight
-from mitsuba_plenoptic.optics.main_lens import main_lens
+from mitsuba_plenoptic.capture.units import brightness_at, brightness_of, radiance_weight
 from mitsuba_plenoptic.optics.phase_space import PhaseSpace
+from mitsuba_plenoptic.optics.telecentric import TelecentricLens
 from mitsuba_plenoptic.report.images import write_png
 from mitsuba_plenoptic.runtime.jobs import Job, Task
+from mitsuba_plenoptic.thin_lens import conjugate_distance
 
 WAVELENGTH = 633.0
 CAMERAS = {
@@ -36,6 +37,17 @@ CAMERAS = {
     "hexagonal": PlenopticCamera(mla_lattice="hexagonal", mla_rotation=7.0),
     "discs": PlenopticCamera(mla_lattice="hexagonal", mla_aperture="circle", mla_fill=0.5),
     "cells with gaps": PlenopticCamera(mla_fill=0.5),
+    "double Gauss f8": PlenopticCamera.preset("paper_double_gauss"),
+    "f4": PlenopticCamera(aperture_radius=10.0),
+    "double Gauss f4": PlenopticCamera.preset("paper_double_gauss").replace(aperture_radius=10.0),
+    "Tessar f8": PlenopticCamera(main_lens="tessar", focal_length=80.0, aperture_radius=5.0, mla_distance=120.0),
+    "astigmatic": PlenopticCamera(wavefront=(0, 0, 0, 0, 0, 0.3)),
+    "defocused": PlenopticCamera(wavefront=(0, 0, 0, 0.4)),
+    "comatic": PlenopticCamera(wavefront=(0, 0, 0, 0, 0, 0, 0.2)),
+    "objective": PlenopticCamera.preset("lfm"),
+    "water": PlenopticCamera.preset("lfm_water"),
+    "raytrix": PlenopticCamera.preset("raytrix"),
+    "raytrix double Gauss": PlenopticCamera.preset("raytrix_double_gauss"),
     "second": PlenopticCamera(
         focal_length=50.0, aperture_radius=4.0, mla_distance=70.0, mla_focal_length=0.4, mla_pitch=0.05
     ),
@@ -51,6 +63,7 @@ def main() -> int:
     parser.add_argument("--blurs", nargs="+", type=float, default=list(BLURS), help="radius in lenses, of either sign")
     parser.add_argument("--degree", type=int, default=4)
     parser.add_argument("--window", type=int, default=9)
+    parser.add_argument("--radial", type=int, default=12)
     parser.add_argument("--lenses", type=int, default=3, help="across the wall")
     parser.add_argument("--points", type=int, default=16, help="points of the wall across a lens")
     parser.add_argument("--samples", type=int, default=1024, help="rays from each cell of the grid")
@@ -67,7 +80,7 @@ def main() -> int:
     for name in arguments.cameras:
         camera = CAMERAS[name]
         start = time.perf_counter()
-        plan = PhaseSpace(camera, WAVELENGTH, degree=arguments.degree, window=arguments.window)
+        plan = PhaseSpace(camera, WAVELENGTH, degree=arguments.degree, window=arguments.window, radial=arguments.radial)
         plan.kernels(camera.pixel_size / arguments.parts, 2.5 * camera.mla_pitch)
         size = sum(part.nbytes for part in plan.table) / 2**20
         print(
@@ -105,17 +118,24 @@ class Wall:
     """
 
     def __init__(self, camera: PlenopticCamera, blur: float, lenses: int, per_lens: int, off_axis: float) -> None:
-        lens, pitch = main_lens(camera), camera.mla_pitch
+        pitch = camera.mla_pitch
         self.blur = abs(blur)
-        self.distance = 1 / (1 / camera.focal_length - (1 - blur * pitch / lens.pupil_radius) / camera.mla_distance)
+        lens = camera.objective
+        if lens is not None:
+            self.distance = blur * pitch / (lens.magnification * math.tan(lens.half_angle))
+        else:
+            self.distance = 1 / (
+                1 / camera.focal_length - (1 - blur * pitch / camera.pupil_radius) / camera.mla_distance
+            )
         self.step = pitch / per_lens
-        self._mla_distance = camera.mla_distance
+        self._scale, self._objective = _scale(camera, self.distance), lens
         self.axis = (np.arange(lenses * per_lens) + 0.5) * self.step - lenses * pitch / 2
         self.centre = off_axis * pitch
         place = np.stack(np.meshgrid(self.axis, self.axis), -1).reshape(-1, 2) + self.centre
-        scale = -self.distance / camera.mla_distance
-        self.points = np.column_stack([place * scale, np.full(len(place), self.distance)])
-        self.weight = np.full(len(place), radiance_weight(camera, self.step**2))
+        self.points = np.column_stack([place * self._scale, np.full(len(place), self.distance)])
+        # What surfaces vignette is dark.
+        is_open = brightness_at(camera, self.points, WAVELENGTH) / brightness_of(camera)
+        self.weight = radiance_weight(camera, self.step**2) * is_open
         # The points' spectrum, cut half-way between what the pupil passes and its first repetition.
         self._fine, count = self.step / 16, 1 << 16
         frequency = np.fft.rfftfreq(count, self._fine)
@@ -127,9 +147,13 @@ class Wall:
 
     def light(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], active: Any, seed: int) -> list[Any]:
         """Return the radiance along rays from the main lens."""
-        scale = -self._mla_distance / self.distance
-        x, y = ((p + self.distance * s) * scale for p, s in zip(point[:2], slope, strict=True))
-        return [dr.select(active, self.radiance(x, y), 0)]
+        x, y = ((p + (self.distance - point[2]) * s) / self._scale for p, s in zip(point[:2], slope, strict=True))
+        light = self.radiance(x, y)
+        if self._objective is not None:
+            # Points that radiate evenly in all directions, by the sine condition.
+            lens = TelecentricLens(self._objective)
+            light *= dr.norm(mi.Vector3f(*slope, 1)) * (math.pi * lens.pupil_radius**2 / lens.passed_power)
+        return [dr.select(active, light, 0)]
 
     def radiance(self, x: Any, y: Any) -> Any:
         """Return the radiance where the line through the main lens's centre meets the array at x and y."""
@@ -144,12 +168,21 @@ class Wall:
         return result
 
 
+def _scale(camera: PlenopticCamera, distance: float) -> float:
+    """Return what places in a plane of the scene are over those on the array, seen from the pupil's middle."""
+    if camera.objective is not None:
+        return -1 / camera.objective.magnification
+    image = conjugate_distance(camera.focal_length, distance)
+    behind = camera.pupil_distance - camera.mla_distance
+    return -distance / image * (image + behind) / camera.pupil_distance
+
+
 def around(camera: PlenopticCamera, wall: Wall, margin: int) -> PlenopticCamera:
     """Return the camera with a detector that is cropped to where the wall's light goes."""
     half = math.ceil(
         (wall.blur + len(wall.axis) * wall.step / camera.mla_pitch / 2 + margin) * camera.mla_pitch / camera.pixel_size
     )
-    centre = round(wall.centre * (1 + camera.detector_distance / camera.mla_distance) / camera.pixel_size)
+    centre = round(wall.centre * camera.micro_image_pitch / camera.mla_pitch / camera.pixel_size)
     size = 2 * (abs(centre) + half)
     return camera.replace(
         detector_width=size * camera.pixel_size,

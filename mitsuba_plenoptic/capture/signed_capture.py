@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..io.checkpoints import digest
 from ..optics.phase import in_millimetres
-from ..optics.phase_space import PhaseSpace
+from ..optics.phase_space import MOST_PHASE, PhaseSpace
 from ..runtime.jobs import Job, Task
 from .noise import PARTS, keep_spread, with_spread
 from .patch_plan import Cost
@@ -70,6 +70,8 @@ class SignedCapture:
         """Cells of the grid across a pixel."""
         camera = self.camera
         extent = in_millimetres(min(self.wavelengths)) * camera.detector_distance
+        if any(plan.by_points for plan in self._plans):
+            return 1  # kernels of such are integrated over pixels
         highest = float(camera.lattice.aperture_width) / extent * camera.pixel_size
         return math.ceil(_KEPT[self.accuracy < _FINE] * highest)
 
@@ -128,7 +130,7 @@ class SignedCapture:
 def _plan(camera: PlenopticCamera, wavelength: float, fine: bool) -> PhaseSpace:
     """Return a plan, which several captures of a camera share."""
     plan = PhaseSpace(camera, wavelength, degree=_DEGREES[fine], window=_WINDOWS[fine])
-    return replace(plan, degree=plan.degree + 2) if plan.defocus > _DEFOCUS else plan
+    return replace(plan, degree=plan.degree + 2) if _DEFOCUS < plan.defocus <= MOST_PHASE else plan
 
 
 def _without_negatives(image: NDArray[np.float32], size: int) -> NDArray[np.float32]:

@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..optics import rays
+from ..optics.irregular import MOST_DEVIATIONS
+from ..optics.lens_kinds import LensKinds
 from ..optics.phase import in_millimetres
 from ..optics.phase_space import PhaseSpace
+from ..optics.ray_pupil import RayPupil
 from ..runtime.batches import Box
 
 Pair = tuple[Any, Any]
@@ -33,6 +35,9 @@ _TURNED = 1.0
 _WIDEST = 4.0
 """That distance over the width of a lens, at most."""
 
+_AIRY, _AIRY_REACH = 1024, 200.0
+"""Steps of the energy of Airy's pattern, and how far it goes in units of lambda b / 2 pi R; 0.3 % lies beyond."""
+
 ORDER = 2
 """Points of the detector about a cell are drawn with the density of a B-spline of this order, so that what varies from
 cell to cell faster than the grid can hold does not fold back into it."""
@@ -43,8 +48,14 @@ class Drawn(NamedTuple):
 
     Attributes
     ----------
-    pupil, point, place : (Float, Float)
-        Where they pass the pupil; the array, from the centre of the lens; and the array in the camera frame.
+    pupil, inner : (Float, Float)
+        Where they pass the pupil, and the round pupil that stands for it.
+    point, place : (Float, Float)
+        Where they pass the array, from the centre of the lens, and in the camera frame.
+    detector : (Float, Float)
+        Where they meet the detector, from the centre of the lens.
+    height : Float
+        By how much the lens stands nearer to the main lens than the one on the axis.
     weight : Float
         One over the density of the points over the aperture.
     open : Bool
@@ -52,8 +63,11 @@ class Drawn(NamedTuple):
     """
 
     pupil: Pair
+    inner: Pair
     point: Pair
     place: Pair
+    detector: Pair
+    height: Any
     weight: Any
     open: Any
 
@@ -77,6 +91,27 @@ class Cells:
     steps: NDArray[np.int64]
 
 
+class Aims(NamedTuple):
+    """What cells of the detector look at through lenses.
+
+    Attributes
+    ----------
+    middle : (Float, Float)
+        The cells' middles.
+    centre : (Float, Float)
+        The lenses' centres.
+    height : Float
+        By how much the lenses stand nearer to the main lens than the one on the axis.
+    kind : UInt32
+        Kinds of the lenses.
+    """
+
+    middle: Pair
+    centre: Pair
+    height: Any
+    kind: Any
+
+
 class Draws:
     """How rays are drawn for the cells of a camera's detector.
 
@@ -92,7 +127,13 @@ class Draws:
 
     def __init__(self, camera: PlenopticCamera, plans: Sequence[PhaseSpace], step: float) -> None:
         self._camera, self._step = camera, step
-        self._spread = _FALL * in_millimetres(max(plan.wavelength for plan in plans)) * camera.mla_distance / 4
+        self.pupil = RayPupil(camera, plans[0].wavelength)
+        self.kinds = LensKinds(camera)
+        # Rays that land by their own points of a lens see the pupil from there.
+        self.by_points = any(plan.by_points for plan in plans)
+        self._turns = mi.Float([plans[0].convergence(kind) * camera.pupil_distance for kind in plans[0].kinds])
+        self._wavelength = in_millimetres(max(plan.wavelength for plan in plans))
+        self._spread = _FALL * self._wavelength * camera.pupil_distance / 4
         self._lens_area = float(camera.lattice.lens_area)
         self._window = max(max(node.sides) / 2 for plan in plans for node in plan.nodes)
 
@@ -101,24 +142,31 @@ class Draws:
         """Distance from the axis, on the pupil's plane, within which the ray from a lit cell's middle comes."""
         camera = self._camera
         # Other points of the cell look aside.
-        cell = self._step * camera.mla_distance / camera.detector_distance * ORDER / math.sqrt(2)
-        return float(camera.aperture_radius + cell)
+        cell = self._step * camera.pupil_distance / camera.detector_distance * ORDER / math.sqrt(2)
+        lens = float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._turns))[0]) if self.by_points else 0.0
+        return self.pupil.reach + cell + lens
 
     @cached_property
     def candidates(self) -> NDArray[np.int64]:
         """Lenses that can light a cell, in steps from that of its chief ray."""
-        b, z = self._camera.mla_distance, self._camera.detector_distance
-        return self._camera.lattice.neighbours(self.widest * z / (b + z))
+        camera = self._camera
+        # No lens stands farther off.
+        beyond = MOST_DEVIATIONS * camera.mla_jitter[0] * math.sqrt(2)
+        return camera.lattice.neighbours(self._seen(self.widest) + beyond)
 
     @property
     def lit_lenses(self) -> float:
         """Mean number of lenses that light a cell."""
-        camera = self._camera
-        reach = self.widest * camera.detector_distance / (camera.mla_distance + camera.detector_distance)
-        return float(math.pi * reach**2 / camera.lattice.cell_area)
+        return float(math.pi * self._seen(self.widest) ** 2 / self._camera.lattice.cell_area)
 
-    def centres(self, cells: Cells) -> tuple[Pair, Pair, Any]:
-        """Return the middles of cells, and the centres and types of their lenses."""
+    def _seen(self, radius: float) -> float:
+        """Return how far apart rays from one point of the detector pass the array that go to the pupil so far apart."""
+        camera = self._camera
+        both = camera.pupil_distance + (camera.objective is None) * camera.detector_distance
+        return radius * camera.detector_distance / both
+
+    def aims(self, cells: Cells) -> Aims:
+        """Return what cells look at through their lenses."""
         camera, lattice = self._camera, self._camera.lattice
         # Opaque numbers do not compile the kernels again.
         columns = dr.opaque(mi.UInt32, cells.box.columns)
@@ -128,31 +176,71 @@ class Draws:
             (mi.Float(mi.Int32(index) + low) + 0.5) * self._step - 0.5 * camera.resolution[axis] * camera.pixel_size
             for axis, index, low in ((0, cells.index - row * columns, left), (1, row, top))
         )
-        i, j = lattice.cell(*(rays.chief_point(p, camera.mla_distance, camera.detector_distance) for p in (x, y)))
+        z = camera.detector_distance + self.kinds.height(x, y)
+        i, j = lattice.cell(*(self.pupil.chief_point(p, z) for p in (x, y)))
         i, j = (index + dr.opaque(mi.Float, float(step)) for index, step in zip((i, j), cells.steps, strict=True))
-        kind = mi.UInt32(lattice.lens_type(i, j)) if len(camera.mla_focal_lengths) > 1 else mi.UInt32(0)
-        return (x, y), lattice.centre(i, j), kind
+        centre, height = self.kinds.place(i, j)
+        return Aims((x, y), centre, height, self.kinds.number(i, j, height))
 
-    def through_centre(self, detector: Pair, centre: Pair) -> Pair:
-        """Return where rays from the detector through the centres of lenses meet the pupil's plane."""
-        z, b = self._camera.detector_distance, self._camera.mla_distance
-        x, y = (rays.pupil_point(c, (c - p) / z, b) for c, p in zip(centre, detector, strict=True))
-        return x, y
+    def seen(self, detector: Pair, aims: Aims) -> Pair:
+        """Return the points of the pupil that points of the detector see through the lenses' centres."""
+        return self.pupil.seen(detector, aims.centre, self._camera.detector_distance, aims.height)
 
     def draw(self, cells: Cells, sample: Any, seed: Any) -> Drawn:
         """Return the rays of these numbers; those of even and of odd numbers are independent."""
-        middle, centre, _ = self.centres(cells)
+        aims, lattice = self.aims(cells), self._camera.lattice
         half, index = sample & 1, mi.Float(sample >> 1)
         random = []
         for axis, step in enumerate(_STEPS):
             value = index * step + mi.sample_tea_float32(cells.index, seed ^ (half * 8 + axis + 1))
             random.append(value - dr.floor(value))
-        x, y = (p + _tent(r) * self._step for p, r in zip(middle, random[2:], strict=True))
-        pupil = self.through_centre((x, y), centre)
-        point, weight = self._about(pupil, random[:2])
-        is_open = dr.square(pupil[0]) + dr.square(pupil[1]) <= self._camera.aperture_radius**2
-        place = centre[0] + point[0], centre[1] + point[1]
-        return Drawn(pupil, point, place, weight, is_open)
+        spread = (lambda r: r - 0.5) if self.by_points else _tent
+        x, y = (p + spread(r) * self._step for p, r in zip(aims.middle, random[2:], strict=True))
+        pupil = self.seen((x, y), aims)
+        if self.by_points:
+            point, aside, weight = lattice.aperture_point(*random[:2]), self._diffracted(cells.index, sample, seed), 1.0
+            turn = dr.gather(mi.Float, self._turns, aims.kind)
+            pupil = tuple(P + turn * m for P, m in zip(pupil, point, strict=True))
+            inner = self.pupil.inner(pupil, aims.centre)
+        else:
+            inner, aside = self.pupil.inner(pupil, aims.centre), (0.0, 0.0)
+            point, weight = self._about(inner, random[:2])
+        is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self.pupil.radius**2
+        place = tuple(c + m - x for c, m, x in zip(aims.centre, point, aside, strict=True))
+        detector = x - aims.centre[0], y - aims.centre[1]
+        return Drawn(pupil, inner, point, place, detector, aims.height, weight, is_open)
+
+    def _within(self, point: Pair) -> Pair:
+        """Return the nearest places on a lens."""
+        lattice = self._camera.lattice
+        (u, v), (across, up) = lattice.to_frame(*point), lattice.aperture_widths
+        return lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
+
+    def incidence(self, drawn: Drawn) -> Any:
+        """Return the angles at which light of rays comes to the detector: beside a lens, from its nearest point."""
+        x, y = self._within(drawn.point)
+        aside = dr.hypot(x - drawn.detector[0], y - drawn.detector[1])
+        return dr.atan(aside / (self._camera.detector_distance + drawn.height))
+
+    def _diffracted(self, cell: Any, sample: Any, seed: Any) -> Pair:
+        """Draw by how much the whole pupil moves light on the array, from Airy's pattern."""
+        first, second = (mi.sample_tea_float32(cell, seed ^ (sample << 4) ^ number) for number in (11, 12))
+        place = first * (_AIRY - 1)
+        low = mi.UInt32(place)
+        v = dr.lerp(dr.gather(mi.Float, self._airy, low), dr.gather(mi.Float, self._airy, low + 1), place - low)
+        y, x = dr.sincos(2 * math.pi * second)
+        return v * x, v * y
+
+    @cached_property
+    def _airy(self) -> Any:
+        """Radii within which even steps of the energy of Airy's pattern lie (Born and Wolf, section 8.5.2)."""
+        from scipy.special import j0, j1
+
+        camera = self._camera
+        v = np.linspace(0, _AIRY_REACH, 1 << 14)
+        energy = 1 - j0(v) ** 2 - j1(v) ** 2
+        radius = np.interp(np.linspace(0, energy[-1], _AIRY), energy, v)
+        return mi.Float(radius * self._wavelength * camera.pupil_distance / (2 * math.pi * camera.pupil_radius))
 
     def _about(self, pupil: Pair, random: list[Any]) -> tuple[Pair, Any]:
         """Draw points about a lens, where the pupil spreads rays through it from; return their weights, too.
@@ -160,7 +248,7 @@ class Draws:
         Along either of two directions they are even over the lens, and fall off by the square of the distance beyond.
         The directions are those of the lattice, or near the pupil's rim its radius and across it.
         """
-        lattice, radius = self._camera.lattice, self._camera.aperture_radius
+        lattice, radius = self._camera.lattice, self.pupil.radius
         Pu, Pv = lattice.to_frame(*pupil)
         widths = lattice.aperture_widths
         distance = dr.sqrt(Pu * Pu + Pv * Pv)

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics.phase_space import PhaseSpace, RayCoefficients
-from ..optics.thin import ThinLens
+from ..optics.pixel_response import angular_response
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
 from . import child
@@ -116,8 +116,10 @@ class SignedRaySum:
         self._camera, self._light, self._plans = camera, light, plans
         self._parts, self._seed = parts, seed
         self._step = camera.pixel_size / parts
-        self._lens = ThinLens(camera.focal_length, camera.aperture_radius, camera.mla_distance, "parabolic")
         self._draws = Draws(camera, plans, self._step)
+        # The coefficients' integral is known where all rays of a cell and lens pass one point of the pupil.
+        self._known_part = 0.0 if self._draws.by_points else 1.0
+        self._response = angular_response(camera.pixel_response)
         self._spp = max(_LEAST, round(spp / (parts**2 * max(1.0, self._draws.lit_lenses))))
         self.channels = len(plans)
         rows, columns = camera.shape
@@ -150,11 +152,11 @@ class SignedRaySum:
                 self._camera,
                 [
                     (kernel / self._parts**2).astype(np.float32)
-                    for kind in range(len(self._camera.mla_focal_lengths))
+                    for kind in range(len(plan.kinds))
                     for kernel in plan.kernels(self._step, _REACH * max(self._camera.mla_pitches), kind)
                 ],
                 self._step,
-                order=ORDER - 1,
+                order=0 if plan.by_points else ORDER - 1,
             )
             for plan in self._plans
         }
@@ -170,12 +172,12 @@ class SignedRaySum:
 
         Return for each channel what they bring of each kernel, (values, cells) flat.
         """
-        types = len(self._camera.mla_focal_lengths)
-        sums = [dr.zeros(mi.Float, dr.width(cells) * types * len(plan.exponents)) for plan in self._plans]
+        kinds = len(self._draws.kinds.every)
+        sums = [dr.zeros(mi.Float, dr.width(cells) * kinds * len(plan.exponents)) for plan in self._plans]
         dr.eval(cells, sums)
         for steps in self._draws.candidates:
-            middle, centre, kind = self._draws.centres(Cells(box, cells, steps))
-            pupil = self._draws.through_centre(middle, centre)
+            aims = self._draws.aims(Cells(box, cells, steps))
+            pupil = self._draws.seen(aims.middle, aims)
             lit = dr.compress(dr.square(pupil[0]) + dr.square(pupil[1]) <= self._draws.widest**2)
             size = max(1, _LANES // self._spp)
             for start in range(0, dr.width(lit), size):
@@ -186,7 +188,7 @@ class SignedRaySum:
                 brought = self._collect(Cells(box, dr.gather(mi.UInt32, cells, some), steps), seed)
                 every = dr.opaque(mi.UInt32, dr.width(cells))
                 for total, parts in zip(sums, brought, strict=True):
-                    first = some if types == 1 else some + every * (dr.gather(mi.UInt32, kind, some) * len(parts))
+                    first = some if kinds == 1 else some + every * (dr.gather(mi.UInt32, aims.kind, some) * len(parts))
                     for number, part in enumerate(parts):
                         # Every cell is in it once.
                         dr.scatter_reduce(
@@ -232,15 +234,19 @@ class SignedRaySum:
         lane = dr.arange(mi.UInt32, count * self._spp)
         own = lane // spp
         drawn = self._draws.draw(replace(cells, index=dr.gather(mi.UInt32, cells.index, own)), lane - own * spp, key)
-        slope = tuple((P - q) / self._camera.mla_distance for P, q in zip(drawn.pupil, drawn.place, strict=True))
-        start, direction, _ = self._lens.trace(drawn.place, slope)
-        radiance = self._light(start, direction, drawn.open, seed)
+        start, direction = self._draws.pupil.trace(drawn.place, drawn.pupil, drawn.height)
+        # Beside a lens, surfaces may send rays back.
+        seen = drawn.open & dr.all([dr.isfinite(value) for value in (*start, *direction)], axis=0)
+        radiance = self._light(start, direction, seen, seed)
+        if self._response is not None:
+            response = self._response(self._draws.incidence(drawn))
+            radiance = [light * response for light in radiance]
         finite = dr.all([dr.isfinite(light) for light in radiance], axis=0)
-        seen = dr.select(drawn.open, mi.Float(1), 0)
-        dr.eval(finite, radiance, seen)
+        counted = dr.select(drawn.open, mi.Float(1), 0)
+        dr.eval(finite, radiance, counted)
         if not dr.all(finite):
             raise InputError("scene: the radiance of some rays is NaN or infinite: all must be finite")
-        known = self._known(radiance, seen, count)
+        known = self._known(radiance, counted, count)
         return self._bring(cells, key, radiance, known)
 
     def _known(self, radiance: list[Any], seen: Any, count: int) -> list[Pair]:
@@ -275,10 +281,10 @@ class SignedRaySum:
             drawn, chance, even = self._draws.draw(cells, k, key), jitter(cells.index, key ^ (k << 4)), (k & 1) == 0
             result = []
             for light, pair, coefficients, before in zip(radiance, known, tables, brought, strict=True):
-                other = dr.select(even, pair[1], pair[0])
+                other = dr.select(even, pair[1], pair[0]) * self._known_part
                 change = (dr.gather(mi.Float, light, first + k) - other) * drawn.weight
                 active = drawn.open & (change != 0)
-                values = coefficients(drawn.point, drawn.pupil, chance, active)
+                values = coefficients(drawn.point, drawn.inner, chance, active)
                 after = [old + dr.select(active, value * change, 0) for old, value in zip(before, values, strict=True)]
                 after[0] += dr.select(drawn.open, other, 0)
                 result.append(after)

@@ -25,6 +25,7 @@ centre of the lens.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,12 +41,14 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, shown
 from ..lattice import Lattice
 from ..runtime.blas import single_threaded_blas
-from .main_lens import main_lens
+from .lens_kinds import Kind, LensKinds
 from .phase import in_millimetres
-from .wave_cameras import require_ideal
 
 _TRANSFER_SAMPLES = 64
-"""Samples of a lens for its transfer functions: the phase between neighbours turns by a fifth of a period a sample."""
+"""Samples of a lens for its transfer functions: the phase between neighbours turns by a fifth of a period."""
+
+_KEPT = 2.0
+"""Samples over the highest frequency of a lens's diffraction, in cycles: two hold it whole."""
 
 _SPECTRUM_SAMPLES = 256
 """Samples of a lens for the Fourier coefficients of its polynomials."""
@@ -53,14 +56,15 @@ _SPECTRUM_SAMPLES = 256
 _SPREADS = 2.0
 """Widths of the window about a lens over the width of the pupil's diffraction along the radius, lambda b / 2 h."""
 
-_LEAST_WINDOW = 3
-"""Lenses, across, of the least window."""
+_LEAST_WINDOW, _NARROW = 3, 0.2
+"""Lenses, across, of the least window, which is one less where that width is less than so much of a lens."""
 
-_OVERSAMPLING = 1.4
-"""Samples of the table over those that its highest frequency needs."""
+_OVERSAMPLING, _FINEST = 1.4, 64
+"""Samples of the table over those that its highest frequency needs, and those of a lens at most."""
 
-MOST_PHASE = 8.0
-"""Radians of defocus at a lens's edge up to which polynomials describe where its rays land."""
+MOST_PHASE, MOST_SHIFT = 8.0, 0.3
+"""Radians of defocus at a lens's edge up to which polynomials describe where its rays land; pixels by which the pupil's
+diffraction may move them where they do not."""
 
 _SUBSAMPLES = 4
 """Gauss-Legendre nodes, per direction and side, of the pupil's overlap around a node of the table."""
@@ -91,8 +95,7 @@ class PhaseSpace:
     Parameters
     ----------
     camera : PlenopticCamera
-        A camera with a thin main lens without a wavefront, and a regular array, not far out of whose focus is the
-        detector.
+        A camera not far out of whose microlenses' focus is the detector.
     wavelength : float
         In nanometres.
     degree : int
@@ -117,13 +120,15 @@ class PhaseSpace:
 
     def __post_init__(self) -> None:
         camera = self.camera
-        require_ideal(camera)
         for name, refused, rule in (
-            ("main_lens", camera.prescription is not None or camera.objective is not None, "a thin lens"),
-            ("wavefront", any(camera.wavefront), "without aberrations"),
+            (
+                "main_lens",
+                camera.objective is not None and camera.objective.is_fourier,
+                "not of the Fourier arrangement",
+            ),
             ("glass", camera.glass is not None, "left out, as all wavelengths take the same rays"),
             ("mla_glass", camera.mla_glass is not None, "left out, as all wavelengths take the same rays"),
-            ("detector_distance", self.defocus > MOST_PHASE, f"closer to the microlenses' focus, {self._limits}"),
+            ("detector_distance", self._shift > MOST_SHIFT, f"closer to the microlenses' focus, {self._limits}"),
         ):
             if refused:
                 raise InputError(f"{name} = {shown(getattr(camera, name))}: for signed rays it must be {rule}")
@@ -132,15 +137,35 @@ class PhaseSpace:
     def defocus(self) -> float:
         """Radians by which the microlenses' waves are out of focus on the detector, at their edges, at most."""
         square = float(self.lattice.aperture_reach) ** 2
-        most = max(abs(self._convergence(kind)) for kind in range(len(self.camera.mla_focal_lengths)))
+        most = max(abs(self.convergence(kind)) for kind in self.kinds)
         return math.pi * most * square / in_millimetres(self.wavelength)
+
+    @property
+    def by_points(self) -> bool:
+        """Whether each ray lands by its own point of the lens, and not by the lens's centre.
+
+        Far out of the microlenses' focus polynomials do not describe the difference. All points of the pupil are then
+        taken to spread rays as the whole pupil does on average.
+        """
+        return self.defocus > MOST_PHASE
+
+    @property
+    def _shift(self) -> float:
+        """Pixels by which the pupil's diffraction moves light on the detector, if rays land by their own points."""
+        if not self.by_points:
+            return 0.0
+        camera = self.camera
+        most = max(abs(self.convergence(kind)) * kind.detector_distance for kind in self.kinds)
+        width = in_millimetres(self.wavelength) * camera.pupil_distance / (2 * camera.pupil_radius)
+        return most * width / camera.pixel_size
 
     @property
     def _limits(self) -> str:
         """Where the detector may be."""
         camera = self.camera
         aside = MOST_PHASE * in_millimetres(self.wavelength) / math.pi / float(self.lattice.aperture_reach) ** 2
-        powers = [1 / f2 - 1 / camera.mla_distance for f2 in camera.mla_focal_lengths]
+        own = (camera.objective is None) / camera.pupil_distance
+        powers = [1 / f2 - own for f2 in camera.mla_focal_lengths]
         near, far = 1 / (min(powers) + aside), 1 / max(max(powers) - aside, 1e-9)
         return f"from {near:.4g} to {far:.4g} mm" if near <= far else "which several focal lengths do not allow"
 
@@ -152,6 +177,11 @@ class PhaseSpace:
         return self.camera.lattice
 
     @cached_property
+    def kinds(self) -> list[Kind]:
+        """The kinds of microlenses."""
+        return LensKinds(self.camera).every
+
+    @cached_property
     def exponents(self) -> list[tuple[int, int]]:
         """Powers of u and v that a polynomial adds to those before it."""
         return [(i, total - i) for total in range(self.degree + 1) for i in range(total, -1, -1)]
@@ -159,17 +189,17 @@ class PhaseSpace:
     @cached_property
     def nodes(self) -> list[Node]:
         """The table's nodes along the pupil's radius, and the windows and samples that each needs."""
-        lens = main_lens(self.camera)
-        radius, reach = float(lens.pupil_radius), in_millimetres(self.wavelength) * float(lens.pupil_distance)
+        radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
         pitch = self.lattice.pitches[0]
         made = []
         for index in range(self.radial + 1):
             distance, inner = (radius * (1 - (1 - max(r, 0) / self.radial) ** 2) for r in (index, index - 1))
             spread = _SPREADS * reach / max(radius - distance, 1e-9 * radius)
-            wanted = min(self.window * pitch, max(_LEAST_WINDOW * pitch, pitch + spread))
+            least = _LEAST_WINDOW * pitch if spread > _NARROW * pitch else (_LEAST_WINDOW - 1) * pitch
+            wanted = min(self.window * pitch, max(least, pitch + spread))
             sides = tuple(math.ceil(wanted / period - 1e-6) * period for period in self.lattice.period())
             # The greatest lag is across the radius.
-            step = reach / (2 * _OVERSAMPLING * 2 * math.sqrt(radius**2 - inner**2))
+            step = max(reach / (2 * _OVERSAMPLING * 2 * math.sqrt(radius**2 - inner**2)), pitch / _FINEST)
             # From one node to the next the farthest points turn by half a lens.
             angular = math.ceil(math.pi / 2 * max(sides) / pitch)
             made.append(Node(sides, tuple(math.ceil(side / step) for side in sides), angular))
@@ -187,7 +217,7 @@ class PhaseSpace:
         return u, v, np.asarray(self.lattice.in_aperture(*self.lattice.from_frame(u, v)))
 
     @cached_property
-    def _triangle(self) -> NDArray[np.float64]:
+    def triangle(self) -> NDArray[np.float64]:
         """Coefficients of the orthonormal polynomials in monomials of u and v over the pitch, by Gram-Schmidt."""
         u, v, inside = self._aperture_grid(_SPECTRUM_SAMPLES)
         monomials = self._monomials(u[inside], v[inside])
@@ -200,7 +230,7 @@ class PhaseSpace:
 
     def polynomials(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the polynomials, whose mean product over the aperture is 1 of one with itself, else 0."""
-        return self._monomials(u, v) @ self._triangle
+        return self._monomials(u, v) @ self.triangle
 
     def mirrored(self, values: Sequence[Any], across: Any, up: Any) -> list[Any]:
         """Return the values of polynomials of a place that is mirrored along u, along v, or both."""
@@ -216,9 +246,7 @@ class PhaseSpace:
     @single_threaded_blas()
     def table(self) -> list[NDArray[np.float32]]:
         """Coefficients of rays at each node of the radius: (nodes of the angle, rows, columns, polynomials)."""
-        lens = main_lens(self.camera)
-        reach = in_millimetres(self.wavelength) * lens.pupil_distance
-        radius = float(lens.pupil_radius)
+        radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
         u, v, inside = self._aperture_grid(_SPECTRUM_SAMPLES)
         values = np.where(inside[..., None], self.polynomials(u, v), 0) * (u[0, 1] - u[0, 0]) ** 2
         table = []
@@ -280,21 +308,22 @@ class PhaseSpace:
                 scale += area * share
         return (total / scale).astype(np.float32)
 
-    def bind(self) -> RayCoefficients:
-        """Return the table for Dr.Jit's variant that is set."""
-        return RayCoefficients(self)
+    def bind(self) -> RayCoefficients | Polynomials:
+        """Return what gives rays their coefficients, for Dr.Jit's variant that is set."""
+        return Polynomials(self) if self.by_points else RayCoefficients(self)
 
     # -- the array: kernels of images ------------------------------------------------------------------
 
-    def kernels(self, step: float, reach: float, lens_type: int = 0) -> NDArray[np.float64]:
-        """Return the kernels of lenses of a type times the area of a grid's cell; (n, k, k).
+    def kernels(self, step: float, reach: float, kind: int = 0) -> NDArray[np.float64]:
+        """Return the kernels of lenses of a kind times the area of a grid's cell; (n, k, k).
 
         The grid has this step, and the kernels reach at least so far. Light beyond is folded back, which keeps the
         energy.
         """
-        key = step, reach, lens_type
+        key = step, reach, kind
         if key not in self._kept:
-            self._kept[key] = self._kernels(*key)
+            make = self._cell_kernels if self.by_points else self._kernels
+            self._kept[key] = make(step, reach, self.kinds[kind])
         return self._kept[key]
 
     @cached_property
@@ -302,25 +331,55 @@ class PhaseSpace:
         return {}
 
     @single_threaded_blas()
-    def _kernels(self, step: float, reach: float, lens_type: int) -> NDArray[np.float64]:
+    def _kernels(self, step: float, reach: float, kind: Kind) -> NDArray[np.float64]:
         """Return the kernels that `kernels` keeps."""
-        scale = in_millimetres(self.wavelength) * self.camera.detector_distance
+        scale = in_millimetres(self.wavelength) * kind.detector_distance
         fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
         every = max(1, int(scale / (2 * fine * reach)))
         # Pairs in neighbouring lenses are less than two widths of a cell apart; a grid holds half a cycle a step.
         farthest = int(min(2 * _TRANSFER_SAMPLES, scale / (2 * step * fine))) // every
-        transfer = self._transfer(np.arange(-farthest, farthest + 1) * every, lens_type)
+        transfer = self._transfer(np.arange(-farthest, farthest + 1) * every, kind)
         count = math.ceil(scale / (2 * fine * every * step) - 0.5)
         place, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * (every * fine)
         waves = np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (every * fine * step / scale)
         return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
 
-    def _convergence(self, lens_type: int) -> float:
-        """Return the curvature of the waves from a point of the pupil, behind a lens, over those to the detector."""
-        camera = self.camera
-        return 1 / camera.detector_distance + 1 / camera.mla_distance - 1 / camera.mla_focal_lengths[lens_type]
+    def _cell_kernels(self, step: float, reach: float, kind: Kind) -> NDArray[np.float64]:
+        r"""Return kernels from cells, over which light is even, to cells, which may be larger than the kernels are.
 
-    def _transfer(self, lags: NDArray[np.int64], lens_type: int = 0) -> NDArray[np.complex64]:
+        Without neighbours and phase the integral over pairs of points is a sum of products: that of
+        :math:`m^i = 2^{-i} \sum_a \binom{i}{a} x_1^a x_2^{i-a}` is one of transforms of the aperture times powers.
+        """
+        lattice, scale = self.lattice, in_millimetres(self.wavelength) * kind.detector_distance
+        parts = math.ceil(_KEPT * step * float(lattice.aperture_width) / scale)
+        count = math.ceil(reach / step)
+        fine, far = step / parts, (count + 1) * parts - 1
+        x, y, _ = self._aperture_grid(_SPECTRUM_SAMPLES)
+        along, spacing = x[0], x[0, 1] - x[0, 0]
+        inside = lattice.in_aperture(x, y)
+        u, v = (place / lattice.pitches[0] for place in lattice.to_frame(x, y))
+        waves = np.exp(-2j * np.pi * np.outer(np.arange(-far, far + 1) * fine, along) / scale)
+        fields = {(a, b): waves @ np.where(inside, u**a * v**b, 0) @ waves.T for a, b in self.exponents}
+        products = []
+        for i, j in self.exponents:
+            both = np.zeros(fields[0, 0].shape)
+            for a, b in itertools.product(range(i + 1), range(j + 1)):
+                weight = math.comb(i, a) * math.comb(j, b) / 2 ** (i + j)
+                both += weight * (fields[a, b] * fields[i - a, j - b].conj()).real
+            products.append(both)
+        kernels = np.einsum("mn,myx->nyx", self.triangle, products) * (spacing * fine / scale) ** 2 / inside.sum()
+        tent = np.convolve(np.ones(parts), np.ones(parts)) / parts
+        for axis in (1, 2):
+            kernels = np.apply_along_axis(np.convolve, axis, kernels, tent, "valid")
+        return kernels[:, ::parts, ::parts]
+
+    def convergence(self, kind: Kind) -> float:
+        """Return the curvature of the waves from a point of the pupil, behind a lens, over those to the detector."""
+        # Waves from a point of an objective's stop are plane.
+        own = (self.camera.objective is None) / self.camera.pupil_distance
+        return 1 / kind.detector_distance + own - 1 / kind.focal_length
+
+    def _transfer(self, lags: NDArray[np.int64], kind: Kind) -> NDArray[np.complex64]:
         """Return the integrals of polynomial times T T* over a cell at lags of steps, the same along x and y."""
         lattice, camera = self.lattice, self.camera
         wavelength = in_millimetres(self.wavelength)
@@ -331,18 +390,20 @@ class PhaseSpace:
         along = np.arange(-reach, reach + 1) * (step / 2)
         y, x = np.meshgrid(along, along, indexing="ij")
         # Types follow each other along a row.
-        centre = lattice.centre(float(lens_type), 0.0)
+        centre = lattice.centre(float(kind.lens_type), 0.0)
         i, j = lattice.cell(x + centre[0], y + centre[1])
         cx, cy = (c - c0 for c, c0 in zip(lattice.centre(i, j), centre, strict=True))
-        powers = 1 / np.array(camera.mla_focal_lengths)
+        # Neighbours are as irregular.
+        powers = camera.mla_focal_lengths[kind.lens_type] / kind.focal_length / np.array(camera.mla_focal_lengths)
         types = lattice.lens_type(i, j).astype(int) if len(powers) > 1 else np.zeros(i.shape, int)
-        phase = ((x * x + y * y) * powers[lens_type] - ((x - cx) ** 2 + (y - cy) ** 2) * powers[types]) / (
+        phase = ((x * x + y * y) * powers[kind.lens_type] - ((x - cx) ** 2 + (y - cy) ** 2) * powers[types]) / (
             2 * wavelength
         )
-        # A quadratic phase shifts what lands, by the place on the lens.
-        phase += self._convergence(lens_type) * (x * x + y * y) / (2 * wavelength)
+        if not self.by_points:
+            # A quadratic phase shifts what lands, by the place on the lens.
+            phase += self.convergence(kind) * (x * x + y * y) / (2 * wavelength)
         T = np.where(lattice.in_aperture(x - cx, y - cy), np.exp(2j * np.pi * phase), 0).astype(np.complex64)
-        own = np.asarray((i == lens_type) & (j == 0), np.float32)
+        own = np.asarray((i == kind.lens_type) & (j == 0), np.float32)
         # Points on a border belong to both sides.
         weights = self.polynomials(*lattice.to_frame(x, y)) * ((own + own[::-1, ::-1]) / 2)[..., None]
         result = np.zeros((len(self.exponents), len(lags), len(lags)), np.complex64)
@@ -380,7 +441,7 @@ class RayCoefficients:
         self._sides = [mi.Float(column) for column in sides.T]
         self._counts = [mi.Int(column.astype(np.int32)) for column in counts.T]
         self._angular = mi.Float([node.angular for node in plan.nodes])
-        self._radius = float(main_lens(plan.camera).pupil_radius)
+        self._radius = plan.camera.pupil_radius
 
     def __call__(
         self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
@@ -428,3 +489,24 @@ class RayCoefficients:
             for value in dr.gather(mi.Vector4f, self._table, mi.UInt(index * self._packets + packet), active)
         ]
         return plan.mirrored(values, *mirrored)
+
+
+class Polynomials:
+    """The polynomials of a `PhaseSpace` as coefficients of rays that land by their own points of a lens."""
+
+    def __init__(self, plan: PhaseSpace) -> None:
+        self.plan = plan
+
+    def __call__(self, point: tuple[Any, Any], pupil: Any, jitter: Any, active: Any) -> list[Any]:
+        """Return the values of the polynomials at points of a lens."""
+        plan = self.plan
+        u, v = (place / plan.lattice.pitches[0] for place in plan.lattice.to_frame(*point))
+        powers = [[mi.Float(1)], [mi.Float(1)]]
+        for _ in range(plan.degree):
+            for each, place in zip(powers, (u, v), strict=True):
+                each.append(each[-1] * place)
+        monomials = [powers[0][i] * powers[1][j] for i, j in plan.exponents]
+        return [
+            sum((m * float(c) for m, c in zip(monomials, column, strict=True) if c), mi.Float(0))
+            for column in plan.triangle.T
+        ]

@@ -273,12 +273,12 @@ def make_class() -> type:
 
         def _capture(self, scene: Any, sensor: Any) -> WaveCapture | SpectralCapture | SignedCapture:
             camera = PlenopticCamera.from_sensor(sensor)
-            require_ideal(camera)
             if self.method == SIGNED_RAYS:
                 if self.spectrum_of(scene, sensor) is not None:
                     raise InputError(f"{NAME}: method = {SIGNED_RAYS}: it takes no bands and responses yet; use auto")
                 light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
                 return SignedCapture(camera, light, self.wavelengths, self.accuracy)
+            require_ideal(camera)
             if camera.objective is not None and self.method == "bank":
                 raise InputError(f"method = bank: it does not know main_lens = {camera.objective.name}; use patch")
             if self.method == "bank":

@@ -13,10 +13,10 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics.lens_system import LensSystem
+from ..optics.pixel_response import angular_response
 from ..optics.telecentric import TelecentricLens
 from .camera_properties import FIXED, NUMBERS, POSITIVE, SEVERAL, WORDS, read_camera
 from .camera_rays import CameraRays, Pair, Traced
-from .pixel_response import angular_response
 
 NAME = "plenoptic"
 

@@ -124,6 +124,8 @@ class Convolution:
         result = np.zeros((1, wanted.rows, wanted.columns), np.float32)
         with resting_drjit():
             for image, spectrum in zip(images, self._spectra, strict=True):
+                if not image.any():
+                    continue  # microlenses of this kind are elsewhere
                 for total, (rows, columns) in zip(sums, tiles, strict=True):
                     part = self._transform(image[rows, columns])
                     part *= spectrum
@@ -174,8 +176,8 @@ def cost_of(convolutions: Sequence[Convolution], block: Box, count: int) -> tupl
     trial = Box(block.left, block.top, min(_TRIAL, block.columns), min(_TRIAL, block.rows))
     start = time.perf_counter()
     for convolution in convolutions:
-        blank = np.zeros((trial.rows, trial.columns), np.float32)
-        convolution.forward(itertools.repeat(blank, convolution.ranks), trial, convolution.reached(trial))
+        image = np.ones((trial.rows, trial.columns), np.float32)
+        convolution.forward(itertools.repeat(image, convolution.ranks), trial, convolution.reached(trial))
     seconds = (time.perf_counter() - start) * count / (trial.rows * trial.columns)
     images = 4.0 * sum(convolution.ranks for convolution in convolutions) * block.rows * block.columns
     # Two blocks are convolved, one waits and one is traced.

@@ -1,0 +1,143 @@
+"""Microlenses of a camera by kinds: lenses of a kind have the same focal length and distance from the detector.
+
+A regular array has a kind for each focal length. Focal lengths that are irregular, and distances that differ since the
+array is tilted, are taken in steps, as fine as the wave across a lens asks for. The lenses' own places and distances
+stay what they are.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import InputError
+from .irregular import MOST_DEVIATIONS, irregularities
+from .phase import in_millimetres
+
+Pair = tuple[Any, Any]
+
+_STEP = 0.4
+"""Radians, at a lens's edge, by which the waves of neighbouring steps differ at most; lenses differ by half of it."""
+
+_SHORTEST = 400.0
+"""Wavelength in nanometres for which that holds."""
+
+_MOST = 32
+"""Kinds at most: each has images of its own."""
+
+
+class Kind(NamedTuple):
+    """Microlenses that are alike.
+
+    Attributes
+    ----------
+    lens_type : int
+        Which of the focal lengths the array's design gives them.
+    focal_length, detector_distance : float
+        Their own, in millimetres.
+    """
+
+    lens_type: int
+    focal_length: float
+    detector_distance: float
+
+
+@dataclass(frozen=True)
+class LensKinds:
+    """The kinds of a camera's microlenses, the same for all wavelengths, and where the lenses stand.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+
+    Raises
+    ------
+    InputError
+        If there are too many.
+    """
+
+    camera: PlenopticCamera
+
+    def __post_init__(self) -> None:
+        for name, values in (("mla_jitter", self._ratios), ("mla_tilt", self._heights)):
+            count = len(values) * len(self.camera.mla_focal_lengths)
+            if count > _MOST:
+                raise InputError(
+                    f"{name} = {getattr(self.camera, name)}: its lenses' waves differ by so much that {count} kinds of "
+                    f"them are to be told apart: for captures by waves at most {_MOST}"
+                )
+
+    @cached_property
+    def every(self) -> list[Kind]:
+        """All kinds: of each step of the heights, each step of the focal lengths, and each type."""
+        camera = self.camera
+        return [
+            Kind(kind, f2 * ratio, camera.detector_distance + height)
+            for height, ratio, (kind, f2) in itertools.product(
+                self._heights, self._ratios, enumerate(camera.mla_focal_lengths)
+            )
+        ]
+
+    def place(self, i: Any, j: Any) -> tuple[Pair, Any]:
+        """Return the centres of lenses, and by how much they stand nearer to the main lens than the one on the axis."""
+        x, y = self.camera.lattice.centre(i, j)
+        if self.camera.mla_jitter[0]:
+            right, up, _ = irregularities(self.camera, i, j)
+            x, y = x + right, y + up
+        return (x, y), self.height(x, y)
+
+    def height(self, x: Any, y: Any) -> Any:
+        """Return by how much an array that is tilted stands nearer to the main lens at a place than on the axis."""
+        across, up = (math.tan(math.radians(angle)) for angle in self.camera.mla_tilt)
+        return x * across + y * up if across or up else 0.0
+
+    def number(self, i: Any, j: Any, height: Any) -> Any:
+        """Return which of the kinds lenses are."""
+        camera = self.camera
+        kind = mi.UInt32(camera.lattice.lens_type(i, j)) if len(camera.mla_focal_lengths) > 1 else mi.UInt32(0)
+        if len(self._ratios) > 1:
+            kind += len(camera.mla_focal_lengths) * _nearest(irregularities(camera, i, j)[2], self._ratios)
+        if len(self._heights) > 1:
+            kind += len(camera.mla_focal_lengths) * len(self._ratios) * _nearest(height, self._heights)
+        return kind
+
+    @property
+    def _phase(self) -> float:
+        """Radians at a lens's edge for a difference of one over a millimetre of the waves' curvature."""
+        return math.pi * float(self.camera.lattice.aperture_reach) ** 2 / in_millimetres(_SHORTEST)
+
+    @cached_property
+    def _ratios(self) -> NDArray[np.float64]:
+        """Factors on the focal lengths."""
+        most = MOST_DEVIATIONS * self.camera.mla_jitter[1]
+        return 1 + _steps(most, _STEP / self._phase * min(self.camera.mla_focal_lengths))
+
+    @cached_property
+    def _heights(self) -> NDArray[np.float64]:
+        """Heights of a tilted array."""
+        camera = self.camera
+        most = abs(self.height(camera.detector_width / 2, 0.0)) + abs(self.height(0.0, camera.detector_height / 2))
+        return _steps(most, _STEP / self._phase * (camera.detector_distance - most) ** 2)
+
+
+def _steps(most: float, widest: float) -> NDArray[np.float64]:
+    """Return the middles of steps, not wider than so much, from minus the most to the most."""
+    count = max(1, math.ceil(2 * most / widest)) if most else 1
+    return most * ((2 * np.arange(count) + 1) / count - 1)
+
+
+def _nearest(value: Any, steps: Sequence[float] | NDArray[np.float64]) -> Any:
+    """Return the number of the step that values are in."""
+    width = float(steps[1] - steps[0])
+    return mi.UInt32(dr.clip(dr.floor((value - float(steps[0])) / width + 0.5), 0, len(steps) - 1))
