@@ -17,6 +17,7 @@ from ..optics.phase_space import PhaseSpace
 from ..runtime.jobs import Job, Task
 from .noise import PARTS, keep_spread, with_spread
 from .patch_plan import Cost
+from .signed_colours import Node
 from .signed_rays import SceneLight, SignedRaySum
 
 _FINE = 0.005
@@ -61,9 +62,9 @@ class SignedCapture:
     accuracy: float
 
     @property
-    def _plans(self) -> list[PhaseSpace]:
+    def _nodes(self) -> list[Node]:
         fine = self.accuracy < _FINE
-        return [_plan(self.camera, wavelength, fine) for wavelength in self.wavelengths]
+        return Node.lines([_plan(self.camera, wavelength, fine) for wavelength in self.wavelengths])
 
     @property
     def _parts(self) -> int:
@@ -74,7 +75,7 @@ class SignedCapture:
         return math.ceil(_KEPT[self.accuracy < _FINE] * highest)
 
     def _sum(self, spp: int, seed: int) -> SignedRaySum:
-        return SignedRaySum(self.camera, self.light, self._plans, parts=self._parts, spp=spp, seed=seed)
+        return SignedRaySum(self.camera, self.light, self._nodes, parts=self._parts, spp=spp, seed=seed)
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
         """Capture the scene.

@@ -28,14 +28,15 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..optics.phase_space import PhaseSpace, RayCoefficients
+from ..optics.phase_space import RayCoefficients
 from ..optics.thin import ThinLens
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
 from . import child
-from .bank.convolution import Convolution, cost_of
+from .bank.convolution import Convolution, box_of, cost_of, margin_of
 from .draws import channels
 from .lens_rays import Block, blocks_of
+from .signed_colours import Node
 from .signed_draws import ORDER, Cells, Draws, Pair, jitter
 
 _BLOCK_BYTES = 2**29
@@ -98,8 +99,8 @@ class SignedRaySum:
         The camera; its recorded window may be a crop.
     light : SceneLight or another function like it
         Finds the radiance along rays.
-    plans : sequence of PhaseSpace
-        Of each channel of the radiance.
+    nodes : sequence of Node
+        The wavelengths at which the radiance is diffracted, and the channels that record it.
     parts : int
         Cells of the grid across a pixel.
     spp : int
@@ -111,20 +112,22 @@ class SignedRaySum:
     arrays: Any = np
 
     def __init__(
-        self, camera: PlenopticCamera, light: Any, plans: Sequence[PhaseSpace], *, parts: int, spp: int, seed: int
+        self, camera: PlenopticCamera, light: Any, nodes: Sequence[Node], *, parts: int, spp: int, seed: int
     ) -> None:
-        self._camera, self._light, self._plans = camera, light, plans
+        self._camera, self._light, self._nodes = camera, light, nodes
         self._parts, self._seed = parts, seed
         self._step = camera.pixel_size / parts
-        self._lens = ThinLens(camera.focal_length, camera.aperture_radius, camera.mla_distance, "parabolic")
+        plans = [node.plan for node in nodes]
+        self._groups = _groups(nodes)
         self._draws = Draws(camera, plans, self._step)
         self._spp = max(_LEAST, round(spp / (parts**2 * max(1.0, self._draws.lit_lenses))))
-        self.channels = len(plans)
+        self._channels = [channel for node in nodes for channel in node.channels]
+        self.channels = max(self._channels) + 1
         rows, columns = camera.shape
         self.box = Box(0, 0, columns, rows)
         # Kernels are made before the images, whose memory they would add to.
-        self._bins = self._convolutions[0].box
-        values = sum(convolution.ranks for convolution in self._convolutions)
+        self._bins = box_of(camera, self._step, max(margin_of(kernels) for kernels in self._kernels))
+        values = sum(len(kernels) * len(node.channels) for kernels, node in zip(self._kernels, nodes, strict=True))
         self._blocks = blocks_of(self._bins, _BLOCK_BYTES // (4 * values))
         self.items = np.array([block.rows * block.columns for block in self._blocks])
 
@@ -136,42 +139,47 @@ class SignedRaySum:
             with busy_drjit():
                 sums = self._trace(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds)
             images = [part.numpy().reshape(-1, bins.rows, bins.columns) for part in sums]
-            yield Block(bins, images, self._convolutions)
+            yield Block(bins, images, self._convolutions, self._channels)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
         """Return the sum of all blocks."""
         return np.ascontiguousarray(np.moveaxis(total.sums, 0, -1))
 
     @cached_property
+    def _kernels(self) -> list[list[NDArray[np.float32]]]:
+        """Those of each node, for each type of lenses. A pixel is the mean of its cells."""
+        reach = _REACH * max(self._camera.mla_pitches)
+        return [
+            [
+                (kernel / self._parts**2).astype(np.float32)
+                for kind in range(len(self._camera.mla_focal_lengths))
+                for kernel in node.plan.kernels(self._step, reach, kind)
+            ]
+            for node in self._nodes
+        ]
+
+    @cached_property
     def _convolutions(self) -> list[Convolution]:
-        # Channels of the same wavelength share theirs. A pixel is the mean of its cells.
-        made = {
-            id(plan): Convolution(
-                self._camera,
-                [
-                    (kernel / self._parts**2).astype(np.float32)
-                    for kind in range(len(self._camera.mla_focal_lengths))
-                    for kernel in plan.kernels(self._step, _REACH * max(self._camera.mla_pitches), kind)
-                ],
-                self._step,
-                order=ORDER - 1,
-            )
-            for plan in self._plans
-        }
-        return [made[id(plan)] for plan in self._plans]
+        """That of each image: those of a node's channels share one."""
+        size = self._blocks[0].rows, self._blocks[0].columns
+        made = [Convolution(self._camera, kernels, self._step, ORDER - 1, size) for kernels in self._kernels]
+        return [each for node, each in zip(self._nodes, made, strict=True) for _ in node.channels]
 
     @cached_property
     def _coefficients(self) -> list[RayCoefficients]:
-        made = {id(plan): plan.bind() for plan in self._plans}
-        return [made[id(plan)] for plan in self._plans]
+        return [node.plan.bind() for node in self._nodes]
 
     def _trace(self, box: Box, cells: Any, seeds: np.random.SeedSequence) -> list[Any]:
         """Trace the rays of some cells of a box.
 
-        Return for each channel what they bring of each kernel, (values, cells) flat.
+        Return for each image what they bring of each kernel, (values, cells) flat.
         """
         types = len(self._camera.mla_focal_lengths)
-        sums = [dr.zeros(mi.Float, dr.width(cells) * types * len(plan.exponents)) for plan in self._plans]
+        sums = [
+            dr.zeros(mi.Float, dr.width(cells) * types * len(node.plan.exponents))
+            for node in self._nodes
+            for _ in node.channels
+        ]
         dr.eval(cells, sums)
         for steps in self._draws.candidates:
             middle, centre, kind = self._draws.centres(Cells(box, cells, steps))
@@ -226,25 +234,30 @@ class SignedRaySum:
             return (time.perf_counter() - start) / dr.width(cells)
 
     def _collect(self, cells: Cells, seed: int) -> list[list[Any]]:
-        """Trace the rays of some cells through a lens of each; return for each channel what they bring."""
+        """Trace the rays of some cells through a lens of each; return for each image what they bring."""
         spp = dr.opaque(mi.UInt32, self._spp)
         count, key = dr.width(cells.index), dr.opaque(mi.UInt32, seed & ~15)
         lane = dr.arange(mi.UInt32, count * self._spp)
         own = lane // spp
         drawn = self._draws.draw(replace(cells, index=dr.gather(mi.UInt32, cells.index, own)), lane - own * spp, key)
         slope = tuple((P - q) / self._camera.mla_distance for P, q in zip(drawn.pupil, drawn.place, strict=True))
-        start, direction, _ = self._lens.trace(drawn.place, slope)
-        radiance = self._light(start, direction, drawn.open, seed)
-        finite = dr.all([dr.isfinite(light) for light in radiance], axis=0)
-        seen = dr.select(drawn.open, mi.Float(1), 0)
-        dr.eval(finite, radiance, seen)
-        if not dr.all(finite):
-            raise InputError("scene: the radiance of some rays is NaN or infinite: all must be finite")
-        known = self._known(radiance, seen, count)
-        return self._bring(cells, key, radiance, known)
+        brought = []
+        for focal_length, nodes in self._groups.items():
+            lens = ThinLens(focal_length, self._camera.aperture_radius, self._camera.mla_distance, "parabolic")
+            start, direction, _ = lens.trace(drawn.place, slope)
+            radiance = self._light(start, direction, drawn.open, seed)
+            finite = dr.all([dr.isfinite(light) for light in radiance], axis=0)
+            seen = dr.select(drawn.open, mi.Float(1), 0)
+            dr.eval(finite, radiance, seen)
+            if not dr.all(finite):
+                raise InputError("scene: the radiance of some rays is NaN or infinite: all must be finite")
+            known = self._known(radiance, seen, count)
+            for number in nodes:
+                brought += self._bring(cells, key, radiance, known, number)
+        return brought
 
     def _known(self, radiance: list[Any], seen: Any, count: int) -> list[Pair]:
-        """Return, for each channel, the mean radiance that the rays of even and those of odd numbers have found."""
+        """Return, for each of its values, the mean radiance that the rays of even and of odd numbers have found."""
         spp, first = dr.opaque(mi.UInt32, self._spp), dr.arange(mi.UInt32, count) * dr.opaque(mi.UInt32, self._spp)
 
         def add(k: Any, totals: list[Any]) -> tuple[Any, list[Any]]:
@@ -261,30 +274,48 @@ class SignedRaySum:
         dr.eval(result)
         return result
 
-    def _bring(self, cells: Cells, key: Any, radiance: list[Any], known: list[Pair]) -> list[list[Any]]:
-        """Return, for each channel, what rays bring of each kernel."""
+    def _bring(self, cells: Cells, key: Any, radiance: list[Any], known: list[Pair], number: int) -> list[list[Any]]:
+        """Return, for each image of a node, what rays bring of each kernel."""
         spp = dr.opaque(mi.UInt32, self._spp)
         first = dr.arange(mi.UInt32, dr.width(cells.index)) * spp
         # Made before the loop, of which they are no part.
-        tables = self._coefficients
+        node, coefficients = self._nodes[number], self._coefficients[number]
+        used, weights = node.mixture()
+        radiance, known = [radiance[i] for i in used], [known[i] for i in used]
         lit = mi.Bool(False)
         for even, odd in known:
-            lit |= (even > 0) | (odd > 0)
+            lit |= (even != 0) | (odd != 0)
 
         def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
             drawn, chance, even = self._draws.draw(cells, k, key), jitter(cells.index, key ^ (k << 4)), (k & 1) == 0
+            others = [dr.select(even, pair[1], pair[0]) for pair in known]
+            changes = [
+                dr.gather(mi.Float, light, first + k) - other for light, other in zip(radiance, others, strict=True)
+            ]
+            active = drawn.open & dr.any([change != 0 for change in changes], axis=0)
+            values = coefficients(drawn.point, drawn.pupil, chance, active)
             result = []
-            for light, pair, coefficients, before in zip(radiance, known, tables, brought, strict=True):
-                other = dr.select(even, pair[1], pair[0])
-                change = (dr.gather(mi.Float, light, first + k) - other) * drawn.weight
-                active = drawn.open & (change != 0)
-                values = coefficients(drawn.point, drawn.pupil, chance, active)
+            for row, before in zip(weights, brought, strict=True):
+                change = drawn.weight * _mixed(row, changes)
                 after = [old + dr.select(active, value * change, 0) for old, value in zip(before, values, strict=True)]
-                after[0] += dr.select(drawn.open, other, 0)
+                after[0] += dr.select(drawn.open, _mixed(row, others), 0)
                 result.append(after)
             return k + 1, result
 
-        nothing = [[mi.Float(0) for _ in plan.exponents] for plan in self._plans]
+        nothing = [[mi.Float(0) for _ in node.plan.exponents] for _ in node.channels]
         end = dr.select(lit, spp, 0)
         _, brought = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < end, bring, label="signed rays")
         return [[part / mi.Float(spp) for part in parts] for parts in brought]
+
+
+def _groups(nodes: Sequence[Node]) -> dict[float, list[int]]:
+    """Return, by the focal length of the main lens, the numbers of the nodes whose rays go the same ways."""
+    found: dict[float, list[int]] = {}
+    for number, node in enumerate(nodes):
+        found.setdefault(node.plan.camera.focal_length, []).append(number)
+    return found
+
+
+def _mixed(weights: Sequence[Any], values: Sequence[Any]) -> Any:
+    """Return the sum of the products."""
+    return sum((weight * value for weight, value in zip(weights, values, strict=True)), start=mi.Float(0))

@@ -68,8 +68,7 @@ class Convolution:
     ) -> None:
         self.pitch = pitch
         self._parts = round(camera.pixel_size / self.pitch)
-        left, top = (offset * self._parts for offset in camera.crop_offset)
-        self._window = Box(left, top, camera.shape[1] * self._parts, camera.shape[0] * self._parts)
+        self._window = box_of(camera, pitch, 0)
         self._margin = margin_of(kernels)
         self.ranks, self.box = len(kernels), _grown(self._window, self._margin)
         support = 2 * self._margin + 1
@@ -160,6 +159,13 @@ class Convolution:
 
     def _back(self, spectrum: NDArray[np.complex64]) -> NDArray[np.float32]:
         return scipy.fft.irfft2(spectrum, self._size, overwrite_x=True, workers=worker_count())
+
+
+def box_of(camera: PlenopticCamera, pitch: float, margin: int) -> Box:
+    """Return the samples of the recorded pixels and a margin of them, counted from the full detector's corner."""
+    parts = round(camera.pixel_size / pitch)
+    left, top = (offset * parts for offset in camera.crop_offset)
+    return _grown(Box(left, top, camera.shape[1] * parts, camera.shape[0] * parts), margin)
 
 
 def margin_of(kernels: Sequence[NDArray[np.float32]]) -> int:
