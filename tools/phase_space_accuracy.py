@@ -168,7 +168,7 @@ def reference(camera: PlenopticCamera, wall: Wall) -> np.ndarray:
 
 def capture(plan: PhaseSpace, camera: PlenopticCamera, wall: Wall, samples: int, parts: int, seed: int) -> np.ndarray:
     """Capture the wall by signed rays."""
-    work = SignedRaySum(camera, wall.light, Node.lines([plan]), parts=parts, spp=samples, seed=seed)
+    work = SignedRaySum(camera, wall.light, [Node(plan, (0,), np.ones((1, 1)))], parts=parts, spp=samples, seed=seed)
     items = int(work.items.sum())
     return Job().run([Task(items, lambda: work, lambda image: image)], (*camera.shape, 1), items)[..., 0].astype(float)
 

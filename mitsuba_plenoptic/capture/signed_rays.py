@@ -36,7 +36,7 @@ from . import child
 from .bank.convolution import Convolution, box_of, cost_of, margin_of
 from .draws import channels
 from .lens_rays import Block, blocks_of
-from .signed_colours import Node
+from .signed_colours import DrawnWavelengths, Lanes, Node, chances, span
 from .signed_draws import ORDER, Cells, Draws, Pair, jitter
 
 _BLOCK_BYTES = 2**29
@@ -77,17 +77,22 @@ class SceneLight:
     integrator: Any
     wavelength: float | None = None
 
-    def __call__(self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int) -> list[Any]:
-        """Return the radiance, by channel, along rays from points of the camera frame."""
+    def __call__(
+        self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
+    ) -> list[Any]:
+        """Return the radiance along rays from points of the camera frame, by channel or at wavelengths of theirs."""
         to_world = self.sensor.world_transform()
         ray = mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
-        if self.wavelength is not None:
+        if wavelengths is not None:
+            ray.wavelengths = type(ray.wavelengths)(*wavelengths)
+        elif self.wavelength is not None:
             ray.wavelengths = self.wavelength
         sampler = child.random_numbers(seed, dr.width(ray))
         ray.time = self.sensor.shutter_open()
         if self.sensor.shutter_open_time() > 0:
             ray.time += sampler.next_1d(active) * self.sensor.shutter_open_time()
-        return channels(child.sample(self.integrator, self.scene, sampler, ray, self.sensor.get_medium(), active))
+        found = child.sample(self.integrator, self.scene, sampler, ray, self.sensor.get_medium(), active)
+        return channels(found) if wavelengths is None else list(found)
 
 
 class SignedRaySum:
@@ -101,6 +106,8 @@ class SignedRaySum:
         Finds the radiance along rays.
     nodes : sequence of Node
         The wavelengths at which the radiance is diffracted, and the channels that record it.
+    drawn : DrawnWavelengths, optional
+        From which rays have wavelengths of their own.
     parts : int
         Cells of the grid across a pixel.
     spp : int
@@ -112,15 +119,26 @@ class SignedRaySum:
     arrays: Any = np
 
     def __init__(
-        self, camera: PlenopticCamera, light: Any, nodes: Sequence[Node], *, parts: int, spp: int, seed: int
+        self,
+        camera: PlenopticCamera,
+        light: Any,
+        nodes: Sequence[Node],
+        drawn: DrawnWavelengths | None = None,
+        *,
+        parts: int,
+        spp: int,
+        seed: int,
     ) -> None:
-        self._camera, self._light, self._nodes = camera, light, nodes
+        self._camera, self._light, self._nodes, self._drawn = camera, light, nodes, drawn
         self._parts, self._seed = parts, seed
         self._step = camera.pixel_size / parts
         plans = [node.plan for node in nodes]
         self._groups = _groups(nodes)
         self._draws = Draws(camera, plans, self._step)
-        self._spp = max(_LEAST, round(spp / (parts**2 * max(1.0, self._draws.lit_lenses))))
+        rays = max(_LEAST, round(spp / (parts**2 * max(1.0, self._draws.lit_lenses))))
+        # Of drawn wavelengths, the least that correct each other have the same.
+        self._spp = rays if drawn is None else _LEAST
+        self._passes = round(rays / self._spp)
         self._channels = [channel for node in nodes for channel in node.channels]
         self.channels = max(self._channels) + 1
         rows, columns = camera.shape
@@ -190,17 +208,19 @@ class SignedRaySum:
                 some = dr.gather(
                     mi.UInt32, lit, dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, min(size, dr.width(lit) - start))
                 )
-                seed = int(seeds.spawn(1)[0].generate_state(1)[0])
-                brought = self._collect(Cells(box, dr.gather(mi.UInt32, cells, some), steps), seed)
                 every = dr.opaque(mi.UInt32, dr.width(cells))
-                for total, parts in zip(sums, brought, strict=True):
-                    first = some if types == 1 else some + every * (dr.gather(mi.UInt32, kind, some) * len(parts))
-                    for number, part in enumerate(parts):
-                        # Every cell is in it once.
-                        dr.scatter_reduce(
-                            dr.ReduceOp.Add, total, part, first + every * number, mode=dr.ReduceMode.NoConflicts
-                        )
-                dr.eval(sums)
+                chosen = Cells(box, dr.gather(mi.UInt32, cells, some), steps)
+                own = seeds.spawn(1)[0].generate_state(1 + self._passes).tolist()
+                for turn, seed in enumerate(own[1:]):
+                    lanes = self._lanes(chosen, turn, own[0])
+                    for total, parts in zip(sums, self._collect(chosen, seed, lanes), strict=True):
+                        first = some if types == 1 else some + every * (dr.gather(mi.UInt32, kind, some) * len(parts))
+                        for number, part in enumerate(parts):
+                            # Every cell is in it once.
+                            dr.scatter_reduce(
+                                dr.ReduceOp.Add, total, part, first + every * number, mode=dr.ReduceMode.NoConflicts
+                            )
+                    dr.eval(sums)
         return sums
 
     def probe(self) -> NDArray[np.float32]:
@@ -233,7 +253,18 @@ class SignedRaySum:
             dr.sync_thread()
             return (time.perf_counter() - start) / dr.width(cells)
 
-    def _collect(self, cells: Cells, seed: int) -> list[list[Any]]:
+    def _lanes(self, cells: Cells, turn: int, seed: int) -> list[Lanes | None]:
+        """Return the wavelengths of the rays of some cells in one of the passes, for each group of nodes."""
+        if self._drawn is None:
+            return [None for _ in self._groups]
+        chance = chances(dr.opaque(mi.UInt32, cells.box.columns), cells.index, turn, seed)
+        lanes: list[Lanes | None] = [
+            self._drawn.draw(chance, span([self._nodes[number] for number in group])) for group in self._groups.values()
+        ]
+        dr.eval(lanes)
+        return lanes
+
+    def _collect(self, cells: Cells, seed: int, lanes: Sequence[Lanes | None]) -> list[list[Any]]:
         """Trace the rays of some cells through a lens of each; return for each image what they bring."""
         spp = dr.opaque(mi.UInt32, self._spp)
         count, key = dr.width(cells.index), dr.opaque(mi.UInt32, seed & ~15)
@@ -242,10 +273,11 @@ class SignedRaySum:
         drawn = self._draws.draw(replace(cells, index=dr.gather(mi.UInt32, cells.index, own)), lane - own * spp, key)
         slope = tuple((P - q) / self._camera.mla_distance for P, q in zip(drawn.pupil, drawn.place, strict=True))
         brought = []
-        for focal_length, nodes in self._groups.items():
+        for (focal_length, nodes), some in zip(self._groups.items(), lanes, strict=True):
             lens = ThinLens(focal_length, self._camera.aperture_radius, self._camera.mla_distance, "parabolic")
             start, direction, _ = lens.trace(drawn.place, slope)
-            radiance = self._light(start, direction, drawn.open, seed)
+            own_light = [] if some is None else [[dr.gather(mi.Float, each, own) for each in some.wavelengths]]
+            radiance = self._light(start, direction, drawn.open, seed, *own_light)
             finite = dr.all([dr.isfinite(light) for light in radiance], axis=0)
             seen = dr.select(drawn.open, mi.Float(1), 0)
             dr.eval(finite, radiance, seen)
@@ -253,7 +285,7 @@ class SignedRaySum:
                 raise InputError("scene: the radiance of some rays is NaN or infinite: all must be finite")
             known = self._known(radiance, seen, count)
             for number in nodes:
-                brought += self._bring(cells, key, radiance, known, number)
+                brought += self._bring(cells, key, radiance, known, number, some)
         return brought
 
     def _known(self, radiance: list[Any], seen: Any, count: int) -> list[Pair]:
@@ -274,13 +306,15 @@ class SignedRaySum:
         dr.eval(result)
         return result
 
-    def _bring(self, cells: Cells, key: Any, radiance: list[Any], known: list[Pair], number: int) -> list[list[Any]]:
+    def _bring(
+        self, cells: Cells, key: Any, radiance: list[Any], known: list[Pair], number: int, lanes: Lanes | None
+    ) -> list[list[Any]]:
         """Return, for each image of a node, what rays bring of each kernel."""
         spp = dr.opaque(mi.UInt32, self._spp)
         first = dr.arange(mi.UInt32, dr.width(cells.index)) * spp
         # Made before the loop, of which they are no part.
         node, coefficients = self._nodes[number], self._coefficients[number]
-        used, weights = node.mixture()
+        used, weights = node.mixture(lanes)
         radiance, known = [radiance[i] for i in used], [known[i] for i in used]
         lit = mi.Bool(False)
         for even, odd in known:
@@ -305,7 +339,8 @@ class SignedRaySum:
         nothing = [[mi.Float(0) for _ in node.plan.exponents] for _ in node.channels]
         end = dr.select(lit, spp, 0)
         _, brought = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < end, bring, label="signed rays")
-        return [[part / mi.Float(spp) for part in parts] for parts in brought]
+        rays = mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes))
+        return [[part / rays for part in parts] for parts in brought]
 
 
 def _groups(nodes: Sequence[Node]) -> dict[float, list[int]]:

@@ -315,6 +315,19 @@ class PhaseSpace:
         waves = np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (every * fine * step / scale)
         return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
 
+    def spots(self, along: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what one lens of each type diffracts, at places on the detector along both axes: (types, n, n)."""
+        u, v, inside = self._aperture_grid(_TRANSFER_SAMPLES)
+        wavelength = in_millimetres(self.wavelength)
+        scale = wavelength * self.camera.detector_distance
+        waves = np.exp(-2j * np.pi * np.outer(along, u[0]) / scale)
+        made = []
+        for kind in range(len(self.camera.mla_focal_lengths)):
+            phase = self._convergence(kind) * (u * u + v * v) / (2 * wavelength)
+            field = waves @ np.where(inside, np.exp(2j * np.pi * phase), 0) @ waves.T
+            made.append(np.abs(field) ** 2 * (u[0, 1] - u[0, 0]) ** 2 / (inside.sum() * scale**2))
+        return np.stack(made)
+
     def _convergence(self, lens_type: int) -> float:
         """Return the curvature of the waves from a point of the pupil, behind a lens, over those to the detector."""
         camera = self.camera

@@ -259,7 +259,7 @@ def make_class() -> type:
             with guards.watch():
                 image = capture.compute(seed=seed, spp=spp, job=job or Job(), noise=noise)
 
-            put(film, image, image.shape[2] if noise is False else len(self.wavelengths))
+            put(film, image, image.shape[2] // (2 if noise else 1))
             return film
 
         def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:
@@ -269,16 +269,20 @@ def make_class() -> type:
 
         def spectrum_of(self, scene: Any, sensor: Any) -> Spectrum | None:
             """Return the spectrum that a sensor's film records; None if each channel has one wavelength."""
-            return self.colours.spectrum_for(sensor.film().base_channels_count(), scene)
+            # Signed rays draw their wavelengths, and miss no line; colours of other variants have smooth spectra.
+            sampled = mi.is_spectral and self.method != SIGNED_RAYS
+            tables = colour.tables_of(scene) if sampled else []
+            return self.colours.spectrum_for(sensor.film().base_channels_count(), tables)
 
         def _capture(self, scene: Any, sensor: Any) -> WaveCapture | SpectralCapture | SignedCapture:
             camera = PlenopticCamera.from_sensor(sensor)
             require_ideal(camera)
             if self.method == SIGNED_RAYS:
-                if self.spectrum_of(scene, sensor) is not None:
-                    raise InputError(f"{NAME}: method = {SIGNED_RAYS}: it takes no bands and responses yet; use auto")
+                colours = self.colours.signed(sensor.film().base_channels_count())
+                if mi.is_spectral:
+                    colour.require_spectra(scene, colours.spectrum.wavelengths, colours.spectrum.matrix())
                 light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
-                return SignedCapture(camera, light, self.wavelengths, self.accuracy)
+                return SignedCapture(camera, light, colours, self.accuracy)
             if camera.objective is not None and self.method == "bank":
                 raise InputError(f"method = bank: it does not know main_lens = {camera.objective.name}; use patch")
             if self.method == "bank":

@@ -134,8 +134,6 @@ def test_black_scenes_are_black_and_said_to_be():
         ({"main_lens": "double_gauss"}, "main_lens"),
         ({"wavefront": "0, 0, 0, 0.2"}, "wavefront"),
         ({"detector_distance": 1.0}, "detector_distance"),
-        ({"mla_glass": '{"index": 1.5168, "abbe": 64.2}'}, "mla_glass"),
-        ({"glass": '{"index": 1.5168, "abbe": 64.2}'}, "glass"),
     ],
 )
 def test_cameras_that_are_not_served_are_refused_by_name(parameters, message):
