@@ -38,6 +38,10 @@ _DEFOCUS = 4.0
 _PROBED, _LEAST_ERROR = 3.0, 1e-3
 """Allowed error of a lens's spot over that of the capture, in which spots overlap, and the least error asked for."""
 
+_BLUR = 10.0
+"""Blur from one node to the next in lenses, over the root of the capture's error: the errors of straight lines go with
+the square of the steps."""
+
 _TAIL = 0.01
 """Part of the responses that is beyond the outermost nodes, on either side."""
 
@@ -204,8 +208,8 @@ class SignedColours:
 
         Those of a band, or of channels that share theirs, divide its wavelengths evenly by their logarithm, but for the
         last hundredth of the responses on either side; a single one is their mean. There are as many as each channel's
-        spot of a microlens needs, in even light, and so many that from one to the next a dispersing main lens blurs
-        what is in focus by no more than a lens.
+        spot of a microlens needs in even light, to three times the accuracy, and so many that from one to the next a
+        dispersing main lens blurs what is in focus by no more than a lens at the usual accuracy.
         """
         wavelengths, responses = np.array(self.spectrum.wavelengths), np.abs(self.spectrum.matrix().astype(np.float64))
         found: set[float] = set()
@@ -283,6 +287,6 @@ def _enough(
         apart = places if count > 1 else _divided(wavelengths, weights, 2)
         powers = [1 / camera.at_wavelength(place).focal_length for place in apart]
         blur = 2 * camera.aperture_radius * camera.mla_distance * np.abs(np.diff(powers)).max()
-        if wrong.max() <= _PROBED * error and blur <= min(camera.mla_pitches):
+        if wrong.max() <= _PROBED * error and blur <= _BLUR * math.sqrt(error) * min(camera.mla_pitches):
             break
     return places

@@ -35,6 +35,9 @@ SRGB = "srgb"
 BAND_NODES = 8
 """Wavelengths of a band where their number is not given, of which fewer point spreads may be computed."""
 
+SHARED = 32
+"""Wavelengths of a band whose light is shared by nodes of signed rays."""
+
 
 @dataclass(frozen=True)
 class Colours:
@@ -66,10 +69,11 @@ class Colours:
     count: int
     nodes: int | None
 
-    def spectrum_for(self, channels: int, tables: Sequence[Table]) -> Spectrum | None:
+    def spectrum_for(self, channels: int, tables: Sequence[Table], count: int | None = None) -> Spectrum | None:
         """Return the spectrum of a film of so many channels; None if each channel of light has one wavelength.
 
-        `tables` are spectra of the scene whose products with the responses must be integrated right.
+        `tables` are spectra of the scene whose products with the responses must be integrated right, and `count` the
+        wavelengths of each band; by default `nodes`.
 
         Raises
         ------
@@ -77,15 +81,15 @@ class Colours:
             If the responses have another number of channels than the film's light.
         """
         if self.table is not None:
-            count = self.table.shape[1] - 1
+            columns = self.table.shape[1] - 1
             # A film of luminance takes three channels, too, but would add up what it does not know as colours.
-            if count not in (1, channels):
+            if columns not in (1, channels):
                 raise InputError(
-                    f"responses = {self.responses}: {count} channels, and the film has {channels}: use pixel_format rgb"
+                    f"responses = {self.responses}: {columns} channels, and the film has {channels}: use pixel_format rgb"
                 )
             return Spectrum.sensor(self.table, self.count, tables)
         if self.bandwidth is not None:
-            count, width = self.nodes or BAND_NODES, self.bandwidth
+            count, width = count or self.nodes or BAND_NODES, self.bandwidth
             return (
                 Spectrum.smooth(*self._band(width), count, tables)
                 if tables
@@ -103,7 +107,7 @@ class Colours:
         InputError
             If `spectrum_for` does.
         """
-        spectrum, nodes = self.spectrum_for(channels, ()), self.nodes
+        spectrum, nodes = self.spectrum_for(channels, (), SHARED), self.nodes
         if spectrum is None:
             return SignedColours.lines(self.wavelengths)
         if not mi.is_spectral:

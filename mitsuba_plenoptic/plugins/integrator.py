@@ -24,7 +24,7 @@ from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..optics.wave_cameras import require_ideal, require_no_aberrations, require_no_glass
 from ..runtime.jobs import Job
-from .colours import NAME, read_colours
+from .colours import NAME, SHARED, read_colours
 from .films import develop, develop_back, put
 from .gradients import accumulate, numbers_and_others, tangent
 from .properties import read_choice, read_count, read_flag, read_plain
@@ -270,9 +270,10 @@ def make_class() -> type:
         def spectrum_of(self, scene: Any, sensor: Any) -> Spectrum | None:
             """Return the spectrum that a sensor's film records; None if each channel has one wavelength."""
             # Signed rays draw their wavelengths, and miss no line; colours of other variants have smooth spectra.
-            sampled = mi.is_spectral and self.method != SIGNED_RAYS
-            tables = colour.tables_of(scene) if sampled else []
-            return self.colours.spectrum_for(sensor.film().base_channels_count(), tables)
+            channels = sensor.film().base_channels_count()
+            if self.method == SIGNED_RAYS:
+                return self.colours.spectrum_for(channels, (), SHARED)
+            return self.colours.spectrum_for(channels, colour.tables_of(scene) if mi.is_spectral else [])
 
         def _capture(self, scene: Any, sensor: Any) -> WaveCapture | SpectralCapture | SignedCapture:
             camera = PlenopticCamera.from_sensor(sensor)
