@@ -85,7 +85,8 @@ class Colours:
             # A film of luminance takes three channels, too, but would add up what it does not know as colours.
             if columns not in (1, channels):
                 raise InputError(
-                    f"responses = {self.responses}: {columns} channels, and the film has {channels}: use pixel_format rgb"
+                    f"responses = {self.responses}: {columns} channels, and the film has {channels}: "
+                    "use pixel_format rgb"
                 )
             return Spectrum.sensor(self.table, self.count, tables)
         if self.bandwidth is not None:

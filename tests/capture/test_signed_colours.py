@@ -2,6 +2,7 @@
 
 import math
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from any_scenes import facing, radiating, scene_of, sensor
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, Spectrum, render_capture
 from mitsuba_plenoptic.capture import colour
+from mitsuba_plenoptic.capture.signed_colours import span
 
 CROWN = '{"index": 1.5168, "abbe": 64.2}'
 GLASS = {"glass": CROWN, "mla_glass": CROWN}
@@ -137,7 +139,8 @@ def test_bands_of_a_patch_of_light_against_exact_sums(width, glass):
     exact *= image.sum() / exact.sum()
     # Of so small a light that stands in focus, one line by itself is as far from exact sums.
     assert relative(image, exact) < 0.05
-    assert relative(by_waves(scene, 2048, **options, nodes=1).image, exact) > 0.06
+    if glass:
+        assert relative(by_waves(scene, 2048, **options, nodes=1).image, exact) > 0.1
 
 
 @pytest.mark.slow
@@ -155,6 +158,35 @@ def test_lines_of_three_channels_have_rays_of_their_own():
         assert image[..., channel].sum() == pytest.approx(
             by_waves(scene, 256, wavelength=wavelength).image.sum(), rel=0.01
         )
+
+
+def test_nodes_share_light_in_straight_lines():
+    mi.set_variant("llvm_ad_rgb")
+    colours = mi.load_dict({"type": "plenoptic_wave", "responses": "srgb", "nodes": 4}).colours.signed(3)
+    nodes = colours.planned(PlenopticCamera(resolution=(64, 64), detector_width=0.128), 0.01)
+    weights = np.array([node.weights for node in nodes])
+    # All light of white is shared, and reads 1 in every channel.
+    assert weights.sum((0, 2)) == pytest.approx(np.ones(3), abs=1e-5)
+    wavelengths = np.array(colours.spectrum.wavelengths)
+    places = [node.plan.wavelength for node in nodes]
+    inner = np.clip(wavelengths, places[0], places[-1])
+    moments = (colours.spectrum.matrix() * inner) @ colours.upsampling.T
+    assert np.tensordot(places, weights, 1) == pytest.approx(moments, rel=1e-4, abs=1e-3)
+
+
+def test_drawn_wavelengths_integrate_responses():
+    mi.set_variant("llvm_ad_spectral")
+    colours = mi.load_dict({"type": "plenoptic_wave", "responses": "srgb", "nodes": 3}).colours.signed(3)
+    nodes = colours.planned(PlenopticCamera(resolution=(64, 64), detector_width=0.128), 0.01)
+    count, places = 2**14, np.arange(380, 730, 0.05)
+    for some in (nodes, nodes[1:2]):
+        lanes = colours.drawn.draw((dr.arange(mi.Float, count) + 0.5) / count, span(some))
+        for node in some:
+            _, rows = node.mixture(lanes)
+            found = [sum(dr.mean(weight)[0] for weight in row) for row in rows]
+            hats = np.interp(places, [each.plan.wavelength for each in nodes], [each is node for each in nodes])
+            expected = np.trapezoid(colour.SRGB.at(places) * hats, places, axis=1)
+            assert found == pytest.approx(expected[list(node.channels)], rel=0.002, abs=0.05)
 
 
 def test_nodes_are_as_many_as_spots_need():
