@@ -92,7 +92,7 @@ class PhaseSpace:
     ----------
     camera : PlenopticCamera
         A camera with a thin main lens without a wavefront, and a regular array, not far out of whose focus is the
-        detector.
+        detector; one with glasses as it is `at_wavelength`.
     wavelength : float
         In nanometres.
     degree : int
@@ -121,8 +121,8 @@ class PhaseSpace:
         for name, refused, rule in (
             ("main_lens", camera.prescription is not None or camera.objective is not None, "a thin lens"),
             ("wavefront", any(camera.wavefront), "without aberrations"),
-            ("glass", camera.glass is not None, "left out, as all wavelengths take the same rays"),
-            ("mla_glass", camera.mla_glass is not None, "left out, as all wavelengths take the same rays"),
+            ("glass", camera.glass is not None, "taken at the wavelength, by camera.at_wavelength"),
+            ("mla_glass", camera.mla_glass is not None, "taken at the wavelength, by camera.at_wavelength"),
             ("detector_distance", self.defocus > MOST_PHASE, f"closer to the microlenses' focus, {self._limits}"),
         ):
             if refused:

@@ -70,7 +70,8 @@ def make_class() -> type:
          * - nodes
            - |int|
            - At how many wavelengths point spreads are computed: of each band, or with ``responses`` of all, between
-             which they are interpolated. (Default: as many as the sum of some radiators needs for ``accuracy``)
+             which they are interpolated. (Default: as many as the sum of some radiators needs for ``accuracy``, or by
+             ``signed_rays`` the spot of a microlens)
          * - radiators_per_lens
            - |int|
            - Radiators per microlens and axis, up to 256; the time grows with its square. (Default: 8)
@@ -115,11 +116,13 @@ def make_class() -> type:
         and microlenses diffract is in signed coefficients of each ray and in kernels, which depend on the camera alone.
         So light may differ over the pupil and over a lens, and the scene may hold all that the nested integrator
         knows, at the price of a capture by rays. It takes thin main lenses without a wavefront, regular arrays and
-        detectors not far from the microlenses' focus, and lines instead of bands and responses; it has no gradients.
+        detectors not far from the microlenses' focus; it has no gradients. With bands and responses, kernels are those
+        of some wavelengths, ``nodes``, between which light is shared in straight lines; in spectral variants each ray
+        has wavelengths of its own, whatever the scene. A ``glass`` of the main lens gives each node rays of its own.
         ``radiators_per_lens``, ``passes`` and ``occlusion`` do not concern it; ``accuracy`` below 0.005 takes finer
         kernels.
 
-        With a band or responses, one set of radiators serves all wavelengths. In spectral variants light has the
+        With a band or responses, one set of radiators, or of rays, serves all wavelengths. In spectral variants light has the
         scene's own spectra, in rgb ones those of D65 times the smoothest reflectances that have the colours, in mono
         ones the same radiance at all wavelengths. With a camera's ``glass`` and ``mla_glass`` each wavelength has its
         own focal lengths.

@@ -1,6 +1,7 @@
 """Colours of captures by signed rays: against exact sums of points, rays, lines by themselves, and one another."""
 
 import math
+import pickle
 
 import drjit as dr
 import mitsuba as mi
@@ -210,3 +211,24 @@ def test_colours_that_have_no_spectrum_are_refused(tmp_path):
     mi.set_variant("llvm_ad_spectral")
     with pytest.raises(InputError, match="wavelength = 850: emitter wall has light from 360 to 830 nm only"):
         by_waves(wall({"type": "d65"}), wavelength=850.0)
+
+
+class _Elsewhere:
+    """Computes every batch from what reaches another process of it."""
+
+    workers, threads = 2, 0
+
+    def __call__(self, batches):
+        for batch in batches:
+            yield pickle.loads(pickle.dumps(batch)).prepare()()
+
+
+def test_spectra_behind_panes_and_computed_elsewhere():
+    mi.set_variant("llvm_ad_spectral")
+    light = {"emitter": {"type": "area", "radiance": {"type": "d65"}}}
+    pane = {"type": "mask", "opacity": 0.25, "nested": {"type": "diffuse", "reflectance": 0.0}}
+    scene = scene_of(coloured(4), pane=facing(200.0, 60.0, bsdf=pane), wall=facing(240.0, 60.0, **light))
+    here, there = (by_waves(scene, nodes=2, batch_map=each).image for each in (None, _Elsewhere()))
+    assert np.array_equal(here, there)
+    rays = render_capture(scene, model="ray", spp=128).image
+    assert here.mean((0, 1)) == pytest.approx(rays.mean((0, 1)), rel=0.03)
