@@ -122,10 +122,10 @@ def make_class() -> type:
         ``radiators_per_lens``, ``passes`` and ``occlusion`` do not concern it; ``accuracy`` below 0.005 takes finer
         kernels.
 
-        With a band or responses, one set of radiators, or of rays, serves all wavelengths. In spectral variants light has the
-        scene's own spectra, in rgb ones those of D65 times the smoothest reflectances that have the colours, in mono
-        ones the same radiance at all wavelengths. With a camera's ``glass`` and ``mla_glass`` each wavelength has its
-        own focal lengths.
+        With a band or responses, one set of radiators, or of rays, serves all wavelengths. In spectral variants light
+        has the scene's own spectra, in rgb ones those of D65 times the smoothest reflectances that have the colours,
+        in mono ones the same radiance at all wavelengths. With a camera's ``glass`` and ``mla_glass`` each wavelength
+        has its own focal lengths.
 
         Scalar waves and thin elements: no polarisation, and both lenses are thin parabolic phases, whose geometric
         twin is the sensor's ``lens_model="parabolic"``. Objects before a radiator hide parts of the pupil but do
