@@ -237,7 +237,9 @@ class SignedRaySum:
         convolved, memory = cost_of(convolutions, self._blocks[0], count)
         # The first compiles the kernels.
         seconds = [self._timed(self._some(_CELLS), seed) for seed in range(3)]
-        return made + convolved + min(seconds[1:]) * count, memory + _RAY_BYTES * _LANES
+        # Tables are held by their plans and on the device.
+        tables = 2 * sum(part.nbytes for node in self._nodes for part in node.plan.table)
+        return made + convolved + min(seconds[1:]) * count, memory + tables + _RAY_BYTES * _LANES
 
     def _some(self, count: int) -> Any:
         """Return some cells, evenly over all."""
