@@ -22,6 +22,7 @@ import mitsuba as mi
 import numpy as np
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
+from mitsuba_plenoptic.capture.signed_colours import Node
 from mitsuba_plenoptic.capture.signed_rays import SignedRaySum
 from mitsuba_plenoptic.capture.units import brightness_at, brightness_of, radiance_weight
 from mitsuba_plenoptic.optics.phase_space import PhaseSpace
@@ -200,7 +201,7 @@ def reference(camera: PlenopticCamera, wall: Wall) -> np.ndarray:
 
 def capture(plan: PhaseSpace, camera: PlenopticCamera, wall: Wall, samples: int, parts: int, seed: int) -> np.ndarray:
     """Capture the wall by signed rays."""
-    work = SignedRaySum(camera, wall.light, [plan], parts=parts, spp=samples, seed=seed)
+    work = SignedRaySum(camera, wall.light, [Node(plan, (0,), np.ones((1, 1)))], parts=parts, spp=samples, seed=seed)
     items = int(work.items.sum())
     return Job().run([Task(items, lambda: work, lambda image: image)], (*camera.shape, 1), items)[..., 0].astype(float)
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..optics.spectrum import WAVELENGTHS, Spectrum, Table
+from ..optics.spectrum import WAVELENGTHS, Responses, Spectrum, Table
 
 _STEP = 10.0
 """Distance in nanometres of the wavelengths at which reflectances are found."""
@@ -43,7 +43,7 @@ def srgb(count: int = WAVELENGTHS, tables: Sequence[Table] = ()) -> Spectrum:
     tables : sequence of pairs of arrays
         Spectra of the scene, as of `Spectrum.smooth`.
     """
-    return Spectrum.smooth(_srgb_responses, _LOW, _HIGH, count, tables)
+    return Spectrum.smooth(*SRGB, count, tables)
 
 
 def tables_of(scene: Any) -> list[Table]:
@@ -129,6 +129,10 @@ def _srgb_responses(wavelengths: NDArray[np.float64]) -> NDArray[np.float64]:
     xyz = np.array(mi.cie1931_xyz(mi.Float(wavelengths)), np.float64)
     matrix = np.array([np.ravel(mi.xyz_to_srgb(mi.ScalarColor3f(unit))) for unit in np.eye(3).tolist()], np.float64).T
     return np.asarray(matrix @ xyz * mi.MI_CIE_Y_NORMALIZATION)
+
+
+SRGB = Responses(_srgb_responses, _LOW, _HIGH)
+"""Those of linear sRGB."""
 
 
 def _d65(wavelengths: NDArray[np.float64]) -> NDArray[np.float64]:

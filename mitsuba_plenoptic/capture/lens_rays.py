@@ -109,7 +109,7 @@ class LensRaySum:
                 count = bins.rows * bins.columns
                 sums = self._trace_bins(bins, dr.arange(mi.UInt32, count), self._candidates, seeds)
             images = [part.numpy().reshape(-1, bins.rows, bins.columns) for part in sums]
-            yield Block(bins, images, self._convolutions)
+            yield Block(bins, images, self._convolutions, range(self.channels))
 
     @cached_property
     def _convolutions(self) -> list[Convolution]:
@@ -322,14 +322,17 @@ class Block:
     bins : Box
         The bins.
     images : list of float32 arrays (ranks, rows, columns)
-        For each channel.
+        What rays bring of the kernels of each convolution.
     convolutions : list of Convolution
-        For each channel.
+        For each of the images.
+    channels : sequence of int
+        Those to which they are added, counted from 0; none is left out.
     """
 
     bins: Box
     images: list[NDArray[np.float32]]
     convolutions: list[Convolution]
+    channels: Sequence[int]
 
     @property
     def samples(self) -> int:
@@ -344,8 +347,10 @@ class Block:
 def _convolve(block: Block) -> Part:
     # Kernels of longer waves reach farther.
     pixels = max((each.reached(block.bins) for each in block.convolutions), key=lambda box: box.rows * box.columns)
-    pairs = zip(block.convolutions, block.images, strict=True)
-    return Part(pixels, np.stack([each.forward(images, block.bins, pixels) for each, images in pairs]))
+    sums = np.zeros((max(block.channels) + 1, pixels.rows, pixels.columns), np.float32)
+    for channel, convolution, images in zip(block.channels, block.convolutions, block.images, strict=True):
+        sums[channel] += convolution.forward(images, block.bins, pixels)
+    return Part(pixels, sums)
 
 
 def blocks_of(box: Box, most: int) -> list[Box]:

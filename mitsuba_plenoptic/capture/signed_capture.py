@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 import math
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,26 +13,17 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..io.checkpoints import digest
 from ..optics.phase import in_millimetres
-from ..optics.phase_space import MOST_PHASE, PhaseSpace
 from ..runtime.jobs import Job, Task
 from .noise import PARTS, keep_spread, with_spread
 from .patch_plan import Cost
+from .signed_colours import FINE, Node, SignedColours
 from .signed_rays import SceneLight, SignedRaySum
-
-_FINE = 0.005
-"""Accuracy below which finer plans are made."""
-
-_DEGREES, _WINDOWS = (4, 6), (9, 13)
-"""Degrees of the polynomials and windows of plans, usual and finer ones."""
 
 _SAMPLES = 4
 """Rays a cell of each of the captures from whose spread the noise is found: few correct each other less well."""
 
 _SPOTS = 1.5
 """Distance, in spots of a lens's diffraction, within which chance below zero is made up for."""
-
-_DEFOCUS = 4.0
-"""Radians of the microlenses' defocus from which on polynomials are of two degrees more."""
 
 _KEPT = (1.5, 4.0)
 """Cells of the grid over the highest frequency of a lens's diffraction, in cycles: half of them hold it whole, of which
@@ -49,34 +40,35 @@ class SignedCapture:
         The camera.
     light : SceneLight
         Finds the radiance along rays.
-    wavelengths : tuple of float
-        Of each channel, in nanometres.
+    colours : SignedColours
+        What the channels answer to.
     accuracy : float
         Allowed relative error.
     """
 
     camera: PlenopticCamera
     light: SceneLight
-    wavelengths: tuple[float, ...]
+    colours: SignedColours
     accuracy: float
 
-    @property
-    def _plans(self) -> list[PhaseSpace]:
-        fine = self.accuracy < _FINE
-        return [_plan(self.camera, wavelength, fine) for wavelength in self.wavelengths]
+    @cached_property
+    def _nodes(self) -> list[Node]:
+        return self.colours.planned(self.camera, self.accuracy)
 
     @property
     def _parts(self) -> int:
         """Cells of the grid across a pixel."""
         camera = self.camera
-        extent = in_millimetres(min(self.wavelengths)) * camera.detector_distance
-        if any(plan.by_points for plan in self._plans):
+        if any(node.plan.by_points for node in self._nodes):
             return 1  # kernels of such are integrated over pixels
+        extent = in_millimetres(min(node.plan.wavelength for node in self._nodes)) * camera.detector_distance
         highest = float(camera.lattice.aperture_width) / extent * camera.pixel_size
-        return math.ceil(_KEPT[self.accuracy < _FINE] * highest)
+        return math.ceil(_KEPT[self.accuracy < FINE] * highest)
 
     def _sum(self, spp: int, seed: int) -> SignedRaySum:
-        return SignedRaySum(self.camera, self.light, self._plans, parts=self._parts, spp=spp, seed=seed)
+        return SignedRaySum(
+            self.camera, self.light, self._nodes, self.colours.drawn, parts=self._parts, spp=spp, seed=seed
+        )
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
         """Capture the scene.
@@ -92,17 +84,17 @@ class SignedCapture:
             Pixel values, none negative; with noise twice as many channels, those of the standard deviations last.
         """
         runs = max(2, min(PARTS, spp // _SAMPLES)) if noise else 1
-        sums = [
-            # Neighbouring seeds must not share runs.
-            self._sum(-(-spp // runs), int(own))
-            for own in np.random.SeedSequence([seed, runs]).generate_state(runs)
-        ]
-        tasks = [_share(work, runs) for work in sums]
+        # Neighbouring seeds must not share runs.
+        seeds = np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
+        first = self._sum(-(-spp // runs), seeds[0])
+        found, items = first.probe(), int(first.items.sum())
+        # What one sum holds is given back before the next.
+        del first
+        tasks = [Task(items, partial(self._sum, -(-spp // runs), own), partial(_part, runs)) for own in seeds]
         if noise:
             tasks = [keep_spread(task) for task in tasks]
-        channels = len(self.wavelengths)
+        channels, responses = self.colours.spectrum.channels, self.colours.spectrum.matrix()
         shape = (*self.camera.shape, channels * (4 if noise else 1))
-        found = sums[0].probe()
         if not found.any():
             warnings.warn(
                 "plenoptic_wave: none of some rays meets anything that shines; a nested integrator with "
@@ -114,9 +106,9 @@ class SignedCapture:
             image = with_spread(image, runs)
         np.maximum(image[..., channels:], 0, out=image[..., channels:])
         np.sqrt(image[..., channels:], out=image[..., channels:])
-        extent = in_millimetres(max(self.wavelengths)) * self.camera.detector_distance
+        extent = in_millimetres(max(node.plan.wavelength for node in self._nodes)) * self.camera.detector_distance
         spot = extent / float(self.camera.lattice.aperture_width) / self.camera.pixel_size
-        for channel in range(channels):
+        for channel in np.flatnonzero(responses.min(1) >= 0).tolist():
             image[..., channel] = _without_negatives(image[..., channel], 2 * math.ceil(_SPOTS * spot) + 1)
         return image
 
@@ -124,13 +116,6 @@ class SignedCapture:
         """Estimate what `compute` takes, from some of the rays."""
         seconds, memory = self._sum(spp, seed).cost()
         return Cost(0, 0, seconds, memory)
-
-
-@functools.lru_cache(maxsize=4)
-def _plan(camera: PlenopticCamera, wavelength: float, fine: bool) -> PhaseSpace:
-    """Return a plan, which several captures of a camera share."""
-    plan = PhaseSpace(camera, wavelength, degree=_DEGREES[fine], window=_WINDOWS[fine])
-    return replace(plan, degree=plan.degree + 2) if _DEFOCUS < plan.defocus <= MOST_PHASE else plan
 
 
 def _without_negatives(image: NDArray[np.float32], size: int) -> NDArray[np.float32]:
@@ -147,6 +132,6 @@ def _without_negatives(image: NDArray[np.float32], size: int) -> NDArray[np.floa
     return np.asarray(light * (1 - np.minimum(share, 1)), np.float32)
 
 
-def _share(work: SignedRaySum, runs: int) -> Task:
-    """Return one of some captures of which the mean is taken."""
-    return Task(int(work.items.sum()), lambda: work, lambda image: image * np.float32(1 / runs))
+def _part(runs: int, image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return what one of some captures adds to their mean."""
+    return image * np.float32(1 / runs)

@@ -130,7 +130,7 @@ class Draws:
         self.pupil = RayPupil(camera, plans[0].wavelength)
         self.kinds = LensKinds(camera)
         # Rays that land by their own points of a lens see the pupil from there.
-        self.by_points = any(plan.by_points for plan in plans)
+        self.by_points = plans[0].by_points
         self._turns = mi.Float([plans[0].convergence(kind) * camera.pupil_distance for kind in plans[0].kinds])
         self._wavelength = in_millimetres(max(plan.wavelength for plan in plans))
         self._spread = _FALL * self._wavelength * camera.pupil_distance / 4
@@ -194,8 +194,8 @@ class Draws:
         for axis, step in enumerate(_STEPS):
             value = index * step + mi.sample_tea_float32(cells.index, seed ^ (half * 8 + axis + 1))
             random.append(value - dr.floor(value))
-        spread = (lambda r: r - 0.5) if self.by_points else _tent
-        x, y = (p + spread(r) * self._step for p, r in zip(aims.middle, random[2:], strict=True))
+        within = [r - 0.5 if self.by_points else _tent(r) for r in random[2:]]
+        x, y = (p + r * self._step for p, r in zip(aims.middle, within, strict=True))
         pupil = self.seen((x, y), aims)
         if self.by_points:
             point, aside, weight = lattice.aperture_point(*random[:2]), self._diffracted(cells.index, sample, seed), 1.0

@@ -95,7 +95,7 @@ class PhaseSpace:
     Parameters
     ----------
     camera : PlenopticCamera
-        A camera not far out of whose microlenses' focus is the detector.
+        A camera not far out of whose microlenses' focus is the detector; one with glasses as it is `at_wavelength`.
     wavelength : float
         In nanometres.
     degree : int
@@ -105,6 +105,8 @@ class PhaseSpace:
         whole windows, which keeps the energy.
     radial : int
         Nodes of the table along the pupil's radius, dense towards its rim.
+    shortest : float, optional
+        Wavelength of the plans with which it is used, whose rays land alike: the shortest. Default: its own.
 
     Raises
     ------
@@ -117,6 +119,7 @@ class PhaseSpace:
     degree: int = 4
     window: int = 9
     radial: int = 12
+    shortest: float | None = None
 
     def __post_init__(self) -> None:
         camera = self.camera
@@ -126,8 +129,8 @@ class PhaseSpace:
                 camera.objective is not None and camera.objective.is_fourier,
                 "not of the Fourier arrangement",
             ),
-            ("glass", camera.glass is not None, "left out, as all wavelengths take the same rays"),
-            ("mla_glass", camera.mla_glass is not None, "left out, as all wavelengths take the same rays"),
+            ("glass", camera.glass is not None, "taken at the wavelength, by camera.at_wavelength"),
+            ("mla_glass", camera.mla_glass is not None, "taken at the wavelength, by camera.at_wavelength"),
             ("detector_distance", self._shift > MOST_SHIFT, f"closer to the microlenses' focus, {self._limits}"),
         ):
             if refused:
@@ -147,7 +150,7 @@ class PhaseSpace:
         Far out of the microlenses' focus polynomials do not describe the difference. All points of the pupil are then
         taken to spread rays as the whole pupil does on average.
         """
-        return self.defocus > MOST_PHASE
+        return self.defocus * self.wavelength / (self.shortest or self.wavelength) > MOST_PHASE
 
     @property
     def _shift(self) -> float:
@@ -260,7 +263,7 @@ class PhaseSpace:
                 gain = np.sinc(order / count) ** -2 / side
                 to_space.append((np.exp(2j * np.pi * np.outer(place, order) / side) * gain).astype(np.complex64))
                 orders.append(np.exp(-2j * np.pi * np.outer(order, u[0]) / side).astype(np.complex64))
-                lags.append(order * reach / side)
+                lags.append(np.asarray(order * (reach / side), np.float64))
             spectra = np.einsum("ay,yxn,bx->nab", orders[1], values.astype(np.float32), orders[0], optimize=True)
             part = np.empty((node.angular + 1, *reversed(node.counts), len(self.exponents)), np.float32)
             for angle in range(node.angular + 1):
@@ -343,6 +346,19 @@ class PhaseSpace:
         place, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * (every * fine)
         waves = np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (every * fine * step / scale)
         return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
+
+    def spots(self, along: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what one lens of each type diffracts, at places on the detector along both axes: (types, n, n)."""
+        u, v, inside = self._aperture_grid(_TRANSFER_SAMPLES)
+        wavelength = in_millimetres(self.wavelength)
+        made = []
+        for kind in self.kinds[: len(self.camera.mla_focal_lengths)]:
+            scale = wavelength * kind.detector_distance
+            waves = np.exp(-2j * np.pi * np.outer(along, u[0]) / scale)
+            phase = self.convergence(kind) * (u * u + v * v) / (2 * wavelength)
+            field = waves @ np.where(inside, np.exp(2j * np.pi * phase), 0) @ waves.T
+            made.append(np.abs(field) ** 2 * (u[0, 1] - u[0, 0]) ** 2 / (inside.sum() * scale**2))
+        return np.stack(made)
 
     def _cell_kernels(self, step: float, reach: float, kind: Kind) -> NDArray[np.float64]:
         r"""Return kernels from cells, over which light is even, to cells, which may be larger than the kernels are.

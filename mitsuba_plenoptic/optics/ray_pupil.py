@@ -64,6 +64,14 @@ class RayPupil:
         """Distance from the pupil to the array; behind an objective what turns directions into places on the stop."""
         return self.camera.pupil_distance
 
+    @property
+    def refraction(self) -> float:
+        """A number that is the same where rays of two wavelengths go the same ways through a camera's main lens."""
+        camera = self.camera
+        if camera.prescription is not None and camera.is_dispersive:
+            return self.wavelength
+        return camera.focal_length
+
     def chief_point(self, p: Any, detector_distance: Any) -> Any:
         """Return where rays from the detector to the pupil's middle pass the array."""
         return p * (1.0 if self.camera.objective else self.distance / (self.distance + detector_distance))

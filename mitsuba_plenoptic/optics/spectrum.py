@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,23 @@ WAVELENGTHS = 31
 
 Table = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Wavelengths in nanometres and values of a spectrum, with straight lines between and 0 beyond."""
+
+
+class Responses(NamedTuple):
+    """What channels answer to, as functions of the wavelength.
+
+    Attributes
+    ----------
+    at : callable
+        From wavelengths (n,) in nanometres to responses (channels, n) per nanometre.
+    low, high : float
+        Where they begin and end, in nanometres.
+    """
+
+    at: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    low: float
+    high: float
+
 
 _FINE = 0.5
 """Distance in nanometres of the wavelengths with which quadratures of tables are compared, besides their own rows."""

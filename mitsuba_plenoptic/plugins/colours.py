@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import mitsuba as mi
@@ -11,8 +13,17 @@ from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..capture import colour
+from ..capture.signed_colours import SignedColours
 from ..errors import InputError, require_number, shown
-from ..optics.spectrum import MOST_WAVELENGTHS, RGB_WAVELENGTHS, WAVELENGTHS, Spectrum, read_responses
+from ..optics.spectrum import (
+    MOST_WAVELENGTHS,
+    RGB_WAVELENGTHS,
+    WAVELENGTHS,
+    Responses,
+    Spectrum,
+    Table,
+    read_responses,
+)
 from .properties import read_count, read_number, read_plain
 
 NAME = "plenoptic_wave"
@@ -23,6 +34,9 @@ SRGB = "srgb"
 
 BAND_NODES = 8
 """Wavelengths of a band where their number is not given, of which fewer point spreads may be computed."""
+
+SHARED = 32
+"""Wavelengths of a band whose light is shared by nodes of signed rays."""
 
 
 @dataclass(frozen=True)
@@ -55,34 +69,62 @@ class Colours:
     count: int
     nodes: int | None
 
-    def spectrum_for(self, channels: int, scene: Any) -> Spectrum | None:
-        """Return the spectrum of a scene's film of so many channels; None if each channel of light has one wavelength.
+    def spectrum_for(self, channels: int, tables: Sequence[Table], count: int | None = None) -> Spectrum | None:
+        """Return the spectrum of a film of so many channels; None if each channel of light has one wavelength.
+
+        `tables` are spectra of the scene whose products with the responses must be integrated right, and `count` the
+        wavelengths of each band; by default `nodes`.
 
         Raises
         ------
         InputError
             If the responses have another number of channels than the film's light.
         """
-        # Colours of other variants have smooth spectra.
-        tables = colour.tables_of(scene) if mi.is_spectral else []
         if self.table is not None:
-            count = self.table.shape[1] - 1
+            columns = self.table.shape[1] - 1
             # A film of luminance takes three channels, too, but would add up what it does not know as colours.
-            if count not in (1, channels):
+            if columns not in (1, channels):
                 raise InputError(
-                    f"responses = {self.responses}: {count} channels, and the film has {channels}: use pixel_format rgb"
+                    f"responses = {self.responses}: {columns} channels, and the film has {channels}: "
+                    "use pixel_format rgb"
                 )
             return Spectrum.sensor(self.table, self.count, tables)
         if self.bandwidth is not None:
-            count, width = self.nodes or BAND_NODES, self.bandwidth
-            if not tables:
-                return Spectrum.bands(self.wavelengths, width, count)
-            (centre,) = self.wavelengths
-            low, high = centre - width / 2, centre + width / 2
-            return Spectrum.smooth(lambda places: np.full((1, len(places)), 1 / width), low, high, count, tables)
+            count, width = count or self.nodes or BAND_NODES, self.bandwidth
+            return (
+                Spectrum.smooth(*self._band(width), count, tables)
+                if tables
+                else Spectrum.bands(self.wavelengths, width, count)
+            )
         if self.responses == SRGB or (mi.is_spectral and channels == 3 and not self.given):
             return colour.srgb(self.count, tables)
         return None
+
+    def signed(self, channels: int) -> SignedColours:
+        """Return what captures by signed rays need to know.
+
+        Raises
+        ------
+        InputError
+            If `spectrum_for` does.
+        """
+        spectrum, nodes = self.spectrum_for(channels, (), SHARED), self.nodes
+        if spectrum is None:
+            return SignedColours.lines(self.wavelengths)
+        if not mi.is_spectral:
+            return SignedColours(spectrum, self.bandwidth is not None, self.upsampling(spectrum), None, nodes)
+        if self.table is not None:
+            wavelengths, columns = self.table[:, 0], self.table[:, 1:].T
+            columns = columns / np.trapezoid(columns, wavelengths, axis=1).reshape(-1, 1)
+            at, ends = partial(_between, wavelengths, columns), wavelengths[[0, -1]].tolist()
+            return SignedColours(spectrum, False, None, Responses(at, *ends), nodes)
+        responses = colour.SRGB if self.bandwidth is None else self._band(self.bandwidth)
+        return SignedColours(spectrum, False, None, responses, nodes)
+
+    def _band(self, width: float) -> Responses:
+        """Return the responses of the one channel of a band."""
+        (centre,) = self.wavelengths
+        return Responses(lambda places: np.full((1, len(places)), 1 / width), centre - width / 2, centre + width / 2)
 
     def upsampling(self, spectrum: Spectrum) -> NDArray[np.float64] | None:
         """Return the matrix (channels of light, wavelengths) from radiance to spectra; None if it has one already."""
@@ -116,6 +158,13 @@ class Colours:
         if self.nodes is not None:
             made["nodes"] = self.nodes
         return made
+
+
+def _between(
+    wavelengths: NDArray[np.float64], columns: NDArray[np.float64], places: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return values between the rows of a table."""
+    return np.stack([np.interp(places, wavelengths, column) for column in columns])
 
 
 def read_colours(props: Any) -> Colours:

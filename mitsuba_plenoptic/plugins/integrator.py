@@ -24,7 +24,7 @@ from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..optics.wave_cameras import require_ideal, require_no_aberrations, require_no_glass
 from ..runtime.jobs import Job
-from .colours import NAME, read_colours
+from .colours import NAME, SHARED, read_colours
 from .films import develop, develop_back, put
 from .gradients import accumulate, numbers_and_others, tangent
 from .properties import read_choice, read_count, read_flag, read_plain
@@ -70,7 +70,8 @@ def make_class() -> type:
          * - nodes
            - |int|
            - At how many wavelengths point spreads are computed: of each band, or with ``responses`` of all, between
-             which they are interpolated. (Default: as many as the sum of some radiators needs for ``accuracy``)
+             which they are interpolated. (Default: as many as the sum of some radiators needs for ``accuracy``, or by
+             ``signed_rays`` the spot of a microlens)
          * - radiators_per_lens
            - |int|
            - Radiators per microlens and axis, up to 256; the time grows with its square. (Default: 8)
@@ -115,14 +116,16 @@ def make_class() -> type:
         and microlenses diffract is in signed coefficients of each ray and in kernels, which depend on the camera alone.
         So light may differ over the pupil and over a lens, and the scene may hold all that the nested integrator
         knows, at the price of a capture by rays. It takes thin main lenses without a wavefront, regular arrays and
-        detectors not far from the microlenses' focus, and lines instead of bands and responses; it has no gradients.
+        detectors not far from the microlenses' focus; it has no gradients. With bands and responses, kernels are those
+        of some wavelengths, ``nodes``, between which light is shared in straight lines; in spectral variants each ray
+        has wavelengths of its own, whatever the scene. A ``glass`` of the main lens gives each node rays of its own.
         ``radiators_per_lens``, ``passes`` and ``occlusion`` do not concern it; ``accuracy`` below 0.005 takes finer
         kernels.
 
-        With a band or responses, one set of radiators serves all wavelengths. In spectral variants light has the
-        scene's own spectra, in rgb ones those of D65 times the smoothest reflectances that have the colours, in mono
-        ones the same radiance at all wavelengths. With a camera's ``glass`` and ``mla_glass`` each wavelength has its
-        own focal lengths.
+        With a band or responses, one set of radiators, or of rays, serves all wavelengths. In spectral variants light
+        has the scene's own spectra, in rgb ones those of D65 times the smoothest reflectances that have the colours,
+        in mono ones the same radiance at all wavelengths. With a camera's ``glass`` and ``mla_glass`` each wavelength
+        has its own focal lengths.
 
         Scalar waves and thin elements: no polarisation, and both lenses are thin parabolic phases, whose geometric
         twin is the sensor's ``lens_model="parabolic"``. Objects before a radiator hide parts of the pupil but do
@@ -259,7 +262,7 @@ def make_class() -> type:
             with guards.watch():
                 image = capture.compute(seed=seed, spp=spp, job=job or Job(), noise=noise)
 
-            put(film, image, image.shape[2] if noise is False else len(self.wavelengths))
+            put(film, image, image.shape[2] // (2 if noise else 1))
             return film
 
         def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:
@@ -269,15 +272,20 @@ def make_class() -> type:
 
         def spectrum_of(self, scene: Any, sensor: Any) -> Spectrum | None:
             """Return the spectrum that a sensor's film records; None if each channel has one wavelength."""
-            return self.colours.spectrum_for(sensor.film().base_channels_count(), scene)
+            # Signed rays draw their wavelengths, and miss no line; colours of other variants have smooth spectra.
+            channels = sensor.film().base_channels_count()
+            if self.method == SIGNED_RAYS:
+                return self.colours.spectrum_for(channels, (), SHARED)
+            return self.colours.spectrum_for(channels, colour.tables_of(scene) if mi.is_spectral else [])
 
         def _capture(self, scene: Any, sensor: Any) -> WaveCapture | SpectralCapture | SignedCapture:
             camera = PlenopticCamera.from_sensor(sensor)
             if self.method == SIGNED_RAYS:
-                if self.spectrum_of(scene, sensor) is not None:
-                    raise InputError(f"{NAME}: method = {SIGNED_RAYS}: it takes no bands and responses yet; use auto")
+                colours = self.colours.signed(sensor.film().base_channels_count())
+                if mi.is_spectral:
+                    colour.require_spectra(scene, colours.spectrum.wavelengths, colours.spectrum.matrix())
                 light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
-                return SignedCapture(camera, light, self.wavelengths, self.accuracy)
+                return SignedCapture(camera, light, colours, self.accuracy)
             require_ideal(camera)
             if camera.objective is not None and self.method == "bank":
                 raise InputError(f"method = bank: it does not know main_lens = {camera.objective.name}; use patch")

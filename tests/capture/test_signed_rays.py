@@ -69,13 +69,13 @@ def test_irregular_arrays_change_a_capture_as_they_change_one_by_rays(parameters
     changes = []
     for camera in (PlenopticCamera(**size), PlenopticCamera(**size, **parameters)):
         scene = scene_of(camera.to_sensor(), wall=facing(240.0, 30.0, **radiating()))
-        rays, waves = render_capture(scene, model="ray", spp=256).image, by_waves(scene, spp=32).image
+        rays, waves = render_capture(scene, model="ray", spp=256).image, by_waves(scene, spp=192).image
         # What lenses diffract is smoothed away; the border lacks what comes from beyond it.
         changes.append([gaussian_filter(image, 2.5)[12:-12, 12:-12] for image in (rays, waves)])
         # The ray capture is brighter by its thin phase elements' second order.
         assert waves.mean() == pytest.approx(rays.mean(), rel=0.02)
     by_rays, by_signed = (after - before for before, after in zip(*changes, strict=True))
-    assert np.linalg.norm(by_signed - by_rays) < 0.25 * np.linalg.norm(by_rays)
+    assert np.linalg.norm(by_signed - by_rays) < 0.3 * np.linalg.norm(by_rays)
 
 
 def test_lenses_of_uneven_focal_lengths_are_of_the_nearest_kind():
@@ -172,8 +172,6 @@ def test_black_scenes_are_black_and_said_to_be():
     "parameters, message",
     [
         ({"detector_distance": 1.0}, "detector_distance"),
-        ({"mla_glass": '{"index": 1.5168, "abbe": 64.2}'}, "mla_glass"),
-        ({"glass": '{"index": 1.5168, "abbe": 64.2}'}, "glass"),
     ],
 )
 def test_cameras_that_are_not_served_are_refused_by_name(parameters, message):

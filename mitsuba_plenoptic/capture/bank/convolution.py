@@ -27,9 +27,6 @@ _TAIL = 8
 _SQUARE = 1024
 """Samples across the convolution of a tile, about."""
 
-_TRIAL = 512
-"""Samples across that are convolved for an estimate."""
-
 
 class Convolution:
     r"""Convolutions of images with kernels, one after another.
@@ -56,6 +53,8 @@ class Convolution:
         Their distance in millimetres.
     ranks : int
         Images in all.
+    tile : (int, int)
+        Rows and columns of the samples that are convolved together.
     """
 
     def __init__(
@@ -68,14 +67,14 @@ class Convolution:
     ) -> None:
         self.pitch = pitch
         self._parts = round(camera.pixel_size / self.pitch)
-        left, top = (offset * self._parts for offset in camera.crop_offset)
-        self._window = Box(left, top, camera.shape[1] * self._parts, camera.shape[0] * self._parts)
+        self._window = box_of(camera, pitch, 0)
         self._margin = margin_of(kernels)
         self.ranks, self.box = len(kernels), _grown(self._window, self._margin)
         support = 2 * self._margin + 1
         most = max(_SQUARE - support, support)
-        self._tile = [_even(count, most) for count in size or (self.box.rows, self.box.columns)]
-        self._size = tuple(fast_length(tile + support - 1) for tile in self._tile)
+        rows, columns = (_even(count, most) for count in size or (self.box.rows, self.box.columns))
+        self.tile = rows, columns
+        self._size = tuple(fast_length(tile + support - 1) for tile in self.tile)
         self._spectra = np.empty((self.ranks, self._size[0], self._size[1] // 2 + 1), np.complex64)
         sharp = [np.sinc(frequency(support)) ** -order for frequency in (scipy.fft.fftfreq, scipy.fft.rfftfreq)]
         for spectrum, kernel in zip(self._spectra, kernels, strict=True):
@@ -152,7 +151,7 @@ class Convolution:
 
     def _tiles(self, box: Box) -> Iterator[tuple[slice, slice]]:
         """Yield the rows and columns of each tile of a box."""
-        rows, columns = self._tile
+        rows, columns = self.tile
         for top in range(0, box.rows, rows):
             for left in range(0, box.columns, columns):
                 yield slice(top, min(top + rows, box.rows)), slice(left, min(left + columns, box.columns))
@@ -164,6 +163,13 @@ class Convolution:
         return scipy.fft.irfft2(spectrum, self._size, overwrite_x=True, workers=worker_count())
 
 
+def box_of(camera: PlenopticCamera, pitch: float, margin: int) -> Box:
+    """Return the samples of the recorded pixels and a margin of them, counted from the full detector's corner."""
+    parts = round(camera.pixel_size / pitch)
+    left, top = (offset * parts for offset in camera.crop_offset)
+    return _grown(Box(left, top, camera.shape[1] * parts, camera.shape[0] * parts), margin)
+
+
 def margin_of(kernels: Sequence[NDArray[np.float32]]) -> int:
     """Return from how many samples beyond the recorded pixels light still arrives."""
     # Those of different types of lenses have different widths.
@@ -172,8 +178,9 @@ def margin_of(kernels: Sequence[NDArray[np.float32]]) -> int:
 
 def cost_of(convolutions: Sequence[Convolution], block: Box, count: int) -> tuple[float, float]:
     """Estimate the seconds that the convolutions of some samples take, and the bytes of those of blocks of them."""
-    # A part of a block whose convolution is a few tiles.
-    trial = Box(block.left, block.top, min(_TRIAL, block.columns), min(_TRIAL, block.rows))
+    # One tile.
+    rows, columns = convolutions[0].tile
+    trial = Box(block.left, block.top, min(columns, block.columns), min(rows, block.rows))
     start = time.perf_counter()
     for convolution in convolutions:
         image = np.ones((trial.rows, trial.columns), np.float32)
@@ -181,7 +188,8 @@ def cost_of(convolutions: Sequence[Convolution], block: Box, count: int) -> tupl
     seconds = (time.perf_counter() - start) * count / (trial.rows * trial.columns)
     images = 4.0 * sum(convolution.ranks for convolution in convolutions) * block.rows * block.columns
     # Two blocks are convolved, one waits and one is traced.
-    return seconds, 4 * images + sum(convolution.memory for convolution in convolutions)
+    apart = {id(convolution): convolution.memory for convolution in convolutions}
+    return seconds, 4 * images + sum(apart.values())
 
 
 def _grown(box: Box, margin: int) -> Box:

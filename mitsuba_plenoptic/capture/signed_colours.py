@@ -1,0 +1,302 @@
+r"""The wavelengths at which captures by signed rays diffract light, and what rays bring to each.
+
+Coefficients and kernels are those of a few wavelengths, the nodes. Light of a wavelength between two of them is shared
+by both, as by straight lines between values; beyond the outermost, these take all of it. So each channel has an image
+at each node that it answers to, and records the sum of their convolutions.
+
+In spectral variants rays have wavelengths of their own, which are drawn where the channels answer. The two rays that
+correct each other have the same, so that light which is even over a lens has no noise but that of the wavelengths; and
+from cell to cell the wavelengths follow a sequence that fills the band evenly in any neighbourhood.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..optics.lens_system import LensSystem
+from ..optics.phase import in_millimetres
+from ..optics.phase_space import PhaseSpace
+from ..optics.spectrum import Responses, Spectrum
+
+FINE = 0.005
+"""Accuracy below which finer plans are made."""
+
+_DEGREES, _WINDOWS = (4, 6), (9, 13)
+"""Degrees of the polynomials and windows of plans, usual and finer ones."""
+
+_DEFOCUS = 4.0
+"""Radians of the microlenses' defocus from which on polynomials are of two degrees more."""
+
+_PROBED, _LEAST_ERROR = 3.0, 1e-3
+"""Allowed error of a lens's spot over that of the capture, in which spots overlap, and the least error asked for."""
+
+_BLUR = 10.0
+"""Blur from one node to the next in lenses, over the root of the capture's error: the errors of straight lines go with
+the square of the steps."""
+
+_TAIL = 0.01
+"""Part of the responses that is beyond the outermost nodes, on either side."""
+
+_MOST_NODES = 32
+"""Nodes of a band at most, unless more are given."""
+
+_DENSE = 33
+"""Wavelengths at which spots are compared, with straight lines between."""
+
+_SPOTS = (4.0, 4)
+"""Half the width of the compared spots in widths of diffraction, and samples a width."""
+
+_STRATA, _STEPS = 4096, 2**14
+"""Parts of equal chance from which wavelengths are drawn, and steps of the sums by which these are found."""
+
+_TURNS = tuple(int(part * 2**32) for part in (0.7548776662466927, 0.5698402909980532, 0.6180339887498949))
+"""Steps of additive sequences, along rows and columns (the inverse of the plastic number, and its square) and from pass
+to pass (of the golden ratio), in units of 2^-32."""
+
+
+class Lanes(NamedTuple):
+    """Wavelengths that are drawn for some cells.
+
+    Attributes
+    ----------
+    wavelengths : list of Float
+        In nanometres.
+    stratum, part : lists of UInt32 and Float
+        In which stratum each lies, and how far in it.
+    weight : list of Float
+        One over their number and the density.
+    """
+
+    wavelengths: list[Any]
+    stratum: list[Any]
+    part: list[Any]
+    weight: list[Any]
+
+
+class DrawnWavelengths:
+    """Wavelengths as random as they may be where channels answer.
+
+    Parameters
+    ----------
+    responses : Responses
+        Of the channels.
+    """
+
+    def __init__(self, responses: Responses) -> None:
+        steps = np.linspace(responses.low, responses.high, _STEPS + 1)
+        density = np.abs(responses.at(steps))
+        density = (density / density.sum(1, keepdims=True)).sum(0)
+        upto = np.concatenate([[0], np.cumsum(density[1:] + density[:-1])])
+        self.edges: NDArray[np.float64] = np.interp(np.linspace(0, 1, _STRATA + 1), upto / upto[-1], steps)
+        self._edges = mi.Float(self.edges)
+
+    def draw(self, chance: Any, span: tuple[float, float]) -> Lanes:
+        """Return as many wavelengths as rays of the active variant have, in a part of the strata, by random numbers."""
+        count = dr.size_v(mi.UnpolarizedSpectrum)
+        low, high = (dr.opaque(mi.Float, end * _STRATA) for end in span)
+        lanes = Lanes([], [], [], [])
+        for lane in range(count):
+            place = low + (high - low) * (chance + lane) * (1 / count)
+            index = dr.minimum(mi.UInt32(place), _STRATA - 1)
+            first, last = (dr.gather(mi.Float, self._edges, index + end) for end in (0, 1))
+            part = place - mi.Float(index)
+            lanes.wavelengths.append(first + part * (last - first))
+            lanes.stratum.append(index)
+            lanes.part.append(part)
+            lanes.weight.append((last - first) * (high - low) * (1 / count))
+        return lanes
+
+
+def chances(columns: Any, index: Any, number: int, seed: int) -> Any:
+    """Return random numbers of cells of a grid, evenly spread among neighbours and over passes of these numbers."""
+    row = index // columns
+    turned = [
+        value * dr.opaque(mi.UInt32, turn) for value, turn in zip((index - row * columns, row), _TURNS, strict=False)
+    ]
+    offset = dr.opaque(mi.UInt32, (number * _TURNS[2] + seed) % 2**32)
+    return mi.Float((turned[0] + turned[1] + offset) >> 8) * 2.0**-24
+
+
+@dataclass(frozen=True)
+class Node:
+    """Light that is diffracted alike.
+
+    Attributes
+    ----------
+    plan : PhaseSpace
+        How: of the camera at one wavelength.
+    channels : tuple of int
+        Those of the capture that have an image of it.
+    weights : float array (channels, values)
+        For each of these channels, the factors on the values of a ray's light whose sum is added to the image; of light
+        of drawn wavelengths those at the edges of the strata.
+    """
+
+    plan: PhaseSpace
+    channels: tuple[int, ...]
+    weights: NDArray[np.float64]
+
+    def mixture(self, lanes: Lanes | None = None) -> tuple[list[int], list[list[Any]]]:
+        """Return which values of rays count, and their weights for each channel, of drawn wavelengths by cell."""
+        if lanes is None:
+            used = np.flatnonzero(self.weights.any(0)).tolist()
+            # Opaque numbers do not compile the kernels again.
+            return used, [[dr.opaque(mi.Float, weight) for weight in row] for row in self.weights[:, used].tolist()]
+        made = []
+        for row in self.weights:
+            table = mi.Float(row)
+            made.append(
+                [
+                    weight * dr.lerp(*(dr.gather(mi.Float, table, index + end) for end in (0, 1)), part)
+                    for index, part, weight in zip(lanes.stratum, lanes.part, lanes.weight, strict=True)
+                ]
+            )
+        dr.eval(made)
+        return list(range(len(lanes.weight))), made
+
+
+def span(nodes: list[Node]) -> tuple[float, float]:
+    """Return the part of the strata, from 0 to 1, whose wavelengths some nodes share."""
+    lit = np.flatnonzero(np.any([node.weights.any(0) for node in nodes], axis=0))
+    return max(int(lit[0]) - 1, 0) / _STRATA, min(int(lit[-1]) + 1, _STRATA) / _STRATA
+
+
+@dataclass(frozen=True)
+class SignedColours:
+    """What the channels of a capture answer to.
+
+    Attributes
+    ----------
+    spectrum : Spectrum
+        Wavelengths, and the channels' responses.
+    apart : bool
+        Whether each channel has nodes of its own: lines, and bands of one width.
+    upsampling : float64 array (values, wavelengths), or None
+        Spectra of which the values of a ray's light are the factors; None if it has a spectrum of its own.
+    responses : Responses, or None
+        What the channels answer to where light has a spectrum of its own.
+    nodes : int, or None
+        Nodes, of each channel if they are apart; None: as many as `accuracy` needs.
+    """
+
+    spectrum: Spectrum
+    apart: bool
+    upsampling: NDArray[np.float64] | None
+    responses: Responses | None = None
+    nodes: int | None = None
+
+    @classmethod
+    def lines(cls, wavelengths: tuple[float, ...]) -> SignedColours:
+        """Return those of light that has a value for each channel, of one wavelength."""
+        return cls(Spectrum.lines(*wavelengths), True, np.eye(len(wavelengths)))
+
+    @functools.cached_property
+    def drawn(self) -> DrawnWavelengths | None:
+        """Wavelengths of rays, where light has a spectrum of its own."""
+        return None if self.responses is None else DrawnWavelengths(self.responses)
+
+    def places(self, camera: PlenopticCamera, accuracy: float) -> list[float]:
+        """Return the wavelengths of the nodes.
+
+        Those of a band, or of channels that share theirs, divide its wavelengths evenly by their logarithm, but for the
+        last hundredth of the responses on either side; a single one is their mean. There are as many as each channel's
+        spot of a microlens needs in even light, to three times the accuracy, and so many that from one to the next a
+        dispersing main lens blurs what is in focus by no more than a lens at the usual accuracy.
+        """
+        wavelengths, responses = np.array(self.spectrum.wavelengths), np.abs(self.spectrum.matrix().astype(np.float64))
+        found: set[float] = set()
+        for rows in responses[:, None] if self.apart else responses[None]:
+            order = np.argsort(wavelengths, kind="stable")
+            order = order[rows[:, order].any(0)]
+            weights = rows[rows.any(1)][:, order]
+            if len(weights) and self.nodes is None:
+                found.update(_enough(camera, wavelengths[order], _even(weights), max(accuracy, _LEAST_ERROR)))
+            elif len(weights) and self.nodes is not None:
+                found.update(_divided(wavelengths[order], _even(weights), self.nodes))
+        return sorted(found)
+
+    def planned(self, camera: PlenopticCamera, accuracy: float) -> list[Node]:
+        """Return the nodes, with their plans."""
+        places, fine = self.places(camera, accuracy), accuracy < FINE
+        nodes = []
+        for number, place in enumerate(places):
+            if self.drawn is None or self.responses is None:
+                assert self.upsampling is not None
+                hat = _hats(np.array(self.spectrum.wavelengths), places)[number]
+                weights = (self.spectrum.matrix() * hat) @ self.upsampling.T
+            else:
+                weights = np.asarray(self.responses.at(self.drawn.edges)) * _hats(self.drawn.edges, places)[number]
+            channels = np.flatnonzero(weights.any(1))
+            if len(channels):
+                plan = _plan(camera.at_wavelength(place), place, fine, places[0])
+                nodes.append(Node(plan, tuple(channels.tolist()), weights[channels]))
+        return nodes
+
+
+@functools.lru_cache(maxsize=16)
+def _plan(camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float) -> PhaseSpace:
+    """Return a plan, which several captures of a camera share."""
+    plan = PhaseSpace(camera, wavelength, degree=_DEGREES[fine], window=_WINDOWS[fine], shortest=shortest)
+    return replace(plan, degree=plan.degree + 2) if plan.defocus > _DEFOCUS and not plan.by_points else plan
+
+
+def _hats(wavelengths: NDArray[np.float64], places: list[float]) -> NDArray[np.float64]:
+    """Return the shares (nodes, wavelengths) that nodes have of light."""
+    return np.stack([np.interp(wavelengths, places, unit) for unit in np.eye(len(places))])
+
+
+def _even(weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return weights of which those of each channel have the sum 1."""
+    return np.asarray(weights / weights.sum(1, keepdims=True))
+
+
+def _divided(wavelengths: NDArray[np.float64], weights: NDArray[np.float64], count: int) -> list[float]:
+    """Return so many nodes of responses (channels, n) to rising wavelengths, each of sum 1."""
+    weight = weights.mean(0)
+    if count == 1 or wavelengths[0] == wavelengths[-1]:
+        return [float(weight @ wavelengths)]
+    low, high = np.interp((_TAIL, 1 - _TAIL), np.cumsum(weight) - weight / 2, wavelengths).tolist()
+    return [float(place) for place in np.geomspace(low, high, count)]
+
+
+def _enough(
+    camera: PlenopticCamera, wavelengths: NDArray[np.float64], weights: NDArray[np.float64], error: float
+) -> list[float]:
+    """Return as few nodes as `SignedColours.places` states."""
+    if wavelengths[0] == wavelengths[-1]:
+        return [float(wavelengths[0])]
+    dense = np.geomspace(wavelengths[0], wavelengths[-1], _DENSE)
+    width = in_millimetres(dense[-1]) * camera.detector_distance / float(camera.lattice.aperture_width)
+    step = width * dense[0] / dense[-1] / _SPOTS[1]
+    along = np.arange(-math.ceil(_SPOTS[0] * width / step), math.ceil(_SPOTS[0] * width / step) + 1) * step
+    spots = np.stack([PhaseSpace(camera.at_wavelength(each), each).spots(along) for each in dense]).reshape(_DENSE, -1)
+    true = weights @ _hats(wavelengths, dense.tolist()).T @ spots
+    places: list[float] = []
+    for count in range(1, _MOST_NODES + 1):
+        places = _divided(wavelengths, weights, count)
+        shares = weights @ _hats(wavelengths, places).T @ _hats(np.array(places), dense.tolist()).T
+        wrong = np.linalg.norm(shares @ spots - true, axis=1) / np.linalg.norm(true, axis=1)
+        apart = places if count > 1 else _divided(wavelengths, weights, 2)
+        powers = [_power(camera, place) for place in apart]
+        blur = 2 * camera.aperture_radius * camera.mla_distance * np.abs(np.diff(powers)).max()
+        if wrong.max() <= _PROBED * error and blur <= _BLUR * math.sqrt(error) * min(camera.mla_pitches):
+            break
+    return places
+
+
+def _power(camera: PlenopticCamera, wavelength: float) -> float:
+    """Return the reciprocal of the distance behind the main lens at which what is in focus is imaged."""
+    if camera.objective is not None:
+        return 0.0
+    if camera.prescription is not None:
+        return float(LensSystem.of(camera, wavelength).vergence(camera.focus_distance))
+    return 1 / camera.at_wavelength(wavelength).focal_length
