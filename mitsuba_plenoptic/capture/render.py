@@ -217,10 +217,10 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
         return integrator.child
     if is_wave and not wave:
         return integrator
-    if wave.get("method") == "signed_rays":
+    if wave.get("method") in ("signed_rays", "points"):
         for name in ("radiators_per_lens", "passes", "occlusion"):
             if wave.get(name) is not None:
-                raise InputError(f"{argument(name)}: method signed_rays has no radiators; leave it out")
+                raise InputError(f"{argument(name)}: method {wave['method']} has no radiators; leave it out, give spp")
     own = integrator.parameters() if is_wave else {}
     # What is None is not given; Mitsuba's loader would end the process.
     wave = {name: value for name, value in wave.items() if value is not None}

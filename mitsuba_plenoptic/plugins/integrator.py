@@ -12,8 +12,10 @@ from ..capture import colour
 from ..capture.accuracy import DEFAULT_ACCURACY, check_accuracy
 from ..capture.operator import METHODS
 from ..capture.patch_plan import Cost
+from ..capture.points_capture import PointsCapture
 from ..capture.render_gradients import RenderGradients
 from ..capture.replay import Replay
+from ..capture.scene_points import require_matte
 from ..capture.sight import Sight
 from ..capture.signed_capture import SignedCapture
 from ..capture.signed_rays import SceneLight
@@ -37,6 +39,9 @@ MOST_PASSES = 1024
 
 SIGNED_RAYS = "signed_rays"
 """The method that takes all light from the rays of a capture by rays."""
+
+POINTS = "points"
+"""The plain reference: points of matte surfaces, of which each is propagated by itself."""
 
 # Integrators that follow light from the emitters and cannot tell the radiance along a ray.
 _LIGHT_TRACERS = ("ParticleTracerIntegrator", "AdjointIntegrator")
@@ -159,7 +164,7 @@ def make_class() -> type:
             self.wavelengths = self.colours.wavelengths
             self.radiators_per_lens = read_count(props, NAME, "radiators_per_lens", 8, maximum=MOST_RADIATORS)
             self.passes = read_count(props, NAME, "passes", 1, maximum=MOST_PASSES)
-            self.method = read_choice(props, NAME, "method", ("auto", *METHODS, SIGNED_RAYS))
+            self.method = read_choice(props, NAME, "method", ("auto", *METHODS, SIGNED_RAYS, POINTS))
             self.occlusion = read_flag(props, NAME, "occlusion", True)
             if self.method == "bank" and not self.occlusion:
                 raise InputError(f"{NAME}: occlusion = false: by method bank, objects hide what is behind them")
@@ -271,7 +276,7 @@ def make_class() -> type:
             """Return the spectrum that a sensor's film records; None if each channel has one wavelength."""
             return self.colours.spectrum_for(sensor.film().base_channels_count(), scene)
 
-        def _capture(self, scene: Any, sensor: Any) -> WaveCapture | SpectralCapture | SignedCapture:
+        def _capture(self, scene: Any, sensor: Any) -> WaveCapture | SpectralCapture | SignedCapture | PointsCapture:
             camera = PlenopticCamera.from_sensor(sensor)
             require_ideal(camera)
             if self.method == SIGNED_RAYS:
@@ -289,6 +294,8 @@ def make_class() -> type:
             if mi.is_spectral:
                 responses = np.ones((1, 1), np.float32) if spectrum is None else spectrum.matrix()
                 colour.require_spectra(scene, wavelengths, responses)
+            if self.method == POINTS:
+                return self._by_points(scene, sensor, camera, spectrum)
             sight = Sight.of(scene, sensor, self.child, wavelengths if mi.is_spectral else None)
             if camera.objective is not None:
                 sight.require_surfaces(camera.objective.name)
@@ -305,6 +312,19 @@ def make_class() -> type:
             if spectrum is None:
                 return capture
             return SpectralCapture(capture, spectrum, self.colours.upsampling(spectrum), self.colours.total_nodes())
+
+        def _by_points(
+            self, scene: Any, sensor: Any, camera: PlenopticCamera, spectrum: Spectrum | None
+        ) -> PointsCapture:
+            require_matte(scene, sensor, self.child, camera)
+            upsampling = None if spectrum is None else self.colours.upsampling(spectrum)
+            nodes = None if spectrum is None else self.colours.total_nodes()
+            spectrum = Spectrum.lines(*self.wavelengths) if spectrum is None else spectrum
+            wavelengths = spectrum.wavelengths if mi.is_spectral else (None,)
+            lights = [SceneLight(scene, sensor, self.child, wavelength) for wavelength in wavelengths]
+            if nodes is not None:
+                spectrum = spectrum.interpolated(nodes)
+            return PointsCapture(camera, lights, spectrum, upsampling, self.accuracy)
 
         def parameters(self) -> dict[str, Any]:
             """Its own parameters by name, as ``mi.load_dict`` takes them."""

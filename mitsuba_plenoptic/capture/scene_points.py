@@ -1,0 +1,270 @@
+"""Incoherent points of a scene's surfaces, where the rays of a camera first hit: the plain reference for wave captures.
+
+A ray through a point q of the microlens array and a point P of the pupil meets a surface at X, of which the child
+integrator finds the radiance L. The surface radiates evenly to all sides, as far as it is seen: shadow rays find from
+which parts of the pupil it is. With n such rays from each lens, all its pixels together get of a point
+
+.. math:: L \\, \\frac{A_c}{n} \\frac{A_{pupil} z^2}{b^2 A_{lens} A_{pixel} f}
+
+where A_c is the area of a lens's cell and f the fraction of the light to the visible pupil that lands in the lenses
+from which rays start: of that fraction only, rays could have found the point.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import InputError
+from ..optics.fitted_lens import lens_of_rays, lens_of_waves
+from ..optics.open_pupil import pupil_bound
+from ..runtime.limits import largest_fitting, require_memory
+from .entrance import Entrances, Front
+from .lens_window import LensWindow
+from .pupil_weights import PupilWeights
+from .signed_draws import STEPS
+from .signed_rays import SceneLight
+from .units import radiance_weight
+
+PATHS = 64
+"""Light paths averaged for each point: their noise is an eighth of one path's, at less than a point spread's time."""
+
+_CELLS = 16
+"""Cells across the pupil's bounding square, each with one shadow ray."""
+
+_FINER = 2
+"""Points across such a cell for the fraction f."""
+
+_LANES = 2**21
+"""Rays that are traced at once, about."""
+
+_POINT_BYTES = 200
+"""Memory of a point and its mask, about."""
+
+_EVEN = 1e-3
+"""Slants below which surfaces face the lens."""
+
+
+@dataclass(frozen=True)
+class ScenePoints:
+    """Points that shine, in the camera frame.
+
+    Attributes
+    ----------
+    positions : float64 array (n, 3)
+        Places.
+    weights : float64 array (n, channels)
+        What all pixels together record of each.
+    pupil_weights : PupilWeights, optional
+        What each sees of the pupil, and how slantwise; None if all see all of it evenly.
+    """
+
+    positions: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    pupil_weights: PupilWeights | None
+
+
+def sample_pairs(count: int, seed: int = 0) -> NDArray[np.float64]:
+    """Return low-discrepancy points (count, 4) of the unit 4-cube: place in the lens (2), place in the pupil (2).
+
+    Parameters
+    ----------
+    count : int
+        Points.
+    seed : int
+        Of the shift of the whole set, which is closed toroidally.
+    """
+    return np.asarray((np.arange(count)[:, None] * STEPS + np.random.default_rng(seed).random(4)) % 1)
+
+
+def require_matte(scene: Any, sensor: Any, integrator: Any, camera: PlenopticCamera) -> None:
+    """Refuse a scene, or a camera, in which light does not come straight from matte or emitting surfaces.
+
+    Raises
+    ------
+    InputError
+        Naming what is in the way.
+    """
+    what = "method = points"
+    camera.require_no_objective(f"{what}: surfaces are seen")
+    if sensor.shutter_open_time() > 0:
+        raise InputError(f"{what}: the shutter is open for {sensor.shutter_open_time():g}: it needs a scene at rest")
+    if getattr(integrator, "hide_emitters", False):
+        raise InputError(f"{what}: nested {integrator.class_name()}: hide_emitters lets rays pass emitters; leave it out")
+    if scene.environment() is not None:
+        raise InputError(f"{what}: emitter {scene.environment().id()} is infinitely far: it needs surfaces")
+    if sensor.get_medium() is not None:
+        raise InputError(f"{what}: the sensor is in a medium: it needs empty space")
+    bent = mi.BSDFFlags.Glossy, mi.BSDFFlags.Delta, mi.BSDFFlags.Delta1D
+    for shape in scene.shapes():
+        name = f"{what}: surface {shape.id()}"
+        if shape.class_name() == "Instance":
+            raise InputError(f"{name} is an instance, whose materials are not known: place the shapes themselves")
+        if shape.interior_medium() is not None or shape.exterior_medium() is not None:
+            raise InputError(f"{name} bounds a medium: it needs empty space")
+        if any(mi.has_flag(shape.bsdf().flags(), lobes) for lobes in bent):
+            raise InputError(f"{name} of type {shape.bsdf().class_name()} is not matte: it needs diffuse surfaces")
+
+
+def find_points(
+    lights: Sequence[SceneLight], camera: PlenopticCamera, count: int, *, seed: int, paths: int = PATHS
+) -> ScenePoints:
+    """Find the points where rays from every lens first hit, and what of them is recorded.
+
+    Parameters
+    ----------
+    lights : sequence of SceneLight
+        One scene and integrator, as `require_matte` asks for them, in spectral variants at several wavelengths.
+    camera : PlenopticCamera
+        The camera.
+    count : int
+        Rays from each lens.
+    seed : int
+        Of the rays' pattern, which is the same in every lens, and of the light paths.
+    paths : int
+        Light paths averaged for each point.
+    """
+    camera.require_resolved()
+    window = LensWindow.of(camera)
+    _require_memory(count, len(window.index))
+    pairs = sample_pairs(count, seed)
+    finder = _Finder(lights, camera, window, pairs, paths)
+    total, step = len(window.index) * count, max(1, _LANES // max(paths, _CELLS**2))
+    seeds = np.random.SeedSequence(seed).generate_state(-(-total // step)).tolist()
+    found = [
+        finder.find(np.arange(start, min(start + step, total)), own)
+        for start, own in zip(range(0, total, step), seeds, strict=True)
+    ]
+    positions, radiance, slant, bits = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    weights = None
+    if len(positions) and not ((bits == 255).all() and (np.abs(slant) < _EVEN).all()):
+        masks = PupilWeights.from_bits(bits, _CELLS)
+        weights = PupilWeights(masks.table, masks.index, slant, sampled=True)
+    scale = radiance_weight(camera, camera.lattice.cell_area / count)
+    return ScenePoints(positions, radiance * (scale / _landing(camera, positions, weights, window))[:, None], weights)
+
+
+def _require_memory(count: int, lenses: int) -> None:
+    def memory(number: int) -> float:
+        return float(_POINT_BYTES) * number * lenses
+
+    def fitting(limit: float) -> str | None:
+        largest = largest_fitting(memory, limit, count)
+        return f"spp = {largest}" if largest else None
+
+    require_memory(memory(count), f"spp = {count}: {count} points in each of {lenses} lenses", fitting)
+
+
+@dataclass(frozen=True)
+class _Finder:
+    """Traces rays, numbered lens by lens.
+
+    Attributes
+    ----------
+    lights, camera, window, pairs, paths
+        As of `find_points`.
+    """
+
+    lights: Sequence[SceneLight]
+    camera: PlenopticCamera
+    window: LensWindow
+    pairs: NDArray[np.float64]
+    paths: int
+
+    def find(self, numbers: NDArray[np.int64], seed: int) -> tuple[NDArray[Any], ...]:
+        """Return positions, radiance, slants and visible cells, as bits, of what some rays hit that shines."""
+        cell, pair = np.divmod(numbers, len(self.pairs))
+        u, v, s, t = self.pairs[pair].T
+        radius = pupil_bound(self.camera)
+        P = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(mi.Float(s), mi.Float(t))) * radius
+        i, j = self.window.index[cell].T
+        q = tuple(mi.Float(x) for x in self.window.place(i + u, j + v))
+        point, slope, is_open = lens_of_rays(self.camera).ray((P.x, P.y), q)
+        # As wide as the others: a thin lens's rays all start from the same plane, and a thin lens is open.
+        point = point[0], point[1], point[2] + dr.zeros(mi.Float, len(numbers))
+        ray = self._ray(point, slope)
+        hit = self.lights[0].scene.ray_intersect(ray, mi.Bool(is_open) & dr.full(mi.Bool, True, len(numbers)))
+        radiance = self._radiance(point, slope, hit.is_valid(), seed)
+        lit = np.flatnonzero(radiance.max(axis=1) > 0)
+        some = mi.UInt32(lit.astype(np.uint32))
+        P, o, slopes = (np.stack([x.numpy() for x in xs], 1)[lit].astype(np.float64) for xs in (P, point, slope))
+        ahead = hit.t.numpy()[lit] / np.sqrt(1 + (slopes**2).sum(1))
+        positions = np.column_stack([o[:, :2] + slopes * ahead[:, None], o[:, 2] + ahead])
+        normals = (self.lights[0].sensor.world_transform().inverse() @ mi.Normal3f(hit.n)).numpy().T[lit]
+        front = Front.of(self.camera)
+        slant = front.slants(normals, positions, radius)
+        bits = self._visible(dr.gather(type(hit), hit, some), Entrances(front, P, positions, slopes), radius)
+        return positions, radiance[lit], slant, bits
+
+    def _ray(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any]) -> Any:
+        to_world = self.lights[0].sensor.world_transform()
+        ray = mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
+        ray.time = self.lights[0].sensor.shutter_open()
+        return ray
+
+    def _radiance(self, point: Any, slope: Any, active: Any, seed: int) -> NDArray[np.float64]:
+        """Return the mean of some light paths, (rays, channels)."""
+        lane = dr.arange(mi.UInt32, dr.width(active) * self.paths) // self.paths
+        point, slope = (tuple(dr.gather(mi.Float, x, lane) for x in xs) for xs in (point, slope))
+        active = dr.gather(mi.Bool, active, lane)
+        # The same random numbers lead light of all wavelengths along the same paths.
+        channels = [channel for light in self.lights for channel in light(point, slope, active, seed)]
+        means = [dr.block_sum(channel, self.paths).numpy() / self.paths for channel in channels]
+        radiance = np.stack(means, axis=1).astype(np.float64)
+        if not np.isfinite(radiance).all():
+            raise InputError("scene: the radiance of some points is NaN or infinite: all must be finite")
+        return radiance
+
+    def _visible(self, hit: Any, entrances: Entrances, radius: float) -> NDArray[np.uint8]:
+        """Return which cells of the pupil see points, (n, bytes); the one of the ray that has found a point does."""
+        middle = (np.arange(_CELLS) + 0.5) * 2 / _CELLS - 1
+        x, y = (axis.ravel() for axis in np.meshgrid(middle, middle))
+        # Cells whose middle lies beyond the pupil's edge are seen at the nearest point within.
+        inward = np.minimum(1, 0.999 / np.hypot(x, y)) * radius
+        x, y = mi.Float(x * inward), mi.Float(y * inward)
+        count = len(entrances.pupil)
+        lane = dr.arange(mi.UInt32, count * _CELLS**2)
+        which, cell = lane // _CELLS**2, lane % _CELLS**2
+        target = entrances.at(dr.gather(mi.Float, x, cell), dr.gather(mi.Float, y, cell), which)
+        towards = dr.gather(type(hit), hit, which).spawn_ray_to(self.lights[0].sensor.world_transform() @ target)
+        seen = ~self.lights[0].scene.ray_test(towards).numpy().reshape(count, -1)
+        column, row = np.clip(((entrances.pupil.T / radius + 1) / 2 * _CELLS).astype(int), 0, _CELLS - 1)
+        seen[np.arange(count), row * _CELLS + column] = True
+        return np.packbits(seen, axis=1)
+
+
+def _landing(
+    camera: PlenopticCamera, positions: NDArray[np.float64], weights: PupilWeights | None, window: LensWindow
+) -> NDArray[np.float64]:
+    """Return the fraction f of the light through the visible pupil that lands in the lenses of a window; (n,)."""
+    fraction = np.ones(len(positions))
+    if not len(positions):
+        return fraction
+    # Which rays land there is asked of the light that rays follow.
+    wavelength = 1.0 if camera.prescription is None else camera.prescription.wavelength
+    lens, radius = lens_of_waves(camera, positions, wavelength), pupil_bound(camera)
+    across = _CELLS * _FINER
+    place = (np.arange(across) + 0.5) * 2 / across - 1
+    x, y = (axis.ravel() for axis in np.meshgrid(place, place))
+    inside = np.hypot(x, y) <= 1
+    x, y = x[inside], y[inside]
+    column, row = (np.minimum((axis + 1) / 2 * _CELLS, _CELLS - 1).astype(int) for axis in (x, y))
+    pupil = x * radius, y * radius
+    for some in np.array_split(np.arange(len(positions)), max(1, len(positions) * len(x) // 2**24)):
+        light = lens.bind(positions[some])
+        landed = window.holds(*light.land(pupil, tuple(positions[some].T[..., None])))
+        power = np.broadcast_to(light.is_open(pupil), landed.shape).astype(float)
+        if weights is not None:
+            power *= 1 + weights.slant[some] @ np.stack([x, y])
+            power *= weights.table[weights.index[some]][:, row, column]
+        # The ray that has found the point has landed.
+        fraction[some] = np.maximum((landed * power).sum(1), 1) / np.maximum(power.sum(1), 1)
+    return fraction
