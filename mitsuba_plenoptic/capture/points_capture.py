@@ -46,7 +46,12 @@ class PointsCapture:
     accuracy: float
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
-        """Capture the scene with `spp` points for each lens; the other arguments are those of the integrator's `record`.
+        """Capture the scene.
+
+        Parameters
+        ----------
+        seed, spp, job, noise
+            As of the integrator's `record`; `spp` is the number of points for each lens.
 
         Returns
         -------
@@ -62,9 +67,7 @@ class PointsCapture:
             raise InputError("noise: method = points does not state it; compare seeds, or use signed_rays")
         points = find_points(self.lights, self.camera, spp, seed=seed)
         if not len(points.positions):
-            warnings.warn(
-                "plenoptic_wave: no ray from the pupil meets anything that shines", stacklevel=2
-            )
+            warnings.warn("plenoptic_wave: no ray from the pupil meets anything that shines", stacklevel=2)
         operator = self._operator(points)
         image = job.run(
             operator.tasks(self._weights(points), job),
@@ -98,7 +101,7 @@ class PointsCapture:
     def _facts(self, points: ScenePoints) -> dict[str, Any]:
         """Return by what a capture is known as the same."""
         pupil = points.pupil_weights
-        masks = [] if pupil is None else [pupil.table, pupil.index, pupil.slant]
+        masks: list[NDArray[Any]] = [] if pupil is None else [pupil.table, pupil.index, pupil.slant]
         return {
             "points": len(points.positions),
             "scene_digest": digest(points.positions, points.weights, *masks),

@@ -1,10 +1,10 @@
-"""Incoherent points of a scene's surfaces, where the rays of a camera first hit: the plain reference for wave captures.
+r"""Incoherent points of a scene's surfaces, where the rays of a camera first hit: what the plain reference adds up.
 
 A ray through a point q of the microlens array and a point P of the pupil meets a surface at X, of which the child
 integrator finds the radiance L. The surface radiates evenly to all sides, as far as it is seen: shadow rays find from
 which parts of the pupil it is. With n such rays from each lens, all its pixels together get of a point
 
-.. math:: L \\, \\frac{A_c}{n} \\frac{A_{pupil} z^2}{b^2 A_{lens} A_{pixel} f}
+.. math:: L \, \frac{A_c}{n} \frac{A_{pupil} z^2}{b^2 A_{lens} A_{pixel} f}
 
 where A_c is the area of a lens's cell and f the fraction of the light to the visible pupil that lands in the lenses
 from which rays start: of that fraction only, rays could have found the point.
@@ -25,29 +25,28 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics.fitted_lens import lens_of_rays, lens_of_waves
-from ..optics.open_pupil import pupil_bound
+from ..optics.open_pupil import open_fraction, pupil_bound
 from ..runtime.limits import largest_fitting, require_memory
 from .entrance import Entrances, Front
 from .lens_window import LensWindow
 from .pupil_weights import PupilWeights
-from .signed_draws import STEPS
 from .signed_rays import SceneLight
 from .units import radiance_weight
 
 PATHS = 64
 """Light paths averaged for each point: their noise is an eighth of one path's, at less than a point spread's time."""
 
-_CELLS = 16
-"""Cells across the pupil's bounding square, each with one shadow ray."""
+_CELLS = 32
+"""Cells across the pupil's bounding square, each with one shadow ray. Shadows' borders are blurred by some cells."""
 
-_FINER = 2
-"""Points across such a cell for the fraction f."""
+_MIDDLES = [axis.ravel() for axis in np.meshgrid(*[(np.arange(_CELLS) + 0.5) * 2 / _CELLS - 1] * 2)]
+"""X and y of their middles, of a pupil of radius 1, row by row."""
 
-_LANES = 2**21
+_LANES = 2**22
 """Rays that are traced at once, about."""
 
-_POINT_BYTES = 200
-"""Memory of a point and its mask, about."""
+_POINT_BYTES = 1500
+"""Memory of a point, and of a mask of which every third differs, about."""
 
 _EVEN = 1e-3
 """Slants below which surfaces face the lens."""
@@ -78,11 +77,15 @@ def sample_pairs(count: int, seed: int = 0) -> NDArray[np.float64]:
     Parameters
     ----------
     count : int
-        Points.
+        Points; powers of two are spread most evenly.
     seed : int
-        Of the shift of the whole set, which is closed toroidally.
+        Of the scrambling of the Sobol sequence.
     """
-    return np.asarray((np.arange(count)[:, None] * STEPS + np.random.default_rng(seed).random(4)) % 1)
+    # It takes a third of the package's loading time, which commands that render no waves need not wait for.
+    from scipy.stats import qmc
+
+    # The sequence is drawn to the next power of two, where it is balanced.
+    return np.asarray(qmc.Sobol(4, scramble=True, rng=seed).random_base2(math.ceil(math.log2(count)))[:count])
 
 
 def require_matte(scene: Any, sensor: Any, integrator: Any, camera: PlenopticCamera) -> None:
@@ -98,7 +101,9 @@ def require_matte(scene: Any, sensor: Any, integrator: Any, camera: PlenopticCam
     if sensor.shutter_open_time() > 0:
         raise InputError(f"{what}: the shutter is open for {sensor.shutter_open_time():g}: it needs a scene at rest")
     if getattr(integrator, "hide_emitters", False):
-        raise InputError(f"{what}: nested {integrator.class_name()}: hide_emitters lets rays pass emitters; leave it out")
+        raise InputError(
+            f"{what}: nested {integrator.class_name()}: hide_emitters lets rays pass emitters; leave it out"
+        )
     if scene.environment() is not None:
         raise InputError(f"{what}: emitter {scene.environment().id()} is infinitely far: it needs surfaces")
     if sensor.get_medium() is not None:
@@ -143,13 +148,18 @@ def find_points(
         finder.find(np.arange(start, min(start + step, total)), own)
         for start, own in zip(range(0, total, step), seeds, strict=True)
     ]
-    positions, radiance, slant, bits = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    positions, radiance, slant, bits, cell, tried = (np.concatenate(parts) for parts in zip(*found, strict=True))
     weights = None
     if len(positions) and not ((bits == 255).all() and (np.abs(slant) < _EVEN).all()):
         masks = PupilWeights.from_bits(bits, _CELLS)
         weights = PupilWeights(masks.table, masks.index, slant, sampled=True)
-    scale = radiance_weight(camera, camera.lattice.cell_area / count)
-    return ScenePoints(positions, radiance * (scale / _landing(camera, positions, weights, window))[:, None], weights)
+    scale = radiance_weight(camera, camera.lattice.cell_area / count) / _landing(camera, positions, weights, window)
+    if camera.prescription is not None:
+        # Of few rays to a lens, those get through that are the open part of the pupil to some percent only.
+        x, y = window.place(*(window.index + 0.5).T)
+        open_rays = np.bincount(tried, minlength=len(x))
+        scale = scale * (count * open_fraction(camera, x, y) / np.maximum(open_rays, 1))[cell]
+    return ScenePoints(positions, radiance * scale[:, None], weights)
 
 
 def _require_memory(count: int, lenses: int) -> None:
@@ -180,7 +190,11 @@ class _Finder:
     paths: int
 
     def find(self, numbers: NDArray[np.int64], seed: int) -> tuple[NDArray[Any], ...]:
-        """Return positions, radiance, slants and visible cells, as bits, of what some rays hit that shines."""
+        """Trace some rays.
+
+        Return positions, radiance, slants, visible cells as bits, and lenses of what is hit and shines, and the lenses
+        of all rays that the main lens lets through.
+        """
         cell, pair = np.divmod(numbers, len(self.pairs))
         u, v, s, t = self.pairs[pair].T
         radius = pupil_bound(self.camera)
@@ -188,12 +202,15 @@ class _Finder:
         i, j = self.window.index[cell].T
         q = tuple(mi.Float(x) for x in self.window.place(i + u, j + v))
         point, slope, is_open = lens_of_rays(self.camera).ray((P.x, P.y), q)
-        # As wide as the others: a thin lens's rays all start from the same plane, and a thin lens is open.
+        # As wide as the others: a thin lens's rays all start from the same plane, and it lets all of them through.
         point = point[0], point[1], point[2] + dr.zeros(mi.Float, len(numbers))
-        ray = self._ray(point, slope)
-        hit = self.lights[0].scene.ray_intersect(ray, mi.Bool(is_open) & dr.full(mi.Bool, True, len(numbers)))
+        is_open = mi.Bool(is_open) & dr.full(mi.Bool, True, len(numbers))
+        hit = self.lights[0].scene.ray_intersect(self._ray(point, slope), is_open)
         radiance = self._radiance(point, slope, hit.is_valid(), seed)
-        lit = np.flatnonzero(radiance.max(axis=1) > 0)
+        lit, tried = np.flatnonzero(radiance.max(axis=1) > 0), cell[is_open.numpy()]
+        if not len(lit):
+            nothing, places = np.empty((0, _CELLS**2 // 8), np.uint8), np.empty((0, 2))
+            return np.empty((0, 3)), radiance[lit], places, nothing, cell[lit], tried
         some = mi.UInt32(lit.astype(np.uint32))
         P, o, slopes = (np.stack([x.numpy() for x in xs], 1)[lit].astype(np.float64) for xs in (P, point, slope))
         ahead = hit.t.numpy()[lit] / np.sqrt(1 + (slopes**2).sum(1))
@@ -202,7 +219,7 @@ class _Finder:
         front = Front.of(self.camera)
         slant = front.slants(normals, positions, radius)
         bits = self._visible(dr.gather(type(hit), hit, some), Entrances(front, P, positions, slopes), radius)
-        return positions, radiance[lit], slant, bits
+        return positions, radiance[lit], slant, bits, cell[lit], tried
 
     def _ray(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any]) -> Any:
         to_world = self.lights[0].sensor.world_transform()
@@ -225,8 +242,7 @@ class _Finder:
 
     def _visible(self, hit: Any, entrances: Entrances, radius: float) -> NDArray[np.uint8]:
         """Return which cells of the pupil see points, (n, bytes); the one of the ray that has found a point does."""
-        middle = (np.arange(_CELLS) + 0.5) * 2 / _CELLS - 1
-        x, y = (axis.ravel() for axis in np.meshgrid(middle, middle))
+        x, y = _MIDDLES
         # Cells whose middle lies beyond the pupil's edge are seen at the nearest point within.
         inward = np.minimum(1, 0.999 / np.hypot(x, y)) * radius
         x, y = mi.Float(x * inward), mi.Float(y * inward)
@@ -251,12 +267,9 @@ def _landing(
     # Which rays land there is asked of the light that rays follow.
     wavelength = 1.0 if camera.prescription is None else camera.prescription.wavelength
     lens, radius = lens_of_waves(camera, positions, wavelength), pupil_bound(camera)
-    across = _CELLS * _FINER
-    place = (np.arange(across) + 0.5) * 2 / across - 1
-    x, y = (axis.ravel() for axis in np.meshgrid(place, place))
-    inside = np.hypot(x, y) <= 1
+    x, y = _MIDDLES
+    inside = np.flatnonzero(np.hypot(x, y) <= 1)
     x, y = x[inside], y[inside]
-    column, row = (np.minimum((axis + 1) / 2 * _CELLS, _CELLS - 1).astype(int) for axis in (x, y))
     pupil = x * radius, y * radius
     for some in np.array_split(np.arange(len(positions)), max(1, len(positions) * len(x) // 2**24)):
         light = lens.bind(positions[some])
@@ -264,7 +277,7 @@ def _landing(
         power = np.broadcast_to(light.is_open(pupil), landed.shape).astype(float)
         if weights is not None:
             power *= 1 + weights.slant[some] @ np.stack([x, y])
-            power *= weights.table[weights.index[some]][:, row, column]
+            power *= weights.table.reshape(-1, _CELLS**2)[weights.index[some]][:, inside]
         # The ray that has found the point has landed.
         fraction[some] = np.maximum((landed * power).sum(1), 1) / np.maximum(power.sum(1), 1)
     return fraction

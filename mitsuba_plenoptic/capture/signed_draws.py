@@ -21,7 +21,7 @@ from ..runtime.batches import Box
 
 Pair = tuple[Any, Any]
 
-STEPS = 1.1673039782614187 ** -np.arange(1.0, 5.0)
+_STEPS = 1.1673039782614187 ** -np.arange(1.0, 5.0)
 """Steps of an additive sequence that fills four dimensions evenly: powers of 1 over the root of x^5 = x + 1."""
 
 _FALL = 1.2
@@ -144,7 +144,7 @@ class Draws:
         middle, centre, _ = self.centres(cells)
         half, index = sample & 1, mi.Float(sample >> 1)
         random = []
-        for axis, step in enumerate(STEPS):
+        for axis, step in enumerate(_STEPS):
             value = index * step + mi.sample_tea_float32(cells.index, seed ^ (half * 8 + axis + 1))
             random.append(value - dr.floor(value))
         x, y = (p + _tent(r) * self._step for p, r in zip(middle, random[2:], strict=True))
