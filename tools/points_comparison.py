@@ -116,7 +116,9 @@ def main() -> int:
         print(lines[-1], flush=True)
         peak = float(rays.max())
         picture = np.concatenate([points, rays, 0.5 * peak + 10 * (points - rays)], axis=1)
-        write_png(arguments.output / f"{name.replace(' ', '_')}_points_rays_difference_times_10.png", picture, peak=peak)
+        write_png(
+            arguments.output / f"{name.replace(' ', '_')}_points_rays_difference_times_10.png", picture, peak=peak
+        )
     (arguments.output / "points_comparison.md").write_text("\n".join(lines) + "\n")
     return 0
 
