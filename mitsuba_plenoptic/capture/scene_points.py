@@ -267,11 +267,16 @@ def _landing(
     # Which rays land there is asked of the light that rays follow.
     wavelength = 1.0 if camera.prescription is None else camera.prescription.wavelength
     lens, radius = lens_of_waves(camera, positions, wavelength), pupil_bound(camera)
+    # Only where the rays from the pupil's edge leave those lenses is there anything to count.
+    rim = np.arange(8) * (math.pi / 4)
+    edges = lens.bind(positions).land((radius * np.cos(rim), radius * np.sin(rim)), tuple(positions.T[..., None]))
+    within = [(low < edge) & (edge < high) for edge, low, high in zip(edges, window.low, window.high, strict=True)]
+    partial = np.flatnonzero(~(within[0] & within[1]).all(axis=1))
     x, y = _MIDDLES
     inside = np.flatnonzero(np.hypot(x, y) <= 1)
     x, y = x[inside], y[inside]
     pupil = x * radius, y * radius
-    for some in np.array_split(np.arange(len(positions)), max(1, len(positions) * len(x) // 2**24)):
+    for some in np.array_split(partial, max(1, len(partial) * len(x) // 2**24)):
         light = lens.bind(positions[some])
         landed = window.holds(*light.land(pupil, tuple(positions[some].T[..., None])))
         power = np.broadcast_to(light.is_open(pupil), landed.shape).astype(float)
