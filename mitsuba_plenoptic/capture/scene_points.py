@@ -205,20 +205,27 @@ class _Finder:
         # As wide as the others: a thin lens's rays all start from the same plane, and it lets all of them through.
         point = point[0], point[1], point[2] + dr.zeros(mi.Float, len(numbers))
         is_open = mi.Bool(is_open) & dr.full(mi.Bool, True, len(numbers))
+        tried = cell[is_open.numpy()]
         hit = self.lights[0].scene.ray_intersect(self._ray(point, slope), is_open)
-        radiance = self._radiance(point, slope, hit.is_valid(), seed)
-        lit, tried = np.flatnonzero(radiance.max(axis=1) > 0), cell[is_open.numpy()]
-        if not len(lit):
-            nothing, places = np.empty((0, _CELLS**2 // 8), np.uint8), np.empty((0, 2))
-            return np.empty((0, 3)), radiance[lit], places, nothing, cell[lit], tried
-        some = mi.UInt32(lit.astype(np.uint32))
+        met = dr.compress(hit.is_valid())
+        bits = np.empty((0, _CELLS**2 // 8), np.uint8)
+        if not dr.width(met):
+            channels = 1 if mi.is_spectral else dr.size_v(mi.UnpolarizedSpectrum)
+            radiance, slant = np.empty((0, channels * len(self.lights))), np.empty((0, 2))
+            return np.empty((0, 3)), radiance, slant, bits, cell[:0], tried
+        P, point, slope = (tuple(dr.gather(mi.Float, x, met) for x in xs) for xs in (P, point, slope))
+        hit, cell = dr.gather(type(hit), hit, met), cell[met.numpy()]
+        radiance = self._radiance(point, slope, seed)
+        lit = np.flatnonzero(radiance.max(axis=1) > 0)
         P, o, slopes = (np.stack([x.numpy() for x in xs], 1)[lit].astype(np.float64) for xs in (P, point, slope))
         ahead = hit.t.numpy()[lit] / np.sqrt(1 + (slopes**2).sum(1))
         positions = np.column_stack([o[:, :2] + slopes * ahead[:, None], o[:, 2] + ahead])
         normals = (self.lights[0].sensor.world_transform().inverse() @ mi.Normal3f(hit.n)).numpy().T[lit]
         front = Front.of(self.camera)
         slant = front.slants(normals, positions, radius)
-        bits = self._visible(dr.gather(type(hit), hit, some), Entrances(front, P, positions, slopes), radius)
+        if len(lit):
+            hit = dr.gather(type(hit), hit, mi.UInt32(lit.astype(np.uint32)))
+            bits = self._visible(hit, Entrances(front, P, positions, slopes), radius)
         return positions, radiance[lit], slant, bits, cell[lit], tried
 
     def _ray(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any]) -> Any:
@@ -227,13 +234,12 @@ class _Finder:
         ray.time = self.lights[0].sensor.shutter_open()
         return ray
 
-    def _radiance(self, point: Any, slope: Any, active: Any, seed: int) -> NDArray[np.float64]:
+    def _radiance(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], seed: int) -> NDArray[np.float64]:
         """Return the mean of some light paths, (rays, channels)."""
-        lane = dr.arange(mi.UInt32, dr.width(active) * self.paths) // self.paths
-        point, slope = (tuple(dr.gather(mi.Float, x, lane) for x in xs) for xs in (point, slope))
-        active = dr.gather(mi.Bool, active, lane)
+        lane = dr.arange(mi.UInt32, dr.width(point[0]) * self.paths) // self.paths
+        start, direction = (tuple(dr.gather(mi.Float, x, lane) for x in xs) for xs in (point, slope))
         # The same random numbers lead light of all wavelengths along the same paths.
-        channels = [channel for light in self.lights for channel in light(point, slope, active, seed)]
+        channels = [part for light in self.lights for part in light(start, direction, mi.Bool(True), seed)]
         means = [dr.block_sum(channel, self.paths).numpy() / self.paths for channel in channels]
         radiance = np.stack(means, axis=1).astype(np.float64)
         if not np.isfinite(radiance).all():
