@@ -62,7 +62,8 @@ def render_capture(
         How light is propagated through the camera: ``wave`` makes the scene's integrator the child of a
         ``plenoptic_wave``, ``ray`` takes it out of one. Default: as the scene's integrator has it.
     spp : int, optional
-        Samples per pixel, or by waves light paths per radiator. Default: those of the sensor's sampler.
+        Samples per pixel; by waves light paths per radiator, but for methods ``signed_rays``, rays per pixel, and
+        ``points``, points per microlens. Default: those of the sensor's sampler.
     seed : int
         Seed of the random numbers; the same seed gives the same bits, on any number of threads and in any process.
     progress : callable, optional

@@ -98,6 +98,18 @@ def test_a_lit_matte_surface_is_as_bright_as_by_rays():
     assert by_points(scene).image.sum() == pytest.approx(by_rays.sum(), rel=0.01)
 
 
+@pytest.mark.parametrize("variant", ["llvm_ad_rgb", pytest.param("llvm_ad_spectral", marks=pytest.mark.slow)])
+def test_colours_are_those_of_rays(variant):
+    mi.set_variant(variant)
+    described = camera(2)
+    described["film"]["pixel_format"] = "rgb"
+    light = {"type": "rgb", "value": [1.0, 0.5, 0.2]}
+    scene = scene_of(described, wall=wall(emitter={"type": "area", "radiance": light}, bsdf=BLACK))
+    by_rays = render_capture(scene, model="ray", spp=64).image.mean((0, 1))
+    for options in ({"responses": "srgb", "nodes": 2}, *([{}] if mi.is_rgb else [])):
+        assert by_points(scene, 16, **options).image.mean((0, 1)) == pytest.approx(by_rays, rel=0.02)
+
+
 def test_slanted_surfaces_fill_the_pupil_by_lamberts_law():
     T = mi.ScalarTransform4f()
     to_world = T.translate([0, 0, 240]) @ T.rotate([0, 1, 0], 86) @ T.rotate([0, 1, 0], 180) @ T.scale(60.0)
