@@ -132,10 +132,14 @@ def contrast(capture: Capture, distance: float) -> float:
     return float(2 * abs((columns[inside] * wave).mean()) / columns[inside].mean())
 
 
-def captures(scene: Any, spp: int = 4, per_lens: int = 3, **options: Any) -> tuple[Capture, Capture]:
+def by_signed_rays(scene: Any, spp: int = 64) -> Capture:
+    """Return the wave capture of a scene from signed rays."""
+    return render_capture(scene, model="wave", method="signed_rays", spp=spp)
+
+
+def captures(scene: Any, spp: int = 64) -> tuple[Capture, Capture]:
     """Return the captures of a scene by rays and by waves."""
-    by_rays = render_capture(scene, model="ray", spp=16 * spp)
-    return by_rays, render_capture(scene, model="wave", spp=spp, radiators_per_lens=per_lens, **options)
+    return render_capture(scene, model="ray", spp=2 * spp), by_signed_rays(scene, spp)
 
 
 def energy(by_rays: Capture, by_waves: Capture) -> float:

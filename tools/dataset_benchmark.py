@@ -51,7 +51,7 @@ def recipe(count: int, size: int) -> dict[str, Any]:
         "light": {"sky": {"from": 0.2, "to": 0.6}, "lamp": {"from": 0.2, "to": 1}},
         "ray": {"spp": 16},
         # A bank of kernels is as quick for fine textures as for coarse ones.
-        "wave": {"spp": 16, "method": "bank", "radiators_per_lens": 4, "accuracy": 0.05},
+        "wave": {"spp": 16},
         "samples_per_shard": 25,
     }
 

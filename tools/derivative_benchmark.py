@@ -30,15 +30,15 @@ from pathlib import Path
 from typing import Any
 
 import accuracy
-import mitsuba as mi
 import numpy as np
 from verdict import Verdict
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.capture.accuracy import derivative_band_for
 from mitsuba_plenoptic.capture.grid import Grid, place
-from mitsuba_plenoptic.capture.radiators import find_radiators, sample_pairs
-from mitsuba_plenoptic.capture.sight import Sight
+from mitsuba_plenoptic.capture.scene_points import find_points
+from mitsuba_plenoptic.capture.signed_rays import SceneLight
+from mitsuba_plenoptic.capture.units import radiance_weight
 from mitsuba_plenoptic.runtime.batches import Threads
 from mitsuba_plenoptic.runtime.jobs import Job
 
@@ -51,7 +51,7 @@ def main() -> None:
     """Measure and judge."""
     parser = accuracy.options("derivative_benchmark", __doc__)
     parser.add_argument("--pixels", type=int, default=256, help="across the detector of the letters")
-    parser.add_argument("--radiators-per-lens", type=int, default=8, help="along an axis")
+    parser.add_argument("--points-per-lens", type=int, default=64)
     parser.add_argument("--accuracy", type=float, default=0.01, help="of captures and derivatives")
     parser.add_argument("--runs", type=int, default=2, help="of which the last is counted")
     parser.add_argument("--torchoptics", type=Path, help="folder that holds torchoptics")
@@ -76,9 +76,9 @@ def letters(arguments: argparse.Namespace) -> dict[str, Any]:
             "resolution": str(arguments.pixels), "detector_width": str(8.192 * size), "letter_scale": str(size)
         },
     )  # fmt: skip
-    points, weights = radiators_of(scene, camera, arguments.radiators_per_lens)
-    results: dict[str, Any] = {"pixels": arguments.pixels, "radiators": len(points)}
-    print(f"{arguments.pixels} x {arguments.pixels} pixels, {len(points)} radiators", flush=True)
+    points, weights = points_of(scene, camera, arguments.points_per_lens)
+    results: dict[str, Any] = {"pixels": arguments.pixels, "points": len(points)}
+    print(f"{arguments.pixels} x {arguments.pixels} pixels, {len(points)} points", flush=True)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "points.npz"
         np.savez(file, points=points, weights=weights)
@@ -99,12 +99,11 @@ def letters(arguments: argparse.Namespace) -> dict[str, Any]:
     return results | {"kept": verdict.kept}
 
 
-def radiators_of(scene: Any, camera: mp.PlenopticCamera, per_lens: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return where a scene's radiators are, and their radiances."""
-    integrator = mi.load_dict({"type": "plenoptic_wave", "radiators_per_lens": per_lens})
-    sight = Sight.of(scene, scene.sensors()[0], integrator.child, None)
-    found = find_radiators(sight, camera, sample_pairs(per_lens, np.zeros(4)), spp=1, occlusion=False, seed=0)
-    return found.positions, found.radiance[:, 0]
+def points_of(scene: Any, camera: mp.PlenopticCamera, per_lens: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return where rays from each lens first hit what shines, and the light of these points: together 1 for a lens."""
+    light = SceneLight(scene, scene.sensors()[0], scene.integrator())
+    found = find_points([light], camera, per_lens, seed=0, paths=1)
+    return found.positions, found.weights[:, 0] / radiance_weight(camera, camera.lattice.cell_area)
 
 
 def beside_torchoptics(arguments: argparse.Namespace) -> dict[str, Any]:

@@ -22,7 +22,7 @@ Printed, for each number: the mean over the seeds of the squared error over its 
 the same of the first steps over a thousand noises (0.25), how far fits end from the first step (0.25 deviations), the
 stated variance over the Cramer-Rao bound of the true camera (1 within 0.2), the last step over the deviation (0.05),
 and where a fit from afar ended (0.05 deviations). Without limits: the bias over the deviation where the data
-come from other radiators and default accuracy. Fits begin until ``--minutes`` have passed; those that are done are
+come from other points and default accuracy. Fits begin until ``--minutes`` have passed; those that are done are
 kept, too, and a further run goes on behind them. Writes ``fit_noise_accuracy.json``; exits with 1 where a limit is
 not kept.
 """
@@ -38,7 +38,7 @@ from typing import Any
 import accuracy
 import mitsuba as mi
 import numpy as np
-from derivative_benchmark import radiators_of
+from derivative_benchmark import points_of
 from numpy.typing import NDArray
 from verdict import Verdict
 
@@ -110,7 +110,7 @@ def main() -> None:
         print(f"from afar {seed + 1}: {np.round(found['far'], 3)}, {time.monotonic() - began:.0f} s", flush=True)
     first = study.first_steps(max(NOISES, len(fits)))
     results = judged(study.labels, fits, bias, study.deviations(study.images), first)
-    results["radiators"] = [len(points) for points, _ in study.lights]
+    results["points"] = [len(points) for points, _ in study.lights]
     (arguments.output / "fit_noise_accuracy.json").write_text(json.dumps(results, indent=1) + "\n")
     sys.exit(0 if results["kept"] else 1)
 
@@ -125,13 +125,13 @@ def wall(camera: mp.PlenopticCamera, per_lens: int) -> tuple[Array, Array]:
 
 
 def letters(lenses: int, per_lens: int) -> tuple[Array, Array]:
-    """Return radiators of the letters for the camera of the paper at half its size."""
+    """Return points of the letters, so many to a lens along an axis, for the camera of the paper at half its size."""
     side, pixels = 0.128 * lenses, 64 * lenses
     given = {"resolution": str(pixels), "detector_width": str(side), "letter_scale": str(side / 8.192)}
     scene = mp.load_scene("letters", parameters=given)
     camera = mp.PlenopticCamera(detector_width=side, resolution=(pixels, pixels))
-    points, radiance = radiators_of(scene, camera, per_lens)
-    return points / 2, radiance / per_lens**2
+    points, weights = points_of(scene, camera, per_lens**2)
+    return points / 2, weights
 
 
 class Study:

@@ -68,8 +68,7 @@ def recipe(f_number: float, seed: int, count: int) -> Recipe:
             "scenes": [{"generator": "shapes", "objects": {"from": 4, "to": 10, "step": 1}, "plain": 0.1}],
             "noise": {"photons": 2000},
             "ray": {"spp": 32},
-            # Radiators as far apart as the main lens's own spot on the microlenses is wide, about.
-            "wave": {"spp": 2, "radiators_per_lens": 2, "accuracy": 0.1, "wavelength": WAVELENGTH},
+            "wave": {"spp": 32, "wavelength": WAVELENGTH},
             "truth": [],
         }
     )

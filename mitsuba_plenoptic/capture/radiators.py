@@ -7,7 +7,6 @@ serve every lens, so that the capture of an even surface repeats from lens to le
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -18,6 +17,7 @@ from ..optics import guards
 from ..optics.fitted_lens import lens_of_waves
 from ..optics.open_pupil import pupil_bound
 from ..runtime.limits import require_memory
+from . import scene_points
 from .entrance import Front
 from .lens_window import LensWindow
 from .pair_tracing import Finds, PairTracer
@@ -93,13 +93,7 @@ def sample_pairs(per_lens: int, shift: np.ndarray) -> np.ndarray:
         The first n points of a Sobol sequence with one fixed scrambling; for powers of two the places in the lens
         are stratified.
     """
-    # It takes a third of the package's loading time, which commands that render no waves need not wait for.
-    from scipy.stats import qmc
-
-    count = per_lens**2
-    # The sequence is drawn to the next power of two, where it is balanced.
-    points = qmc.Sobol(4, scramble=True, rng=0).random_base2(math.ceil(math.log2(max(count, 1))))
-    return np.asarray((points[:count] + shift) % 1.0)
+    return np.asarray((scene_points.sample_pairs(per_lens**2) + shift) % 1.0)
 
 
 def find_radiators(

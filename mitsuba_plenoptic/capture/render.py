@@ -62,7 +62,8 @@ def render_capture(
         How light is propagated through the camera: ``wave`` makes the scene's integrator the child of a
         ``plenoptic_wave``, ``ray`` takes it out of one. Default: as the scene's integrator has it.
     spp : int, optional
-        Samples per pixel, or by waves light paths per radiator. Default: those of the sensor's sampler.
+        Samples per pixel; by waves light paths per radiator, but for methods ``signed_rays``, rays per pixel, and
+        ``points``, points per microlens. Default: those of the sensor's sampler.
     seed : int
         Seed of the random numbers; the same seed gives the same bits, on any number of threads and in any process.
     progress : callable, optional
@@ -217,10 +218,10 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
         return integrator.child
     if is_wave and not wave:
         return integrator
-    if wave.get("method") == "signed_rays":
+    if wave.get("method") in ("signed_rays", "points"):
         for name in ("radiators_per_lens", "passes", "occlusion"):
             if wave.get(name) is not None:
-                raise InputError(f"{argument(name)}: method signed_rays has no radiators; leave it out")
+                raise InputError(f"{argument(name)}: method {wave['method']} has no radiators; leave it out, give spp")
     own = integrator.parameters() if is_wave else {}
     # What is None is not given; Mitsuba's loader would end the process.
     wave = {name: value for name, value in wave.items() if value is not None}

@@ -9,7 +9,6 @@ import typer
 from ..bounds import require_wavelength
 from ..capture.render import MOST_SAMPLES
 from ..errors import require_count, require_number
-from ..plugins.integrator import MOST_RADIATORS
 from .inputs import parse_definitions
 from .options import Definitions, Distances, OutputFolder, ResumeOnly, Scene, number
 from .terminal import stage_lines
@@ -20,8 +19,7 @@ def compare(
     output: OutputFolder,
     distance: Distances,
     wavelength: Annotated[float, number("Wavelength in nanometres.", unit="NM")] = 633.0,
-    radiators_per_lens: Annotated[int, number("Radiators per microlens and axis; the time grows with its square.")] = 8,
-    spp: Annotated[int, number("Samples per pixel by rays, light paths per radiator by waves.")] = 16,
+    spp: Annotated[int, number("Samples per pixel, by rays and by waves.")] = 16,
     resume: ResumeOnly = False,
     define: Definitions = None,
     variant: Annotated[
@@ -52,9 +50,7 @@ def compare(
         distances=tuple(sorted({require_number("distance", value, positive=True) for value in distance})),
         parameters=parse_definitions(define),
         wavelength=require_wavelength(wavelength),
-        radiators_per_lens=require_count("radiators_per_lens", radiators_per_lens, maximum=MOST_RADIATORS),
         spp=require_count("spp", spp, maximum=MOST_SAMPLES),
-        paths=spp,
         noise=spp > 1,
         variant=variant,
     )

@@ -53,9 +53,9 @@ def fit(
         bool, typer.Option("--lattice-from-first", help="Take the lattice's start from the first capture, of white.")
     ] = False,
     wavelength: Annotated[float | None, number("Wavelength.", "the captures', or 633", unit="NM")] = None,
-    radiators: Annotated[
-        int, typer.Option("--radiators-per-lens", metavar="N", help="Radiators per microlens and axis.")
-    ] = 8,
+    points_per_lens: Annotated[
+        int, typer.Option(metavar="N", help="Points of the scene's surfaces for each microlens.")
+    ] = 64,
     afar: Annotated[
         bool,
         typer.Option("--from-afar", help="Come near first, by rays with blurred captures: lengths some percent off."),
@@ -114,7 +114,7 @@ def fit(
             scene,
             first,
             wavelength=known,
-            radiators_per_lens=radiators,
+            points_per_lens=points_per_lens,
             noise=noise,
             mask=left_out,
             saturation=full if saturation is None else saturation,

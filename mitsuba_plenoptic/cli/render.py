@@ -54,7 +54,8 @@ def render(
         typer.Option(
             metavar="NAME",
             show_default="the scene's, else auto",
-            help="By waves: auto, patch, bank, full_field, or signed_rays, which takes the rays of a ray capture.",
+            help="By waves: auto, patch, bank, full_field, signed_rays, which takes the rays of a ray capture, or "
+            "points, the plain reference for matte scenes, with --spp points for each microlens.",
         ),
     ] = None,
     radiators_per_lens: RadiatorsPerLens = None,

@@ -14,7 +14,6 @@ from .inputs import batches_on, parse_definitions
 from .options import (
     Definitions,
     Model,
-    RadiatorsPerLens,
     ResumeOnly,
     Samples,
     Scene,
@@ -48,7 +47,6 @@ def sweep(
     ] = None,
     spp: Samples = None,
     seed: Seed = 0,
-    radiators_per_lens: RadiatorsPerLens = None,
     resume: ResumeOnly = False,
     workers: Workers = None,
     scheduler: Scheduler = None,
@@ -84,7 +82,6 @@ def sweep(
         model=model,
         spp=spp,
         seed=seed,
-        radiators_per_lens=radiators_per_lens,
         method=method or "ray",
         variant=variant or DEFAULT_VARIANT,
     )

@@ -33,7 +33,7 @@ _KEYS = (
     "name", "count", "seed", "models", "variant", "camera", "scenes", "light", "noise", "ray", "wave", "truth",
     "samples_per_shard",
 )  # fmt: skip
-_WAVE = ("spp", "wavelength", "radiators_per_lens", "passes", "method", "accuracy", "occlusion")
+_WAVE = ("spp", "wavelength", "method", "accuracy")
 
 
 @dataclass(frozen=True)
@@ -263,7 +263,7 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
         light=_section("light", content, tuple(f.name for f in fields(Light))),
         noise=noise,
         ray={"spp": 16, **_section("ray", content, ("spp",))},
-        wave={"spp": 16, **_section("wave", content, _WAVE)},
+        wave={"spp": 16, "method": "signed_rays", **_section("wave", content, _WAVE)},
         truth=require_quantities(truth) if truth else (),
         samples_per_shard=require_count("samples_per_shard", content.get("samples_per_shard", 50), maximum=10000),
         content=dict(content),

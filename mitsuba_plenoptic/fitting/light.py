@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..capture.accuracy import DEFAULT_ACCURACY
 from ..capture.render import chosen_integrator, plenoptic_sensor
-from ..capture.sight import Sight
+from ..capture.scene_points import find_points, require_matte
+from ..capture.signed_rays import SceneLight
 from ..capture.units import brightness_at
-from ..capture.wave_capture import WaveCapture
 from ..errors import InputError, require_count, require_number
 from ..io.captures import as_array, require_pixels
 from ..optics.sampling import check_positions
@@ -130,53 +130,47 @@ def known_view(
     camera: PlenopticCamera,
     *,
     wavelength: float = 633.0,
-    radiators_per_lens: int = 8,
-    spp: int = 16,
+    points_per_lens: int = 64,
     seed: int = 0,
     noise: Any = None,
     mask: Any = None,
     saturation: float | None = None,
 ) -> View:
-    """Return a capture of a scene with the radiators of that scene, found by rays as for ``plenoptic_wave``.
+    """Return a capture of a scene with points of its surfaces, found by rays as for method ``points`` of waves.
 
     Parameters
     ----------
     image : array (rows, columns)
         The capture.
     scene : mitsuba.Scene
-        What it shows, with the camera's place as that of the first sensor; of a variant of one channel.
+        What it shows, matte and emitting surfaces, with the camera's place as that of the first sensor; of a variant
+        of one channel.
     camera : PlenopticCamera
         A camera near enough to the true one, from which rays start.
     wavelength : float
         In nanometres.
-    radiators_per_lens, spp, seed
-        As of ``plenoptic_wave``.
+    points_per_lens : int
+        Points for each microlens.
+    seed : int
+        Of their pattern.
     noise, mask, saturation
         As of `View`.
 
     Raises
     ------
     InputError
-        If an input has a wrong value, or the scene shows nothing that shines.
+        If an input has a wrong value, or the scene shows nothing that shines or what is no matte surface.
     """
     seen = with_camera(scene, camera)
     sensor = plenoptic_sensor(seen)
     child = chosen_integrator(seen, "ray", {})
-    capture = WaveCapture(
-        camera=camera,
-        sight=Sight.of(seen, sensor, child, None),
-        wavelengths=(require_wavelength(wavelength),),
-        radiators_per_lens=require_count("radiators_per_lens", radiators_per_lens),
-        passes=1,
-        method="patch",
-        occlusion=True,
-        accuracy=DEFAULT_ACCURACY,
-    )
-    (radiators,) = capture.radiators("patch", seed, require_count("spp", spp))
-    if radiators.radiance.shape[1] != 1:
+    require_matte(seen, sensor, child, camera)
+    wavelength = require_wavelength(wavelength)
+    light = SceneLight(seen, sensor, child, wavelength if mi.is_spectral else None)
+    found = find_points([light], camera, require_count("points_per_lens", points_per_lens), seed=seed)
+    if found.weights.shape[1] != 1:
         raise InputError("scene: a camera is fitted to images of one channel; use a mono variant")
-    if not len(radiators.positions):
+    if not len(found.positions):
         raise InputError("scene: the camera sees nothing that shines")
-    recorded = (capture.scale(radiators) * radiators.radiance)[:, 0]
-    weights = recorded / brightness_at(camera, radiators.positions, capture.wavelengths[0])
-    return View(image, radiators.positions, weights, noise, radiators.pupil_weights, mask, saturation, virtual=True)
+    weights = found.weights[:, 0] / brightness_at(camera, found.positions, wavelength)
+    return View(image, found.positions, weights, noise, found.pupil_weights, mask, saturation)

@@ -12,8 +12,10 @@ from ..capture import colour
 from ..capture.accuracy import DEFAULT_ACCURACY, check_accuracy
 from ..capture.operator import METHODS
 from ..capture.patch_plan import Cost
+from ..capture.points_capture import PointsCapture
 from ..capture.render_gradients import RenderGradients
 from ..capture.replay import Replay
+from ..capture.scene_points import require_matte
 from ..capture.sight import Sight
 from ..capture.signed_capture import SignedCapture
 from ..capture.signed_rays import SceneLight
@@ -37,6 +39,9 @@ MOST_PASSES = 1024
 
 SIGNED_RAYS = "signed_rays"
 """The method that takes all light from the rays of a capture by rays."""
+
+POINTS = "points"
+"""The plain reference: points of matte surfaces, of which each is propagated by itself."""
 
 # Integrators that follow light from the emitters and cannot tell the radiance along a ray.
 _LIGHT_TRACERS = ("ParticleTracerIntegrator", "AdjointIntegrator")
@@ -85,7 +90,8 @@ def make_class() -> type:
              of kernels of single lenses, at the price of a capture by rays; in one wavelength where glasses of a
              ``main_lens`` disperse light. ``full_field``: on all of the array, the
              slow reference. ``auto``: the quicker one of the first two. ``signed_rays``: from the rays of a capture
-             by rays, see below. (Default: ``auto``)
+             by rays, see below. ``points``: point by point, the plain reference for matte scenes, see below.
+             (Default: ``auto``)
          * - occlusion
            - |bool|
            - Whether objects before a radiator hide a part of the pupil from it; method ``bank`` asks for it.
@@ -119,8 +125,17 @@ def make_class() -> type:
         detectors not far from the microlenses' focus; it has no gradients. With bands and responses, kernels are those
         of some wavelengths, ``nodes``, between which light is shared in straight lines; in spectral variants each ray
         has wavelengths of its own, whatever the scene. A ``glass`` of the main lens gives each node rays of its own.
-        ``radiators_per_lens``, ``passes`` and ``occlusion`` do not concern it; ``accuracy`` below 0.005 takes finer
+        ``radiators_per_lens``, ``passes`` and ``occlusion`` do not concern neither it nor ``points``; ``accuracy`` below 0.005 takes finer
         kernels.
+
+        Method ``points`` is what the others are judged by: ``spp`` rays from each microlens, of a pattern (lens point,
+        pupil point) that is the same in all lenses, find ``spp`` points of matte and emitting surfaces where they
+        first hit, shadow rays find what each sees of the pupil, and the field of each is propagated by itself, as by
+        ``patch``; intensities add. 64 light paths are averaged for each point, whose noise is then small against what
+        the pattern of few points leaves. The time grows with ``spp``: 64 points a lens show white walls in focus to
+        0.5 %, out of focus it takes several hundred, or the mean of seeds. ``accuracy`` is that of ``patch``; at 0 each
+        point takes some 10 ms. Gloss, glass, mirrors, masks, instances, media, environments, moving scenes and
+        objectives are refused by name; it has no gradients and states no noise.
 
         With a band or responses, one set of radiators, or of rays, serves all wavelengths. In spectral variants light
         has the scene's own spectra, in rgb ones those of D65 times the smoothest reflectances that have the colours,
@@ -162,7 +177,7 @@ def make_class() -> type:
             self.wavelengths = self.colours.wavelengths
             self.radiators_per_lens = read_count(props, NAME, "radiators_per_lens", 8, maximum=MOST_RADIATORS)
             self.passes = read_count(props, NAME, "passes", 1, maximum=MOST_PASSES)
-            self.method = read_choice(props, NAME, "method", ("auto", *METHODS, SIGNED_RAYS))
+            self.method = read_choice(props, NAME, "method", ("auto", *METHODS, SIGNED_RAYS, POINTS))
             self.occlusion = read_flag(props, NAME, "occlusion", True)
             if self.method == "bank" and not self.occlusion:
                 raise InputError(f"{NAME}: occlusion = false: by method bank, objects hide what is behind them")
@@ -278,7 +293,7 @@ def make_class() -> type:
                 return self.colours.spectrum_for(channels, (), SHARED)
             return self.colours.spectrum_for(channels, colour.tables_of(scene) if mi.is_spectral else [])
 
-        def _capture(self, scene: Any, sensor: Any) -> WaveCapture | SpectralCapture | SignedCapture:
+        def _capture(self, scene: Any, sensor: Any) -> WaveCapture | SpectralCapture | SignedCapture | PointsCapture:
             camera = PlenopticCamera.from_sensor(sensor)
             if self.method == SIGNED_RAYS:
                 colours = self.colours.signed(sensor.film().base_channels_count())
@@ -297,6 +312,8 @@ def make_class() -> type:
             if mi.is_spectral:
                 responses = np.ones((1, 1), np.float32) if spectrum is None else spectrum.matrix()
                 colour.require_spectra(scene, wavelengths, responses)
+            if self.method == POINTS:
+                return self._by_points(scene, sensor, camera, spectrum)
             sight = Sight.of(scene, sensor, self.child, wavelengths if mi.is_spectral else None)
             if camera.objective is not None:
                 sight.require_surfaces(camera.objective.name)
@@ -313,6 +330,19 @@ def make_class() -> type:
             if spectrum is None:
                 return capture
             return SpectralCapture(capture, spectrum, self.colours.upsampling(spectrum), self.colours.total_nodes())
+
+        def _by_points(
+            self, scene: Any, sensor: Any, camera: PlenopticCamera, spectrum: Spectrum | None
+        ) -> PointsCapture:
+            require_matte(scene, sensor, self.child, camera)
+            upsampling = None if spectrum is None else self.colours.upsampling(spectrum)
+            nodes = None if spectrum is None else self.colours.total_nodes()
+            spectrum = Spectrum.lines(*self.wavelengths) if spectrum is None else spectrum
+            wavelengths = spectrum.wavelengths if mi.is_spectral else (None,)
+            lights = [SceneLight(scene, sensor, self.child, wavelength) for wavelength in wavelengths]
+            if nodes is not None:
+                spectrum = spectrum.interpolated(nodes)
+            return PointsCapture(camera, lights, spectrum, upsampling, self.accuracy)
 
         def parameters(self) -> dict[str, Any]:
             """Its own parameters by name, as ``mi.load_dict`` takes them."""

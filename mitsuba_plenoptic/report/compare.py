@@ -66,7 +66,6 @@ def _command(settings: Settings) -> str:
     words += [f"-D {name}={value}" for name, value in settings.parameters.items()]
     words += [
         f"--wavelength {settings.wavelength:g}",
-        f"--radiators-per-lens {settings.radiators_per_lens}",
         f"--spp {settings.spp}",
         f"--variant {settings.variant}",
     ]

@@ -64,12 +64,11 @@ class Settings:
         Distances of the report's slider.
     wavelength : float
         Nanometres.
-    radiators_per_lens : int
-        Of the wave capture.
     spp : int
-        Samples per pixel of the ray capture.
-    paths : int
-        Light paths per radiator of the wave capture.
+        Samples per pixel of both captures.
+    points : int, optional
+        Points per lens of another wave capture, point by point, with which the one from signed rays is compared.
+        Default: there is none.
     truth_spp : int
         Samples per pixel of the thin lens.
     noise : bool
@@ -83,9 +82,8 @@ class Settings:
     slider: tuple[float, ...] = ()
     parameters: Mapping[str, str] = field(default_factory=dict)
     wavelength: float = 633.0
-    radiators_per_lens: int = 8
     spp: int = 16
-    paths: int = 16
+    points: int | None = None
     truth_spp: int = 1024
     noise: bool = False
     variant: str = DEFAULT_VARIANT
@@ -103,6 +101,8 @@ class Experiment:
         The camera, with parabolic lenses.
     ray, wave : Capture
         The captures.
+    points : Capture, optional
+        The wave capture point by point.
     wave_file : Path
         Where the wave capture lies.
     wave_key : str
@@ -123,6 +123,7 @@ class Experiment:
     camera: PlenopticCamera
     ray: Capture
     wave: Capture
+    points: Capture | None
     wave_file: Path
     wave_key: str
     truths: dict[float, np.ndarray]
@@ -164,10 +165,6 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
         "variant": settings.variant,
         "lens_model": sensor.lens_model,
     }
-    wave_options: dict[str, Any] = {
-        "wavelength": settings.wavelength,
-        "radiators_per_lens": settings.radiators_per_lens,
-    }
     ray, ray_key = store.capture(
         "capture_ray",
         {**base, "spp": settings.spp, "noise": settings.noise},
@@ -177,21 +174,21 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     )
     if not ray.image.any():
         raise InputError(f"{settings.scene}: the capture is black: its camera sees no light")
-    wave, wave_key = store.capture(
-        "capture_wave",
-        {**base, **wave_options, "spp": settings.paths, "noise": settings.noise},
-        lambda progress, checkpoint: _grey(
-            render_capture(
-                scene,
-                model="wave",
-                spp=settings.paths,
-                noise=settings.noise,
-                progress=progress,
-                checkpoint=checkpoint,
-                **wave_options,
-            )
-        ),
-    )
+
+    def by_waves(name: str, **options: Any) -> tuple[Capture, str]:
+        options["wavelength"] = settings.wavelength
+        return store.capture(
+            name,
+            {**base, **options},
+            lambda progress, checkpoint: _grey(
+                render_capture(scene, model="wave", progress=progress, checkpoint=checkpoint, **options)
+            ),
+        )
+
+    wave, wave_key = by_waves("capture_wave", method="signed_rays", spp=settings.spp, noise=settings.noise)
+    points = None
+    if settings.points is not None:
+        points, _ = by_waves("capture_points", method="points", spp=settings.points)
     pinhole, _ = store.image(
         "object",
         {**base, "columns": OBJECT_COLUMNS},
@@ -220,6 +217,7 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
         camera=camera,
         ray=ray,
         wave=wave,
+        points=points,
         wave_file=store.folder / "capture_wave.exr",
         wave_key=wave_key,
         truths=truths,

@@ -27,7 +27,8 @@ def measure(experiment: Experiment) -> dict[str, Any]:
     dict
         ``captures``: the ray capture compared with the wave capture: image metrics, and under ``difference`` how far
         they are apart and how much of that is noise, over ``all`` pixels, the ``middle`` of micro-images and their
-        ``rim``. ``reconstructions``: for each method and
+        ``rim``, and under ``points`` the relative error and the energy of the wave capture against that of points.
+        ``reconstructions``: for each method and
         distance image metrics against the thin lens (after one scale per method), energy (before it) and, where waves
         interfere, the distance from the one-lens limit over all that is lit. ``interference``: the same over each
         flat shape. ``edges``: sharpness of the chart's slanted edges, empty for other scenes.
@@ -38,6 +39,7 @@ def measure(experiment: Experiment) -> dict[str, Any]:
             **image_metrics(ray, wave).to_dict(),
             "relative_error": round(relative_error(ray, wave), 5),
             "difference": _difference(experiment),
+            "points": _against_points(experiment),
         },
         "reconstructions": _reconstructions(experiment),
         "interference": _interference(experiment),
@@ -51,6 +53,14 @@ def _difference(experiment: Experiment) -> dict[str, Any]:
     return {
         name: capture_difference(experiment.ray, experiment.wave, where).to_dict() for name, where in pixels.items()
     }
+
+
+def _against_points(experiment: Experiment) -> dict[str, float] | None:
+    if experiment.points is None:
+        return None
+    wave, points = experiment.wave.image, experiment.points.image
+    energy = float(wave.sum(dtype=np.float64) / points.sum(dtype=np.float64))
+    return {"relative_error": round(relative_error(wave, points), 5), "energy": round(energy, 5)}
 
 
 def find(rows: list[dict[str, Any]], **wanted: Any) -> dict[str, Any]:

@@ -25,7 +25,7 @@ CAMERAS = {
     "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "double Gauss" else []) for name in CAMERAS]
 )
 def test_against_rays_through_the_sensor(name):
-    """A wall of several shades, as the radiators that rays find on it."""
+    """A wall of several shades, as the points that rays find on it."""
     numbers, distance, limit = CAMERAS[name]
     texture = mi.Bitmap(np.random.default_rng(1).uniform(0.2, 1, (4, 4, 1)).astype(np.float32))
     light = {"type": "bitmap", "bitmap": texture, "raw": True}
@@ -46,7 +46,7 @@ def test_against_rays_through_the_sensor(name):
     )
     traced = np.array(mi.render(scene, spp=1024))[..., 0]
     camera = PlenopticCamera.from_sensor(scene.sensors()[0])
-    view = known_view(traced, scene, camera, wavelength=WAVELENGTH, radiators_per_lens=16, spp=1)
+    view = known_view(traced, scene, camera, wavelength=WAVELENGTH, points_per_lens=256)
     rays = PointRays(camera, view.points, WAVELENGTH, view.pupil_weights)
     image = rays.image(camera, brightness_at(camera, view.points, WAVELENGTH) * view.weights)
     assert error(image, traced) < limit

@@ -21,15 +21,15 @@ WALL = """<shape type="disk"><transform name="to_world"><scale value="0.05"/><ro
 
 def test_a_camera_from_a_capture(tmp_path, capsys):
     path = write_scene(tmp_path, WALL, sensor=SENSOR)
-    capture = render_capture(load_scene(path), model="wave", spp=1, radiators_per_lens=2, accuracy=0.05)
+    capture = render_capture(load_scene(path), model="wave", method="points", spp=4, accuracy=0.05)
     write_capture(tmp_path / "raw.exr", capture)
     start = tmp_path / "start.json"
     start.write_text(capture.camera.replace(mla_offset=(0.0005, -0.0003)).to_json())
     words = ["fit", tmp_path / "raw.exr", "--scene", path, "--number", "mla_offset", "--photons", "1e5"]
-    words += ["--camera", start, "--radiators-per-lens", "2", "--accuracy", "0.05", "-o", tmp_path / "camera.json"]
+    words += ["--camera", start, "--points-per-lens", "4", "--accuracy", "0.05", "-o", tmp_path / "camera.json"]
     assert main(list(map(str, words))) == 0
     found = json.loads((tmp_path / "camera.json").read_text())
-    # The radiators are those of another camera, by half a micrometre.
+    # The points are those of another camera, by half a micrometre.
     assert np.abs(found["mla_offset"]).max() < 2e-4
     printed = capsys.readouterr().out
     assert "mla_offset.1 = " in printed and " +- " in printed and "told to " in printed
@@ -37,7 +37,7 @@ def test_a_camera_from_a_capture(tmp_path, capsys):
 
 def test_noise_and_saturation_are_those_that_expose_keeps(tmp_path, run, complaint):
     path = write_scene(tmp_path, WALL, sensor=SENSOR)
-    capture = render_capture(load_scene(path), model="wave", spp=1, radiators_per_lens=2, accuracy=0.05)
+    capture = render_capture(load_scene(path), model="wave", method="points", spp=4, accuracy=0.05)
     write_capture(tmp_path / "clean.exr", capture)
     # A tenth of the pixels is saturated.
     full = 600 * float(np.quantile(capture.image, 0.9))
@@ -46,7 +46,7 @@ def test_noise_and_saturation_are_those_that_expose_keeps(tmp_path, run, complai
     masked[:10] = 255
     Image.fromarray(masked).save(tmp_path / "mask.png")
     words = ["fit", tmp_path / "raw.exr", "--scene", path, "--number", "mla_offset", "--accuracy", "0.05"]
-    words += ["--radiators-per-lens", "2", "-o", tmp_path / "camera.json"]
+    words += ["--points-per-lens", "4", "-o", tmp_path / "camera.json"]
     output = run(*words, "--mask", tmp_path / "mask.png")
     chi_square, deviation, pixels = re.search(r"per pixel (\S+) \+- (\S+) over (\d+) pixels", output).groups()
     assert float(chi_square) == pytest.approx(1, abs=4 * float(deviation))

@@ -223,8 +223,7 @@ def test_killed_processes_on_workers_end_with_the_bits_of_one_process(tmp_path):
     # Pairs of captures by rays and by waves, of a small aperture, so that waves are quick.
     camera = {**small()["camera"], "aperture_radius": 1}
     scenes = [{"generator": "shapes", "objects": 4, "near": 225, "far": 260}]
-    wave = {"spp": 1, "radiators_per_lens": 1, "accuracy": 0.1}
-    content = small(models=["ray", "wave"], wave=wave, camera=camera, scenes=scenes)
+    content = small(models=["ray", "wave"], wave={"spp": 1}, camera=camera, scenes=scenes)
     recipe = tmp_path / "recipe.yaml"
     recipe.write_text(yaml.safe_dump(content))
 

@@ -91,8 +91,7 @@ def test_shapes_stand_where_the_camera_resolves_them():
         ({"ray": {"spp": 0}}, "sample 0: ray: spp = 0: it must be at least 1"),
         (
             {"models": ["ray", "wave"], "wave": {"metod": 1}},
-            "metod: it is not one of spp, wavelength, radiators_per_lens, passes, method, accuracy, occlusion; did you "
-            "mean method?",
+            "metod: it is not one of spp, wavelength, method, accuracy; did you mean method?",
         ),
         ({"wave": {"spp": 1}}, "wave: models = ['ray'] has no wave captures; leave it out"),
     ],

@@ -29,7 +29,7 @@ from mitsuba_plenoptic.runtime.jobs import Job
 
 SMALL = small_camera()
 SCENE = letters(4)
-WAVE = ["render", "letters", "--model", "wave", "--spp", "1", "--radiators-per-lens", "4", *definitions(SCENE)]
+WAVE = ["render", "letters", "--model", "wave", "--method", "points", "--spp", "16", *definitions(SCENE)]
 
 
 class Trap:
@@ -47,7 +47,7 @@ def render(checkpoint=None, parameters=None, **options):
     return render_capture(
         scene,
         checkpoint=checkpoint,
-        **{"model": "wave", "method": "patch", "spp": 1, "radiators_per_lens": 4} | options,
+        **{"model": "wave", "method": "points", "spp": 16} | options,
     )
 
 
@@ -105,8 +105,9 @@ def test_a_capture_goes_on_where_it_was_stopped(tmp_path, clean, count):
 
 
 def test_finished_sums_are_remembered(tmp_path):
-    """Stopped in the third of three sums, one a pass."""
-    path, options = tmp_path / "checkpoint", {"radiators_per_lens": 2, "passes": 3, "seed": 3}
+    """Stopped in the third of three sums, one a wavelength."""
+    mi.set_variant("llvm_ad_rgb")
+    path, options = tmp_path / "checkpoint", {"spp": 4, "seed": 3, "wavelength": "600, 550, 500"}
     sums = stop_before(path, lambda sums: 2 in sums, **options)
     assert sums[0] == 0 and 1 in sums
     with Checkpoint(path, "resume") as checkpoint:

@@ -29,29 +29,34 @@ def scene_of(sensor, **objects):
     return mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "camera": sensor, **objects})
 
 
+def by_signed_rays(scene, spp=64, **options):
+    return render_capture(scene, model="wave", method="signed_rays", spp=spp, **options)
+
+
 @pytest.mark.parametrize("place", [(0.3, -0.2, 210.0), (-0.1, 0.2, 240.0), (0.2, 0.4, 280.0)])
 def test_one_tiny_emitter_renders_its_point_spread(camera_dict, place):
-    # So many radiators that a source of 1 um is met a few times; only those that shine cost time.
-    scene = scene_of(camera_dict(resolution=256, detector_width=0.512), point=disk(place, 0.0005))
-    wave = render_capture(scene, model="wave", spp=1, radiators_per_lens=256)
+    # So many points that a source of 10 um is met a few times; only those that shine cost time.
+    scene = scene_of(camera_dict(resolution=256, detector_width=0.512), point=disk(place, 0.005))
+    wave = render_capture(scene, model="wave", method="points", spp=4096)
     psf = point_spread_function(wave.camera, place, wavelength=633)
     scale = (wave.image * psf).sum() / (psf * psf).sum()
-    assert error(wave.image, scale * psf) <= 0.005
+    # Of its size it is blurred a little.
+    assert error(wave.image, scale * psf) <= 0.015
 
 
 def test_wave_and_ray_captures_hold_the_same_energy(camera_dict):
-    # A crop at the rim, so that light of radiators beyond it counts too.
+    # A crop at the rim, so that light from beyond it counts too.
     film = {"crop_offset_x": 352, "crop_offset_y": 160, "crop_width": 160, "crop_height": 192}
     scene = scene_of(camera_dict(film=film), near=disk((-1.0, 0.2, 225.0), 0.5), far=disk((-0.5, -0.4, 260.0), 0.7))
     ray = render_capture(scene, spp=128)
-    wave = render_capture(scene, model="wave", spp=1, radiators_per_lens=4)
+    wave = by_signed_rays(scene)
     assert wave.image.sum() == pytest.approx(ray.image.sum(), rel=0.02)
 
 
 def test_a_white_scene_is_the_pupil_blurred_by_the_microlens(camera_dict):
     """Disc of the pupil * sinc^2 of the square microlens * pixel, repeated from lens to lens."""
     film = {"crop_offset_x": 224, "crop_offset_y": 224, "crop_width": 64, "crop_height": 64}
-    wave = render_capture(scene_of(camera_dict(film=film), wall=disk((0, 0, 240.0), 5.0)), model="wave", spp=1)
+    wave = by_signed_rays(scene_of(camera_dict(film=film), wall=disk((0, 0, 240.0), 5.0)))
     camera, fine = wave.camera, 9
     step = camera.pixel_size / fine
     x = np.arange(-230 * fine, 230 * fine + 1) * step
@@ -95,23 +100,16 @@ def test_a_fence_hides_what_it_hides_from_rays(camera_dict):
     distances = [275.0, 215.0]
     by_rays = reconstruct(render_capture(scene, spp=128), distances)
 
-    def correlations(**options):
-        capture = render_capture(scene, model="wave", spp=1, radiators_per_lens=4, **options)
-        return [
-            np.corrcoef(ours.image.ravel(), theirs.image.ravel())[0, 1]
-            for ours, theirs in zip(reconstruct(capture, distances), by_rays, strict=True)
-        ]
-
-    letter_seen, fence_seen = correlations()
+    letter_seen, fence_seen = (
+        np.corrcoef(ours.image.ravel(), theirs.image.ravel())[0, 1]
+        for ours, theirs in zip(reconstruct(by_signed_rays(scene), distances), by_rays, strict=True)
+    )
     assert letter_seen >= 0.99
     assert fence_seen >= 0.98
-    # At the letter's own distance light from all of the pupil comes together, hidden or not; the fence is gone.
-    _, fence_unseen = correlations(occlusion=False)
-    assert fence_unseen <= fence_seen - 0.02
 
 
 def test_out_of_focus_letters_are_free_of_noise(camera_dict):
-    wave = render_capture(scene_of(camera_dict(), wall=disk((0, 0, 225.0), 0.8)), model="wave", spp=1)
+    wave = by_signed_rays(scene_of(camera_dict(), wall=disk((0, 0, 225.0), 0.8)))
     refocused = reconstruct(wave, 225.0).image
     y, x = (np.indices(refocused.shape) + 0.5 - 8) * wave.camera.bin_size(225)
     inside = refocused[np.hypot(x, y) < 0.8 - 2 * wave.camera.bin_size(225)]
@@ -121,24 +119,15 @@ def test_out_of_focus_letters_are_free_of_noise(camera_dict):
 
 def test_same_seed_same_bits_on_any_number_of_threads(camera_dict):
     scene = scene_of(camera_dict(resolution=128, detector_width=0.256), near=disk((0, 0.05, 230.0), 0.1))
-    first = render_capture(scene, model="wave", spp=2, seed=7, radiators_per_lens=4, passes=2).image
+    first = render_capture(scene, model="wave", method="signed_rays", spp=2, seed=7).image
     threads = dr.thread_count()
     for count in (1, 2):
         dr.set_thread_count(count)
-        again = render_capture(scene, model="wave", spp=2, seed=7, radiators_per_lens=4, passes=2).image
+        again = render_capture(scene, model="wave", method="signed_rays", spp=2, seed=7).image
         np.testing.assert_array_equal(again, first)
     dr.set_thread_count(threads)
-    other = render_capture(scene, model="wave", spp=2, seed=8, radiators_per_lens=4, passes=2).image
+    other = render_capture(scene, model="wave", method="signed_rays", spp=2, seed=8).image
     assert not np.array_equal(other, first)
-
-
-def test_the_slow_route_agrees_with_the_fast_one(camera_dict):
-    scene = scene_of(camera_dict(resolution=128, detector_width=0.256), point=disk((0, 0, 235.0), 0.03))
-    fast, slow = (
-        render_capture(scene, model="wave", spp=1, radiators_per_lens=3, method=method).image
-        for method in ("patch", "full_field")
-    )
-    assert error(fast, slow) < 0.005
 
 
 def test_three_channels_diffract_at_their_wavelengths(camera_dict):
@@ -147,7 +136,7 @@ def test_three_channels_diffract_at_their_wavelengths(camera_dict):
     sky = {"type": "rgb", "value": [1.0, 0.5, 0.25]}
     place = (0.05, 0.0, 230.0)
     scene = scene_of(sensor, point=disk(place, 0.1, emitter={"type": "area", "radiance": sky}))
-    wave = render_capture(scene, model="wave", spp=1, radiators_per_lens=4)
+    wave = by_signed_rays(scene)
     assert wave.wavelength == (611.4, 549.1, 464.3)
     assert wave.image.shape == (256, 256, 3)
     sums = wave.image.sum(axis=(0, 1))
@@ -159,9 +148,10 @@ def test_three_channels_diffract_at_their_wavelengths(camera_dict):
 
 def test_a_film_of_luminance_adds_the_wavelengths_up_and_names_none(camera_dict):
     mi.set_variant("llvm_ad_rgb")
-    scene = scene_of(camera_dict(resolution=128, detector_width=0.256), point=disk((0, 0, 235.0), 0.05))
-    assert render_capture(scene, model="wave", spp=1, radiators_per_lens=2).wavelength is None
-    assert render_capture(scene, model="wave", spp=1, radiators_per_lens=2, wavelength=532.0).wavelength == 532
+    # Of the camera of the test above, whose kernels are there.
+    scene = scene_of(camera_dict(resolution=256, detector_width=0.512), point=disk((0, 0, 235.0), 0.05))
+    assert by_signed_rays(scene, spp=4).wavelength is None
+    assert by_signed_rays(scene, spp=4, wavelength=549.1).wavelength == 549.1
 
 
 @pytest.mark.parametrize("variant", [name for name in mi.variants() if name.startswith("llvm")])
@@ -172,13 +162,12 @@ def test_every_variant_records_the_same_light(variant, camera_dict):
     even = {"type": "uniform", "value": 0.5}  # of all wavelengths; a number would mean daylight
     scene = scene_of(sensor, wall=disk((0, 0, 240.0), 20.0, emitter={"type": "area", "radiance": even}))
     wavelength = "600, 532, 450" if mi.is_rgb else 532.0
-    wave = render_capture(scene, model="wave", spp=1, radiators_per_lens=4, wavelength=wavelength)
+    wave = by_signed_rays(scene, wavelength=wavelength)
     ray = render_capture(scene, spp=256)
     assert wave.wavelength == ((600, 532, 450) if coloured else 532)
     assert wave.image.shape == ray.image.shape == ((64, 64, 3) if coloured else (64, 64))
     assert ray.image.max() == pytest.approx(0.5, rel=0.1)
-    # Diffraction carries 1 % of the light out of what the default accuracy follows.
-    np.testing.assert_allclose(wave.image.mean((0, 1)) / ray.image.mean((0, 1)), 0.99, rtol=0.015)
+    np.testing.assert_allclose(wave.image.mean((0, 1)) / ray.image.mean((0, 1)), 0.995, rtol=0.01)
 
 
 def test_a_film_of_colours_records_many_wavelengths_in_spectral_variants(camera_dict):
@@ -190,8 +179,8 @@ def test_a_film_of_colours_records_many_wavelengths_in_spectral_variants(camera_
 
 def test_nothing_to_see_is_a_black_capture(camera_dict):
     behind = disk((0, 0, -50.0), 1.0)
-    with pytest.warns(UserWarning, match="no ray from the pupil meets anything that shines"):
-        assert not render_capture(scene_of(camera_dict(), behind=behind), model="wave").image.any()
+    with pytest.warns(UserWarning, match="none of some rays meets anything that shines"):
+        assert not by_signed_rays(scene_of(camera_dict(), behind=behind), spp=4).image.any()
 
 
 def test_models_wrap_and_unwrap_the_scenes_integrator(camera_dict):
@@ -199,17 +188,17 @@ def test_models_wrap_and_unwrap_the_scenes_integrator(camera_dict):
     scene = mi.load_dict(
         {
             "type": "scene",
-            "integrator": {"type": "plenoptic_wave", "radiators_per_lens": 2, "child": {"type": "direct"}},
+            "integrator": {"type": "plenoptic_wave", "method": "signed_rays", "child": {"type": "direct"}},
             "camera": sensor,
             "point": disk((0, 0, 240.0), 0.05),
         }
     )
     own = render_capture(scene, spp=1)
-    assert (own.model, own.wavelength, own.metadata["radiators_per_lens"]) == ("wave", 633, 2)
+    assert (own.model, own.wavelength, own.metadata["method"]) == ("wave", 633, "signed_rays")
     changed = render_capture(scene, spp=1, wavelength=500.0)
-    assert (changed.wavelength, changed.metadata["radiators_per_lens"]) == (500, 2)
+    assert (changed.wavelength, changed.metadata["method"]) == (500, "signed_rays")
     assert render_capture(scene, model="ray", spp=1).metadata["integrator"] == "DirectIntegrator"
-    assert "radiators_per_lens = 2" in str(scene.integrator())
+    assert "method = signed_rays" in str(scene.integrator())
 
 
 @pytest.mark.parametrize(
@@ -240,9 +229,7 @@ def test_other_sensors_are_refused():
         integrator.render(scene, scene.sensors()[0])
 
 
-def test_a_background_at_infinity_is_recorded_by_the_bank_or_refused_with_the_estimate(camera_dict):
+def test_a_background_at_infinity_is_as_bright_as_by_rays(camera_dict):
     sky = scene_of(camera_dict(resolution=128, detector_width=0.256), sky={"type": "constant"})
-    with pytest.raises(ValueError, match=r"GiB"):
-        render_capture(sky, model="wave", spp=1, radiators_per_lens=2, method="patch")
-    waves, rays = (render_capture(sky, model=model, spp=4) for model in ("wave", "ray"))
+    waves, rays = by_signed_rays(sky), render_capture(sky, spp=64)
     assert waves.image.mean() == pytest.approx(rays.image.mean(), rel=0.015)

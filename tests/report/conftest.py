@@ -18,7 +18,7 @@ from mitsuba_plenoptic.report.experiment import Settings
 def tiny():
     """Settings of the letters on 16 x 16 lenses."""
     small = letters(16)
-    return Settings("letters", (210.0, 240.0, 280.0), slider=(225.0,), parameters=small, spp=4, paths=1, truth_spp=64)
+    return Settings("letters", (210.0, 240.0, 280.0), slider=(225.0,), parameters=small, spp=4, truth_spp=64)
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def quick_waves(monkeypatch, tiny):
     calls = []
 
     def render_capture(scene, *, model, spp, progress=None, **wave):
-        calls.append(f"capture_{model}")
+        calls.append("capture_points" if wave.get("method") == "points" else f"capture_{model}")
         capture = render(scene, model="ray", spp=spp, progress=progress)
         if model == "ray":
             return capture
@@ -48,5 +48,5 @@ def quick_waves(monkeypatch, tiny):
     monkeypatch.setattr(experiments, "reconstruct", reconstruct)
     seconds = {"ray": 0.5, "coherent": 5.0, "partial": 15.0}
     monkeypatch.setattr(reproductions, "seconds_on_one_core", lambda capture, distance: seconds)
-    monkeypatch.setitem(reproductions.PRESETS, "quick", tiny)
+    monkeypatch.setitem(reproductions.PRESETS, "quick", dataclasses.replace(tiny, points=4))
     return calls

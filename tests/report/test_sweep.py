@@ -14,6 +14,7 @@ from scene_cases import SMALL_SENSOR, definitions, letters, write_scene
 from stopped_runs import StoppedError, start_command, stopped_before
 
 from mitsuba_plenoptic import InputError, load_scene, reconstruct, render_capture
+from mitsuba_plenoptic.capture import signed_rays
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.report import sweep as sweeps
 from mitsuba_plenoptic.report.stage_store import StageOptions
@@ -23,7 +24,7 @@ pytest.importorskip("h5netcdf")
 
 TINY = letters(4)
 RAYS = SweepSettings("letters", parameters=TINY, spp=2)
-WAVES = SweepSettings("letters", parameters=TINY, model="wave", spp=1, radiators_per_lens=2)
+WAVES = SweepSettings("letters", parameters=TINY, model="wave", spp=1)
 SWEEP = ["sweep", "letters", "--spp", "1", *definitions(TINY)]
 MANY = ",".join(map(str, range(1000)))
 
@@ -48,7 +49,7 @@ def test_every_point_is_what_its_own_rendering_gives(tmp_path):
         for radius in (4, 5):
             scene = load_scene("letters", parameters=TINY | {"aperture_radius": str(radius)})
             for wavelength in (500, 633):
-                capture = render_capture(scene, model="wave", spp=1, radiators_per_lens=2, wavelength=wavelength)
+                capture = render_capture(scene, model="wave", method="signed_rays", spp=1, wavelength=wavelength)
                 point = data.sel(aperture_radius=radius, wavelength=wavelength)
                 np.testing.assert_array_equal(point.capture, capture.image)
                 assert float(point.pixel_size) == pytest.approx(capture.camera.pixel_size)
@@ -76,7 +77,9 @@ def test_finished_points_are_kept_and_a_grown_grid_computes_what_is_missing(tmp_
     assert stages["capture,aperture_radius=5"] == "made"
 
 
-def test_a_sweep_that_was_stopped_goes_on_in_the_midst_of_a_capture(tmp_path, computed):
+def test_a_sweep_that_was_stopped_goes_on_in_the_midst_of_a_capture(tmp_path, computed, monkeypatch):
+    # Blocks of the detector are kept one by one.
+    monkeypatch.setattr(signed_rays, "_BLOCK_BYTES", 2**19)
     stages, options = computed
     grid = {"wavelength": [500, 633]}
     with sweep(WAVES, grid, tmp_path / "clean.nc") as data:

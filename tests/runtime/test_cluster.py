@@ -27,7 +27,7 @@ from mitsuba_plenoptic.runtime.jobs import Job
 pytest.importorskip("distributed")
 
 SMALL = small_camera()
-WAVE = ["render", "letters", "--model", "wave", "--spp", "1"]
+WAVE = ["render", "letters", "--model", "wave", "--method", "points"]
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,7 @@ def test_a_sum_that_was_stopped_goes_on_elsewhere(cluster, tiny_groups):
 
 def test_a_capture_on_workers_has_the_same_bits(cluster):
     scene = load_scene("letters", parameters=letters(4))
-    options = {"model": "wave", "spp": 1, "radiators_per_lens": 3, "passes": 2}
+    options = {"model": "wave", "method": "points", "spp": 16}
     alone, shared = (render_capture(scene, batch_map=batch_map, **options).image for batch_map in (None, cluster))
     assert alone.any()
     np.testing.assert_array_equal(shared, alone)
@@ -97,7 +97,7 @@ def test_a_capture_on_workers_has_the_same_bits(cluster):
 
 def test_a_sweep_on_workers_has_the_same_bits(cluster, tmp_path):
     pytest.importorskip("h5netcdf")
-    settings = SweepSettings("letters", parameters=letters(4), model="wave", spp=1, radiators_per_lens=2)
+    settings = SweepSettings("letters", parameters=letters(4), model="wave", spp=1)
     grid = {"wavelength": [500, 633]}
     alone = sweep(settings, grid, tmp_path / "alone.nc").load()
     assert alone.capture.any()
@@ -143,7 +143,7 @@ def test_a_mistake_in_a_batch_is_told_as_such(cluster, monkeypatch):
 
 def test_a_scheduler_at_an_address(cluster, tmp_path):
     address = cluster._client.scheduler.address
-    words = [*WAVE, "--radiators-per-lens", "2", *definitions(letters(4))]
+    words = [*WAVE, "--spp", "4", *definitions(letters(4))]
     assert main([*words, "-o", str(tmp_path / "alone.exr")]) == 0
     assert main([*words, "-o", str(tmp_path / "shared.exr"), "--scheduler", address]) == 0
     assert (tmp_path / "alone.exr").read_bytes() == (tmp_path / "shared.exr").read_bytes()
@@ -167,7 +167,7 @@ def test_a_scheduler_that_dies_is_told_in_one_line_and_the_checkpoint_stays(tmp_
             time.sleep(0.05)
         address = json.loads(file.read_text())["address"]
         output = tmp_path / "raw.exr"
-        words = [*WAVE, "--radiators-per-lens", "4", "-o", str(output), *definitions(letters(8))]
+        words = [*WAVE, "--spp", "16", "-o", str(output), *definitions(letters(8))]
         run = start_command(*words, "--scheduler", address)
         while not (checkpoint := tmp_path / "raw.exr.checkpoint").exists() and run.poll() is None:
             time.sleep(0.005)

@@ -123,7 +123,7 @@ def light_field(camera):
             ),
             "wave reconstruction: it would need",
         ),
-        (lambda image, camera: wave_capture(radiators_per_lens=256, spp=10**5), "radiators_per_lens = "),
+        (lambda image, camera: wave_capture(method="points", spp=10**7), "spp = "),
         (lambda image, camera: LensGrid((1e-2, 1e-2), (0, 0), (10**6, 10**6)).centres(), "1000000 x 1000000 lenses"),
         (lambda image, camera: decode(image, white=image, grid=LensGrid((0.5, 0.5), (0, 0), (10**5, 10**5))), "lenses"),
         (lambda image, camera: light_field(camera.replace(mla_pitch=0.25, aperture_radius=20000.0)), "white image"),

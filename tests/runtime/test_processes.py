@@ -19,7 +19,7 @@ import mitsuba_plenoptic as mp
 def images(seed):
     scene = mp.load_scene("still_life", parameters={"detector_width": "0.128", "resolution": "64"})
     ray = mp.render_capture(scene, spp=5, seed=seed)
-    wave = mp.render_capture(scene, model="wave", spp=2, radiators_per_lens=1, seed=seed)
+    wave = mp.render_capture(scene, model="wave", method="signed_rays", spp=2, seed=seed)
     yield "by rays", ray.image
     yield "by waves", wave.image
     yield "exposed", mp.expose(ray, mp.Detector(), photons=1000, seed=seed).image
@@ -112,7 +112,7 @@ def test_two_variants_in_one_process(python):
     for variant in ("llvm_ad_mono", "llvm_ad_rgb", "llvm_ad_mono"):
         scene = mp.load_scene("letters", variant=variant, parameters=parameters)
         sums.append(float(mp.render_capture(scene, spp=1).image.sum()))
-    wave = mp.render_capture(scene, model="wave", spp=1, radiators_per_lens=1)
+    wave = mp.render_capture(scene, model="wave", method="points", spp=1)
     print(sums[0] == sums[1] == sums[2] > 0 and wave.image.sum() > 0)
     for variant in ("llvm_ad_rgb", "scalar_rgb"):
         mi.set_variant(variant)

@@ -21,8 +21,8 @@ from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.capture.patch import PatchBatch, Workspace
 from mitsuba_plenoptic.capture.patch_plan import PatchPlan
 from mitsuba_plenoptic.capture.pupil_weights import PupilWeights
-from mitsuba_plenoptic.capture.radiators import find_radiators, sample_pairs
-from mitsuba_plenoptic.capture.sight import Sight
+from mitsuba_plenoptic.capture.scene_points import find_points
+from mitsuba_plenoptic.capture.signed_rays import SceneLight
 from mitsuba_plenoptic.runtime.batches import Threads
 from mitsuba_plenoptic.runtime.fft import resting_drjit
 from mitsuba_plenoptic.runtime.jobs import Job
@@ -43,8 +43,8 @@ SCENES = {"letters": {}, "still_life": _STILL_LIFE}
 
 
 @dataclass(frozen=True)
-class Radiators:
-    """Radiators of a scene before a camera, their weights and what they see of the pupil."""
+class ScenePoints:
+    """Points of a scene before a camera, their weights and what they see of the pupil."""
 
     camera: PlenopticCamera
     positions: np.ndarray
@@ -52,21 +52,18 @@ class Radiators:
     pupil_weights: PupilWeights | None
 
     @classmethod
-    def of(cls, scene_name: str, parameters: dict[str, str]) -> Radiators:
+    def of(cls, scene_name: str, parameters: dict[str, str]) -> ScenePoints:
         """Find them."""
         scene = load_scene(scene_name, parameters=parameters)
         sensor = scene.sensors()[0]
         camera = PlenopticCamera.from_sensor(sensor)
-        found = find_radiators(
-            Sight.of(scene, sensor, mi.load_dict({"type": "path"}), None), camera, sample_pairs(8, np.zeros(4)),
-            spp=4, seed=1, occlusion=True,
-        )  # fmt: skip
-        return cls(camera, found.positions, found.radiance[:, 0] / found.fraction, found.pupil_weights)
+        found = find_points([SceneLight(scene, sensor, mi.load_dict({"type": "path"}))], camera, 64, seed=1, paths=4)
+        return cls(camera, found.positions, found.weights[:, 0], found.pupil_weights)
 
-    def take(self, which: Any) -> Radiators:
+    def take(self, which: Any) -> ScenePoints:
         """Return some of them."""
         pupil_weights = self.pupil_weights and self.pupil_weights.take(which)
-        return Radiators(self.camera, self.positions[which], self.weights[which], pupil_weights)
+        return ScenePoints(self.camera, self.positions[which], self.weights[which], pupil_weights)
 
     def operator(self, accuracy: float = DEFAULT_ACCURACY) -> CaptureOperator:
         """Return the operator of their capture, with nothing planned yet."""
@@ -76,31 +73,31 @@ class Radiators:
 
     def __str__(self) -> str:
         columns, rows = self.camera.resolution
-        return f"{columns} x {rows}, {len(self.positions)} radiators"
+        return f"{columns} x {rows}, {len(self.positions)} points"
 
 
 def sharing() -> Iterator[Row]:
     """Compare sums of the default accuracy with sums in which nothing is shared: speed and error on parts of scenes."""
     for name, scene, parameters, centre, across in _PARTS:
-        radiators = Radiators.of(scene, parameters)
-        camera, positions = radiators.camera, radiators.positions
+        points = ScenePoints.of(scene, parameters)
+        camera, positions = points.camera, points.positions
         image = -positions[:, :2] * (camera.mla_distance / positions[:, 2:])
-        part = radiators.take(np.flatnonzero((np.abs(image - centre) < across / 2 * camera.mla_pitch).all(1)))
-        what = f"{name}: {len(part.positions)} radiators on {across} x {across} lenses"
+        part = points.take(np.flatnonzero((np.abs(image - centre) < across / 2 * camera.mla_pitch).all(1)))
+        what = f"{name}: {len(part.positions)} points on {across} x {across} lenses"
         yield _compare_accuracies(what, part)
 
 
 def whole(scene: str) -> Iterator[Row]:
     """Compare the sums of a whole capture: minutes by the default accuracy, far more with nothing shared."""
-    radiators = Radiators.of(scene, SCENES[scene])
-    yield _compare_accuracies(f"{scene}, {radiators}, all of them", radiators)
+    points = ScenePoints.of(scene, SCENES[scene])
+    yield _compare_accuracies(f"{scene}, {points}, all of them", points)
 
 
-def _compare_accuracies(what: str, radiators: Radiators) -> Row:
+def _compare_accuracies(what: str, points: ScenePoints) -> Row:
     results = []
     for accuracy in (DEFAULT_ACCURACY, 0.0):
         start, busy = time.perf_counter(), time.process_time()
-        image = radiators.operator(accuracy).forward(radiators.weights)
+        image = points.operator(accuracy).forward(points.weights)
         results.append((image, time.perf_counter() - start, time.process_time() - busy))
     (image, ours, busy), (exact, theirs, exact_busy) = results
     error = np.linalg.norm(image - exact) / np.linalg.norm(exact)
@@ -113,10 +110,10 @@ def _compare_accuracies(what: str, radiators: Radiators) -> Row:
 def estimates() -> Iterator[Row]:
     """Estimate whole captures of the default accuracy and those in which nothing is shared, from a part of each."""
     for name, parameters in SCENES.items():
-        radiators = Radiators.of(name, parameters)
-        ours, exact = (radiators.operator(accuracy).estimate() for accuracy in (DEFAULT_ACCURACY, 0.0))
+        points = ScenePoints.of(name, parameters)
+        ours, exact = (points.operator(accuracy).estimate() for accuracy in (DEFAULT_ACCURACY, 0.0))
         yield Row(
-            f"{name}, {radiators}: estimate", "s",
+            f"{name}, {points}: estimate", "s",
             ours.seconds, "accuracy = 0", exact.seconds, exact.seconds / ours.seconds,
             note=f"{ours.patterns} point spreads for {exact.patterns}",
         )  # fmt: skip
@@ -124,26 +121,26 @@ def estimates() -> Iterator[Row]:
 
 def adjoint(runs: int) -> Iterator[Row]:
     """Compare the adjoint with the sum, both planned beforehand, of the default accuracy and with nothing shared."""
-    letters = Radiators.of("letters", {"resolution": "512", "detector_width": "1.024"})
-    for radiators, accuracy in ((letters, DEFAULT_ACCURACY), (letters.take(slice(None, None, 20)), 0.0)):
-        operator = radiators.operator(accuracy)
-        image = operator.forward(radiators.weights)
+    letters = ScenePoints.of("letters", {"resolution": "512", "detector_width": "1.024"})
+    for points, accuracy in ((letters, DEFAULT_ACCURACY), (letters.take(slice(None, None, 20)), 0.0)):
+        operator = points.operator(accuracy)
+        image = operator.forward(points.weights)
         timings = side_by_side(
             {
                 "adjoint": lambda operator=operator, image=image: operator.adjoint(image),
-                "forward": lambda operator=operator, weights=radiators.weights: operator.forward(weights),
+                "forward": lambda operator=operator, weights=points.weights: operator.forward(weights),
             },
             runs,
         )
         ours, theirs = timings["adjoint"], timings["forward"]
         yield Row(
-            f"adjoint, letters, {radiators}, accuracy {accuracy:g}", "s", ours.seconds, "forward", theirs.seconds,
+            f"adjoint, letters, {points}, accuracy {accuracy:g}", "s", ours.seconds, "forward", theirs.seconds,
             1 / theirs.ratio, 1 / theirs.cpu_ratio, "adjoint over forward",
         )  # fmt: skip
 
 
 def bare(runs: int) -> Iterator[Row]:
-    """Compare the sum of radiators that share nothing with the bare transforms of their patches, on one thread."""
+    """Compare the sum of points that share nothing with the bare transforms of their patches, on one thread."""
     camera, count = PlenopticCamera(), 128
     rng = np.random.default_rng(1)
     for g in (210.0, 240.0, 280.0):
@@ -168,7 +165,7 @@ def bare(runs: int) -> Iterator[Row]:
 
 
 def _transforms(batch: PatchBatch, count: int) -> Callable[[], None]:
-    """Do nothing but the transforms of so many radiators like a batch's."""
+    """Do nothing but the transforms of so many points like a batch's."""
     work, n, m = Workspace(batch), batch.samples, batch.mla_samples
     work.rows[:], work.columns[:], work.field[:] = 0, 0, 0
 

@@ -18,7 +18,7 @@ from mitsuba_plenoptic.runtime.batches import Batch, add
 from mitsuba_plenoptic.runtime.fft import fft
 from mitsuba_plenoptic.runtime.jobs import Job
 
-from .point_spreads import Radiators
+from .point_spreads import ScenePoints
 from .table import Row, on_cores
 
 # A function's time, less that of another which it calls.
@@ -41,18 +41,18 @@ def run() -> list[Row]:
 
 
 def _rows() -> list[Row]:
-    letters = Radiators.of("letters", _PARAMETERS)
+    letters = ScenePoints.of("letters", _PARAMETERS)
     rows = []
-    for accuracy, radiators in ((DEFAULT_ACCURACY, letters), (0.0, letters.take(np.s_[::_EVERY]))):
+    for accuracy, points in ((DEFAULT_ACCURACY, letters), (0.0, letters.take(np.s_[::_EVERY]))):
         _capture(letters.take(np.s_[:: len(letters.positions) // 64]), accuracy)  # compiles the kernels
         profile = cProfile.Profile()
-        profile.runcall(_capture, radiators, accuracy)
-        rows += _parts(f"letters, {radiators}, accuracy {accuracy:g}", profile)
+        profile.runcall(_capture, points, accuracy)
+        rows += _parts(f"letters, {points}, accuracy {accuracy:g}", profile)
     return rows
 
 
-def _capture(radiators: Radiators, accuracy: float) -> None:
-    radiators.operator(accuracy).forward(radiators.weights, job=Job(batch_map=_ThisThread()))
+def _capture(points: ScenePoints, accuracy: float) -> None:
+    points.operator(accuracy).forward(points.weights, job=Job(batch_map=_ThisThread()))
 
 
 class _ThisThread:

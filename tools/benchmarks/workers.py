@@ -8,7 +8,7 @@ from mitsuba_plenoptic.runtime.batches import BatchMap, Threads
 from mitsuba_plenoptic.runtime.cluster import Cluster
 from mitsuba_plenoptic.runtime.jobs import Job
 
-from .point_spreads import Radiators
+from .point_spreads import ScenePoints
 from .table import Row, side_by_side
 
 _PARAMETERS = {"resolution": "1024", "detector_width": "2.048", "letter_scale": "0.125"}
@@ -17,11 +17,11 @@ _WORKERS = 2
 
 def run(runs: int) -> list[Row]:
     """Sum the letters at an eighth of their size on one thread, on two, and on two processes of one thread each."""
-    radiators = Radiators.of("letters", _PARAMETERS)
+    points = ScenePoints.of("letters", _PARAMETERS)
     images = {}
 
     def add(name: str, batch_map: BatchMap) -> None:
-        images[name] = radiators.operator().forward(radiators.weights, job=Job(batch_map=batch_map))
+        images[name] = points.operator().forward(points.weights, job=Job(batch_map=batch_map))
 
     with Cluster(workers=_WORKERS) as cluster:
         timings = side_by_side(
@@ -36,7 +36,7 @@ def run(runs: int) -> list[Row]:
     note = f"the bits are {'the same' if same else 'NOT the same'}"
     return [
         Row(
-            f"letters, {radiators}, sum on {_WORKERS} processes", "s",
+            f"letters, {points}, sum on {_WORKERS} processes", "s",
             timings["processes"].seconds, against, timings[name].seconds, timings[name].ratio, None, note,
         )
         for name, against in (("thread", "one process, one thread"), ("threads", f"one process, {_WORKERS} threads"))

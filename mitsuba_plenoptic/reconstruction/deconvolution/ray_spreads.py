@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...capture.accuracy import band_for
 from ...capture.grid import Grid
-from ...capture.radiators import sample_pairs
+from ...capture.scene_points import sample_pairs
 from ...optics.main_lens import main_lens
 from ...optics.microlenses import upright
 from ...optics.rays import cosines_to_slopes
@@ -72,7 +72,7 @@ def ray_batches(cells: Cells, distance: float, cell: NDArray[np.int64]) -> list[
 
 @functools.cache
 def _pairs() -> NDArray[np.float64]:
-    return sample_pairs(_RAYS, np.zeros(4))
+    return sample_pairs(_RAYS**2)
 
 
 def _trace(batch: RayBatch) -> Part:

@@ -117,18 +117,17 @@ def _page(folder: Path, report: Report) -> str:
         plates=[plate(folder / name, caption) for name, caption in report.plates.items()],
         sheet=groupby(design_sheet(camera, wavelength), key=lambda row: row.group),
         warnings=design.design_warnings(camera, wavelength),
-        facts=_facts(experiment),
+        facts=_facts(experiment, report.numbers),
     )
 
 
-def _facts(experiment: Experiment) -> list[tuple[str, str]]:
+def _facts(experiment: Experiment, numbers: dict[str, Any]) -> list[tuple[str, str]]:
     """List what the experiment was made with."""
     settings = experiment.settings
     return [
         ("Wavelength", f"{settings.wavelength:g} nm"),
-        ("Radiators per lens, wave capture", f"{settings.radiators_per_lens} x {settings.radiators_per_lens}"),
-        ("Light paths per radiator", f"{settings.paths}"),
-        ("Samples per pixel, ray capture", f"{settings.spp}"),
+        ("Samples per pixel, ray and wave capture", f"{settings.spp}"),
+        *_points(settings.points, numbers["captures"]["points"]),
         ("Samples per pixel, thin lens", f"{settings.truth_spp}"),
         ("Scene", settings.scene),
         *((f"Scene parameter {name}", value) for name, value in sorted(settings.parameters.items())),
@@ -139,6 +138,14 @@ def _facts(experiment: Experiment) -> list[tuple[str, str]]:
         ),
         ("Time", time_summary(experiment.seconds)),
     ]
+
+
+def _points(count: int | None, found: dict[str, float] | None) -> list[tuple[str, str]]:
+    """State how far the wave capture is from that of points."""
+    if found is None:
+        return []
+    apart = f"{found['relative_error']:.2%} (relative L2), energy {found['energy']:.4f}"
+    return [(f"Wave capture against {count} points per lens, each propagated by itself", apart)]
 
 
 def _prose(text: str) -> str:

@@ -35,9 +35,7 @@ class SweepSettings:
     parameters : mapping
         Values for the scene's ``$name`` parameters that do not vary.
     model, spp, seed
-        As for `render_capture`.
-    radiators_per_lens : int, optional
-        Of wave captures.
+        As for `render_capture`; by model "wave" captures are made from signed rays.
     method : str
         Of the reconstructions.
     variant : str
@@ -49,7 +47,6 @@ class SweepSettings:
     model: str | None = None
     spp: int | None = None
     seed: int = 0
-    radiators_per_lens: int | None = None
     method: str = "ray"
     variant: str = DEFAULT_VARIANT
 
@@ -112,8 +109,8 @@ class Points:
         options: dict[str, Any] = {"model": settings.model, "spp": settings.spp, "seed": settings.seed}
         if WAVELENGTH in point:
             options["wavelength"] = point[WAVELENGTH]
-        if settings.radiators_per_lens is not None:
-            options["radiators_per_lens"] = settings.radiators_per_lens
+        if settings.model == "wave":
+            options["method"] = "signed_rays"
         inputs = {"scene": scene_fingerprint(settings.scene, parameters), "variant": settings.variant, **options}
 
         def make(progress: Progress, checkpoint: Checkpoint) -> Capture:

@@ -1,0 +1,294 @@
+r"""Incoherent points of a scene's surfaces, where the rays of a camera first hit: what the plain reference adds up.
+
+A ray through a point q of the microlens array and a point P of the pupil meets a surface at X, of which the child
+integrator finds the radiance L. The surface radiates evenly to all sides, as far as it is seen: shadow rays find from
+which parts of the pupil it is. With n such rays from each lens, all its pixels together get of a point
+
+.. math:: L \, \frac{A_c}{n} \frac{A_{pupil} z^2}{b^2 A_{lens} A_{pixel} f}
+
+where A_c is the area of a lens's cell and f the fraction of the light to the visible pupil that lands in the lenses
+from which rays start: of that fraction only, rays could have found the point.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import InputError
+from ..optics.fitted_lens import lens_of_rays, lens_of_waves
+from ..optics.open_pupil import open_fraction, pupil_bound
+from ..runtime.limits import largest_fitting, require_memory
+from .entrance import Entrances, Front
+from .lens_window import LensWindow
+from .pupil_weights import PupilWeights
+from .signed_rays import SceneLight
+from .units import radiance_weight
+
+PATHS = 64
+"""Light paths averaged for each point: their noise is an eighth of one path's, at less than a point spread's time."""
+
+_CELLS = 32
+"""Cells across the pupil's bounding square, each with one shadow ray. Shadows' borders are blurred by some cells."""
+
+_MIDDLES = [axis.ravel() for axis in np.meshgrid(*[(np.arange(_CELLS) + 0.5) * 2 / _CELLS - 1] * 2)]
+"""X and y of their middles, of a pupil of radius 1, row by row."""
+
+_LANES = 2**22
+"""Rays that are traced at once, about."""
+
+_POINT_BYTES = 1500
+"""Memory of a point, and of a mask of which every third differs, about."""
+
+_EVEN = 1e-3
+"""Slants below which surfaces face the lens."""
+
+
+@dataclass(frozen=True)
+class ScenePoints:
+    """Points that shine, in the camera frame.
+
+    Attributes
+    ----------
+    positions : float64 array (n, 3)
+        Places.
+    weights : float64 array (n, channels)
+        What all pixels together record of each.
+    pupil_weights : PupilWeights, optional
+        What each sees of the pupil, and how slantwise; None if all see all of it evenly.
+    """
+
+    positions: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    pupil_weights: PupilWeights | None
+
+
+def sample_pairs(count: int, seed: int = 0) -> NDArray[np.float64]:
+    """Return low-discrepancy points (count, 4) of the unit 4-cube: place in the lens (2), place in the pupil (2).
+
+    Parameters
+    ----------
+    count : int
+        Points; powers of two are spread most evenly.
+    seed : int
+        Of the scrambling of the Sobol sequence.
+    """
+    # It takes a third of the package's loading time, which commands that render no waves need not wait for.
+    from scipy.stats import qmc
+
+    # The sequence is drawn to the next power of two, where it is balanced.
+    return np.asarray(qmc.Sobol(4, scramble=True, rng=seed).random_base2(math.ceil(math.log2(count)))[:count])
+
+
+def require_matte(scene: Any, sensor: Any, integrator: Any, camera: PlenopticCamera) -> None:
+    """Refuse a scene, or a camera, in which light does not come straight from matte or emitting surfaces.
+
+    Raises
+    ------
+    InputError
+        Naming what is in the way.
+    """
+    what = "method = points"
+    camera.require_no_objective(f"{what}: surfaces are seen")
+    if sensor.shutter_open_time() > 0:
+        raise InputError(f"{what}: the shutter is open for {sensor.shutter_open_time():g}: it needs a scene at rest")
+    if getattr(integrator, "hide_emitters", False):
+        raise InputError(
+            f"{what}: nested {integrator.class_name()}: hide_emitters lets rays pass emitters; leave it out"
+        )
+    if scene.environment() is not None:
+        raise InputError(f"{what}: emitter {scene.environment().id()} is infinitely far: it needs surfaces")
+    if sensor.get_medium() is not None:
+        raise InputError(f"{what}: the sensor is in a medium: it needs empty space")
+    bent = mi.BSDFFlags.Glossy, mi.BSDFFlags.Delta, mi.BSDFFlags.Delta1D
+    for shape in scene.shapes():
+        name = f"{what}: surface {shape.id()}"
+        if shape.class_name() == "Instance":
+            raise InputError(f"{name} is an instance, whose materials are not known: place the shapes themselves")
+        if shape.interior_medium() is not None or shape.exterior_medium() is not None:
+            raise InputError(f"{name} bounds a medium: it needs empty space")
+        if any(mi.has_flag(shape.bsdf().flags(), lobes) for lobes in bent):
+            raise InputError(f"{name} of type {shape.bsdf().class_name()} is not matte: it needs diffuse surfaces")
+
+
+def find_points(
+    lights: Sequence[SceneLight], camera: PlenopticCamera, count: int, *, seed: int, paths: int = PATHS
+) -> ScenePoints:
+    """Find the points where rays from every lens first hit, and what of them is recorded.
+
+    Parameters
+    ----------
+    lights : sequence of SceneLight
+        One scene and integrator, as `require_matte` asks for them, in spectral variants at several wavelengths.
+    camera : PlenopticCamera
+        The camera.
+    count : int
+        Rays from each lens.
+    seed : int
+        Of the rays' pattern, which is the same in every lens, and of the light paths.
+    paths : int
+        Light paths averaged for each point.
+    """
+    camera.require_resolved()
+    window = LensWindow.of(camera)
+    _require_memory(count, len(window.index))
+    pairs = sample_pairs(count, seed)
+    finder = _Finder(lights, camera, window, pairs, paths)
+    total, step = len(window.index) * count, max(1, _LANES // max(paths, _CELLS**2))
+    seeds = np.random.SeedSequence(seed).generate_state(-(-total // step)).tolist()
+    found = [
+        finder.find(np.arange(start, min(start + step, total)), own)
+        for start, own in zip(range(0, total, step), seeds, strict=True)
+    ]
+    positions, radiance, slant, bits, cell, tried = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    weights = None
+    if len(positions) and not ((bits == 255).all() and (np.abs(slant) < _EVEN).all()):
+        masks = PupilWeights.from_bits(bits, _CELLS)
+        weights = PupilWeights(masks.table, masks.index, slant, sampled=True)
+    scale = radiance_weight(camera, camera.lattice.cell_area / count) / _landing(camera, positions, weights, window)
+    if camera.prescription is not None:
+        # Of few rays to a lens, those get through that are the open part of the pupil to some percent only.
+        x, y = window.place(*(window.index + 0.5).T)
+        open_rays = np.bincount(tried, minlength=len(x))
+        scale = scale * (count * open_fraction(camera, x, y) / np.maximum(open_rays, 1))[cell]
+    return ScenePoints(positions, radiance * scale[:, None], weights)
+
+
+def _require_memory(count: int, lenses: int) -> None:
+    def memory(number: int) -> float:
+        return float(_POINT_BYTES) * number * lenses
+
+    def fitting(limit: float) -> str | None:
+        largest = largest_fitting(memory, limit, count)
+        return f"spp = {largest}" if largest else None
+
+    require_memory(memory(count), f"spp = {count}: {count} points in each of {lenses} lenses", fitting)
+
+
+@dataclass(frozen=True)
+class _Finder:
+    """Traces rays, numbered lens by lens.
+
+    Attributes
+    ----------
+    lights, camera, window, pairs, paths
+        As of `find_points`.
+    """
+
+    lights: Sequence[SceneLight]
+    camera: PlenopticCamera
+    window: LensWindow
+    pairs: NDArray[np.float64]
+    paths: int
+
+    def find(self, numbers: NDArray[np.int64], seed: int) -> tuple[NDArray[Any], ...]:
+        """Trace some rays.
+
+        Return positions, radiance, slants, visible cells as bits, and lenses of what is hit and shines, and the lenses
+        of all rays that the main lens lets through.
+        """
+        cell, pair = np.divmod(numbers, len(self.pairs))
+        u, v, s, t = self.pairs[pair].T
+        radius = pupil_bound(self.camera)
+        P = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(mi.Float(s), mi.Float(t))) * radius
+        i, j = self.window.index[cell].T
+        q = tuple(mi.Float(x) for x in self.window.place(i + u, j + v))
+        point, slope, is_open = lens_of_rays(self.camera).ray((P.x, P.y), q)
+        # As wide as the others: a thin lens's rays all start from the same plane, and it lets all of them through.
+        point = point[0], point[1], point[2] + dr.zeros(mi.Float, len(numbers))
+        is_open = mi.Bool(is_open) & dr.full(mi.Bool, True, len(numbers))
+        tried = cell[is_open.numpy()]
+        hit = self.lights[0].scene.ray_intersect(self._ray(point, slope), is_open)
+        met = dr.compress(hit.is_valid())
+        bits = np.empty((0, _CELLS**2 // 8), np.uint8)
+        if not dr.width(met):
+            channels = 1 if mi.is_spectral else dr.size_v(mi.UnpolarizedSpectrum)
+            radiance, slant = np.empty((0, channels * len(self.lights))), np.empty((0, 2))
+            return np.empty((0, 3)), radiance, slant, bits, cell[:0], tried
+        P, point, slope = (tuple(dr.gather(mi.Float, x, met) for x in xs) for xs in (P, point, slope))
+        hit, cell = dr.gather(type(hit), hit, met), cell[met.numpy()]
+        radiance = self._radiance(point, slope, seed)
+        lit = np.flatnonzero(radiance.max(axis=1) > 0)
+        P, o, slopes = (np.stack([x.numpy() for x in xs], 1)[lit].astype(np.float64) for xs in (P, point, slope))
+        ahead = hit.t.numpy()[lit] / np.sqrt(1 + (slopes**2).sum(1))
+        positions = np.column_stack([o[:, :2] + slopes * ahead[:, None], o[:, 2] + ahead])
+        normals = (self.lights[0].sensor.world_transform().inverse() @ mi.Normal3f(hit.n)).numpy().T[lit]
+        front = Front.of(self.camera)
+        slant = front.slants(normals, positions, radius)
+        if len(lit):
+            hit = dr.gather(type(hit), hit, mi.UInt32(lit.astype(np.uint32)))
+            bits = self._visible(hit, Entrances(front, P, positions, slopes), radius)
+        return positions, radiance[lit], slant, bits, cell[lit], tried
+
+    def _ray(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any]) -> Any:
+        to_world = self.lights[0].sensor.world_transform()
+        ray = mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
+        ray.time = self.lights[0].sensor.shutter_open()
+        return ray
+
+    def _radiance(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], seed: int) -> NDArray[np.float64]:
+        """Return the mean of some light paths, (rays, channels)."""
+        lane = dr.arange(mi.UInt32, dr.width(point[0]) * self.paths) // self.paths
+        start, direction = (tuple(dr.gather(mi.Float, x, lane) for x in xs) for xs in (point, slope))
+        # The same random numbers lead light of all wavelengths along the same paths.
+        channels = [part for light in self.lights for part in light(start, direction, mi.Bool(True), seed)]
+        means = [dr.block_sum(channel, self.paths).numpy() / self.paths for channel in channels]
+        radiance = np.stack(means, axis=1).astype(np.float64)
+        if not np.isfinite(radiance).all():
+            raise InputError("scene: the radiance of some points is NaN or infinite: all must be finite")
+        return radiance
+
+    def _visible(self, hit: Any, entrances: Entrances, radius: float) -> NDArray[np.uint8]:
+        """Return which cells of the pupil see points, (n, bytes); the one of the ray that has found a point does."""
+        x, y = _MIDDLES
+        # Cells whose middle lies beyond the pupil's edge are seen at the nearest point within.
+        inward = np.minimum(1, 0.999 / np.hypot(x, y)) * radius
+        x, y = mi.Float(x * inward), mi.Float(y * inward)
+        count = len(entrances.pupil)
+        lane = dr.arange(mi.UInt32, count * _CELLS**2)
+        which, cell = lane // _CELLS**2, lane % _CELLS**2
+        target = entrances.at(dr.gather(mi.Float, x, cell), dr.gather(mi.Float, y, cell), which)
+        towards = dr.gather(type(hit), hit, which).spawn_ray_to(self.lights[0].sensor.world_transform() @ target)
+        seen = ~self.lights[0].scene.ray_test(towards).numpy().reshape(count, -1)
+        column, row = np.clip(((entrances.pupil.T / radius + 1) / 2 * _CELLS).astype(int), 0, _CELLS - 1)
+        seen[np.arange(count), row * _CELLS + column] = True
+        return np.packbits(seen, axis=1)
+
+
+def _landing(
+    camera: PlenopticCamera, positions: NDArray[np.float64], weights: PupilWeights | None, window: LensWindow
+) -> NDArray[np.float64]:
+    """Return the fraction f of the light through the visible pupil that lands in the lenses of a window; (n,)."""
+    fraction = np.ones(len(positions))
+    if not len(positions):
+        return fraction
+    # Which rays land there is asked of the light that rays follow.
+    wavelength = 1.0 if camera.prescription is None else camera.prescription.wavelength
+    lens, radius = lens_of_waves(camera, positions, wavelength), pupil_bound(camera)
+    # Only where the rays from the pupil's edge leave those lenses is there anything to count.
+    rim = np.arange(8) * (math.pi / 4)
+    edges = lens.bind(positions).land((radius * np.cos(rim), radius * np.sin(rim)), tuple(positions.T[..., None]))
+    within = [(low < edge) & (edge < high) for edge, low, high in zip(edges, window.low, window.high, strict=True)]
+    partial = np.flatnonzero(~(within[0] & within[1]).all(axis=1))
+    x, y = _MIDDLES
+    inside = np.flatnonzero(np.hypot(x, y) <= 1)
+    x, y = x[inside], y[inside]
+    pupil = x * radius, y * radius
+    for some in np.array_split(partial, max(1, len(partial) * len(x) // 2**24)):
+        light = lens.bind(positions[some])
+        landed = window.holds(*light.land(pupil, tuple(positions[some].T[..., None])))
+        power = np.broadcast_to(light.is_open(pupil), landed.shape).astype(float)
+        if weights is not None:
+            power *= 1 + weights.slant[some] @ np.stack([x, y])
+            power *= weights.table.reshape(-1, _CELLS**2)[weights.index[some]][:, inside]
+        # The ray that has found the point has landed.
+        fraction[some] = np.maximum((landed * power).sum(1), 1) / np.maximum(power.sum(1), 1)
+    return fraction
