@@ -121,12 +121,11 @@ def make_class() -> type:
         draw, and some beside each lens, into the scene; ``spp`` is the number of rays a pixel, as by rays. What pupil
         and microlenses diffract is in signed coefficients of each ray and in kernels, which depend on the camera alone.
         So light may differ over the pupil and over a lens, and the scene may hold all that the nested integrator
-        knows, at the price of a capture by rays. It takes thin main lenses without a wavefront, regular arrays and
-        detectors not far from the microlenses' focus; it has no gradients. With bands and responses, kernels are those
-        of some wavelengths, ``nodes``, between which light is shared in straight lines; in spectral variants each ray
-        has wavelengths of its own, whatever the scene. A ``glass`` of the main lens gives each node rays of its own.
-        ``radiators_per_lens``, ``passes`` and ``occlusion`` do not concern neither it nor ``points``; ``accuracy`` below 0.005 takes finer
-        kernels.
+        knows, at the price of a capture by rays. It takes all main lenses and arrays that the sensor does, but for
+        detectors far from the microlenses' focus whose pixels are finer than the pupil's diffraction. With bands and
+        responses, kernels are those of some wavelengths, ``nodes``, between which light is shared in straight lines; in
+        spectral variants each ray has wavelengths of its own, whatever the scene. A main lens that disperses light
+        gives each node rays of its own. ``accuracy`` below 0.005 takes finer kernels.
 
         Method ``points`` is what the others are judged by: ``spp`` rays from each microlens, of a pattern (lens point,
         pupil point) that is the same in all lenses, find ``spp`` points of matte and emitting surfaces where they
