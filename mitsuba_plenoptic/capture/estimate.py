@@ -4,30 +4,19 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import suggest_keywords
-from ..optics.rays import conjugate_coordinate
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job
-from .lens_window import LensWindow
-from .operator import CaptureOperator
 from .patch_plan import Cost
-from .radiators import RADIATOR_BYTES, Radiators
 from .render import chosen_integrator, film_memory, plenoptic_sensor, require_taken, sample_count
 from .scene import KNOWN_PARAMETERS
-
-_BLOCK = 16
-"""Lenses along an axis that are sampled together: as many as share point spreads at most."""
 
 _RAYS = 2**20
 """Rays from the detector that are traced at a time."""
@@ -35,8 +24,8 @@ _RAYS = 2**20
 _SECONDS = 0.6
 """How long light paths are traced for an estimate, about."""
 
-_PATHS, _FEW_PATHS = 2**19, 16
-"""Light paths by which the radiators are counted, and for each of them at most."""
+_FEW_PATHS = 16
+"""Samples of a pixel that are traced at most."""
 
 
 @functools.partial(suggest_keywords, others=KNOWN_PARAMETERS["plenoptic_wave"])
@@ -53,8 +42,8 @@ def estimate_capture(
 ) -> Cost:
     """Estimate what `render_capture` would take with the same arguments, by doing a fraction of it.
 
-    By rays some of the rays are traced; by waves the radiators of some lenses are found, and some of their point
-    spreads computed. It takes a few seconds, whatever the size of the capture.
+    Some of the rays are traced; point by point, all points are found and some of their spreads computed. It takes a few
+    seconds, whatever the size of the capture.
 
     Parameters
     ----------
@@ -64,7 +53,7 @@ def estimate_capture(
     Returns
     -------
     Cost
-        Radiators and point spreads (0 by rays), seconds, and bytes.
+        Points and point spreads (0 but for method ``points``), seconds, and bytes.
 
     Raises
     ------
@@ -114,83 +103,3 @@ def _rays_per_second(scene: Any, sensor: Any, integrator: Any, shape: tuple[int,
         seconds += trace()
         passes += 1
     return passes * count / seconds
-
-
-def estimate_waves(
-    camera: PlenopticCamera,
-    find: Callable[..., Radiators],
-    operator: Callable[[Radiators], CaptureOperator],
-    job: Job,
-    *,
-    pairs: NDArray[np.float64],
-    spp: int,
-    occlusion: bool,
-) -> Cost:
-    """Estimate one pass of a capture by waves.
-
-    A few radiators of every lens tell how many there are and where; blocks of lenses tell what they take.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    find : callable
-        `find_radiators` of this scene; takes the pairs and all that is named.
-    operator : callable
-        Makes the operator that sums the radiators' point spreads.
-    job : Job
-        Who would compute.
-    pairs, spp, occlusion
-        As of `find_radiators`.
-    """
-    index = LensWindow.of(camera).index
-    paths = min(spp, _FEW_PATHS)
-    few = pairs[: max(1, _PATHS // (len(index) * paths))]
-    everywhere = find(few, spp=paths, occlusion=False)
-    lit = _lenses(camera, everywhere.positions)
-    blocks = _blocks(index, lit)
-    find(pairs[:1], spp=spp, occlusion=occlusion, lenses=blocks[0])  # compiles the kernels
-    seconds, count = 0.0, max(1, _PATHS // (len(pairs) * spp * _BLOCK**2))
-    while seconds < _SECONDS / 2:
-        lenses = np.concatenate(blocks[:count])
-        start = time.perf_counter()
-        radiators = find(pairs, spp=spp, occlusion=occlusion, lenses=lenses)
-        seconds = time.perf_counter() - start
-        if count >= len(blocks):
-            break
-        count *= 2
-    found, scale = len(lit) * len(pairs) // len(few), 1.0
-    if count < len(blocks):
-        # Point spreads are shared by the lens that the image is on, to which blur brings as much as it carries away.
-        radiators = radiators.take(_among(_lenses(camera, radiators.positions), index[lenses]))
-        scale = len(lit) / max(1, int(np.count_nonzero(_among(lit, index[lenses]))))
-    cost = operator(radiators).estimate(job)
-    return replace(
-        cost,
-        radiators=found,
-        patterns=round(scale * cost.patterns),
-        seconds=float(seconds * len(index) / len(lenses) + scale * cost.seconds),
-        memory=cost.memory + (found - len(radiators.positions)) * RADIATOR_BYTES,
-    )
-
-
-def _blocks(index: NDArray[np.int64], lit: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Cut lenses into square blocks; return the numbers of each one's lenses, those that have light in random order."""
-    members: dict[tuple[int, ...], list[int]] = {}
-    for number, block in enumerate((index // _BLOCK).tolist()):
-        members.setdefault(tuple(block), []).append(number)
-    shining = {tuple(block) for block in np.unique(lit // _BLOCK, axis=0).tolist()}
-    chosen = [np.array(numbers) for block, numbers in members.items() if block in shining] or [np.arange(len(index))]
-    return [chosen[i] for i in np.random.default_rng(0).permutation(len(chosen))]
-
-
-def _lenses(camera: PlenopticCamera, positions: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the lenses that points are imaged on."""
-    place = conjugate_coordinate(positions[:, :2], positions[:, 2:], camera.mla_distance)
-    return np.stack(camera.lattice.cell(*place.T), -1).astype(np.int64)
-
-
-def _among(lenses: NDArray[np.int64], some: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether lenses are among some others."""
-    width = int(np.ptp(np.vstack([lenses, some])[:, 1])) + 1
-    return np.isin(lenses @ np.array([width, 1]), some @ np.array([width, 1]))

@@ -1,10 +1,10 @@
-"""The wave camera as a linear operator: from weights of incoherent radiators to the detector's image, and back."""
+"""The wave camera as a linear operator: from weights of incoherent points to the detector's image, and back."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -16,16 +16,13 @@ from ..errors import InputError, require_choice, require_flag, suggest_keywords
 from ..io.checkpoints import digest
 from ..objective import Objective
 from ..optics import guards
-from ..optics.fitted_lens import lens_of_rays
 from ..optics.sampling import check_positions
 from ..optics.spectrum import Spectrum
-from ..optics.wave_cameras import require_ideal, require_no_aberrations, require_no_glass
+from ..optics.wave_cameras import require_ideal, require_no_glass
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job, LongSum, Task
 from .accuracy import DEFAULT_ACCURACY, check_accuracy
-from .bank.blend import near_weight
-from .bank.plan import BankPlan
 from .derivatives import Differentials, check_changes, check_names
 from .full_field_plan import FullFieldPlan
 from .mixing import SpectralSum, mix, spectral_sums
@@ -49,22 +46,13 @@ class Plan(Protocol):
         """Estimate what a sum takes."""
 
 
-PLANS: dict[str, type] = {"patch": PatchPlan, "full_field": FullFieldPlan, "bank": BankPlan}
+PLANS: dict[str, type] = {"patch": PatchPlan, "full_field": FullFieldPlan}
 """Ways to compute point spreads, by name."""
 
 METHODS = tuple(PLANS)
 
 _LEFT_OUT, _ROUNDING = 0.1, 1e-6
 """Part of the accuracy that spectra may be simplified for, and relative error that single precision makes anyway."""
-
-
-@dataclass(frozen=True)
-class Portion:
-    """Points whose spreads are computed in one way, and the fractions of their light that are."""
-
-    method: str
-    points: NDArray[np.int64]
-    fractions: NDArray[np.float64]
 
 
 class CaptureOperator:
@@ -86,15 +74,12 @@ class CaptureOperator:
     spectrum : Spectrum, optional
         Wavelengths, and the channels that record them. Weights then have a value for each wavelength, and so have point
         spreads, or for each of the spectrum's nodes.
-    method : {"patch", "full_field", "bank"}
-        Way to compute point spreads: on the part of the array that each lights; without shortcuts; or, out of focus,
-        lens by lens from a bank of kernels, which takes about as long for any number of points and is meant for sums
-        of many; what is near focus is done by "patch".
+    method : {"patch", "full_field"}
+        Way to compute point spreads: on the part of the array that each lights, or without shortcuts.
     accuracy : float
-        Relative error (L2, over the image) that is allowed for speed, below 1. By method "patch" radiators of nearly
-        the same wavefront at neighbouring lenses then share a point spread; by "bank" it chooses the number of kernels
-        and what counts as near focus. 0: every radiator has a spread of its own, and the most of the diffracted light
-        is kept.
+        Relative error (L2, over the image) that is allowed for speed, below 1. By method "patch" points of nearly the
+        same wavefront at neighbouring lenses then share a point spread. 0: every point has a spread of its own, and the
+        most of the diffracted light is kept.
     pupil_weights : array (n, m, m), optional
         For each point its relative power over the square around the pupil, cut into m x m cells: rows along y, columns
         along x of the camera frame; booleans for what is visible. What passes is normalised anew, so that each point
@@ -125,7 +110,7 @@ class CaptureOperator:
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
         require_ideal(camera)
-        if camera.prescription is not None and method in ("full_field", "bank") and pupil_weights is not None:
+        if camera.prescription is not None and method == "full_field" and pupil_weights is not None:
             raise InputError(f"pupil_weights: method {method} takes none behind a main_lens; use patch")
         self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
         self._wavelength = None if wavelength is None else require_wavelength(wavelength)
@@ -133,13 +118,9 @@ class CaptureOperator:
         require_choice("method", method, METHODS)
         if camera.objective is not None:
             _require_followed(camera.objective, method)
-        if method == "bank":
-            require_no_aberrations(camera)
-            require_no_glass(camera, "method bank takes the same focal lengths for all wavelengths; use patch, or")
         self._method, self._accuracy = method, check_accuracy(accuracy)
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
-        self._portions = list(_portions(camera, self.points, method, self._accuracy))
-        self._plans: dict[tuple[float, str], Plan] = {}
+        self._plans: dict[float, Plan] = {}
         self._differentials: Differentials | None = None
 
     @one_at_a_time
@@ -205,11 +186,9 @@ class CaptureOperator:
             done = 0
             for part in self._sums(channels.shape[2]):
                 given = mix(channels, part.after.T)
-                for portion in self._portions:
-                    plan = self._planned(part.wavelength, portion, job, given.shape[2])
-                    found = plan.gather(given, job, done, self._items)
-                    result[portion.points] += portion.fractions[:, None] * (found @ part.before.T)
-                    done += len(portion.points)
+                plan = self._planned(part.wavelength, job, given.shape[2])
+                result += plan.gather(given, job, done, self._items) @ part.before.T
+                done += len(self.points)
         return result[:, 0] if np.ndim(image) == 2 and len(wavelengths) == 1 else result
 
     @one_at_a_time
@@ -347,13 +326,8 @@ class CaptureOperator:
         """
         wavelengths, workers = sorted(each.wavelength for each in self._sums(1)), (job or Job()).workers
         wavelength = wavelengths[len(wavelengths) // 2]
-        costs = [self._plan(wavelength, portion).cost(workers) for portion in self._portions]
-        return Cost(
-            radiators=self.sums * sum(cost.radiators for cost in costs),
-            patterns=self.sums * sum(cost.patterns for cost in costs),
-            seconds=self.sums * sum(cost.seconds for cost in costs),
-            memory=max(cost.memory for cost in costs),
-        )
+        cost = self._plan(wavelength).cost(workers)
+        return Cost(self.sums * cost.points, self.sums * cost.patterns, self.sums * cost.seconds, cost.memory)
 
     def as_linear_operator(self) -> Any:
         """Return the operator of one channel for SciPy's solvers, between flat arrays.
@@ -392,16 +366,15 @@ class CaptureOperator:
         for part in self._sums(weights.shape[1]):
             if self._spectrum is not None and self._spectrum.nodes:
                 part = part.reduced(weights, self._left_out(weights))
-            for portion in self._portions:
 
-                def plan(part: SpectralSum = part, portion: Portion = portion) -> LongSum:
-                    given = (weights[portion.points] @ part.before) * portion.fractions[:, None]
-                    return self._planned(part.wavelength, portion, job, given.shape[1]).sum(given)
+            def plan(part: SpectralSum = part) -> LongSum:
+                given = weights @ part.before
+                return self._planned(part.wavelength, job, given.shape[1]).sum(given)
 
-                def combine(sums: NDArray[np.float32], after: NDArray[np.float32] = part.after) -> NDArray[np.float32]:
-                    return mix(sums, after)
+            def combine(sums: NDArray[np.float32], after: NDArray[np.float32] = part.after) -> NDArray[np.float32]:
+                return mix(sums, after)
 
-                yield Task(len(portion.points), plan, combine)
+            yield Task(len(self.points), plan, combine)
 
     def _left_out(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return by how much, root sum square, the weights in each channel may be wrong at a node."""
@@ -416,21 +389,18 @@ class CaptureOperator:
     @property
     def _items(self) -> int:
         """Point spreads of all sums."""
-        return self.sums * sum(len(portion.points) for portion in self._portions)
+        return self.sums * len(self.points)
 
-    def _plan(self, wavelength: float, portion: Portion) -> Plan:
-        """Return the plan of a wavelength for some points, made when it is first asked for."""
-        key = wavelength, portion.method
-        if key not in self._plans:
-            weights = self._pupil_weights and self._pupil_weights.take(portion.points)
-            make = PLANS[portion.method]
-            camera = self.camera.at_wavelength(wavelength)
-            self._plans[key] = make(camera, self.points[portion.points], weights, wavelength, self._accuracy)
-        return self._plans[key]
+    def _plan(self, wavelength: float) -> Plan:
+        """Return the plan of a wavelength, made when it is first asked for."""
+        if wavelength not in self._plans:
+            make, camera = PLANS[self._method], self.camera.at_wavelength(wavelength)
+            self._plans[wavelength] = make(camera, self.points, self._pupil_weights, wavelength, self._accuracy)
+        return self._plans[wavelength]
 
-    def _planned(self, wavelength: float, portion: Portion, job: Job, channels: int) -> Plan:
-        """Return the plan of a wavelength for some points, or refuse what it takes."""
-        plan = self._plan(wavelength, portion)
+    def _planned(self, wavelength: float, job: Job, channels: int) -> Plan:
+        """Return the plan of a wavelength, or refuse what it takes."""
+        plan = self._plan(wavelength)
         plan.check_memory(job.workers, channels)
         return plan
 
@@ -488,22 +458,6 @@ class CaptureOperator:
 
 
 def _require_followed(objective: Objective, method: str) -> None:
-    """Refuse methods that do not know a microscope's objective, or where the array stands behind it."""
-    if method == "bank":
-        raise InputError(f"method = bank: it does not know main_lens = {objective.name}; use patch or full_field")
+    """Refuse the method that does not know a microscope whose array stands in the image of the stop."""
     if method == "patch" and objective.is_fourier:
         raise InputError("method = patch: arrangement = fourier lights all of the stop's image; use full_field")
-
-
-def _portions(camera: PlenopticCamera, points: NDArray[np.float64], method: str, accuracy: float) -> Iterator[Portion]:
-    """Yield how the spreads of points are computed: by a bank only where it is right."""
-    near = np.ones(len(points))
-    if method == "bank":
-        near = near_weight(camera, lens_of_rays(camera).vergence(points[:, 2]), accuracy)
-        far = np.flatnonzero(near < 1)
-        if len(far):
-            yield Portion("bank", far, 1 - near[far])
-        method = "patch"
-    kept = np.flatnonzero(near > 0)
-    if len(kept) or not len(points):
-        yield Portion(method, kept, near[kept])

@@ -40,9 +40,6 @@ have some."""
 _PATCH_LIMIT = 2**26
 """Bytes of one radiator's field above which many are refused: blurred over thousands of pixels, they take days."""
 
-_OFF_AXIS = 2
-"""How much more memory than those on the axis patches off the axis may take."""
-
 _CHUNK_BYTES = 2**26
 
 _TILE = 1024
@@ -62,8 +59,8 @@ class Cost:
 
     Attributes
     ----------
-    radiators : int
-        Radiators whose light reaches the recorded window.
+    points : int
+        Points whose light reaches the recorded window; 0 where none are found.
     patterns : int
         Point spreads that are computed for them.
     seconds : float
@@ -72,37 +69,10 @@ class Cost:
         Bytes at most.
     """
 
-    radiators: int
+    points: int
     patterns: int
     seconds: float
     memory: float
-
-
-def patches_fit(
-    camera: PlenopticCamera, wavelength: float, accuracy: float, distances: NDArray[np.float64], count: int
-) -> bool:
-    """Tell whether the patches of points at some distances are small enough to be computed, if there are many.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
-    accuracy : float
-        Allowed relative error.
-    distances : float64 array (n,)
-        Of points on the axis; those of others are somewhat larger, which is allowed for.
-    count : int
-        How many points there are: the patches of few hold more of what is diffracted.
-    """
-    points = np.column_stack([np.zeros((len(distances), 2)), distances])
-    try:
-        grid = Grid.of(camera, wavelength, band_for(accuracy, count), points)
-        samples = place(grid, points).samples.max()
-    except InputError:  # no field can hold them
-        return False
-    return bool(8.0 * samples**2 <= _PATCH_LIMIT / _OFF_AXIS)
 
 
 class PatchPlan:

@@ -83,7 +83,7 @@ class PointsCapture:
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
         """Estimate what `compute` takes beside the tracing of rays, from all points and some of their spreads."""
         points = find_points(self.lights, self.camera, spp, seed=seed, paths=1)
-        return replace(self._operator(points).estimate(job), radiators=len(points.positions))
+        return replace(self._operator(points).estimate(job), points=len(points.positions))
 
     def _operator(self, points: ScenePoints) -> CaptureOperator:
         return CaptureOperator(

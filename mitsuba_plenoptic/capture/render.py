@@ -62,12 +62,12 @@ def render_capture(
         How light is propagated through the camera: ``wave`` makes the scene's integrator the child of a
         ``plenoptic_wave``, ``ray`` takes it out of one. Default: as the scene's integrator has it.
     spp : int, optional
-        Samples per pixel; by waves light paths per radiator, but for methods ``signed_rays``, rays per pixel, and
-        ``points``, points per microlens. Default: those of the sensor's sampler.
+        Samples per pixel, the same for both models; by method ``points``, points per microlens. Default: those of the
+        sensor's sampler.
     seed : int
         Seed of the random numbers; the same seed gives the same bits, on any number of threads and in any process.
     progress : callable, optional
-        Called with what is done and how much there is: samples per pixel or, by waves, radiators.
+        Called with what is done and how much there is: samples per pixel or, by waves, parts of the detector.
     checkpoint : Checkpoint, optional
         By waves: what has been done is kept in its file, and taken from there. Rays are too quick to need one.
     batch_map : callable, optional
@@ -75,15 +75,13 @@ def render_capture(
         process.
     noise : bool
         Whether to estimate, too, the standard deviation that the pixels have from seed to seed, as `Capture.noise`;
-        each pixel's figure has itself a relative error of 18 %. By rays it comes from the spread of up to 16 passes,
-        whose random numbers make another image than one pass does; by waves from the spread of each radiator's light
-        paths. It takes two samples at least. That radiators sample the scene in the same pattern in every lens and for
-        every seed is no noise, and not in it; nor is what the shifts of further `passes` change. A film of luminance in
-        an rgb variant gets, by waves, the sum of its channels' deviations: an upper bound, reached where they deviate
-        together, as those of grey things do.
+        each pixel's figure has itself a relative error of 18 % or more. It comes from the spread of up to 16 passes,
+        whose random numbers make another image than one pass does, and takes two samples at least. A film of luminance
+        in an rgb variant gets, by waves, the sum of its channels' deviations: an upper bound, reached where they
+        deviate together, as those of grey things do.
     **wave
-        Parameters of ``plenoptic_wave``: ``wavelength``, ``radiators_per_lens``, ``passes``, ``method``,
-        ``occlusion``, ``accuracy``.
+        Parameters of ``plenoptic_wave``: ``wavelength``, ``bandwidth``, ``responses``, ``wavelength_count``, ``nodes``,
+        ``method``, ``accuracy``.
 
     Raises
     ------
@@ -218,10 +216,6 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
         return integrator.child
     if is_wave and not wave:
         return integrator
-    if wave.get("method") in ("signed_rays", "points"):
-        for name in ("radiators_per_lens", "passes", "occlusion"):
-            if wave.get(name) is not None:
-                raise InputError(f"{argument(name)}: method {wave['method']} has no radiators; leave it out, give spp")
     own = integrator.parameters() if is_wave else {}
     # What is None is not given; Mitsuba's loader would end the process.
     wave = {name: value for name, value in wave.items() if value is not None}

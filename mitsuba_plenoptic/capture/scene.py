@@ -21,7 +21,7 @@ KNOWN_PARAMETERS = {
     "plenoptic": (*inspect.signature(PlenopticCamera).parameters, "to_world"),
     "plenoptic_wave": (
         *("wavelength", "bandwidth", "responses", "wavelength_count", "nodes"),
-        *("radiators_per_lens", "passes", "method", "occlusion", "accuracy"),
+        *("method", "accuracy"),
     ),
 }
 """Parameters of this package's plugins, for the suggestions of messages; it is Mitsuba that finds the unknown ones."""

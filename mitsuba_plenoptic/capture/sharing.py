@@ -135,25 +135,6 @@ def find_patterns(
     return Patterns(found, slant, pattern, cell - middle[pattern])
 
 
-def patterns_at(
-    camera: PlenopticCamera, lens: MainLens, distances: NDArray[np.float64], lenses: int, wavelength: float, step: float
-) -> float:
-    """Return about how many patterns any number of radiators at some distances have, that fill the pupil alike.
-
-    Parameters
-    ----------
-    camera, lens, wavelength, step
-        As of `find_patterns`.
-    distances : float64 array (n,)
-        Their distances.
-    lenses : int
-        Lenses that their images are on.
-    """
-    depth, parts = _depth_steps(camera, lens, distances, wavelength, step)
-    first = np.unique(depth, return_index=True)[1]
-    return float((parts[first] ** 2).sum()) * max(1.0, lenses / ZONES[-1] ** 2)
-
-
 def _lattice_steps(camera: PlenopticCamera, place: NDArray[np.float64]) -> NDArray[np.float64]:
     """Express places on the MLA, (n, 2), in steps along the lattice vectors, the first of which is along x."""
     (width, _), (aside, height) = camera.lattice.basis

@@ -94,7 +94,7 @@ class SignedCapture:
         if noise:
             tasks = [keep_spread(task) for task in tasks]
         channels, responses = self.colours.spectrum.channels, self.colours.spectrum.matrix()
-        shape = (*self.camera.shape, channels * (4 if noise else 1))
+        shape = (*self.camera.shape, channels * (3 if noise else 1))
         if not found.any():
             warnings.warn(
                 "plenoptic_wave: none of some rays meets anything that shines; a nested integrator with "

@@ -33,10 +33,8 @@ from ..optics.pixel_response import angular_response
 from ..optics.ray_pupil import RayPupil
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
-from . import child
-from .bank.convolution import Convolution, box_of, cost_of, margin_of
-from .draws import channels
-from .lens_rays import Block, blocks_of
+from . import radiance as along
+from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, span
 from .signed_draws import ORDER, Cells, Draws, Pair, jitter
 
@@ -88,12 +86,12 @@ class SceneLight:
             ray.wavelengths = type(ray.wavelengths)(*wavelengths)
         elif self.wavelength is not None:
             ray.wavelengths = self.wavelength
-        sampler = child.random_numbers(seed, dr.width(ray))
+        sampler = along.random_numbers(seed, dr.width(ray))
         ray.time = self.sensor.shutter_open()
         if self.sensor.shutter_open_time() > 0:
             ray.time += sampler.next_1d(active) * self.sensor.shutter_open_time()
-        found = child.sample(self.integrator, self.scene, sampler, ray, self.sensor.get_medium(), active)
-        return channels(found) if wavelengths is None else list(found)
+        found = along.sample(self.integrator, self.scene, sampler, ray, self.sensor.get_medium(), active)
+        return along.channels(found) if wavelengths is None else list(found)
 
 
 class SignedRaySum:

@@ -59,15 +59,9 @@ Model = Annotated[
     ),
 ]
 
-Samples = Annotated[
-    int | None, number("Samples per pixel; by waves, light paths per radiator.", "those of the scene's sampler")
-]
+Samples = Annotated[int | None, number("Samples per pixel.", "those of the scene's sampler")]
 
 Seed = Annotated[int, number("Seed of the random numbers.")]
-
-RadiatorsPerLens = Annotated[
-    int | None, number("By waves: incoherent point sources per microlens and axis.", "the scene's, else 8")
-]
 
 Resume = Annotated[
     bool,

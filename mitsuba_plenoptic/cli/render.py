@@ -22,7 +22,6 @@ from .options import (
     CameraFile,
     Definitions,
     Model,
-    RadiatorsPerLens,
     Resume,
     Samples,
     Scene,
@@ -53,12 +52,11 @@ def render(
         str | None,
         typer.Option(
             metavar="NAME",
-            show_default="the scene's, else auto",
-            help="By waves: auto, patch, bank, full_field, signed_rays, which takes the rays of a ray capture, or "
-            "points, the plain reference for matte scenes, with --spp points for each microlens.",
+            show_default="the scene's, else signed_rays",
+            help="By waves: signed_rays, which takes the rays of a ray capture, or points, the plain reference for "
+            "matte scenes, with --spp points for each microlens.",
         ),
     ] = None,
-    radiators_per_lens: RadiatorsPerLens = None,
     noise: Annotated[
         bool,
         typer.Option("--noise", help="Keep the standard deviation of each pixel, too, as layer 'noise' of the file."),
@@ -129,7 +127,7 @@ def render(
       mitsuba-plenoptic render still_life -o raw.exr --aov depth,normal,shape_index
     """
     parameters = parse_definitions(define)
-    options = {"wavelength": wavelength, "method": method, "radiators_per_lens": radiators_per_lens}
+    options = {"wavelength": wavelength, "method": method}
     wave = {name: value for name, value in options.items() if value is not None}
     if estimate:
         refused = {"noise": noise, "resume": resume, "checkpoint": checkpoint, "white": white, "aov": aov}
@@ -138,7 +136,7 @@ def render(
         with batches_on(workers, scheduler) as batch_map, progress_bar("Estimating"):
             loaded = open_scene(scene, parameters, variant, camera, sensor)
             cost = estimate_capture(loaded, sensor=sensor, model=model, spp=spp, seed=seed, batch_map=batch_map, **wave)
-        what = f"{cost.radiators} radiators, {cost.patterns} point spreads, " if cost.radiators else ""
+        what = f"{cost.points} points, {cost.patterns} point spreads, " if cost.points else ""
         typer.echo(f"{scene}: {what}about {cost.seconds:.3g} s and {cost.memory / 2**30:.2g} GiB")
         return
     if output is None:

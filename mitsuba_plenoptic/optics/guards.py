@@ -129,16 +129,6 @@ OBJECT = Guard(
     refuse=0.5,
 )
 
-# A radiator's wavefront is a sphere. Behind curved mirrors and glass it has two curvatures, and the mean is taken.
-ASTIGMATISM = Guard(
-    "astigmatism",
-    "of the light comes through mirrors or glass so curved that astigmatism, which is not followed, blurs it over more "
-    "than a microlens",
-    "nothing else can be done: compare with rays what is seen in them",
-    warn=0.05,
-    refuse=1.0,
-)
-
 # The lenses that can light a pixel follow from geometry; that of a wide field is approximate. 16 samples a pixel are
 # noisier than the one bound; a single lens at f/3 would lose 28 %.
 CROSSTALK = Guard(

@@ -188,34 +188,6 @@ class LensSystem:
         tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, place, strict=True))
         return self.trace(place, (tx, ty))
 
-    def ray_and_edges(
-        self, pupil: tuple[Any, Any], place: tuple[Any, Any], surfaces: Sequence[int]
-    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], list[Any]]:
-        """Follow a ray as `ray` does, and tell how far from the axis it meets some surfaces, over their edges.
-
-        Parameters
-        ----------
-        pupil : (array, array)
-            Point of the exit pupil.
-        place : (array, array)
-            Place on the MLA.
-        surfaces : sequence of int
-            Their numbers in the order of the scene's light.
-
-        Returns
-        -------
-        point, slope
-            As of `trace`.
-        edges : list of arrays
-            One for each of the surfaces: 1 on its edge.
-        """
-        squares: list[Any] = []
-        tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, place, strict=True))
-        point, direction, _, _ = self._follow(place, (tx, ty), squares)
-        lens = self._backwards
-        edges = [_sqrt(squares[-1 - k]) * (1 / lens[-1 - k].semi_aperture) for k in surfaces]
-        return *self._in_camera(point, direction), edges
-
     def beside(
         self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], change: tuple[Any, Any]
     ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any]]:

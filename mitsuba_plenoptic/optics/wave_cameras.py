@@ -43,23 +43,6 @@ def require_regular(camera: PlenopticCamera) -> None:
             raise InputError(f"{name} = {getattr(camera, name)}: it is for rays; work by rays, or leave it out")
 
 
-def require_no_aberrations(camera: PlenopticCamera) -> None:
-    """Refuse, for work by a kernel bank, a camera whose thin main lens has aberrations.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-
-    Raises
-    ------
-    InputError
-        If it has.
-    """
-    if any(camera.wavefront):
-        raise InputError("wavefront: method bank needs a main lens without aberrations; use patch, or set them to 0")
-
-
 def require_no_glass(camera: PlenopticCamera, what: str) -> None:
     """Refuse, for work that knows no dispersion, a camera whose thin lenses are of glass.
 

@@ -10,32 +10,22 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..capture import colour
 from ..capture.accuracy import DEFAULT_ACCURACY, check_accuracy
-from ..capture.operator import METHODS
 from ..capture.patch_plan import Cost
 from ..capture.points_capture import PointsCapture
-from ..capture.render_gradients import RenderGradients
-from ..capture.replay import Replay
 from ..capture.scene_points import require_matte
-from ..capture.sight import Sight
 from ..capture.signed_capture import SignedCapture
 from ..capture.signed_rays import SceneLight
-from ..capture.spectral import SpectralCapture
-from ..capture.wave_capture import WaveCapture
 from ..errors import InputError
 from ..optics import guards
 from ..optics.spectrum import Spectrum
-from ..optics.wave_cameras import require_ideal, require_no_aberrations, require_no_glass
+from ..optics.wave_cameras import require_ideal
 from ..runtime.jobs import Job
 from .colours import NAME, SHARED, read_colours
-from .films import develop, develop_back, put
-from .gradients import accumulate, numbers_and_others, tangent
-from .properties import read_choice, read_count, read_flag, read_plain
+from .films import put
+from .properties import read_choice, read_plain
 
-MOST_RADIATORS = 256
-"""Radiators per lens and axis at most."""
-
-MOST_PASSES = 1024
-"""Passes at most; their radiators are held together."""
+_GONE = ("radiators_per_lens", "passes", "occlusion")
+"""Parameters of captures by radiators, which signed rays have replaced."""
 
 SIGNED_RAYS = "signed_rays"
 """The method that takes all light from the rays of a capture by rays."""
@@ -43,7 +33,7 @@ SIGNED_RAYS = "signed_rays"
 POINTS = "points"
 """The plain reference: points of matte surfaces, of which each is propagated by itself."""
 
-# Integrators that follow light from the emitters and cannot tell the radiance along a ray.
+# Integrators that follow light from the emitters, and do not estimate the radiance along a ray.
 _LIGHT_TRACERS = ("ParticleTracerIntegrator", "AdjointIntegrator")
 
 
@@ -74,77 +64,50 @@ def make_class() -> type:
              spectral variants tables of the scene, change faster. (Default: 31)
          * - nodes
            - |int|
-           - At how many wavelengths point spreads are computed: of each band, or with ``responses`` of all, between
-             which they are interpolated. (Default: as many as the sum of some radiators needs for ``accuracy``, or by
-             ``signed_rays`` the spot of a microlens)
-         * - radiators_per_lens
-           - |int|
-           - Radiators per microlens and axis, up to 256; the time grows with its square. (Default: 8)
-         * - passes
-           - |int|
-           - How often the whole set of radiators is drawn, shifted, and averaged, up to 1024. (Default: 1)
+           - Wavelengths for which diffraction is computed, of each band or with ``responses`` of all; light between two
+             of them is shared by both. (Default: as many as ``accuracy`` needs)
          * - method
            - |string|
-           - ``patch``: each radiator's field on the part of the microlens array that it lights. ``bank``: so near
-             focus only; beyond some lenses of blur, by one ray from each pixel through each lens's centre and a bank
-             of kernels of single lenses, at the price of a capture by rays; in one wavelength where glasses of a
-             ``main_lens`` disperse light. ``full_field``: on all of the array, the
-             slow reference. ``auto``: the quicker one of the first two. ``signed_rays``: from the rays of a capture
-             by rays, see below. ``points``: point by point, the plain reference for matte scenes, see below.
-             (Default: ``auto``)
-         * - occlusion
-           - |bool|
-           - Whether objects before a radiator hide a part of the pupil from it; method ``bank`` asks for it.
-             (Default: true)
+           - ``signed_rays``: from the rays of a capture by rays. ``points``: matte surfaces point by point, the slow
+             reference. (Default: ``signed_rays``)
          * - accuracy
            - |float|
-           - Error of the capture (relative, L2) that ``patch`` may make for speed, by sharing point spreads among
-             radiators of nearly the same wavefront and by cutting light that diffracts far. 0: nothing is shared.
-             (Default: 0.01)
+           - Allowed error of the capture (relative, L2). Below 0.005 ``signed_rays`` takes finer kernels; ``points``
+             shares point spreads among points of nearly the same wavefront, and at 0 shares nothing. (Default: 0.01)
          * - (Nested plugin)
            - :paramtype:`integrator`
-           - Finds the radiance of the radiators, like ``path`` or ``direct``. (Default: ``path``)
+           - Finds the radiance along rays, like ``path`` or ``direct``. (Default: ``path``)
 
-        Light from different scene points is mutually incoherent: the detector image is the sum over radiators
-        of weight times :math:`|\text{field}|^2`, integrated over each pixel. Radiators are found by rays from the
-        pupil into the scene, of which the nested integrator finds the radiance, so that every scene works that
-        Mitsuba renders; ``spp`` light paths are averaged for each. With a cell of area :math:`A_c` of the
-        microlens array to a radiator, a pixel gets
+        Light from different scene points is mutually incoherent. Before the pupil its density in phase space is then
+        the radiance along rays; pupil and microlenses spread it by kernels in closed form. The rays are those that a
+        sensor with ``lens_model="parabolic"`` would draw, and some beside each lens; ``spp`` is their number for each
+        pixel, as by rays. What is diffracted is in signed coefficients of each ray and in kernels, which depend on the
+        camera alone. So the scene may hold all that the nested integrator renders, at the price of a capture by rays.
+        A scene of radiance 1 reads 1 inside wide micro-images, as by rays.
 
-        .. math:: L \frac{A_c A_{pupil} z^2}{b^2 A_{lens} A_{pixel} f} \, psf
-
-        where :math:`psf` is the fraction of the power through the visible pupil that lands in the pixel and
-        :math:`f` the fraction of the visible pupil whose rays land in the sampled part of the array. The pixel's
-        unit is that of the sensor by rays: a scene of radiance 1 reads 1 inside wide micro-images.
-
-        Method ``signed_rays`` has no radiators. It follows the rays that a sensor with ``lens_model="parabolic"`` would
-        draw, and some beside each lens, into the scene; ``spp`` is the number of rays a pixel, as by rays. What pupil
-        and microlenses diffract is in signed coefficients of each ray and in kernels, which depend on the camera alone.
-        So light may differ over the pupil and over a lens, and the scene may hold all that the nested integrator
-        knows, at the price of a capture by rays. It takes all main lenses and arrays that the sensor does, but for
+        All main lenses and arrays that the sensor takes are served, but for the Fourier arrangement of microscopes, and
         detectors far from the microlenses' focus whose pixels are finer than the pupil's diffraction. With bands and
         responses, kernels are those of some wavelengths, ``nodes``, between which light is shared in straight lines; in
         spectral variants each ray has wavelengths of its own, whatever the scene. A main lens that disperses light
-        gives each node rays of its own. ``accuracy`` below 0.005 takes finer kernels.
+        gives each node rays of its own.
 
-        Method ``points`` is what the others are judged by: ``spp`` rays from each microlens, of a pattern (lens point,
-        pupil point) that is the same in all lenses, find ``spp`` points of matte and emitting surfaces where they
-        first hit, shadow rays find what each sees of the pupil, and the field of each is propagated by itself, as by
-        ``patch``; intensities add. 64 light paths are averaged for each point, whose noise is then small against what
-        the pattern of few points leaves. The time grows with ``spp``: 64 points a lens show white walls in focus to
-        0.5 %, out of focus it takes several hundred, or the mean of seeds. ``accuracy`` is that of ``patch``; at 0 each
-        point takes some 10 ms. Gloss, glass, mirrors, masks, instances, media, environments, moving scenes and
+        Method ``points`` is what signed rays are judged by: ``spp`` rays from each microlens, of a pattern (lens point,
+        pupil point) that is the same in all lenses, find ``spp`` points of matte and emitting surfaces where they first
+        hit, shadow rays find what each sees of the pupil, and the field of each is propagated by itself
+        (`CaptureOperator`, method ``patch``); intensities add. 64 light paths are averaged for each point, whose noise
+        is then small against what the pattern of few points leaves. The time grows with ``spp``: 64 points a lens show
+        white walls in focus to 0.5 %, out of focus it takes several hundred, or the mean of seeds. At an accuracy of 0
+        each point takes some 10 ms. Gloss, glass, mirrors, masks, instances, media, environments, moving scenes and
         objectives are refused by name; it has no gradients and states no noise.
 
-        With a band or responses, one set of radiators, or of rays, serves all wavelengths. In spectral variants light
-        has the scene's own spectra, in rgb ones those of D65 times the smoothest reflectances that have the colours,
-        in mono ones the same radiance at all wavelengths. With a camera's ``glass`` and ``mla_glass`` each wavelength
-        has its own focal lengths.
+        With a band or responses, one set of rays serves all wavelengths. In spectral variants light has the scene's own
+        spectra, in rgb ones those of D65 times the smoothest reflectances that have the colours, in mono ones the same
+        radiance at all wavelengths. With a camera's ``glass`` and ``mla_glass`` each wavelength has its own focal
+        lengths.
 
-        Scalar waves and thin elements: no polarisation, and both lenses are thin parabolic phases, whose geometric
-        twin is the sensor's ``lens_model="parabolic"``. Objects before a radiator hide parts of the pupil but do
-        not diffract. What is seen in mirrors and through glass radiates from where it seems to be. Polarized variants
-        compute as if unpolarized.
+        Scalar waves and thin elements: no polarisation, and thin lenses are parabolic phases, whose geometric twin is
+        the sensor's ``lens_model="parabolic"``. Objects of the scene do not diffract. Polarized variants compute as if
+        unpolarized.
 
         The same seed gives the same bits, on any number of threads.
 
@@ -158,7 +121,6 @@ def make_class() -> type:
 
                 <integrator type="plenoptic_wave">
                     <float name="wavelength" value="633"/>
-                    <integer name="radiators_per_lens" value="8"/>
                     <integrator type="path"/>
                 </integrator>
 
@@ -166,7 +128,6 @@ def make_class() -> type:
 
                 'type': 'plenoptic_wave',
                 'wavelength': 633.0,
-                'radiators_per_lens': 8,
                 'child': {'type': 'path'}
         """
 
@@ -174,12 +135,12 @@ def make_class() -> type:
             super().__init__(props)
             self.colours = read_colours(props)
             self.wavelengths = self.colours.wavelengths
-            self.radiators_per_lens = read_count(props, NAME, "radiators_per_lens", 8, maximum=MOST_RADIATORS)
-            self.passes = read_count(props, NAME, "passes", 1, maximum=MOST_PASSES)
-            self.method = read_choice(props, NAME, "method", ("auto", *METHODS, SIGNED_RAYS, POINTS))
-            self.occlusion = read_flag(props, NAME, "occlusion", True)
-            if self.method == "bank" and not self.occlusion:
-                raise InputError(f"{NAME}: occlusion = false: by method bank, objects hide what is behind them")
+            for name in _GONE:
+                if name in props:
+                    raise InputError(
+                        f"{NAME}: {name}: there are no radiators now; leave it out, and give spp, rays a pixel"
+                    )
+            self.method = read_choice(props, NAME, "method", (SIGNED_RAYS, POINTS))
             self.accuracy = check_accuracy(read_plain(props, "accuracy", DEFAULT_ACCURACY), f"{NAME}: accuracy")
             nested = [value for _, value in props.objects()]
             if len(nested) > 1:
@@ -198,54 +159,13 @@ def make_class() -> type:
             develop: bool = True,
             evaluate: bool = True,
         ) -> Any:
-            """Render the capture; `spp` is the number of light paths for each radiator."""
+            """Render the capture; `spp` is the number of rays a pixel."""
             if isinstance(sensor, int):
                 sensor = scene.sensors()[sensor]
             seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
             spp = spp or sensor.sampler().sample_count()
             film = self.record(scene, sensor, seed=seed, spp=spp)
             return film.develop() if develop else None
-
-        def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
-            """Return the change of the capture with the tangents of parameters, for `mi.render`."""
-            sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
-            names, gradients = self._gradients(scene, params, sensor, seed, spp)
-            with guards.watch():
-                change = gradients.forward({name: tangent(sensor, name) for name in names})
-            return develop(sensor.film(), change)
-
-        def render_backward(
-            self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
-        ) -> None:
-            """Take the gradient of the capture back to that of parameters, for `mi.render`."""
-            sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
-            names, gradients = self._gradients(scene, params, sensor, seed, spp)
-            shape = *PlenopticCamera.from_sensor(sensor).shape, len(self.wavelengths)
-            with guards.watch():
-                found = gradients.backward(develop_back(sensor.film(), grad_in, shape), names)
-            for name, gradient in found.items():
-                accumulate(sensor, name, gradient)
-
-        def _gradients(
-            self, scene: Any, params: Any, sensor: Any, seed: Any, spp: int
-        ) -> tuple[tuple[str, ...], RenderGradients]:
-            """Return which of the camera's numbers have gradients, and what differentiates; or refuse."""
-            if self.method not in ("auto", "patch"):
-                raise InputError(f"{NAME}: method = {self.method}: it has no gradients; use patch")
-            if self.spectrum_of(scene, sensor) is not None:
-                raise InputError(f"{NAME}: there are no gradients of captures of bands or responses; leave them out")
-            names, others = numbers_and_others(params, sensor)
-            camera = PlenopticCamera.from_sensor(sensor)
-            camera.require_no_objective("captures by waves are differentiated")
-            seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
-            spp = spp or sensor.sampler().sample_count()
-            capture = self._capture(scene, sensor)
-            assert isinstance(capture, WaveCapture)
-            try:
-                replay = Replay.of(capture.sight, spp, seed) if others else None
-            except InputError as error:
-                raise InputError(f"{NAME}: {error}") from None
-            return names, RenderGradients(capture, seed, spp, replay)
 
         def record(
             self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False
@@ -259,7 +179,7 @@ def make_class() -> type:
             seed : int
                 Seed of the random numbers.
             spp : int
-                Light paths for each radiator.
+                Rays a pixel; by method points, points of each lens.
             job : Job, optional
                 Who computes, who is told of the progress, where the work is kept. Default: threads of this process.
             noise : bool
@@ -292,53 +212,29 @@ def make_class() -> type:
                 return self.colours.spectrum_for(channels, (), SHARED)
             return self.colours.spectrum_for(channels, colour.tables_of(scene) if mi.is_spectral else [])
 
-        def _capture(self, scene: Any, sensor: Any) -> WaveCapture | SpectralCapture | SignedCapture | PointsCapture:
+        def _capture(self, scene: Any, sensor: Any) -> SignedCapture | PointsCapture:
             camera = PlenopticCamera.from_sensor(sensor)
-            if self.method == SIGNED_RAYS:
-                colours = self.colours.signed(sensor.film().base_channels_count())
-                if mi.is_spectral:
-                    colour.require_spectra(scene, colours.spectrum.wavelengths, colours.spectrum.matrix())
-                light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
-                return SignedCapture(camera, light, colours, self.accuracy)
-            require_ideal(camera)
-            if camera.objective is not None and self.method == "bank":
-                raise InputError(f"method = bank: it does not know main_lens = {camera.objective.name}; use patch")
-            if self.method == "bank":
-                require_no_aberrations(camera)
-                require_no_glass(camera, "method bank takes the same focal lengths for all wavelengths; use patch, or")
-            spectrum = self.spectrum_of(scene, sensor)
-            wavelengths = self.wavelengths if spectrum is None else spectrum.wavelengths
+            if self.method == POINTS:
+                return self._by_points(scene, sensor, camera)
+            colours = self.colours.signed(sensor.film().base_channels_count())
             if mi.is_spectral:
+                colour.require_spectra(scene, colours.spectrum.wavelengths, colours.spectrum.matrix())
+            light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
+            return SignedCapture(camera, light, colours, self.accuracy)
+
+        def _by_points(self, scene: Any, sensor: Any, camera: PlenopticCamera) -> PointsCapture:
+            require_ideal(camera)
+            spectrum = self.spectrum_of(scene, sensor)
+            if mi.is_spectral:
+                wavelengths = self.wavelengths if spectrum is None else spectrum.wavelengths
                 responses = np.ones((1, 1), np.float32) if spectrum is None else spectrum.matrix()
                 colour.require_spectra(scene, wavelengths, responses)
-            if self.method == POINTS:
-                return self._by_points(scene, sensor, camera, spectrum)
-            sight = Sight.of(scene, sensor, self.child, wavelengths if mi.is_spectral else None)
-            if camera.objective is not None:
-                sight.require_surfaces(camera.objective.name)
-            capture = WaveCapture(
-                camera=camera,
-                sight=sight,
-                wavelengths=self.wavelengths,
-                radiators_per_lens=self.radiators_per_lens,
-                passes=self.passes,
-                method=self.method,
-                occlusion=self.occlusion,
-                accuracy=self.accuracy,
-            )
-            if spectrum is None:
-                return capture
-            return SpectralCapture(capture, spectrum, self.colours.upsampling(spectrum), self.colours.total_nodes())
-
-        def _by_points(
-            self, scene: Any, sensor: Any, camera: PlenopticCamera, spectrum: Spectrum | None
-        ) -> PointsCapture:
             require_matte(scene, sensor, self.child, camera)
             upsampling = None if spectrum is None else self.colours.upsampling(spectrum)
             nodes = None if spectrum is None else self.colours.total_nodes()
             spectrum = Spectrum.lines(*self.wavelengths) if spectrum is None else spectrum
-            wavelengths = spectrum.wavelengths if mi.is_spectral else (None,)
-            lights = [SceneLight(scene, sensor, self.child, wavelength) for wavelength in wavelengths]
+            each = spectrum.wavelengths if mi.is_spectral else (None,)
+            lights = [SceneLight(scene, sensor, self.child, wavelength) for wavelength in each]
             if nodes is not None:
                 spectrum = spectrum.interpolated(nodes)
             return PointsCapture(camera, lights, spectrum, upsampling, self.accuracy)
@@ -347,10 +243,7 @@ def make_class() -> type:
             """Its own parameters by name, as ``mi.load_dict`` takes them."""
             return {
                 **self.colours.parameters(),
-                "radiators_per_lens": self.radiators_per_lens,
-                "passes": self.passes,
                 "method": self.method,
-                "occlusion": self.occlusion,
                 "accuracy": self.accuracy,
             }
 

@@ -74,20 +74,6 @@ def read_choice(props: Any, plugin: str, name: str, choices: tuple[str, ...]) ->
     return require_choice(f"{plugin}: {name}", props[name] if name in props else choices[0], choices)
 
 
-def read_flag(props: Any, plugin: str, name: str, default: bool) -> bool:
-    """Take a boolean from a plugin's properties.
-
-    Raises
-    ------
-    InputError
-        Naming plugin, parameter, value and rule.
-    """
-    value = props.get(name, default)
-    if not isinstance(value, bool):
-        raise InputError(f"{plugin}: {name} = {value!r}: it must be true or false")
-    return value
-
-
 def _plain(value: Any) -> Any:
     """Turn a Dr.Jit array of one entry, as ``load_dict`` accepts it, into its entry."""
     return value[0] if hasattr(value, "__len__") and not isinstance(value, str) and len(value) == 1 else value

@@ -10,16 +10,18 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera
-from ...optics.sampling import fast_length
-from ...runtime.batches import Box, Part, add
-from ...runtime.fft import resting_drjit, worker_count
+from ..camera import PlenopticCamera
+from ..optics.sampling import fast_length
+from ..runtime.batches import Box, Part, add
+from ..runtime.fft import resting_drjit, worker_count
 
 _TAIL = 8
 """Samples by which kernels grow when what collecting the rays has smoothed is sharpened again."""
@@ -205,3 +207,54 @@ def _wider(samples: slice, margin: int) -> slice:
 def _even(size: int, most: int) -> int:
     """Return the length of as few equal parts of a size as are no longer than so many."""
     return math.ceil(size / math.ceil(size / most))
+
+
+@dataclass(frozen=True)
+class Block:
+    """The images of a block of bins, to be convolved with the kernels.
+
+    Attributes
+    ----------
+    bins : Box
+        The bins.
+    images : list of float32 arrays (ranks, rows, columns)
+        What rays bring of the kernels of each convolution.
+    convolutions : list of Convolution
+        For each of the images.
+    channels : sequence of int
+        Those to which they are added, counted from 0; none is left out.
+    """
+
+    bins: Box
+    images: list[NDArray[np.float32]]
+    convolutions: list[Convolution]
+    channels: Sequence[int]
+
+    @property
+    def samples(self) -> int:
+        """Samples of all images."""
+        return sum(image.size for image in self.images)
+
+    def prepare(self) -> Callable[[], Part]:
+        """Return the function that convolves the images."""
+        return partial(_convolve, self)
+
+
+def _convolve(block: Block) -> Part:
+    # Kernels of longer waves reach farther.
+    pixels = max((each.reached(block.bins) for each in block.convolutions), key=lambda box: box.rows * box.columns)
+    sums = np.zeros((max(block.channels) + 1, pixels.rows, pixels.columns), np.float32)
+    for channel, convolution, images in zip(block.channels, block.convolutions, block.images, strict=True):
+        sums[channel] += convolution.forward(images, block.bins, pixels)
+    return Part(pixels, sums)
+
+
+def blocks_of(box: Box, most: int) -> list[Box]:
+    """Cut a box into nearly square ones of about so many samples, the largest first."""
+    rows = math.ceil(box.rows / math.ceil(box.rows / math.sqrt(max(most, 1))))
+    columns = math.ceil(box.columns / math.ceil(box.columns * rows / max(most, rows)))
+    return [
+        Box(box.left + left, box.top + top, min(columns, box.columns - left), min(rows, box.rows - top))
+        for top in range(0, box.rows, rows)
+        for left in range(0, box.columns, columns)
+    ]
