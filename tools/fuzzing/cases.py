@@ -225,7 +225,7 @@ KINDS = tuple(
     4 Python: extreme camera
         (lambda c: white_image(c))($camera)
         (lambda c: render_capture(wall(c, $far), spp=1))($camera)
-        (lambda c: render_capture(wall(c, $far), model='wave', spp=1, radiators_per_lens=1))($camera)
+        (lambda c: render_capture(wall(c, $far), model='wave', method='points', spp=1))($camera)
         (lambda c: decode(noise(c), camera=c))($camera)
         (lambda c: focal_stack(decode(noise(c), camera=c), [$far]))($camera)
         (lambda c: depth_map(decode(noise(c), camera=c), planes=3))($camera)
