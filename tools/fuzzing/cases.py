@@ -143,7 +143,7 @@ KINDS = tuple(
         ! command('info', 'letters', '-D', '$length=' + $length_text)
         ! command('compare', 'letters', '-o', 'out', '-Dresolution=256', '--distance=' + $number_text)
         ! command(*COMPARE, '--wavelength=' + $wavelength_text)
-        ! command(*COMPARE, '--<<radiators-per-lens | spp>>=' + $count_text)
+        ! command(*COMPARE, '--spp=' + $count_text)
         ! command(*COMPARE, <<'--variant=nosuch' | '--variant=llvm_ad_rgb' | '-Dnosuch=1' | '-Dmla_pitch=nan'>>)
         ! command(<<'nosuch' | 'render' | '--nosuch' | 'info' | 'ren der' | '\x1b[31m' | $name_text>>)
         ! command('render', 'white', <<'-o' | '--nosuch' | 'extra'>>, '-o', 'out.exr')
