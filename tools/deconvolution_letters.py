@@ -86,7 +86,7 @@ def main() -> int:
     given = accuracy.start(parser)
     scene, path = load_scene("letters"), given.output / "letters.exr"
     if not path.exists():
-        write_capture(path, render_capture(scene, model="wave"))
+        write_capture(path, render_capture(scene, model="wave", method="signed_rays", spp=64))
     capture = read_capture(path)
     rows, failed = [], False
     for letter in given.letters:

@@ -42,7 +42,7 @@ def main() -> int:
     right = all(row["noise_alone"] for row in rows)
     box = cornell_box(arguments.lenses)
     for samples in arguments.samples:
-        wave = render_capture(box, model="wave", wavelength=633.0, spp=samples, noise=True)
+        wave = render_capture(box, model="wave", method="signed_rays", wavelength=633.0, spp=samples, noise=True)
         rows += differences("Cornell box, rays and waves", samples, rays(box, samples, 0), wave)
     figures = {
         pixels: [row["true"] for row in rows if row["captures"].startswith("Cornell") and row["pixels"] == pixels]

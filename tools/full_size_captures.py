@@ -92,7 +92,7 @@ def _estimate(name: str, variant: str, spp: int, _: Path) -> accuracy.Row:
     mi.set_variant(variant)
     scene = load_scene(name)
     start = time.perf_counter()
-    estimate = estimate_capture(scene, model="wave", spp=spp).seconds
+    estimate = estimate_capture(scene, model="wave", method="signed_rays", spp=spp).seconds
     return {"estimate": estimate, "told": time.perf_counter() - start}
 
 
@@ -100,7 +100,7 @@ def _capture(name: str, variant: str, spp: int, output: Path) -> accuracy.Row:
     mi.set_variant(variant)
     scene = load_scene(name)
     start = time.perf_counter()
-    image = render_capture(scene, model="wave", spp=spp).image
+    image = render_capture(scene, model="wave", method="signed_rays", spp=spp).image
     seconds = time.perf_counter() - start
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
     write_png(output / f"{name}_{variant}.png", image, peak=float(np.percentile(image, 99.5)))

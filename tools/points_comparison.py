@@ -1,8 +1,8 @@
 """Signed rays against points, each propagated by itself: the letters, and the still life with matte materials.
 
 Both are captured with the lens_model "parabolic" that waves pass, by several seeds each, whose spread is the noise. It
-is subtracted from the relative difference (L2); the energy is that of points over that by signed rays. The letters are
-scaled to the detector, the still life is cropped. By default it takes some minutes; at the full size, an hour or more:
+is subtracted from the relative difference (L2); the energy is that of points over that by signed rays. Parts of the
+whole scenes are seen, by some lenses. By default it takes some minutes; at the full size, hours:
 
     python tools/points_comparison.py --output out/points [--lenses 32 --points 256 --accuracy 0 --seeds 4]
 """
@@ -27,22 +27,17 @@ from mitsuba_plenoptic.report.images import write_png
 PIXELS = 32
 """Pixels of a lens at full resolution."""
 
-PLACE = (52, 60)
-"""First lens of the still life's crop: the die before the ball and the backdrop."""
-
 REFLECTANCES = {"roughplastic": "diffuse_reflectance", "roughconductor": "specular_reflectance"}
 """What the colour of materials that become matte is called."""
 
 
-def letters(lenses: int) -> Any:
-    """Return the letters on a detector of some lenses."""
-    small = {"resolution": PIXELS * lenses, "detector_width": 0.064 * lenses, "letter_scale": lenses / 128}
-    parameters = {name: str(value) for name, value in small.items()}
-    return load_scene("letters", variant="llvm_ad_mono", parameters=parameters | {"lens_model": "parabolic"})
+def letters() -> Any:
+    """Return the letters."""
+    return load_scene("letters", variant="llvm_ad_mono")
 
 
-def still_life(lenses: int) -> Any:
-    """Return the still life, its gloss taken away, seen by some lenses of the whole detector."""
+def matte_still_life() -> Any:
+    """Return the still life, its gloss taken away."""
     path = scene_path("still_life")
     tree = ElementTree.parse(path)
     for material in tree.iter("bsdf"):
@@ -61,13 +56,23 @@ def still_life(lenses: int) -> Any:
     with tempfile.TemporaryDirectory() as folder:
         matte = Path(folder) / "matte.xml"
         tree.write(matte)
-        scene = load_scene(matte, variant="llvm_ad_mono")
-    first = tuple(PIXELS * place for place in PLACE)
+        return load_scene(matte, variant="llvm_ad_mono")
+
+
+SCENES = {
+    "letters, the F in focus": (letters, (58, 55)),
+    "letters, the 8 at 210 mm": (letters, (30, 71)),
+    "letters, the # at 280 mm": (letters, (93, 63)),
+    "matte still life": (matte_still_life, (56, 64)),
+}
+"""Each with the lens in the middle of its crop."""
+
+
+def seen_by(scene: Any, middle: tuple[int, int], lenses: int) -> Any:
+    """Return a scene as some lenses of the paper's camera see it, whose lenses are parabolic."""
+    first = tuple(PIXELS * (place - lenses // 2) for place in middle)
     camera = PlenopticCamera(lens_model="parabolic", crop_offset=first, crop_size=(PIXELS * lenses,) * 2)
     return with_camera(scene, camera)
-
-
-SCENES = {"letters": letters, "matte still life": still_life}
 
 
 def capture(scene: Any, seeds: int, **options: Any) -> tuple[np.ndarray, float, float]:
@@ -85,7 +90,7 @@ def main() -> int:
     """Compare, print and write a table and pictures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--output", type=Path, default=Path("out/points"))
-    parser.add_argument("--lenses", type=int, default=8, help="across the detector")
+    parser.add_argument("--lenses", type=int, default=8, help="across the part that is seen")
     parser.add_argument("--points", type=int, default=64, help="points of a lens")
     parser.add_argument("--rays", type=int, default=256, help="signed rays a pixel")
     parser.add_argument("--accuracy", type=float, default=0.01, help="of the points' propagation")
@@ -100,7 +105,8 @@ def main() -> int:
     ]
     print(*lines, sep="\n", flush=True)
     for name in arguments.only or SCENES:
-        scene = SCENES[name](arguments.lenses)
+        load, middle = SCENES[name]
+        scene = seen_by(load(), middle, arguments.lenses)
         rays, rays_noise, rays_time = capture(
             scene, arguments.seeds, method="signed_rays", spp=arguments.rays, accuracy=0.001
         )
@@ -117,7 +123,10 @@ def main() -> int:
         peak = float(rays.max())
         picture = np.concatenate([points, rays, 0.5 * peak + 10 * (points - rays)], axis=1)
         write_png(
-            arguments.output / f"{name.replace(' ', '_')}_points_rays_difference_times_10.png", picture, peak=peak
+            arguments.output
+            / f"{''.join(c if c.isalnum() else '_' for c in name)}_points_rays_difference_times_10.png",
+            picture,
+            peak=peak,
         )
     (arguments.output / "points_comparison.md").write_text("\n".join(lines) + "\n")
     return 0

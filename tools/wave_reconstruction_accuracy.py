@@ -79,7 +79,9 @@ def main() -> int:
     ray, wave = arguments.ray_capture, arguments.capture
     captures = {
         "ray": read_capture(ray) if ray else render_capture(scene, spp=64),
-        "wave": read_capture(wave) if wave else render_capture(scene, model="wave", wavelength=633.0),
+        "wave": read_capture(wave)
+        if wave
+        else render_capture(scene, model="wave", method="signed_rays", spp=64, wavelength=633.0),
     }
     references = [thin_lens_image(scene, captures["wave"].camera, g, arguments.reference_spp) for g in DISTANCES]
     table = _agreement(captures, references, arguments.output)

@@ -86,9 +86,7 @@ def study(f_number: float, pitch: float, focus: str) -> list[dict[str, Any]]:
     )  # fmt: skip
     scene = star(camera, distance)
     rays = [render_capture(scene, model="ray", spp=128, seed=seed).image.astype(np.float64) for seed in (0, 1)]
-    # Radiators as close as the main lens's own spot on the microlenses.
-    radiators = min(16, max(4, math.ceil(pitch / (WAVELENGTH * 1e-6 * design.image_f_number(camera)))))
-    by_waves = render_capture(scene, model="wave", wavelength=WAVELENGTH, radiators_per_lens=radiators, spp=1)
+    by_waves = render_capture(scene, model="wave", method="signed_rays", wavelength=WAVELENGTH, spp=512)
     wave = by_waves.image.astype(np.float64)
     convolved = [diffract(image, camera) for image in rays]
     return [
@@ -100,7 +98,6 @@ def study(f_number: float, pitch: float, focus: str) -> list[dict[str, Any]]:
             "pixel": camera.pixel_size * binning,
             "pixel_over_spot": camera.pixel_size * binning / spot,
             "binning": binning,
-            "radiators_per_lens": radiators,
             "rays": difference(rays, wave, binning),
             "convolved": difference(convolved, wave, binning),
             "energy": float(rays[0].sum() / wave.sum()),

@@ -143,7 +143,7 @@ KINDS = tuple(
         ! command('info', 'letters', '-D', '$length=' + $length_text)
         ! command('compare', 'letters', '-o', 'out', '-Dresolution=256', '--distance=' + $number_text)
         ! command(*COMPARE, '--wavelength=' + $wavelength_text)
-        ! command(*COMPARE, '--<<radiators-per-lens | spp>>=' + $count_text)
+        ! command(*COMPARE, '--spp=' + $count_text)
         ! command(*COMPARE, <<'--variant=nosuch' | '--variant=llvm_ad_rgb' | '-Dnosuch=1' | '-Dmla_pitch=nan'>>)
         ! command(<<'nosuch' | 'render' | '--nosuch' | 'info' | 'ren der' | '\x1b[31m' | $name_text>>)
         ! command('render', 'white', <<'-o' | '--nosuch' | 'extra'>>, '-o', 'out.exr')
@@ -225,7 +225,7 @@ KINDS = tuple(
     4 Python: extreme camera
         (lambda c: white_image(c))($camera)
         (lambda c: render_capture(wall(c, $far), spp=1))($camera)
-        (lambda c: render_capture(wall(c, $far), model='wave', spp=1, radiators_per_lens=1))($camera)
+        (lambda c: render_capture(wall(c, $far), model='wave', method='points', spp=1))($camera)
         (lambda c: decode(noise(c), camera=c))($camera)
         (lambda c: focal_stack(decode(noise(c), camera=c), [$far]))($camera)
         (lambda c: depth_map(decode(noise(c), camera=c), planes=3))($camera)

@@ -144,7 +144,7 @@ def _points(count: int | None, found: dict[str, float] | None) -> list[tuple[str
     """State how far the wave capture is from that of points."""
     if found is None:
         return []
-    apart = f"{found['relative_error']:.2%} (relative L2), energy {found['energy']:.4f}"
+    apart = f"{found['relative_error']:.2%} (relative L2, with the noise of both), energy {found['energy']:.4f}"
     return [(f"Wave capture against {count} points per lens, each propagated by itself", apart)]
 
 
