@@ -127,7 +127,12 @@ class RayPupil:
 
     @functools.cached_property
     def _map(self) -> Any:
-        return mi.Texture3f(mi.TensorXf(_inner(self.camera, self.wavelength)), filter_mode=dr.FilterMode.Linear)
+        # Beyond its border the map goes on as there, outside of the pupil.
+        return mi.Texture3f(
+            mi.TensorXf(_inner(self.camera, self.wavelength)),
+            filter_mode=dr.FilterMode.Linear,
+            wrap_mode=dr.WrapMode.Clamp,
+        )
 
 
 def _field(camera: PlenopticCamera) -> float:
