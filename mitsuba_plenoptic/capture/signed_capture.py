@@ -6,6 +6,7 @@ import functools
 import math
 import warnings
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,12 @@ from ..io.checkpoints import digest
 from ..optics.phase import in_millimetres
 from ..optics.phase_space import PhaseSpace
 from ..runtime.jobs import Job, Task
+from .negatives import Mended
 from .noise import PARTS, keep_spread, with_spread
 from .patch_plan import Cost
 from .signed_rays import SceneLight, SignedRaySum
+
+Sum = TypeVar("Sum", bound=SignedRaySum)
 
 _FINE = 0.005
 """Accuracy below which finer plans are made."""
@@ -73,8 +77,13 @@ class SignedCapture:
         highest = float(camera.lattice.aperture_width) / extent * camera.pixel_size
         return math.ceil(_KEPT[self.accuracy < _FINE] * highest)
 
-    def _sum(self, spp: int, seed: int) -> SignedRaySum:
-        return SignedRaySum(self.camera, self.light, self._plans, parts=self._parts, spp=spp, seed=seed)
+    def sums(self, spp: int, seed: int, runs: int, kind: type[Sum]) -> list[Sum]:
+        """Return the sums of so many independent captures of equal parts of the rays."""
+        return [
+            # Neighbouring seeds must not share runs.
+            kind(self.camera, self.light, self._plans, parts=self._parts, spp=-(-spp // runs), seed=int(own))
+            for own in np.random.SeedSequence([seed, runs]).generate_state(runs)
+        ]
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
         """Capture the scene.
@@ -90,11 +99,7 @@ class SignedCapture:
             Pixel values, none negative; with noise twice as many channels, those of the standard deviations last.
         """
         runs = max(2, min(PARTS, spp // _SAMPLES)) if noise else 1
-        sums = [
-            # Neighbouring seeds must not share runs.
-            self._sum(-(-spp // runs), int(own))
-            for own in np.random.SeedSequence([seed, runs]).generate_state(runs)
-        ]
+        sums = self.sums(spp, seed, runs, SignedRaySum)
         tasks = [_share(work, runs) for work in sums]
         if noise:
             tasks = [keep_spread(task) for task in tasks]
@@ -112,15 +117,21 @@ class SignedCapture:
             image = with_spread(image, runs)
         np.maximum(image[..., channels:], 0, out=image[..., channels:])
         np.sqrt(image[..., channels:], out=image[..., channels:])
+        for channel, mended in enumerate(self.mended(image[..., :channels])):
+            image[..., channel] = mended.image
+        return image
+
+    def mended(self, image: NDArray[np.float32]) -> list[Mended]:
+        """Return the channels of an image without what is below zero by chance."""
         extent = in_millimetres(max(self.wavelengths)) * self.camera.detector_distance
         spot = extent / float(self.camera.lattice.aperture_width) / self.camera.pixel_size
-        for channel in range(channels):
-            image[..., channel] = _without_negatives(image[..., channel], 2 * math.ceil(_SPOTS * spot) + 1)
-        return image
+        size = 2 * math.ceil(_SPOTS * spot) + 1
+        return [Mended(channel, size) for channel in np.moveaxis(image, -1, 0)]
 
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
         """Estimate what `compute` takes, from some of the rays."""
-        seconds, memory = self._sum(spp, seed).cost()
+        (work,) = self.sums(spp, seed, 1, SignedRaySum)
+        seconds, memory = work.cost()
         return Cost(0, 0, seconds, memory)
 
 
@@ -129,20 +140,6 @@ def _plan(camera: PlenopticCamera, wavelength: float, fine: bool) -> PhaseSpace:
     """Return a plan, which several captures of a camera share."""
     plan = PhaseSpace(camera, wavelength, degree=_DEGREES[fine], window=_WINDOWS[fine])
     return replace(plan, degree=plan.degree + 2) if plan.defocus > _DEFOCUS else plan
-
-
-def _without_negatives(image: NDArray[np.float32], size: int) -> NDArray[np.float32]:
-    """Return an image in which what is below zero, by chance, is taken from the light around it.
-
-    To set it to zero would brighten what is dark, the more the fewer samples there are.
-    """
-    from scipy.ndimage import uniform_filter
-
-    light = np.maximum(image, 0)
-    around = uniform_filter(light, size)
-    missing = uniform_filter(light - image, size)
-    share = np.divide(missing, around, out=np.zeros_like(image), where=around > 0)
-    return np.asarray(light * (1 - np.minimum(share, 1)), np.float32)
 
 
 def _share(work: SignedRaySum, runs: int) -> Task:

@@ -36,7 +36,7 @@ from . import child
 from .bank.convolution import Convolution, cost_of
 from .draws import channels
 from .lens_rays import Block, blocks_of
-from .signed_draws import ORDER, Cells, Draws, Pair, jitter
+from .signed_draws import ORDER, Cells, Drawn, Draws, Pair, jitter
 
 _BLOCK_BYTES = 2**29
 """Memory of the images of one block of the detector."""
@@ -78,6 +78,11 @@ class SceneLight:
 
     def __call__(self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int) -> list[Any]:
         """Return the radiance, by channel, along rays from points of the camera frame."""
+        sampler, ray = self.rays(point, slope, active, seed)
+        return channels(child.sample(self.integrator, self.scene, sampler, ray, self.sensor.get_medium(), active))
+
+    def rays(self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int) -> tuple[Any, Any]:
+        """Return random numbers, and rays from points of the camera frame as the scene's integrators take them."""
         to_world = self.sensor.world_transform()
         ray = mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
         if self.wavelength is not None:
@@ -86,7 +91,7 @@ class SceneLight:
         ray.time = self.sensor.shutter_open()
         if self.sensor.shutter_open_time() > 0:
             ray.time += sampler.next_1d(active) * self.sensor.shutter_open_time()
-        return channels(child.sample(self.integrator, self.scene, sampler, ray, self.sensor.get_medium(), active))
+        return sampler, ray
 
 
 class SignedRaySum:
@@ -173,6 +178,23 @@ class SignedRaySum:
         types = len(self._camera.mla_focal_lengths)
         sums = [dr.zeros(mi.Float, dr.width(cells) * types * len(plan.exponents)) for plan in self._plans]
         dr.eval(cells, sums)
+        every = dr.opaque(mi.UInt32, dr.width(cells))
+        for some, kind, own, seed in self._lots(box, cells, seeds):
+            for total, parts in zip(sums, self._collect(own, seed), strict=True):
+                first = some if types == 1 else some + every * (kind * len(parts))
+                for number, part in enumerate(parts):
+                    # Every cell is in it once.
+                    dr.scatter_reduce(
+                        dr.ReduceOp.Add, total, part, first + every * number, mode=dr.ReduceMode.NoConflicts
+                    )
+            dr.eval(sums)
+        return sums
+
+    def _lots(self, box: Box, cells: Any, seeds: np.random.SeedSequence) -> Iterator[tuple[Any, Any, Cells, int]]:
+        """Yield cells with a lens that lights each, whose rays are traced at once.
+
+        First come which of the given cells they are, and the types of their lenses; last a seed.
+        """
         for steps in self._draws.candidates:
             middle, centre, kind = self._draws.centres(Cells(box, cells, steps))
             pupil = self._draws.through_centre(middle, centre)
@@ -183,17 +205,8 @@ class SignedRaySum:
                     mi.UInt32, lit, dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, min(size, dr.width(lit) - start))
                 )
                 seed = int(seeds.spawn(1)[0].generate_state(1)[0])
-                brought = self._collect(Cells(box, dr.gather(mi.UInt32, cells, some), steps), seed)
-                every = dr.opaque(mi.UInt32, dr.width(cells))
-                for total, parts in zip(sums, brought, strict=True):
-                    first = some if types == 1 else some + every * (dr.gather(mi.UInt32, kind, some) * len(parts))
-                    for number, part in enumerate(parts):
-                        # Every cell is in it once.
-                        dr.scatter_reduce(
-                            dr.ReduceOp.Add, total, part, first + every * number, mode=dr.ReduceMode.NoConflicts
-                        )
-                dr.eval(sums)
-        return sums
+                own = Cells(box, dr.gather(mi.UInt32, cells, some), steps)
+                yield some, dr.gather(mi.UInt32, kind, some), own, seed
 
     def probe(self) -> NDArray[np.float32]:
         """Return what some cells' rays bring, by which a scene and its camera are known as the same."""
@@ -227,49 +240,53 @@ class SignedRaySum:
 
     def _collect(self, cells: Cells, seed: int) -> list[list[Any]]:
         """Trace the rays of some cells through a lens of each; return for each channel what they bring."""
-        spp = dr.opaque(mi.UInt32, self._spp)
         count, key = dr.width(cells.index), dr.opaque(mi.UInt32, seed & ~15)
-        lane = dr.arange(mi.UInt32, count * self._spp)
+        drawn, *ray = self._rays(cells, key)
+        radiance = self._light(*ray, drawn.open, seed)
+        seen = dr.select(drawn.open, mi.Float(1), 0)
+        dr.eval(radiance, seen)
+        require_finite(radiance)
+        known, lit = self._known(radiance, seen, count)
+        return self._bring(cells, key, radiance, known, lit)
+
+    def _rays(self, cells: Cells, key: Any) -> tuple[Drawn, tuple[Any, Any, Any], Pair]:
+        """Return all rays of some cells, a lane each, and where and how steeply they go on into the scene."""
+        spp = dr.opaque(mi.UInt32, self._spp)
+        lane = dr.arange(mi.UInt32, dr.width(cells.index) * self._spp)
         own = lane // spp
         drawn = self._draws.draw(replace(cells, index=dr.gather(mi.UInt32, cells.index, own)), lane - own * spp, key)
         slope = tuple((P - q) / self._camera.mla_distance for P, q in zip(drawn.pupil, drawn.place, strict=True))
         start, direction, _ = self._lens.trace(drawn.place, slope)
-        radiance = self._light(start, direction, drawn.open, seed)
-        finite = dr.all([dr.isfinite(light) for light in radiance], axis=0)
-        seen = dr.select(drawn.open, mi.Float(1), 0)
-        dr.eval(finite, radiance, seen)
-        if not dr.all(finite):
-            raise InputError("scene: the radiance of some rays is NaN or infinite: all must be finite")
-        known = self._known(radiance, seen, count)
-        return self._bring(cells, key, radiance, known)
+        return drawn, start, direction
 
-    def _known(self, radiance: list[Any], seen: Any, count: int) -> list[Pair]:
-        """Return, for each channel, the mean radiance that the rays of even and those of odd numbers have found."""
+    def _known(self, radiance: list[Any], seen: Any, count: int) -> tuple[list[Pair], Any]:
+        """Return, for each channel, the mean radiance that the rays of even and those of odd numbers have found.
+
+        Return, too, which cells have any; derivatives of radiance may cancel in the means.
+        """
         spp, first = dr.opaque(mi.UInt32, self._spp), dr.arange(mi.UInt32, count) * dr.opaque(mi.UInt32, self._spp)
 
-        def add(k: Any, totals: list[Any]) -> tuple[Any, list[Any]]:
+        def add(k: Any, totals: list[Any], lit: Any) -> tuple[Any, list[Any], Any]:
             values = [dr.gather(mi.Float, each, first + k) for each in (seen, *radiance)]
             even = (k & 1) == 0
-            return k + 1, [total + dr.select(even == (i % 2 == 0), values[i // 2], 0) for i, total in enumerate(totals)]
+            totals = [total + dr.select(even == (i % 2 == 0), values[i // 2], 0) for i, total in enumerate(totals)]
+            return k + 1, totals, lit | dr.any([value != 0 for value in values[1:]], axis=0)
 
-        nothing = [mi.Float(0) for _ in range(2 * (1 + len(radiance)))]
-        _, totals = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < spp, add, label="means")
+        state = mi.UInt32(0), [mi.Float(0) for _ in range(2 * (1 + len(radiance)))], mi.Bool(False)
+        _, totals, lit = dr.while_loop(state, lambda k, *_: k < spp, add, label="means")
         result = [
             tuple(dr.select(totals[side] > 0, totals[2 + 2 * i + side] / totals[side], 0) for side in range(2))
             for i in range(len(radiance))
         ]
-        dr.eval(result)
-        return result
+        dr.eval(result, lit)
+        return result, lit
 
-    def _bring(self, cells: Cells, key: Any, radiance: list[Any], known: list[Pair]) -> list[list[Any]]:
+    def _bring(self, cells: Cells, key: Any, radiance: list[Any], known: list[Pair], lit: Any) -> list[list[Any]]:
         """Return, for each channel, what rays bring of each kernel."""
         spp = dr.opaque(mi.UInt32, self._spp)
         first = dr.arange(mi.UInt32, dr.width(cells.index)) * spp
         # Made before the loop, of which they are no part.
         tables = self._coefficients
-        lit = mi.Bool(False)
-        for even, odd in known:
-            lit |= (even > 0) | (odd > 0)
 
         def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
             drawn, chance, even = self._draws.draw(cells, k, key), jitter(cells.index, key ^ (k << 4)), (k & 1) == 0
@@ -288,3 +305,9 @@ class SignedRaySum:
         end = dr.select(lit, spp, 0)
         _, brought = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < end, bring, label="signed rays")
         return [[part / mi.Float(spp) for part in parts] for parts in brought]
+
+
+def require_finite(radiance: list[Any]) -> None:
+    """Refuse radiances of which some are no numbers."""
+    if not dr.all(dr.all([dr.isfinite(light) for light in radiance], axis=0)):
+        raise InputError("scene: the radiance of some rays is NaN or infinite: all must be finite")

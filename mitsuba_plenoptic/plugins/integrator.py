@@ -16,6 +16,7 @@ from ..capture.render_gradients import RenderGradients
 from ..capture.replay import Replay
 from ..capture.sight import Sight
 from ..capture.signed_capture import SignedCapture
+from ..capture.signed_gradients import SignedGradients
 from ..capture.signed_rays import SceneLight
 from ..capture.spectral import SpectralCapture
 from ..capture.wave_capture import WaveCapture
@@ -192,6 +193,9 @@ def make_class() -> type:
         def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
             """Return the change of the capture with the tangents of parameters, for `mi.render`."""
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+            if self.method == SIGNED_RAYS:
+                with guards.watch():
+                    return develop(sensor.film(), self._signed_gradients(scene, params, sensor, seed, spp).forward())
             names, gradients = self._gradients(scene, params, sensor, seed, spp)
             with guards.watch():
                 change = gradients.forward({name: tangent(sensor, name) for name in names})
@@ -202,8 +206,13 @@ def make_class() -> type:
         ) -> None:
             """Take the gradient of the capture back to that of parameters, for `mi.render`."""
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
-            names, gradients = self._gradients(scene, params, sensor, seed, spp)
             shape = *PlenopticCamera.from_sensor(sensor).shape, len(self.wavelengths)
+            if self.method == SIGNED_RAYS:
+                gradients = self._signed_gradients(scene, params, sensor, seed, spp)
+                with guards.watch():
+                    gradients.backward(develop_back(sensor.film(), grad_in, shape))
+                return
+            names, gradients = self._gradients(scene, params, sensor, seed, spp)
             with guards.watch():
                 found = gradients.backward(develop_back(sensor.film(), grad_in, shape), names)
             for name, gradient in found.items():
@@ -229,6 +238,16 @@ def make_class() -> type:
             except InputError as error:
                 raise InputError(f"{NAME}: {error}") from None
             return names, RenderGradients(capture, seed, spp, replay)
+
+        def _signed_gradients(self, scene: Any, params: Any, sensor: Any, seed: Any, spp: int) -> SignedGradients:
+            """Return what differentiates a capture by signed rays; or refuse."""
+            names, _ = numbers_and_others(params, sensor)
+            if names:
+                raise InputError(f"{NAME}: {names[0]}: captures by method {SIGNED_RAYS} have no derivative by it yet")
+            seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
+            capture = self._capture(scene, sensor)
+            assert isinstance(capture, SignedCapture)
+            return SignedGradients(capture, seed, spp or sensor.sampler().sample_count())
 
         def record(
             self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False
