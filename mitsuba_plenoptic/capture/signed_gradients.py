@@ -61,11 +61,11 @@ class LightDerivatives(SceneLight):
         """
         integrator = _differentiable(light.integrator)
         name = type(integrator).__name__
-        if name == _REVERSE_ONLY:
-            if forward:
-                raise InputError("nested prbvolpath: Mitsuba differentiates it in reverse alone; use dr.backward")
-            if light.sensor.get_medium() is not None:
-                raise InputError("nested prbvolpath: it differentiates no light of cameras in a medium")
+        if forward and (name == _REVERSE_ONLY or mi.is_spectral):
+            kind = f"nested {name}" if name == _REVERSE_ONLY else f"variant {mi.variant()}"
+            raise InputError(f"{kind}: Mitsuba differentiates it in reverse alone; use dr.backward")
+        if name == _REVERSE_ONLY and light.sensor.get_medium() is not None:
+            raise InputError(f"nested {name}: it differentiates no light of cameras in a medium")
         return cls(light.scene, light.sensor, integrator, light.wavelength)
 
     def __call__(self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int) -> list[Any]:

@@ -146,13 +146,13 @@ class Convolution:
             The samples that the images have: `box` by default.
         """
         box, m = box or self.box, self._margin
-        samples = np.pad(pixels.repeat(self._parts, 0).repeat(self._parts, 1), 2 * m)
-        top, left = box.top - self.box.top, box.left - self.box.left
-        tiles = list(self._tiles(box))
+        reached, tiles = _grown(box, m), list(self._tiles(box))
+        samples = np.zeros((1, reached.rows, reached.columns), np.float32)
+        add(Part(self._window, pixels.repeat(self._parts, 0).repeat(self._parts, 1)[None]), reached, samples)
         with resting_drjit():
             # What comes later wraps.
             spectra = [
-                self._transform(samples[_moved(rows, top, 2 * m), _moved(columns, left, 2 * m)])
+                self._transform(samples[0, rows.start : rows.stop + 2 * m, columns.start : columns.stop + 2 * m])
                 for rows, columns in tiles
             ]
         for spectrum in self._spectra:
@@ -200,11 +200,6 @@ def cost_of(convolutions: Sequence[Convolution], block: Box, count: int) -> tupl
 def _grown(box: Box, margin: int) -> Box:
     """Return a box with a margin all around."""
     return Box(box.left - margin, box.top - margin, box.columns + 2 * margin, box.rows + 2 * margin)
-
-
-def _moved(samples: slice, first: int, margin: int) -> slice:
-    """Return which samples of the padded pixels some samples of a box reach, which begins at one."""
-    return slice(first + samples.start, first + samples.stop + margin)
 
 
 def _even(size: int, most: int) -> int:
