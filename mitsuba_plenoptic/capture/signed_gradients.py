@@ -70,28 +70,60 @@ class LightDerivatives(SceneLight):
 
     def __call__(self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int) -> list[Any]:
         """Return the change of the radiance, by channel, along rays from points of the camera frame."""
-        change = self._replay(dr.ADMode.Forward, *self.rays(point, slope, active, seed), active, None)
+        change = self.replay(point, slope, active, seed).differentiate(dr.ADMode.Forward, None)
         return channels(dr.select(active, change, 0))
 
-    def backward(
-        self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, cotangents: list[Any]
-    ) -> None:
+    def replay(self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int) -> Replay:
+        """Follow rays from points of the camera frame for their radiance."""
+        sampler, ray = self.rays(point, slope, active, seed)
+        if self.scene.environment() is None and self.sensor.get_medium() is None:
+            active = active & self.scene.ray_test(ray, active)
+        dr.eval(active)
+        radiance, *_, state = self.integrator.sample(
+            mode=dr.ADMode.Primal, sampler=sampler.clone(), state_in=None, δL=None, **_options(self.scene, ray, active)
+        )
+        dr.eval(radiance, state)
+        require_finite(channels(radiance))
+        return Replay(self.scene, self.integrator, sampler, ray, active, state)
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Rays whose light paths are known.
+
+    Attributes
+    ----------
+    scene, integrator, sampler, ray
+        As the integrator has taken them.
+    active : Bool
+        Which of them meet anything: others bring no light.
+    state : object
+        What the integrator has found.
+    """
+
+    scene: Any
+    integrator: Any
+    sampler: Any
+    ray: Any
+    active: Any
+    state: Any
+
+    def backward(self, cotangents: list[Any]) -> None:
         """Add to the gradients of parameters what follows from those of the radiance, by channel, along rays."""
         spectrum = dr.zeros(mi.Spectrum, dr.width(cotangents))
         for number, cotangent in enumerate(cotangents):
             spectrum[number] = cotangent
-        self._replay(dr.ADMode.Backward, *self.rays(point, slope, active, seed), active, spectrum)
+        self.differentiate(dr.ADMode.Backward, spectrum)
 
-    def _replay(self, mode: Any, sampler: Any, ray: Any, active: Any, cotangent: Any) -> Any:
-        options = {"scene": self.scene, "ray": ray, "depth": mi.UInt32(0), "active": active}
-        radiance, *_, state = self.integrator.sample(
-            mode=dr.ADMode.Primal, sampler=sampler.clone(), state_in=None, δL=None, δaovs=None, **options
-        )
-        dr.eval(radiance, state)
-        require_finite(channels(radiance))
+    def differentiate(self, mode: Any, cotangent: Any) -> Any:
+        """Follow the same light paths once more; return, forward, the change of their radiance."""
         try:
             change, *_ = self.integrator.sample(
-                mode=mode, sampler=sampler, state_in=state, δL=cotangent, δaovs=None, **options
+                mode=mode,
+                sampler=self.sampler,
+                state_in=self.state,
+                δL=cotangent,
+                **_options(self.scene, self.ray, self.active),
             )
         except Exception as error:
             if _UNATTACHED in str(error):
@@ -100,6 +132,11 @@ class LightDerivatives(SceneLight):
         # Gradients are added before the next rays start.
         dr.eval(change)
         return change
+
+
+def _options(scene: Any, ray: Any, active: Any) -> dict[str, Any]:
+    """Return what integrators take for all ways to follow rays."""
+    return {"scene": scene, "ray": ray, "active": active, "depth": mi.UInt32(0), "δaovs": None}
 
 
 class SignedRayAdjoint(SignedRaySum):
@@ -119,37 +156,63 @@ class SignedRayAdjoint(SignedRaySum):
 
     def _pull(self, cells: Cells, some: Any, kind: Any, felt: list[Any], seed: int) -> None:
         """Take back what rays of some cells through a lens of each have brought; `felt` is it by kernel and cell."""
-        spp, key = dr.opaque(mi.UInt32, self._spp), dr.opaque(mi.UInt32, seed & ~15)
-        every = dr.opaque(mi.UInt32, cells.box.rows * cells.box.columns)
+        key = dr.opaque(mi.UInt32, seed & ~15)
         drawn, *ray = self._rays(cells, key)
-        lane = dr.arange(mi.UInt32, dr.width(some) * self._spp)
+        replay = self._light.replay(*ray, drawn.open, seed)
+        lanes = dr.width(some) * self._spp
+        # Rays of a cell that meets nothing bring nothing, whatever they would bring.
+        meets = dr.select(replay.active, mi.UInt32(1), 0) + dr.zeros(mi.UInt32, lanes)
+        met = dr.compress(dr.block_sum(meets, self._spp) > 0)
+        if not dr.width(met):
+            return
+        own = replace(cells, index=dr.gather(mi.UInt32, cells.index, met))
+        first = some + dr.opaque(mi.UInt32, cells.box.rows * cells.box.columns) * (kind * self._values)
+        found = self._cotangents(own, dr.gather(mi.UInt32, first, met), felt, key)
+        spp, lane = dr.opaque(mi.UInt32, self._spp), dr.arange(mi.UInt32, dr.width(met) * self._spp)
+        place = dr.gather(mi.UInt32, met, lane // spp) * spp + lane % spp
+        cotangents = [dr.zeros(mi.Float, lanes) for _ in found]
+        for cotangent, part in zip(cotangents, found, strict=True):
+            dr.scatter(cotangent, part, place)
+        dr.eval(cotangents)
+        replay.backward(cotangents)
+
+    def _cotangents(self, cells: Cells, first: Any, felt: list[Any], key: Any) -> list[Any]:
+        """Return, for each channel, by how much the figure changes with the radiance of each ray.
+
+        What it changes by with what a cell's rays bring of the first kernel is at `first` of `felt`.
+        """
+        spp, count = dr.opaque(mi.UInt32, self._spp), dr.width(first)
+        every = dr.opaque(mi.UInt32, cells.box.rows * cells.box.columns)
+        drawn, *_ = self._rays(cells, key)
+        lane = dr.arange(mi.UInt32, count * self._spp)
         own = lane // spp
         sample = lane - own * spp
-        even = (sample & 1) == 0
         chance = jitter(dr.gather(mi.UInt32, cells.index, own), key ^ (sample << 4))
-        seen = dr.select(drawn.open, mi.Float(1), 0)
-        counts = self._halves(seen, even)
-        cotangents = []
+        place, seen = dr.gather(mi.UInt32, first, own), dr.select(drawn.open, mi.Float(1), 0)
+        direct, others = [], []
         for total, coefficients in zip(felt, self._coefficients, strict=True):
             values = coefficients(drawn.point, drawn.pupil, chance, drawn.open)
-            first = dr.gather(mi.UInt32, some + every * (kind * len(values)), own)
-            parts = [dr.gather(mi.Float, total, first + every * number, drawn.open) for number in range(len(values))]
-            direct = drawn.weight * dr.sum([value * part for value, part in zip(values, parts, strict=True)], axis=0)
-            direct = dr.select(drawn.open, direct, 0)
-            # The rays of a half give their mean to those of the other half.
-            through_mean = self._halves(parts[0] * seen - direct, even)
-            shares = [
-                dr.select(count > 0, given / count, 0) for count, given in zip(counts, through_mean[::-1], strict=True)
-            ]
-            dr.eval(shares)
-            share = dr.select(even, *(dr.gather(mi.Float, share, own) for share in shares))
-            cotangents.append((direct + share * seen) / mi.Float(spp))
-        dr.eval(cotangents)
-        self._light.backward(*ray, drawn.open, seed, cotangents)
+            parts = [dr.gather(mi.Float, total, place + every * number, drawn.open) for number in range(len(values))]
+            by_ray = drawn.weight * dr.sum([value * part for value, part in zip(values, parts, strict=True)], axis=0)
+            direct.append(dr.select(drawn.open, by_ray, 0))
+            # The rays of the other half bring less of what the mean of this one brings already.
+            others.append(dr.select(drawn.open, parts[0] - by_ray, 0))
+        dr.eval(seen, direct, others)
+        ((even, odd), *sums), _ = self._halves(seen, others, count)
+        by_mean = [
+            (dr.select(even > 0, of_odd / even, 0), dr.select(odd > 0, of_even / odd, 0)) for of_even, of_odd in sums
+        ]
+        dr.eval(by_mean)
+        is_even = (sample & 1) == 0
+        return [
+            (by_ray + seen * dr.select(is_even, *(dr.gather(mi.Float, half, own) for half in halves))) / mi.Float(spp)
+            for by_ray, halves in zip(direct, by_mean, strict=True)
+        ]
 
-    def _halves(self, values: Any, even: Any) -> list[Any]:
-        """Return the sums over the rays of even and of odd numbers of each cell."""
-        return [dr.block_sum(dr.select(even == side, values, 0), self._spp) for side in (True, False)]
+    @property
+    def _values(self) -> int:
+        """Coefficients of a ray."""
+        return len(self._plans[0].exponents)
 
 
 @dataclass(frozen=True)

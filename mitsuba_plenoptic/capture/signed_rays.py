@@ -264,22 +264,33 @@ class SignedRaySum:
 
         Return, too, which cells have any; derivatives of radiance may cancel in the means.
         """
+        (counts, *sums), lit = self._halves(seen, radiance, count)
+        means = [
+            tuple(dr.select(number > 0, total / number, 0) for total, number in zip(pair, counts, strict=True))
+            for pair in sums
+        ]
+        dr.eval(means, lit)
+        return means, lit
+
+    def _halves(self, seen: Any, values: list[Any], count: int) -> tuple[list[Pair], Any]:
+        """Return sums over the rays of even and those of odd numbers of cells: of `seen`, and of each of some values.
+
+        Return, too, where any of these values is not zero.
+        """
         spp, first = dr.opaque(mi.UInt32, self._spp), dr.arange(mi.UInt32, count) * dr.opaque(mi.UInt32, self._spp)
 
-        def add(k: Any, totals: list[Any], lit: Any) -> tuple[Any, list[Any], Any]:
-            values = [dr.gather(mi.Float, each, first + k) for each in (seen, *radiance)]
+        def add(k: Any, totals: list[Pair], some: Any) -> tuple[Any, list[Pair], Any]:
+            own = [dr.gather(mi.Float, each, first + k) for each in (seen, *values)]
             even = (k & 1) == 0
-            totals = [total + dr.select(even == (i % 2 == 0), values[i // 2], 0) for i, total in enumerate(totals)]
-            return k + 1, totals, lit | dr.any([value != 0 for value in values[1:]], axis=0)
+            totals = [
+                (a + dr.select(even, value, 0), b + dr.select(even, 0, value))
+                for (a, b), value in zip(totals, own, strict=True)
+            ]
+            return k + 1, totals, some | dr.any([value != 0 for value in own[1:]], axis=0)
 
-        state = mi.UInt32(0), [mi.Float(0) for _ in range(2 * (1 + len(radiance)))], mi.Bool(False)
-        _, totals, lit = dr.while_loop(state, lambda k, *_: k < spp, add, label="means")
-        result = [
-            tuple(dr.select(totals[side] > 0, totals[2 + 2 * i + side] / totals[side], 0) for side in range(2))
-            for i in range(len(radiance))
-        ]
-        dr.eval(result, lit)
-        return result, lit
+        state = mi.UInt32(0), [(mi.Float(0), mi.Float(0)) for _ in range(1 + len(values))], mi.Bool(False)
+        _, totals, some = dr.while_loop(state, lambda k, *_: k < spp, add, label="halves")
+        return totals, some
 
     def _bring(self, cells: Cells, key: Any, radiance: list[Any], known: list[Pair], lit: Any) -> list[list[Any]]:
         """Return, for each channel, what rays bring of each kernel."""
