@@ -22,7 +22,8 @@ class Mended:
     """
 
     def __init__(self, image: Image, size: int) -> None:
-        self._size, self._positive = size, image > 0
+        # What is black may become brighter.
+        self._size, self._positive = size, image >= 0
         self._light = np.maximum(image, 0)
         self._around = self._blur(self._light)
         lack = self._blur(self._light - image)

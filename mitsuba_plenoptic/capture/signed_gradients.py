@@ -126,7 +126,8 @@ class Replay:
                 **_options(self.scene, self.ray, self.active),
             )
         except Exception as error:
-            if _UNATTACHED in str(error):
+            # Loops wrap what is raised in them.
+            if _UNATTACHED in f"{error} {error.__cause__}":
                 raise InputError("scene: its light does not depend on the parameters with a gradient") from None
             raise
         # Gradients are added before the next rays start.
@@ -223,27 +224,28 @@ class SignedGradients:
     ----------
     capture : SignedCapture
         The capture.
+    light : LightDerivatives
+        The derivatives of its light.
     seed, spp
         As of its `compute`.
     """
 
     capture: SignedCapture
+    light: LightDerivatives
     seed: int
     spp: int
 
     def forward(self) -> NDArray[np.float32]:
         """Return the change of the capture, (rows, columns, channels), with the tangents of the scene's parameters."""
-        light = LightDerivatives.of(self.capture.light, forward=True)
         with dr.suspend_grad():
-            mended, change = self._mended(), self._sum(light)
+            mended, change = self._mended(), self._sum(self.light)
         return np.stack([each.forward(change[..., i]) for i, each in enumerate(mended)], axis=-1)
 
     def backward(self, gradient: NDArray[np.float32]) -> None:
         """Add to the gradients of the scene's parameters what follows from that of the capture."""
-        light = LightDerivatives.of(self.capture.light, forward=False)
         with dr.suspend_grad():
             linear = [each.backward(gradient[..., i]) for i, each in enumerate(self._mended())]
-            (work,) = replace(self.capture, light=light).sums(self.spp, self.seed, 1, SignedRayAdjoint)
+            (work,) = replace(self.capture, light=self.light).sums(self.spp, self.seed, 1, SignedRayAdjoint)
             work.backward(linear)
 
     def _mended(self) -> list[Mended]:

@@ -16,7 +16,7 @@ from ..capture.render_gradients import RenderGradients
 from ..capture.replay import Replay
 from ..capture.sight import Sight
 from ..capture.signed_capture import SignedCapture
-from ..capture.signed_gradients import SignedGradients
+from ..capture.signed_gradients import LightDerivatives, SignedGradients
 from ..capture.signed_rays import SceneLight
 from ..capture.spectral import SpectralCapture
 from ..capture.wave_capture import WaveCapture
@@ -194,8 +194,9 @@ def make_class() -> type:
             """Return the change of the capture with the tangents of parameters, for `mi.render`."""
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             if self.method == SIGNED_RAYS:
+                signed = self._signed_gradients(scene, params, sensor, seed, spp, forward=True)
                 with guards.watch():
-                    return develop(sensor.film(), self._signed_gradients(scene, params, sensor, seed, spp).forward())
+                    return develop(sensor.film(), signed.forward())
             names, gradients = self._gradients(scene, params, sensor, seed, spp)
             with guards.watch():
                 change = gradients.forward({name: tangent(sensor, name) for name in names})
@@ -208,9 +209,9 @@ def make_class() -> type:
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             shape = *PlenopticCamera.from_sensor(sensor).shape, len(self.wavelengths)
             if self.method == SIGNED_RAYS:
-                gradients = self._signed_gradients(scene, params, sensor, seed, spp)
+                signed = self._signed_gradients(scene, params, sensor, seed, spp, forward=False)
                 with guards.watch():
-                    gradients.backward(develop_back(sensor.film(), grad_in, shape))
+                    signed.backward(develop_back(sensor.film(), grad_in, shape))
                 return
             names, gradients = self._gradients(scene, params, sensor, seed, spp)
             with guards.watch():
@@ -239,7 +240,9 @@ def make_class() -> type:
                 raise InputError(f"{NAME}: {error}") from None
             return names, RenderGradients(capture, seed, spp, replay)
 
-        def _signed_gradients(self, scene: Any, params: Any, sensor: Any, seed: Any, spp: int) -> SignedGradients:
+        def _signed_gradients(
+            self, scene: Any, params: Any, sensor: Any, seed: Any, spp: int, forward: bool
+        ) -> SignedGradients:
             """Return what differentiates a capture by signed rays; or refuse."""
             names, _ = numbers_and_others(params, sensor)
             if names:
@@ -247,7 +250,11 @@ def make_class() -> type:
             seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
             capture = self._capture(scene, sensor)
             assert isinstance(capture, SignedCapture)
-            return SignedGradients(capture, seed, spp or sensor.sampler().sample_count())
+            try:
+                light = LightDerivatives.of(capture.light, forward)
+            except InputError as error:
+                raise InputError(f"{NAME}: {error}") from None
+            return SignedGradients(capture, light, seed, spp or sensor.sampler().sample_count())
 
         def record(
             self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False

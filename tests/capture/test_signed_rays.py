@@ -3,7 +3,6 @@
 import math
 import pickle
 
-import mitsuba as mi
 import numpy as np
 import pytest
 from any_scenes import bars_through, facing, radiating, scene_of, sensor
@@ -142,13 +141,6 @@ def test_cameras_that_are_not_served_are_refused_by_name(parameters, message):
     scene = scene_of(sensor(4, 8, **parameters), wall=wall())
     with pytest.raises(InputError, match=rf"{message} = .*: for signed rays it must be"):
         by_waves(scene)
-
-
-def test_gradients_are_refused():
-    scene = scene_of(sensor(4, 8), wall=wall())
-    integrator = mi.load_dict({"type": "plenoptic_wave", "method": "signed_rays"})
-    with pytest.raises(InputError, match="method = signed_rays: it has no gradients; use patch"):
-        integrator.render_forward(scene, mi.traverse(scene))
 
 
 def test_plans_are_the_same_in_another_process():
