@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -77,7 +78,7 @@ class SignedCapture:
         highest = float(camera.lattice.aperture_width) / extent * camera.pixel_size
         return math.ceil(_KEPT[self.accuracy < _FINE] * highest)
 
-    def sums(self, spp: int, seed: int, runs: int, kind: type[Sum]) -> list[Sum]:
+    def sums(self, spp: int, seed: int, runs: int, kind: Callable[..., Sum]) -> list[Sum]:
         """Return the sums of so many independent captures of equal parts of the rays."""
         return [
             # Neighbouring seeds must not share runs.

@@ -16,8 +16,9 @@ memory and linear time", 2021), which follows each ray once for its radiance and
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -29,6 +30,7 @@ from ..errors import InputError
 from ..runtime.jobs import Job, Task
 from .draws import channels
 from .negatives import Mended
+from .signed_camera import CameraAdjoint, CameraTangents, Values, parameters_of
 from .signed_capture import SignedCapture
 from .signed_draws import Cells, Pair, jitter
 from .signed_rays import SceneLight, SignedRaySum, require_finite
@@ -145,29 +147,21 @@ class SignedRayAdjoint(SignedRaySum):
 
     def backward(self, gradient: Sequence[NDArray[np.float32]]) -> None:
         """Add to the gradients of parameters what follows from that of the sum, by channel (rows, columns)."""
-        for number, bins in enumerate(self._blocks):
-            seeds = np.random.SeedSequence([self._seed, number])
-            felt = [
-                mi.Float(np.concatenate([image.ravel() for image in convolution.adjoint(channel, bins)]))
-                for convolution, channel in zip(self._convolutions, gradient, strict=True)
-            ]
-            cells = dr.arange(mi.UInt32, bins.rows * bins.columns)
-            for some, kind, own, seed in self._lots(bins, cells, seeds):
-                self._pull(own, some, kind, felt, seed)
+        for cells, first, felt, seed in self.back(gradient):
+            self._pull(cells, first, felt, seed)
 
-    def _pull(self, cells: Cells, some: Any, kind: Any, felt: list[Any], seed: int) -> None:
-        """Take back what rays of some cells through a lens of each have brought; `felt` is it by kernel and cell."""
+    def _pull(self, cells: Cells, first: Any, felt: list[Any], seed: int) -> None:
+        """Take back what rays of some cells through a lens of each have brought; see `back`."""
         key = dr.opaque(mi.UInt32, seed & ~15)
         drawn, *ray = self._rays(cells, key)
         replay = self._light.replay(*ray, drawn.open, seed)
-        lanes = dr.width(some) * self._spp
+        lanes = dr.width(first) * self._spp
         # Rays of a cell that meets nothing bring nothing, whatever they would bring.
         meets = dr.select(replay.active, mi.UInt32(1), 0) + dr.zeros(mi.UInt32, lanes)
         met = dr.compress(dr.block_sum(meets, self._spp) > 0)
         if not dr.width(met):
             return
         own = replace(cells, index=dr.gather(mi.UInt32, cells.index, met))
-        first = some + dr.opaque(mi.UInt32, cells.box.rows * cells.box.columns) * (kind * self._values)
         found = self._cotangents(own, dr.gather(mi.UInt32, first, met), felt, key)
         spp, lane = dr.opaque(mi.UInt32, self._spp), dr.arange(mi.UInt32, dr.width(met) * self._spp)
         place = dr.gather(mi.UInt32, met, lane // spp) * spp + lane % spp
@@ -178,10 +172,7 @@ class SignedRayAdjoint(SignedRaySum):
         replay.backward(cotangents)
 
     def _cotangents(self, cells: Cells, first: Any, felt: list[Any], key: Any) -> list[Any]:
-        """Return, for each channel, by how much the figure changes with the radiance of each ray.
-
-        What it changes by with what a cell's rays bring of the first kernel is at `first` of `felt`.
-        """
+        """Return, for each channel, by how much the figure changes with the radiance of each ray."""
         spp, count = dr.opaque(mi.UInt32, self._spp), dr.width(first)
         every = dr.opaque(mi.UInt32, cells.box.rows * cells.box.columns)
         drawn, *_ = self._rays(cells, key)
@@ -210,52 +201,73 @@ class SignedRayAdjoint(SignedRaySum):
             for by_ray, halves in zip(direct, by_mean, strict=True)
         ]
 
-    @property
-    def _values(self) -> int:
-        """Coefficients of a ray."""
-        return len(self._plans[0].exponents)
-
 
 @dataclass(frozen=True)
 class SignedGradients:
-    """The derivatives of a capture by signed rays.
+    """The derivatives of a capture by signed rays, with the same rays as its `compute` draws.
 
     Attributes
     ----------
     capture : SignedCapture
         The capture.
-    light : LightDerivatives
-        The derivatives of its light.
+    light : LightDerivatives, optional
+        The derivatives of its light; None: the light is held.
     seed, spp
         As of its `compute`.
     """
 
     capture: SignedCapture
-    light: LightDerivatives
+    light: LightDerivatives | None
     seed: int
     spp: int
 
-    def forward(self) -> NDArray[np.float32]:
-        """Return the change of the capture, (rows, columns, channels), with the tangents of the scene's parameters."""
+    def forward(self, changes: Values) -> NDArray[np.float32]:
+        """Return the change of the capture, (rows, columns, channels).
+
+        Parameters
+        ----------
+        changes : dict
+            Of the camera's parameters, by name. The tangents of the scene's parameters are Dr.Jit's.
+        """
         with dr.suspend_grad():
-            mended, change = self._mended(), self._sum(self.light)
+            mended = self._mended()
+            change = np.zeros((*self.capture.camera.shape, len(mended)), np.float32)
+            if self.light is not None:
+                change += self._sum(replace(self.capture, light=self.light), SignedRaySum)
+            if changes:
+                # What is one number has one change, whatever it stands for.
+                start = parameters_of(self.capture.camera)
+                parts = {name: part[: len(start[name])] for name, part in changes.items()}
+                change += self._sum(self.capture, partial(CameraTangents, changes=parts))
         return np.stack([each.forward(change[..., i]) for i, each in enumerate(mended)], axis=-1)
 
-    def backward(self, gradient: NDArray[np.float32]) -> None:
-        """Add to the gradients of the scene's parameters what follows from that of the capture."""
+    def backward(self, gradient: NDArray[np.float32], names: Sequence[str]) -> Values:
+        """Return the gradients by the camera's parameters; those by the scene's are added to Dr.Jit's.
+
+        Parameters
+        ----------
+        gradient : float32 array (rows, columns, channels)
+            Of a figure with respect to the capture.
+        names : sequence of str
+            Of the camera's parameters.
+        """
         with dr.suspend_grad():
             linear = [each.backward(gradient[..., i]) for i, each in enumerate(self._mended())]
-            (work,) = replace(self.capture, light=self.light).sums(self.spp, self.seed, 1, SignedRayAdjoint)
-            work.backward(linear)
+            if self.light is not None:
+                light = replace(self.capture, light=self.light)
+                light.sums(self.spp, self.seed, 1, SignedRayAdjoint)[0].backward(linear)
+            if not names:
+                return {}
+            return self.capture.sums(self.spp, self.seed, 1, partial(CameraAdjoint, names=names))[0].backward(linear)
 
     def _mended(self) -> list[Mended]:
-        return self.capture.mended(self._sum(self.capture.light))
+        return self.capture.mended(self._sum(self.capture, SignedRaySum))
 
-    def _sum(self, light: SceneLight) -> NDArray[np.float32]:
-        """Return the sum of the rays, (rows, columns, channels), whose light is another one."""
-        (work,) = replace(self.capture, light=light).sums(self.spp, self.seed, 1, SignedRaySum)
+    def _sum(self, capture: SignedCapture, kind: Callable[..., SignedRaySum]) -> NDArray[np.float32]:
+        """Return what a sum of a kind makes of a capture's rays, (rows, columns, channels)."""
+        (work,) = capture.sums(self.spp, self.seed, 1, kind)
         items = int(work.items.sum())
-        shape = *self.capture.camera.shape, work.channels
+        shape = *capture.camera.shape, work.channels
         return Job().run([Task(items, lambda: work, lambda image: image)], shape, items)
 
 

@@ -53,7 +53,7 @@ _PROBES, _CELLS = 2**10, 2**16
 _LEAST = 2
 """Rays from each cell through each lens at least: two halves of them correct each other."""
 
-_REACH = 1.25
+REACH = 1.25
 """Distance in lenses to which kernels are computed."""
 
 
@@ -114,6 +114,8 @@ class SignedRaySum:
     """
 
     arrays: Any = np
+    _sets = 1
+    """How often a ray has a value for each coefficient: once, but for derivatives."""
 
     def __init__(
         self, camera: PlenopticCamera, light: Any, plans: Sequence[PhaseSpace], *, parts: int, spp: int, seed: int
@@ -156,7 +158,7 @@ class SignedRaySum:
                 [
                     (kernel / self._parts**2).astype(np.float32)
                     for kind in range(len(self._camera.mla_focal_lengths))
-                    for kernel in plan.kernels(self._step, _REACH * max(self._camera.mla_pitches), kind)
+                    for kernel in self._kernels(plan, kind)
                 ],
                 self._step,
                 order=ORDER - 1,
@@ -164,6 +166,10 @@ class SignedRaySum:
             for plan in self._plans
         }
         return [made[id(plan)] for plan in self._plans]
+
+    def _kernels(self, plan: PhaseSpace, kind: int) -> NDArray[np.float64]:
+        """Return the kernels of lenses of a type, for each value of a ray."""
+        return plan.kernels(self._step, REACH * max(self._camera.mla_pitches), kind)
 
     @cached_property
     def _coefficients(self) -> list[RayCoefficients]:
@@ -176,7 +182,8 @@ class SignedRaySum:
         Return for each channel what they bring of each kernel, (values, cells) flat.
         """
         types = len(self._camera.mla_focal_lengths)
-        sums = [dr.zeros(mi.Float, dr.width(cells) * types * len(plan.exponents)) for plan in self._plans]
+        values = types * self._sets
+        sums = [dr.zeros(mi.Float, dr.width(cells) * values * len(plan.exponents)) for plan in self._plans]
         dr.eval(cells, sums)
         every = dr.opaque(mi.UInt32, dr.width(cells))
         for some, kind, own, seed in self._lots(box, cells, seeds):
@@ -207,6 +214,35 @@ class SignedRaySum:
                 seed = int(seeds.spawn(1)[0].generate_state(1)[0])
                 own = Cells(box, dr.gather(mi.UInt32, cells, some), steps)
                 yield some, dr.gather(mi.UInt32, kind, some), own, seed
+
+    def back(self, gradient: Sequence[NDArray[np.float32]]) -> Iterator[tuple[Cells, Any, list[Any], int]]:
+        """Yield the lots of all blocks, and what a figure changes by with what their rays bring.
+
+        Parameters
+        ----------
+        gradient : sequence of float32 arrays (rows, columns)
+            Of the figure with respect to the sum, for each channel.
+
+        Yields
+        ------
+        cells : Cells
+            Cells with a lens of each.
+        first : UInt32
+            Where in `felt` is what belongs to their first values; that of the next follows a block's cells later.
+        felt : list of Float
+            By how much the figure changes, for each channel.
+        seed : int
+            Of the rays.
+        """
+        for number, bins in enumerate(self._blocks):
+            seeds, count = np.random.SeedSequence([self._seed, number]), bins.rows * bins.columns
+            felt = [
+                mi.Float(np.concatenate([image.ravel() for image in convolution.adjoint(channel, bins)]))
+                for convolution, channel in zip(self._convolutions, gradient, strict=True)
+            ]
+            values = dr.opaque(mi.UInt32, count * self._sets * len(self._plans[0].exponents))
+            for some, kind, own, seed in self._lots(bins, dr.arange(mi.UInt32, count), seeds):
+                yield own, some + values * kind, felt, seed
 
     def probe(self) -> NDArray[np.float32]:
         """Return what some cells' rays bring, by which a scene and its camera are known as the same."""

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -282,7 +282,16 @@ class PhaseSpace:
 
     def bind(self) -> RayCoefficients:
         """Return the table for Dr.Jit's variant that is set."""
-        return RayCoefficients(self)
+        return RayCoefficients(self, self.table)
+
+    def moved(self, camera: PlenopticCamera) -> PhaseSpace:
+        """Return the plan of a camera that differs a little, whose table has the same nodes."""
+        plan = replace(self, camera=camera)
+        scales = [own / before for own, before in zip(plan.lattice.period(), self.lattice.period(), strict=True)]
+        vars(plan)["nodes"] = [
+            node._replace(sides=(node.sides[0] * scales[0], node.sides[1] * scales[1])) for node in self.nodes
+        ]
+        return plan
 
     # -- the array: kernels of images ------------------------------------------------------------------
 
@@ -366,13 +375,13 @@ class PhaseSpace:
 
 
 class RayCoefficients:
-    """The table of a `PhaseSpace` on the device of the active variant."""
+    """The table of a `PhaseSpace`, or one like it, on the device of the active variant."""
 
-    def __init__(self, plan: PhaseSpace) -> None:
+    def __init__(self, plan: PhaseSpace, table: Sequence[NDArray[np.float32]]) -> None:
         self.plan = plan
         count, self._packets = len(plan.exponents), -(-len(plan.exponents) // 4)
         # Coefficients are read four at a time.
-        parts = [np.pad(part, [(0, 0)] * 3 + [(0, 4 * self._packets - count)]).ravel() for part in plan.table]
+        parts = [np.pad(part, [(0, 0)] * 3 + [(0, 4 * self._packets - count)]).ravel() for part in table]
         self._table = mi.Float(np.concatenate(parts))
         first = np.cumsum([0] + [part.size // 4 // self._packets for part in parts])[:-1]
         self._first = mi.Int(first.astype(np.int32))
@@ -404,13 +413,11 @@ class RayCoefficients:
         plan = self.plan
         lattice = plan.lattice
         (u, v), (Pu, Pv) = lattice.to_frame(*point), lattice.to_frame(*pupil)
-        distance = dr.sqrt(Pu * Pu + Pv * Pv) / self._radius
+        distance, radial = self._along(Pu, Pv, jitter[0])
         active = active & (distance <= 1)
         # A quarter of the pupil stands for all of it, mirrored as lenses are.
         mirrored = Pu < 0, Pv < 0
         u, v = (dr.select(turned, -place, place) for turned, place in zip(mirrored, (u, v), strict=True))
-        along = (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * plan.radial
-        radial = mi.UInt(dr.minimum(dr.floor(along + jitter[0]), plan.radial))
         turn = dr.atan2(dr.abs(Pv), dr.abs(Pu)) * (2 / math.pi) * dr.gather(mi.Float, self._angular, radial)
         index = dr.gather(mi.Int, self._first, radial)
         sizes = [dr.gather(mi.Int, each, radial) for each in self._counts]
@@ -428,3 +435,29 @@ class RayCoefficients:
             for value in dr.gather(mi.Vector4f, self._table, mi.UInt(index * self._packets + packet), active)
         ]
         return plan.mirrored(values, *mirrored)
+
+    def slopes(
+        self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
+    ) -> tuple[list[Any], list[Any]]:
+        """Return the derivatives of the coefficients by the point, along the lattice's axes; see `__call__`."""
+        Pu, Pv = self.plan.lattice.to_frame(*pupil)
+        _, radial = self._along(Pu, Pv, jitter[0])
+        result = []
+        for axis, P in enumerate((Pu, Pv)):
+            # From node to node linear interpolation has this slope.
+            before, after = (
+                self(point, pupil, (*jitter[:2], *(end if i == 1 - axis else jitter[2 + i] for i in range(2))), active)
+                for end in (mi.Float(0), mi.Float(1))
+            )
+            density = mi.Float(dr.gather(mi.Int, self._counts[axis], radial)) / dr.gather(
+                mi.Float, self._sides[axis], radial
+            )
+            density = dr.select(P < 0, -density, density)
+            result.append([(b - a) * density for a, b in zip(before, after, strict=True)])
+        return result[0], result[1]
+
+    def _along(self, Pu: Any, Pv: Any, chance: Any) -> tuple[Any, Any]:
+        """Return how far points are from the middle of the pupil, over its radius, and a node of the table there."""
+        distance = dr.sqrt(Pu * Pu + Pv * Pv) / self._radius
+        along = (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * self.plan.radial
+        return distance, mi.UInt(dr.minimum(dr.floor(along + chance), self.plan.radial))

@@ -15,6 +15,7 @@ from ..capture.patch_plan import Cost
 from ..capture.render_gradients import RenderGradients
 from ..capture.replay import Replay
 from ..capture.sight import Sight
+from ..capture.signed_camera import require_parameters
 from ..capture.signed_capture import SignedCapture
 from ..capture.signed_gradients import LightDerivatives, SignedGradients
 from ..capture.signed_rays import SceneLight
@@ -193,11 +194,7 @@ def make_class() -> type:
         def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
             """Return the change of the capture with the tangents of parameters, for `mi.render`."""
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
-            if self.method == SIGNED_RAYS:
-                signed = self._signed_gradients(scene, params, sensor, seed, spp, forward=True)
-                with guards.watch():
-                    return develop(sensor.film(), signed.forward())
-            names, gradients = self._gradients(scene, params, sensor, seed, spp)
+            names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=True)
             with guards.watch():
                 change = gradients.forward({name: tangent(sensor, name) for name in names})
             return develop(sensor.film(), change)
@@ -208,22 +205,17 @@ def make_class() -> type:
             """Take the gradient of the capture back to that of parameters, for `mi.render`."""
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             shape = *PlenopticCamera.from_sensor(sensor).shape, len(self.wavelengths)
-            if self.method == SIGNED_RAYS:
-                signed = self._signed_gradients(scene, params, sensor, seed, spp, forward=False)
-                with guards.watch():
-                    signed.backward(develop_back(sensor.film(), grad_in, shape))
-                return
-            names, gradients = self._gradients(scene, params, sensor, seed, spp)
+            names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=False)
             with guards.watch():
                 found = gradients.backward(develop_back(sensor.film(), grad_in, shape), names)
             for name, gradient in found.items():
                 accumulate(sensor, name, gradient)
 
         def _gradients(
-            self, scene: Any, params: Any, sensor: Any, seed: Any, spp: int
-        ) -> tuple[tuple[str, ...], RenderGradients]:
+            self, scene: Any, params: Any, sensor: Any, seed: Any, spp: int, forward: bool
+        ) -> tuple[tuple[str, ...], RenderGradients | SignedGradients]:
             """Return which of the camera's numbers have gradients, and what differentiates; or refuse."""
-            if self.method not in ("auto", "patch"):
+            if self.method not in ("auto", "patch", SIGNED_RAYS):
                 raise InputError(f"{NAME}: method = {self.method}: it has no gradients; use patch")
             if self.spectrum_of(scene, sensor) is not None:
                 raise InputError(f"{NAME}: there are no gradients of captures of bands or responses; leave them out")
@@ -233,28 +225,16 @@ def make_class() -> type:
             seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
             spp = spp or sensor.sampler().sample_count()
             capture = self._capture(scene, sensor)
-            assert isinstance(capture, WaveCapture)
             try:
+                if isinstance(capture, SignedCapture):
+                    require_parameters(camera, names)
+                    light = LightDerivatives.of(capture.light, forward) if others or not names else None
+                    return names, SignedGradients(capture, light, seed, spp)
+                assert isinstance(capture, WaveCapture)
                 replay = Replay.of(capture.sight, spp, seed) if others else None
             except InputError as error:
                 raise InputError(f"{NAME}: {error}") from None
             return names, RenderGradients(capture, seed, spp, replay)
-
-        def _signed_gradients(
-            self, scene: Any, params: Any, sensor: Any, seed: Any, spp: int, forward: bool
-        ) -> SignedGradients:
-            """Return what differentiates a capture by signed rays; or refuse."""
-            names, _ = numbers_and_others(params, sensor)
-            if names:
-                raise InputError(f"{NAME}: {names[0]}: captures by method {SIGNED_RAYS} have no derivative by it yet")
-            seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
-            capture = self._capture(scene, sensor)
-            assert isinstance(capture, SignedCapture)
-            try:
-                light = LightDerivatives.of(capture.light, forward)
-            except InputError as error:
-                raise InputError(f"{NAME}: {error}") from None
-            return SignedGradients(capture, light, seed, spp or sensor.sampler().sample_count())
 
         def record(
             self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False

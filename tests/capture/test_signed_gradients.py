@@ -231,7 +231,7 @@ def test_mended_images_have_derivatives():
     [
         ("path", "wall.to_world", "wall.to_world: it has no gradient"),
         ("path", "camera.to_world", "camera.to_world: it has no gradient"),
-        ("path", "camera.focal_length", "focal_length: captures by method signed_rays have no derivative by it yet"),
+        ("path", "camera.aperture_radius", "aperture_radius: captures by signed rays have derivatives by focal_length,"),
         ("direct", ROUGHNESS, "nested DirectIntegrator: scene parameters have no gradients through it; use path"),
         ("prbvolpath", ROUGHNESS, "nested PRBVolpathIntegrator: Mitsuba differentiates it in reverse alone"),
     ],
@@ -244,6 +244,40 @@ def test_what_cannot_be_differentiated_is_refused_by_name(child, key, message):
         scene.integrator().render_forward(scene, params)
     # Mitsuba follows parameters of all scenes that there are.
     dr.disable_grad(params[key])
+
+
+@pytest.mark.slow
+def test_camera_and_light_together_reverse_against_forward():
+    """All parameters change at once."""
+    scene = wall_of({"type": "diffuse", "reflectance": texture()}, sensor(4, 8), light=lamp())
+    steps = {
+        "lamp.emitter.radiance.value": 1.0,
+        "camera.focal_length": 4e-2,
+        "camera.mla_distance": 6e-2,
+        "camera.mla_focal_length": 4e-3,
+        "camera.mla_pitch": 5e-4,
+        "camera.mla_offset": [6e-4, -4e-4],
+        "camera.detector_distance": 4e-3,
+        "camera.detector_width": 4e-3,
+    }
+    params, amount = mi.traverse(scene), mi.Float(0)
+    start = {key: type(params[key])(params[key]) for key in steps}
+    dr.enable_grad(amount)
+    for key, step in steps.items():
+        params[key] = start[key] + amount * type(start[key])(step)
+    params.update()
+    dr.forward(amount, dr.ADFlag.ClearEdges)
+    change = np.array(scene.integrator().render_forward(scene, params, spp=4), np.float64)
+    for key, value in start.items():
+        params[key] = value
+        dr.enable_grad(params[key])
+    params.update()
+    gradient = np.random.default_rng(2).normal(size=change.shape)
+    scene.integrator().render_backward(scene, params, mi.TensorXf(gradient.astype(np.float32)), spp=4)
+    back = sum(np.vdot(np.ravel(dr.grad(params[key])), np.ravel(step)) for key, step in steps.items())
+    for key in steps:
+        dr.disable_grad(params[key])
+    assert abs(np.vdot(change, gradient) - back) < 1e-6 * np.linalg.norm(change) * np.linalg.norm(gradient)
 
 
 def test_light_that_depends_on_no_parameter_is_refused():

@@ -1,0 +1,376 @@
+r"""Derivatives of captures by signed rays by the camera's parameters: rays are held in the scene.
+
+A ray is held before the main lens: where it meets the pupil, its direction, its radiance and its étendue. A changed camera
+bends it elsewhere: it meets its lens at another point m, lands elsewhere on the detector, in the cell u of its grid, and
+counts by another measure, of logarithm f. With a prime for derivatives by a parameter, the capture changes by
+
+.. math:: I' = \sum_n \left[ \varphi_n * \sum_{rays} L\, (f' A_n + m' \cdot \nabla_m A_n + q'\, \partial_q A_n)
+          - \nabla \varphi_n * \sum_{rays} L A_n u' + \varphi_n' * \sum_{rays} L A_n \right] ,
+
+where q is the width of the pupil's diffraction over the pitch, on which alone the coefficients depend otherwise. As the
+rays that the changed camera would draw fill the same light, this is the derivative of its capture: nothing need be known
+of how radiance differs from ray to ray. What shines with the mean radiance c keeps its known integral over m: of it only
+where rays land, and how densely, changes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import InputError
+from ..optics import rays
+from ..optics.phase_space import PhaseSpace, RayCoefficients
+from .signed_draws import Cells, Drawn, Pair, jitter
+from .signed_rays import REACH, SignedRaySum, require_finite
+
+PARAMETERS = (
+    "focal_length",
+    "mla_distance",
+    "mla_focal_length",
+    "mla_pitch",
+    "mla_offset",
+    "detector_distance",
+    "detector_width",
+)
+"""Parameters of a camera by which captures by signed rays have derivatives."""
+
+_OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distance", "detector_width")
+"""Those on which the kernels depend."""
+
+_KERNEL_STEP, _TABLE_STEP = 1e-3, 2e-2
+"""Relative steps of the differences of kernels, and of tables, whose overlaps are sampled."""
+
+Values = dict[str, NDArray[np.float64]]
+
+
+class Held(NamedTuple):
+    """How rays that are held in the scene meet a changed camera.
+
+    Attributes
+    ----------
+    point : (Float, Float)
+        Where they meet the array, from the lens's centre, in the lattice's frame; it grows with the pitch.
+    cell : (Float, Float)
+        Where they land, in cells of the grid from the axis.
+    measure : Float
+        Logarithm of what a ray counts.
+    density : Float
+        Logarithm of how densely rays land whose directions fill the lens.
+    """
+
+    point: Pair
+    cell: Pair
+    measure: Any
+    density: Any
+
+
+def parameters_of(camera: PlenopticCamera) -> Values:
+    """Return the values of all `PARAMETERS`, each as an array of its parts."""
+    given = {name: getattr(camera, name) for name in PARAMETERS if name != "mla_focal_length"}
+    given["mla_focal_length"] = camera.mla_focal_lengths
+    return {name: np.array(np.ravel(given[name]), np.float64) for name in PARAMETERS}
+
+
+def require_parameters(camera: PlenopticCamera, names: Iterable[str]) -> None:
+    """Refuse parameters by which captures by signed rays have no derivatives.
+
+    Raises
+    ------
+    InputError
+        Naming the parameter.
+    """
+    for name in names:
+        if name not in PARAMETERS:
+            raise InputError(f"{name}: captures by signed rays have derivatives by {', '.join(PARAMETERS)} alone")
+        if name == "mla_pitch" and camera.mla_pitches[0] != camera.mla_pitches[1]:
+            raise InputError("mla_pitch: captures by signed rays have no derivative by one of two pitches")
+        if camera.prescription or camera.objective or any(camera.wavefront) or camera.glass or camera.mla_glass:
+            raise InputError(
+                f"{name}: captures by signed rays have derivatives by it behind thin main lenses without a wavefront "
+                "and a glass alone"
+            )
+
+
+class CameraTangents(SignedRaySum):
+    """The change of a capture with parameters of its camera.
+
+    Parameters
+    ----------
+    changes : dict
+        By name, of each part of some `PARAMETERS`.
+    """
+
+    _sets = 4
+
+    def __init__(self, *arguments: Any, changes: Values, **options: Any) -> None:
+        self._changes = changes
+        super().__init__(*arguments, **options)
+
+    def _kernels(self, plan: PhaseSpace, kind: int) -> NDArray[np.float64]:
+        own = super()._kernels(plan, kind)
+        change = sum(
+            (part * slope for name, parts in self._changes.items() for part, slope in zip(
+                parts, kernel_slopes(plan, name, self._step, kind), strict=True)),
+            np.zeros_like(own),
+        )
+        return np.concatenate([own, *displaced(own), change])
+
+    @cached_property
+    def _by_width(self) -> list[RayCoefficients]:
+        return [width_slopes(plan) for plan in self._plans]
+
+    def _bring(self, cells: Cells, key: Any, radiance: list[Any], known: list[Pair], lit: Any) -> list[list[Any]]:
+        """Return, for each channel, what rays bring of each kernel, of its slopes, and of its change."""
+        spp = dr.opaque(mi.UInt32, self._spp)
+        first = dr.arange(mi.UInt32, dr.width(cells.index)) * spp
+        tables, by_width, lattice = self._coefficients, self._by_width, self._camera.lattice
+        drawn, _, direction = self._rays(cells, key)
+        with dr.resume_grad():
+            varying = varying_parameters(self._camera)
+            for name, parts in self._changes.items():
+                dr.enable_grad(varying[name])
+                for value, part in zip(varying[name], parts, strict=True):
+                    dr.set_grad(value, part)
+            held = hold(self._camera, varying, drawn, direction, self._step)
+            changes = [
+                dr.forward_to(value, flags=dr.ADFlag.ClearInterior) if dr.grad_enabled(value) else mi.Float(0)
+                for value in (*held.point, *held.cell, held.measure, held.density)
+            ]
+        changes = [dr.detach(change) + dr.zeros(mi.Float, dr.width(radiance[0])) for change in changes]
+        dr.eval(changes)
+        wider = dr.opaque(mi.Float, width_change(self._camera, self._changes))
+
+        def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
+            drawn, chance, even = self._draws.draw(cells, k, key), jitter(cells.index, key ^ (k << 4)), (k & 1) == 0
+            du, dv, dx, dy, measure, density = (dr.gather(mi.Float, change, first + k) for change in changes)
+            result = []
+            for light, pair, table, width, before in zip(radiance, known, tables, by_width, brought, strict=True):
+                mean = dr.select(drawn.open, dr.select(even, pair[1], pair[0]), 0)
+                strength = dr.select(drawn.open, (dr.gather(mi.Float, light, first + k) - mean) * drawn.weight, 0)
+                nodes = drawn.point, drawn.pupil, chance, drawn.open
+                values, (by_u, by_v), by_width_ = table(*nodes), table.slopes(*nodes), width(*nodes)
+                own = [strength * value for value in values]
+                change = [
+                    strength * (a * measure + u * du + v * dv + q * wider)
+                    for a, u, v, q in zip(values, by_u, by_v, by_width_, strict=True)
+                ]
+                own[0] += mean
+                change[0] += mean * density
+                parts = [*change, *(a * dx for a in own), *(a * dy for a in own), *own]
+                result.append([old + part for old, part in zip(before, parts, strict=True)])
+            return k + 1, result
+
+        nothing = [[mi.Float(0) for _ in range(self._sets * len(plan.exponents))] for plan in self._plans]
+        end = dr.select(lit, spp, 0)
+        _, brought = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < end, bring, label="changed rays")
+        return [[part / mi.Float(spp) for part in parts] for parts in brought]
+
+
+class CameraAdjoint(SignedRaySum):
+    """The way back through a capture to the parameters of its camera.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Some `PARAMETERS`.
+    """
+
+    def __init__(self, *arguments: Any, names: Sequence[str], **options: Any) -> None:
+        self._names = names
+        super().__init__(*arguments, **options)
+
+    @property
+    def _sets(self) -> int:
+        return 3 + len(self._of_kernels)
+
+    @cached_property
+    def _of_kernels(self) -> list[tuple[str, int]]:
+        """Those parts of parameters that kernels depend on."""
+        start = parameters_of(self._camera)
+        return [(name, i) for name in self._names if name in _OF_KERNELS for i in range(1 if name == "mla_pitch" else len(start[name]))]
+
+    def _kernels(self, plan: PhaseSpace, kind: int) -> NDArray[np.float64]:
+        own = super()._kernels(plan, kind)
+        slopes = {name: kernel_slopes(plan, name, self._step, kind) for name, _ in self._of_kernels}
+        return np.concatenate([own, *displaced(own), *(slopes[name][i] for name, i in self._of_kernels)])
+
+    @cached_property
+    def _by_width(self) -> list[RayCoefficients]:
+        return [width_slopes(plan) for plan in self._plans]
+
+    def backward(self, gradient: Sequence[NDArray[np.float32]]) -> Values:
+        """Return the gradient by each part of the parameters from that of the sum, by channel (rows, columns)."""
+        total = {name: np.zeros(len(value)) for name, value in parameters_of(self._camera).items()}
+        for cells, first, felt, seed in self.back(gradient):
+            self._pull(cells, first, felt, seed, total)
+        return {name: total[name] for name in self._names}
+
+    def _pull(self, cells: Cells, first: Any, felt: list[Any], seed: int, total: Values) -> None:
+        """Add the gradients from rays of some cells through a lens of each; see `back`."""
+        key, count = dr.opaque(mi.UInt32, seed & ~15), dr.width(first)
+        drawn, *ray = self._rays(cells, key)
+        radiance, seen = self._light(*ray, drawn.open, seed), dr.select(drawn.open, mi.Float(1), 0)
+        dr.eval(radiance, seen)
+        require_finite(radiance)
+        known, lit = self._known(radiance, seen, count)
+        lit = dr.compress(lit & (dr.zeros(mi.UInt32, count) == 0))
+        if not dr.width(lit):
+            return
+        spp, lane = dr.opaque(mi.UInt32, self._spp), dr.arange(mi.UInt32, dr.width(lit) * self._spp)
+        own = dr.gather(mi.UInt32, lit, lane // spp)
+        sample = lane % spp
+        cells = replace(cells, index=dr.gather(mi.UInt32, cells.index, lit))
+        drawn, _, direction = self._rays(cells, key)
+        chance, even = jitter(dr.gather(mi.UInt32, cells.index, lane // spp), key ^ (sample << 4)), (sample & 1) == 0
+        nodes, place = (drawn.point, drawn.pupil, chance, drawn.open), dr.gather(mi.UInt32, first, own)
+        every = dr.opaque(mi.UInt32, cells.box.rows * cells.box.columns)
+        by_held, by_width, by_kernels = [mi.Float(0)] * 6, mi.Float(0), [mi.Float(0)] * len(self._of_kernels)
+        for light, pair, table, width, total_felt in zip(radiance, known, self._coefficients, self._by_width, felt, strict=True):
+            mean = dr.select(even, *(dr.gather(mi.Float, half, own) for half in pair[::-1]))
+            mean = dr.select(drawn.open, mean, 0)
+            strength = (dr.gather(mi.Float, light, own * spp + sample, drawn.open) - mean) * drawn.weight
+            strength = dr.select(drawn.open, strength, 0)
+            values = table(*nodes)
+            weighted = [strength * value for value in values]
+            weighted[0] += mean
+            sets = [
+                [dr.gather(mi.Float, total_felt, place + every * (each * len(values) + n), drawn.open) for n in range(len(values))]
+                for each in range(self._sets)
+            ]
+            by_u, by_v = table.slopes(*nodes)
+            brought = [
+                *(strength * _dot(parts, sets[0]) for parts in (by_u, by_v)),
+                *(_dot(weighted, sets[each]) for each in (1, 2)),
+                strength * _dot(values, sets[0]),
+                mean * sets[0][0],
+            ]
+            by_held = [before + part for before, part in zip(by_held, brought, strict=True)]
+            by_width += strength * _dot(width(*nodes), sets[0])
+            by_kernels = [before + _dot(weighted, each) for before, each in zip(by_kernels, sets[3:], strict=True)]
+        dr.eval(by_held, by_width, by_kernels)
+        for (name, part), figure in zip(self._of_kernels, by_kernels, strict=True):
+            total[name][part] += dr.sum(figure)[0] / self._spp
+        wider = float(dr.sum(by_width)[0]) / self._spp
+        total["mla_distance"] += wider / self._camera.mla_distance
+        total["mla_pitch"][0] -= wider / self._camera.mla_pitch
+        with dr.resume_grad():
+            varying = varying_parameters(self._camera)
+            dr.enable_grad(varying)
+            held = hold(self._camera, varying, drawn, direction, self._step)
+            parts = *held.point, *held.cell, held.measure, held.density
+            dr.backward(dr.sum(dr.sum([figure * part for figure, part in zip(by_held, parts, strict=True)], axis=0)) / self._spp)
+            for name, values in varying.items():
+                total[name] += [float(dr.grad(value)[0]) for value in values]
+
+
+def _dot(values: list[Any], others: list[Any]) -> Any:
+    return dr.sum([value * other for value, other in zip(values, others, strict=True)], axis=0)
+
+
+def varying_parameters(camera: PlenopticCamera) -> dict[str, list[Any]]:
+    """Return the parts of all `PARAMETERS` as Dr.Jit's."""
+    return {name: [dr.opaque(mi.Float, value) for value in values] for name, values in parameters_of(camera).items()}
+
+
+def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn, direction: Pair, step: float) -> Held:
+    """Follow rays that are held in the scene into a camera whose parameters are Dr.Jit's.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera that has drawn them.
+    varying : dict
+        The parts of all `PARAMETERS`.
+    drawn : Drawn
+        The rays.
+    direction : (Float, Float)
+        Their slopes in the scene.
+    step : float
+        Width of a cell of the detector's grid.
+    """
+    ((f1,), (b,), (z,), (width,)) = (
+        varying[name] for name in ("focal_length", "mla_distance", "detector_distance", "detector_width")
+    )
+    pitch = varying["mla_pitch"][0] / camera.mla_pitches[0]
+    # Back through the lens: what it has bent it bends the other way.
+    cosines = (
+        rays.main_lens_slope(s, P, -f1) for s, P in zip(rays.slopes_to_cosines(*direction), drawn.pupil, strict=True)
+    )
+    slope = rays.cosines_to_slopes(*cosines)
+    aside, landed = [], []
+    for P, t, m, q, offset, held in zip(
+        drawn.pupil, slope, drawn.point, drawn.place, varying["mla_offset"], camera.mla_offset, strict=True
+    ):
+        centre = offset + (q - m - held) * pitch
+        aside.append((rays.pupil_point(P, t, -b) - centre) / pitch)
+        landed.append((centre - (P - centre) * (z / b)) / (step * width / camera.detector_width))
+    u, v = camera.lattice.to_frame(*aside)
+    square = slope[0] * slope[0] + slope[1] * slope[1]
+    grid = 2 * dr.log(width)
+    return Held(
+        (u, v),
+        (landed[0], landed[1]),
+        2 * dr.log(z) + 2 * dr.log(1 + square) - 2 * dr.log(pitch) - grid,
+        2 * dr.log(z / b) - grid,
+    )
+
+
+def width_change(camera: PlenopticCamera, changes: Values) -> float:
+    """Return the relative change of the width of the pupil's diffraction over the pitch."""
+    parts = (
+        sign * float(changes[name][0]) / value
+        for name, sign, value in (("mla_distance", 1, camera.mla_distance), ("mla_pitch", -1, camera.mla_pitch))
+        if name in changes
+    )
+    return sum(parts)
+
+
+def width_slopes(plan: PhaseSpace) -> RayCoefficients:
+    """Return the derivatives of coefficients by the logarithm of the width of the pupil's diffraction."""
+    distance = plan.camera.mla_distance
+    sides = [
+        plan.moved(plan.camera.replace(mla_distance=distance * (1 + side))).table for side in (_TABLE_STEP, -_TABLE_STEP)
+    ]
+    return RayCoefficients(plan, [(a - b) / (2 * _TABLE_STEP) for a, b in zip(*sides, strict=True)])
+
+
+def kernel_slopes(plan: PhaseSpace, name: str, step: float, kind: int) -> list[NDArray[np.float64]]:
+    """Return the derivatives of kernels by each part of a parameter."""
+    camera, start = plan.camera, parameters_of(plan.camera)[name]
+    reach = REACH * max(camera.mla_pitches)
+    if name not in _OF_KERNELS:
+        return [np.zeros(1)] * len(start)
+    slopes = []
+    # All parts of the pitch are one.
+    for part in range(1 if name == "mla_pitch" else len(start)):
+        sides = []
+        for side in (_KERNEL_STEP, -_KERNEL_STEP):
+            if name == "detector_width":
+                sides.append(plan.kernels(step * (1 + side), reach, kind))
+                continue
+            changed = start.copy()
+            changed[slice(None) if name == "mla_pitch" else part] *= 1 + side
+            value = changed.tolist() if len(changed) > 1 else float(changed[0])
+            sides.append(plan.moved(camera.replace(**{name: value})).kernels(step, reach, kind))
+        slopes.append((sides[0] - sides[1]) / (2 * _KERNEL_STEP * start[part]))
+    return slopes + [np.zeros(1)] * (len(start) - len(slopes))
+
+
+def displaced(kernels: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return by how much kernels change as they move by a cell along x and along y."""
+    frequencies = -2j * np.pi * np.fft.fftfreq(kernels.shape[-1])
+    spectra = np.fft.fft2(kernels)
+    return (
+        np.fft.ifft2(spectra * frequencies).real,
+        np.fft.ifft2(spectra * frequencies[:, None]).real,
+    )
