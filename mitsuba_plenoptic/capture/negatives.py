@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,11 +49,11 @@ class Mended:
         light = gradient * (1 - self._share) + self._blur(lack * (1 - self._share))
         return np.asarray(np.where(self._positive, light, 0) - self._blur(lack), np.float32)
 
-    def _over_around(self, values: Image) -> Image:
+    def _over_around(self, values: NDArray[Any]) -> NDArray[Any]:
         """Divide by the light around, where there is enough of it."""
         return np.divide(values, self._around, out=np.zeros_like(values), where=self._shares)
 
-    def _blur(self, image: Image) -> Image:
+    def _blur(self, image: NDArray[Any]) -> Image:
         """Return the means of squares; at the edges, which reflect, this is its own transpose, too."""
         from scipy.ndimage import uniform_filter
 

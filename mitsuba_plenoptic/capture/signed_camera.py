@@ -1,21 +1,20 @@
 r"""Derivatives of captures by signed rays by the camera's parameters: rays are held in the scene.
 
-A ray is held before the main lens: where it meets the pupil, its direction, its radiance and its étendue. A changed camera
-bends it elsewhere: it meets its lens at another point m, lands elsewhere on the detector, in the cell u of its grid, and
-counts by another measure, of logarithm f. With a prime for derivatives by a parameter, the capture changes by
+A ray is held before the main lens: where it meets the pupil, its direction, its radiance and its étendue. A changed
+camera bends it elsewhere: it meets its lens at another point m, lands elsewhere on the detector, in the cell u of its
+grid, and counts by another measure, of logarithm f. With a prime for derivatives by a parameter, the capture changes by
 
 .. math:: I' = \sum_n \left[ \varphi_n * \sum_{rays} L\, (f' A_n + m' \cdot \nabla_m A_n + q'\, \partial_q A_n)
           - \nabla \varphi_n * \sum_{rays} L A_n u' + \varphi_n' * \sum_{rays} L A_n \right] ,
 
-where q is the width of the pupil's diffraction over the pitch, on which alone the coefficients depend otherwise. As the
-rays that the changed camera would draw fill the same light, this is the derivative of its capture: nothing need be known
-of how radiance differs from ray to ray. What shines with the mean radiance c keeps its known integral over m: of it only
-where rays land, and how densely, changes.
+where q is the logarithm of the width of the pupil's diffraction over the pitch, on which alone the coefficients depend
+otherwise. As the rays that the changed camera would draw fill the same light, this is the derivative of its capture:
+nothing need be known of how radiance differs from ray to ray. What shines with the mean radiance c keeps its known
+integral over m: of it only where rays land, and how densely, changes.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -49,6 +48,9 @@ _OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distan
 
 _KERNEL_STEP, _TABLE_STEP = 1e-3, 2e-2
 """Relative steps of the differences of kernels, and of tables, whose overlaps are sampled."""
+
+_REACHED, _SHAPE = 16, 8.0
+"""Samples that slopes are taken from on either side, and the shape of their weights, of Kaiser."""
 
 Values = dict[str, NDArray[np.float64]]
 
@@ -116,14 +118,17 @@ class CameraTangents(SignedRaySum):
         self._changes = changes
         super().__init__(*arguments, **options)
 
-    def _kernels(self, plan: PhaseSpace, kind: int) -> NDArray[np.float64]:
-        own = super()._kernels(plan, kind)
+    def _kernels(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
+        own = np.array(super()._kernels(plan, kind))
         change = sum(
-            (part * slope for name, parts in self._changes.items() for part, slope in zip(
-                parts, kernel_slopes(plan, name, self._step, kind), strict=True)),
+            (
+                part * slope
+                for name, parts in self._changes.items()
+                for part, slope in zip(parts, kernel_slopes(plan, name, self._step, kind), strict=True)
+            ),
             np.zeros_like(own),
         )
-        return np.concatenate([own, *displaced(own), change])
+        return [*own, *displaced(own), *change]
 
     @cached_property
     def _by_width(self) -> list[RayCoefficients]:
@@ -133,7 +138,7 @@ class CameraTangents(SignedRaySum):
         """Return, for each channel, what rays bring of each kernel, of its slopes, and of its change."""
         spp = dr.opaque(mi.UInt32, self._spp)
         first = dr.arange(mi.UInt32, dr.width(cells.index)) * spp
-        tables, by_width, lattice = self._coefficients, self._by_width, self._camera.lattice
+        tables, by_width = self._coefficients, self._by_width
         drawn, _, direction = self._rays(cells, key)
         with dr.resume_grad():
             varying = varying_parameters(self._camera)
@@ -188,21 +193,23 @@ class CameraAdjoint(SignedRaySum):
     def __init__(self, *arguments: Any, names: Sequence[str], **options: Any) -> None:
         self._names = names
         super().__init__(*arguments, **options)
-
-    @property
-    def _sets(self) -> int:
-        return 3 + len(self._of_kernels)
+        self._sets = 3 + len(self._of_kernels)
 
     @cached_property
     def _of_kernels(self) -> list[tuple[str, int]]:
         """Those parts of parameters that kernels depend on."""
         start = parameters_of(self._camera)
-        return [(name, i) for name in self._names if name in _OF_KERNELS for i in range(1 if name == "mla_pitch" else len(start[name]))]
+        return [
+            (name, i)
+            for name in self._names
+            if name in _OF_KERNELS
+            for i in range(1 if name == "mla_pitch" else len(start[name]))
+        ]
 
-    def _kernels(self, plan: PhaseSpace, kind: int) -> NDArray[np.float64]:
-        own = super()._kernels(plan, kind)
+    def _kernels(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
+        own = np.array(super()._kernels(plan, kind))
         slopes = {name: kernel_slopes(plan, name, self._step, kind) for name, _ in self._of_kernels}
-        return np.concatenate([own, *displaced(own), *(slopes[name][i] for name, i in self._of_kernels)])
+        return [*own, *displaced(own), *(kernel for name, i in self._of_kernels for kernel in slopes[name][i])]
 
     @cached_property
     def _by_width(self) -> list[RayCoefficients]:
@@ -235,7 +242,9 @@ class CameraAdjoint(SignedRaySum):
         nodes, place = (drawn.point, drawn.pupil, chance, drawn.open), dr.gather(mi.UInt32, first, own)
         every = dr.opaque(mi.UInt32, cells.box.rows * cells.box.columns)
         by_held, by_width, by_kernels = [mi.Float(0)] * 6, mi.Float(0), [mi.Float(0)] * len(self._of_kernels)
-        for light, pair, table, width, total_felt in zip(radiance, known, self._coefficients, self._by_width, felt, strict=True):
+        for light, pair, table, width, total_felt in zip(
+            radiance, known, self._coefficients, self._by_width, felt, strict=True
+        ):
             mean = dr.select(even, *(dr.gather(mi.Float, half, own) for half in pair[::-1]))
             mean = dr.select(drawn.open, mean, 0)
             strength = (dr.gather(mi.Float, light, own * spp + sample, drawn.open) - mean) * drawn.weight
@@ -244,7 +253,10 @@ class CameraAdjoint(SignedRaySum):
             weighted = [strength * value for value in values]
             weighted[0] += mean
             sets = [
-                [dr.gather(mi.Float, total_felt, place + every * (each * len(values) + n), drawn.open) for n in range(len(values))]
+                [
+                    dr.gather(mi.Float, total_felt, place + every * (each * len(values) + n), drawn.open)
+                    for n in range(len(values))
+                ]
                 for each in range(self._sets)
             ]
             by_u, by_v = table.slopes(*nodes)
@@ -268,7 +280,9 @@ class CameraAdjoint(SignedRaySum):
             dr.enable_grad(varying)
             held = hold(self._camera, varying, drawn, direction, self._step)
             parts = *held.point, *held.cell, held.measure, held.density
-            dr.backward(dr.sum(dr.sum([figure * part for figure, part in zip(by_held, parts, strict=True)], axis=0)) / self._spp)
+            dr.backward(
+                dr.sum(dr.sum([figure * part for figure, part in zip(by_held, parts, strict=True)], axis=0)) / self._spp
+            )
             for name, values in varying.items():
                 total[name] += [float(dr.grad(value)[0]) for value in values]
 
@@ -339,7 +353,8 @@ def width_slopes(plan: PhaseSpace) -> RayCoefficients:
     """Return the derivatives of coefficients by the logarithm of the width of the pupil's diffraction."""
     distance = plan.camera.mla_distance
     sides = [
-        plan.moved(plan.camera.replace(mla_distance=distance * (1 + side))).table for side in (_TABLE_STEP, -_TABLE_STEP)
+        plan.moved(plan.camera.replace(mla_distance=distance * (1 + side))).table
+        for side in (_TABLE_STEP, -_TABLE_STEP)
     ]
     return RayCoefficients(plan, [(a - b) / (2 * _TABLE_STEP) for a, b in zip(*sides, strict=True)])
 
@@ -347,7 +362,7 @@ def width_slopes(plan: PhaseSpace) -> RayCoefficients:
 def kernel_slopes(plan: PhaseSpace, name: str, step: float, kind: int) -> list[NDArray[np.float64]]:
     """Return the derivatives of kernels by each part of a parameter."""
     camera, start = plan.camera, parameters_of(plan.camera)[name]
-    reach = REACH * max(camera.mla_pitches)
+    samples = plan.kernel_samples(step, REACH * max(camera.mla_pitches))
     if name not in _OF_KERNELS:
         return [np.zeros(1)] * len(start)
     slopes = []
@@ -356,21 +371,23 @@ def kernel_slopes(plan: PhaseSpace, name: str, step: float, kind: int) -> list[N
         sides = []
         for side in (_KERNEL_STEP, -_KERNEL_STEP):
             if name == "detector_width":
-                sides.append(plan.kernels(step * (1 + side), reach, kind))
+                sides.append(plan.sampled_kernels(step * (1 + side), samples, kind))
                 continue
             changed = start.copy()
             changed[slice(None) if name == "mla_pitch" else part] *= 1 + side
             value = changed.tolist() if len(changed) > 1 else float(changed[0])
-            sides.append(plan.moved(camera.replace(**{name: value})).kernels(step, reach, kind))
+            sides.append(plan.moved(camera.replace(**{name: value})).sampled_kernels(step, samples, kind))
         slopes.append((sides[0] - sides[1]) / (2 * _KERNEL_STEP * start[part]))
     return slopes + [np.zeros(1)] * (len(start) - len(slopes))
 
 
-def displaced(kernels: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return by how much kernels change as they move by a cell along x and along y."""
-    frequencies = -2j * np.pi * np.fft.fftfreq(kernels.shape[-1])
-    spectra = np.fft.fft2(kernels)
-    return (
-        np.fft.ifft2(spectra * frequencies).real,
-        np.fft.ifft2(spectra * frequencies[:, None]).real,
-    )
+def displaced(kernels: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Return by how much kernels change as they move by a cell along x, and then along y."""
+    from scipy.ndimage import convolve1d
+
+    # Kernels end abruptly, which is a part of how they change: a filter of few samples stays where they end.
+    steps = np.arange(-_REACHED, _REACHED + 1)
+    ideal = np.divide((-1.0) ** steps, steps, out=np.zeros(len(steps)), where=steps != 0)
+    wide = np.pad(kernels, [(0, 0), (_REACHED, _REACHED), (_REACHED, _REACHED)])
+    both = [convolve1d(wide, -ideal * np.kaiser(len(steps), _SHAPE), axis, mode="constant") for axis in (2, 1)]
+    return [kernel for along in both for kernel in along]

@@ -1,8 +1,8 @@
 r"""Derivatives of captures by signed rays, by what a scene's radiance depends on: textures, emitters, BSDFs, media.
 
-A capture is linear in the radiances of its rays, so that its change is the same sum of the changes of these. In reverse,
-with the correlations :math:`J_n` of a figure's gradient and the kernels, the figure changes with the radiance of ray k of
-N through a cell and lens by
+A capture is linear in the radiances of its rays, so that its change is the same sum of the changes of these. In
+reverse, with the correlations :math:`J_n` of a figure's gradient and the kernels, the figure changes with the radiance
+of ray k of N through a cell and lens by
 
 .. math:: g_k = \frac{1}{N} \left[ w_k A_n(m_k, P_k)\, J_n + \frac{1}{N_h}
           \sum_{j \notin h} \left( J_0 - w_j A_n(m_j, P_j)\, J_n \right) \right] ,

@@ -167,9 +167,9 @@ class SignedRaySum:
         }
         return [made[id(plan)] for plan in self._plans]
 
-    def _kernels(self, plan: PhaseSpace, kind: int) -> NDArray[np.float64]:
+    def _kernels(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
         """Return the kernels of lenses of a type, for each value of a ray."""
-        return plan.kernels(self._step, REACH * max(self._camera.mla_pitches), kind)
+        return list(plan.kernels(self._step, REACH * max(self._camera.mla_pitches), kind))
 
     @cached_property
     def _coefficients(self) -> list[RayCoefficients]:

@@ -303,23 +303,29 @@ class PhaseSpace:
         """
         key = step, reach, lens_type
         if key not in self._kept:
-            self._kept[key] = self._kernels(*key)
+            self._kept[key] = self.sampled_kernels(step, self.kernel_samples(step, reach), lens_type)
         return self._kept[key]
 
     @cached_property
     def _kept(self) -> dict[tuple[float, float, int], NDArray[np.float64]]:
         return {}
 
-    @single_threaded_blas()
-    def _kernels(self, step: float, reach: float, lens_type: int) -> NDArray[np.float64]:
-        """Return the kernels that `kernels` keeps."""
+    def kernel_samples(self, step: float, reach: float) -> tuple[int, int, int]:
+        """Return how `kernels` are sampled: steps from lag to lag, lags and samples on each side of the middle."""
         scale = in_millimetres(self.wavelength) * self.camera.detector_distance
         fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
         every = max(1, int(scale / (2 * fine * reach)))
         # Pairs in neighbouring lenses are less than two widths of a cell apart; a grid holds half a cycle a step.
         farthest = int(min(2 * _TRANSFER_SAMPLES, scale / (2 * step * fine))) // every
+        return every, farthest, math.ceil(scale / (2 * fine * every * step) - 0.5)
+
+    @single_threaded_blas()
+    def sampled_kernels(self, step: float, samples: tuple[int, int, int], lens_type: int) -> NDArray[np.float64]:
+        """Return `kernels` that are sampled like others, whatever would be best for them."""
+        scale = in_millimetres(self.wavelength) * self.camera.detector_distance
+        fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
+        every, farthest, count = samples
         transfer = self._transfer(np.arange(-farthest, farthest + 1) * every, lens_type)
-        count = math.ceil(scale / (2 * fine * every * step) - 0.5)
         place, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * (every * fine)
         waves = np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (every * fine * step / scale)
         return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real

@@ -231,7 +231,11 @@ def test_mended_images_have_derivatives():
     [
         ("path", "wall.to_world", "wall.to_world: it has no gradient"),
         ("path", "camera.to_world", "camera.to_world: it has no gradient"),
-        ("path", "camera.aperture_radius", "aperture_radius: captures by signed rays have derivatives by focal_length,"),
+        (
+            "path",
+            "camera.aperture_radius",
+            "aperture_radius: captures by signed rays have derivatives by focal_length,",
+        ),
         ("direct", ROUGHNESS, "nested DirectIntegrator: scene parameters have no gradients through it; use path"),
         ("prbvolpath", ROUGHNESS, "nested PRBVolpathIntegrator: Mitsuba differentiates it in reverse alone"),
     ],
