@@ -13,12 +13,12 @@ from ..capture.accuracy import DEFAULT_ACCURACY, check_accuracy
 from ..capture.operator import METHODS
 from ..capture.patch_plan import Cost
 from ..capture.points_capture import PointsCapture
-from ..capture.render_gradients import RenderGradients
-from ..capture.replay import Replay
+from ..capture.scene_light import LightDerivatives, SceneLight
 from ..capture.scene_points import require_matte
 from ..capture.sight import Sight
+from ..capture.signed_camera import require_parameters
 from ..capture.signed_capture import SignedCapture
-from ..capture.signed_rays import SceneLight
+from ..capture.signed_gradients import SignedGradients
 from ..capture.spectral import SpectralCapture
 from ..capture.wave_capture import WaveCapture
 from ..errors import InputError
@@ -148,10 +148,13 @@ def make_class() -> type:
 
         The same seed gives the same bits, on any number of threads.
 
-        ``mi.render`` differentiates captures, forward and in reverse, by the numbers that the sensor exposes and by
-        what the light depends on: textures, emitters and BSDFs. Radiators, and how their light fills the pupil, are
-        held: shapes do not move. ``path`` is replaced by ``prb``, which replays its light paths; with other nested
-        integrators, and in scenes with mirrors, glass, masks or media, there are gradients by the camera only.
+        ``mi.render`` differentiates captures by ``signed_rays``, forward and in reverse, by what the light depends on:
+        textures, emitters, BSDFs, and media in reverse; shapes do not move. ``path`` is replaced by ``prb``, and
+        ``volpath`` by ``prbvolpath``, which replay their light paths; other nested integrators have no gradients by the
+        scene. By the sensor's ``focal_length``, ``mla_distance``, ``mla_focal_length``, ``mla_pitch``, ``mla_offset``,
+        ``detector_distance`` and ``detector_width`` there are gradients behind thin main lenses without aberrations,
+        distortion and glass, of regular arrays near the microlenses' focus. Spectral variants have gradients in
+        reverse alone.
 
         .. tabs::
             .. code-tab:: xml
@@ -209,7 +212,7 @@ def make_class() -> type:
         def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
             """Return the change of the capture with the tangents of parameters, for `mi.render`."""
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
-            names, gradients = self._gradients(scene, params, sensor, seed, spp)
+            names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=True)
             with guards.watch():
                 change = gradients.forward({name: tangent(sensor, name) for name in names})
             return develop(sensor.film(), change)
@@ -219,33 +222,29 @@ def make_class() -> type:
         ) -> None:
             """Take the gradient of the capture back to that of parameters, for `mi.render`."""
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
-            names, gradients = self._gradients(scene, params, sensor, seed, spp)
-            shape = *PlenopticCamera.from_sensor(sensor).shape, len(self.wavelengths)
+            names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=False)
+            shape = *gradients.capture.camera.shape, gradients.capture.colours.spectrum.channels
             with guards.watch():
                 found = gradients.backward(develop_back(sensor.film(), grad_in, shape), names)
             for name, gradient in found.items():
                 accumulate(sensor, name, gradient)
 
         def _gradients(
-            self, scene: Any, params: Any, sensor: Any, seed: Any, spp: int
-        ) -> tuple[tuple[str, ...], RenderGradients]:
+            self, scene: Any, params: Any, sensor: Any, seed: Any, spp: int, forward: bool
+        ) -> tuple[tuple[str, ...], SignedGradients]:
             """Return which of the camera's numbers have gradients, and what differentiates; or refuse."""
-            if self.method not in ("auto", "patch"):
-                raise InputError(f"{NAME}: method = {self.method}: it has no gradients; use patch")
-            if self.spectrum_of(scene, sensor) is not None:
-                raise InputError(f"{NAME}: there are no gradients of captures of bands or responses; leave them out")
+            if self.method not in ("auto", SIGNED_RAYS):
+                raise InputError(f"{NAME}: method = {self.method}: it has no gradients; use {SIGNED_RAYS}")
             names, others = numbers_and_others(params, sensor)
-            camera = PlenopticCamera.from_sensor(sensor)
-            camera.require_no_objective("captures by waves are differentiated")
             seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
             spp = spp or sensor.sampler().sample_count()
-            capture = self._capture(scene, sensor)
-            assert isinstance(capture, WaveCapture)
+            capture = self._signed(scene, sensor)
             try:
-                replay = Replay.of(capture.sight, spp, seed) if others else None
+                require_parameters(capture.camera, names, any(node.plan.by_points for node in capture.nodes))
+                light = LightDerivatives.of(capture.light, forward) if others or not names else None
             except InputError as error:
                 raise InputError(f"{NAME}: {error}") from None
-            return names, RenderGradients(capture, seed, spp, replay)
+            return names, SignedGradients(capture, light, seed, spp)
 
         def record(
             self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False
@@ -293,13 +292,9 @@ def make_class() -> type:
             return self.colours.spectrum_for(channels, colour.tables_of(scene) if mi.is_spectral else [])
 
         def _capture(self, scene: Any, sensor: Any) -> WaveCapture | SpectralCapture | SignedCapture | PointsCapture:
-            camera = PlenopticCamera.from_sensor(sensor)
             if self.method == SIGNED_RAYS:
-                colours = self.colours.signed(sensor.film().base_channels_count())
-                if mi.is_spectral:
-                    colour.require_spectra(scene, colours.spectrum.wavelengths, colours.spectrum.matrix())
-                light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
-                return SignedCapture(camera, light, colours, self.accuracy)
+                return self._signed(scene, sensor)
+            camera = PlenopticCamera.from_sensor(sensor)
             require_ideal(camera)
             if camera.objective is not None and self.method == "bank":
                 raise InputError(f"method = bank: it does not know main_lens = {camera.objective.name}; use patch")
@@ -329,6 +324,13 @@ def make_class() -> type:
             if spectrum is None:
                 return capture
             return SpectralCapture(capture, spectrum, self.colours.upsampling(spectrum), self.colours.total_nodes())
+
+        def _signed(self, scene: Any, sensor: Any) -> SignedCapture:
+            colours = self.colours.signed(sensor.film().base_channels_count())
+            if mi.is_spectral:
+                colour.require_spectra(scene, colours.spectrum.wavelengths, colours.spectrum.matrix())
+            light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
+            return SignedCapture(PlenopticCamera.from_sensor(sensor), light, colours, self.accuracy)
 
         def _by_points(
             self, scene: Any, sensor: Any, camera: PlenopticCamera, spectrum: Spectrum | None
