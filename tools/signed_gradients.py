@@ -2,10 +2,10 @@
 
     python tools/signed_gradients.py [--lenses 8] [--resolution 1024]
 
-The scenes are the letters, made small before 64 lenses, and a wall of some gloss beside a lamp. Forward is compared with
-central differences of captures of the same seed, and reverse with forward. The medium's coefficients, which Mitsuba
-differentiates in reverse alone, are compared with closed forms: absorbing fog darkens what is behind it by its
-thickness, and light scattered once is proportional to the albedo. How well derivatives by the camera agree with
+The scenes are the letters, made small before 64 lenses, and a wall of some gloss that a point lights. Forward is
+compared with central differences of captures of the same seed, and reverse with forward. The medium's coefficients,
+which Mitsuba differentiates in reverse alone, are compared with closed forms: absorbing fog darkens what is behind it
+by its thickness, and light scattered once is proportional to the albedo. How well derivatives by the camera agree with
 captures whose rays are held in the scene is in `tests/capture/test_signed_camera.py`.
 
 Times are those of the built-in scenes with so many pixels across, 16 samples a pixel: of the capture, of its reverse

@@ -117,7 +117,7 @@ def make_class() -> type:
         and microlenses diffract is in signed coefficients of each ray and in kernels, which depend on the camera alone.
         So light may differ over the pupil and over a lens, and the scene may hold all that the nested integrator
         knows, at the price of a capture by rays. It takes thin main lenses without a wavefront, regular arrays and
-        detectors not far from the microlenses' focus, and lines instead of bands and responses; it has no gradients.
+        detectors not far from the microlenses' focus, and lines instead of bands and responses.
         ``radiators_per_lens``, ``passes`` and ``occlusion`` do not concern it; ``accuracy`` below 0.005 takes finer
         kernels.
 
@@ -137,6 +137,8 @@ def make_class() -> type:
         what the light depends on: textures, emitters and BSDFs. Radiators, and how their light fills the pupil, are
         held: shapes do not move. ``path`` is replaced by ``prb``, which replays its light paths; with other nested
         integrators, and in scenes with mirrors, glass, masks or media, there are gradients by the camera only.
+        Method ``signed_rays`` holds shapes alone: what ``prb``, or ``prbvolpath`` for ``volpath``, differentiates along
+        rays it differentiates in any scene, and most of the camera's numbers.
 
         .. tabs::
             .. code-tab:: xml
