@@ -289,6 +289,7 @@ class CameraAdjoint(SignedRaySum):
 
 
 def _dot(values: list[Any], others: list[Any]) -> Any:
+    """Return the sum of products."""
     return dr.sum([value * other for value, other in zip(values, others, strict=True)], axis=0)
 
 
