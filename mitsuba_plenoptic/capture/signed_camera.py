@@ -15,6 +15,7 @@ integral over m: of it only where rays land, and how densely, changes.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -251,7 +252,7 @@ class CameraAdjoint(SignedRaySum):
         seen = dr.select(drawn.open, mi.Float(1), 0)
         require_finite(radiance, seen)
         known, lit = self._known(radiance, seen, count)
-        lit = dr.compress(lit & (dr.zeros(mi.UInt32, count) == 0))
+        lit = dr.compress(lit)
         if not dr.width(lit):
             return
         spp, every = dr.opaque(mi.UInt32, self._spp), dr.opaque(mi.UInt32, lot.cells.box.rows * lot.cells.box.columns)
@@ -373,14 +374,21 @@ def width_change(camera: PlenopticCamera, changes: Values) -> float:
 
 def width_slopes(plan: PhaseSpace) -> RayCoefficients:
     """Return the derivatives of coefficients by the logarithm of the width of the pupil's diffraction."""
+    return RayCoefficients(plan, _width_table(plan))
+
+
+@functools.lru_cache(maxsize=4)
+def _width_table(plan: PhaseSpace) -> list[NDArray[np.float32]]:
+    """Return the table of these derivatives."""
     distance = plan.camera.mla_distance
     sides = [
         plan.moved(plan.camera.replace(mla_distance=distance * (1 + side))).table
         for side in (_TABLE_STEP, -_TABLE_STEP)
     ]
-    return RayCoefficients(plan, [(a - b) / (2 * _TABLE_STEP) for a, b in zip(*sides, strict=True)])
+    return [(a - b) / np.float32(2 * _TABLE_STEP) for a, b in zip(*sides, strict=True)]
 
 
+@functools.lru_cache(maxsize=32)
 def kernel_slopes(plan: PhaseSpace, name: str, step: float, kind: int) -> list[NDArray[np.float64]]:
     """Return the derivatives of kernels by each part of a parameter."""
     camera, start = plan.camera, parameters_of(plan.camera)[name]

@@ -10,6 +10,7 @@ import scipy.signal
 from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.capture.signed_camera import (
     PARAMETERS,
+    CameraAdjoint,
     CameraTangents,
     displaced,
     hold,
@@ -159,6 +160,31 @@ def test_against_differences_of_held_rays(node, name):
     expected = (sides[0] - sides[1]) / (2 * step)
     # By the detector's width, what moves and what grows cancel to a hundredth.
     assert found == pytest.approx(expected, rel=0.01, abs=1.0 if name == "detector_width" else None)
+
+
+def test_reverse_is_the_transpose_of_forward():
+    generator = np.random.default_rng(1)
+    camera = PlenopticCamera(detector_width=2 * 0.064, resolution=(32, 32))
+    plans = [PhaseSpace(camera, wavelength, degree=1, window=3, radial=4) for wavelength in (500.0, 633.0)]
+    # Two nodes of light of two values.
+    nodes = [Node(plan, (0, 1), weights) for plan, weights in zip(plans, generator.normal(size=(2, 2, 2)), strict=True)]
+    changes = {"focal_length": np.ones(1), "mla_distance": np.ones(1), "mla_offset": np.array([0.01, -0.02])}
+    gradient = generator.normal(size=(32, 32, 2)).astype(np.float32)
+    options = {"parts": 2, "spp": 16, "seed": 5}
+
+    def two_values(*ray):
+        (value,) = light(*ray)
+        return [value, 0.3 + dr.square(value)]
+
+    with dr.suspend_grad():
+        work = CameraTangents(camera, two_values, nodes, **options, changes=changes)
+        items = int(work.items.sum())
+        change = Job().run([Task(items, lambda: work, lambda image: image)], (32, 32, 2), items)
+        found = CameraAdjoint(camera, two_values, nodes, **options, names=tuple(changes)).backward(
+            np.moveaxis(gradient, -1, 0)
+        )
+    back = sum(part @ changes[name] for name, part in found.items())
+    assert abs(np.vdot(change, gradient) - back) < 1e-6 * np.linalg.norm(change) * np.linalg.norm(gradient)
 
 
 def test_rays_come_back_to_where_they_were_drawn(node):

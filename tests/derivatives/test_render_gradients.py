@@ -198,7 +198,7 @@ def test_what_is_black_has_a_gradient_too():
 @pytest.mark.parametrize(
     ("options", "key", "message"),
     [
-        ({}, "wall.to_world", "wall.to_world: it has no gradient: the radiators' places are held"),
+        ({}, "wall.to_world", "wall.to_world: it has no gradient: places of shapes and cameras are held"),
         ({}, "camera.to_world", "camera.to_world: it has no gradient"),
         ({"method": "bank", "main_lens": {}}, LAMP, "method = bank: it has no gradients; use patch"),
         ({"method": "full_field"}, LAMP, "method = full_field: it has no gradients"),
