@@ -138,17 +138,32 @@ class Convolution:
                 add(Part(reached, square[None]), wanted, result)
         return result[0].reshape(pixels.rows, p, pixels.columns, p).sum((1, 3)) if p > 1 else result[0]
 
-    def adjoint(self, pixels: NDArray[np.float32]) -> Iterator[NDArray[np.float32]]:
-        """Yield for each kernel the image whose product with any image is that of the pixels with its `forward`."""
-        samples = np.pad(pixels.repeat(self._parts, 0).repeat(self._parts, 1), 2 * self._margin)
+    def adjoint(self, pixels: NDArray[np.float32], box: Box | None = None) -> Iterator[NDArray[np.float32]]:
+        """Yield for each kernel the image whose product with any image is that of the pixels with its `forward`.
+
+        Parameters
+        ----------
+        pixels : float32 array (rows, columns)
+            All that are recorded.
+        box : Box, optional
+            The samples that the images have: `box` by default.
+        """
+        box, m = box or self.box, self._margin
+        reached, tiles = _grown(box, m), list(self._tiles(box))
+        samples = np.zeros((1, reached.rows, reached.columns), np.float32)
+        add(Part(self._window, pixels.repeat(self._parts, 0).repeat(self._parts, 1)[None]), reached, samples)
+        with resting_drjit():
+            # What comes later wraps.
+            spectra = [
+                self._transform(samples[0, rows.start : rows.stop + 2 * m, columns.start : columns.stop + 2 * m])
+                for rows, columns in tiles
+            ]
         for spectrum in self._spectra:
-            image = np.empty((self.box.rows, self.box.columns), np.float32)
+            image = np.empty((box.rows, box.columns), np.float32)
             with resting_drjit():
-                for rows, columns in self._tiles(self.box):
-                    part = self._transform(samples[_wider(rows, self._margin), _wider(columns, self._margin)])
-                    part *= spectrum.conj()
-                    # What comes later wraps.
-                    image[rows, columns] = self._back(part)[: rows.stop - rows.start, : columns.stop - columns.start]
+                for part, (rows, columns) in zip(spectra, tiles, strict=True):
+                    square = self._back(part * spectrum.conj())
+                    image[rows, columns] = square[: rows.stop - rows.start, : columns.stop - columns.start]
             yield image
 
     def _tiles(self, box: Box) -> Iterator[tuple[slice, slice]]:
@@ -197,11 +212,6 @@ def cost_of(convolutions: Sequence[Convolution], block: Box, count: int) -> tupl
 def _grown(box: Box, margin: int) -> Box:
     """Return a box with a margin all around."""
     return Box(box.left - margin, box.top - margin, box.columns + 2 * margin, box.rows + 2 * margin)
-
-
-def _wider(samples: slice, margin: int) -> slice:
-    """Return which samples of the padded pixels some samples reach."""
-    return slice(samples.start, samples.stop + 2 * margin)
 
 
 def _even(size: int, most: int) -> int:

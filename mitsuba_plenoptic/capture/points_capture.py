@@ -17,8 +17,8 @@ from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job
 from .operator import CaptureOperator
 from .patch_plan import Cost
+from .scene_light import SceneLight
 from .scene_points import ScenePoints, find_points
-from .signed_rays import SceneLight
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from ..runtime.limits import largest_fitting, require_memory
 from .entrance import Entrances, Front
 from .lens_window import LensWindow
 from .pupil_weights import PupilWeights
-from .signed_rays import SceneLight
+from .scene_light import SceneLight
 from .units import radiance_weight
 
 PATHS = 64

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +16,14 @@ from ..camera import PlenopticCamera
 from ..io.checkpoints import digest
 from ..optics.phase import in_millimetres
 from ..runtime.jobs import Job, Task
+from .negatives import Mended
 from .noise import PARTS, keep_spread, with_spread
 from .patch_plan import Cost
+from .scene_light import SceneLight
 from .signed_colours import FINE, Node, SignedColours
-from .signed_rays import SceneLight, SignedRaySum
+from .signed_rays import SignedRaySum
+
+Sum = TypeVar("Sum", bound=SignedRaySum)
 
 _SAMPLES = 4
 """Rays a cell of each of the captures from whose spread the noise is found: few correct each other less well."""
@@ -52,23 +58,41 @@ class SignedCapture:
     accuracy: float
 
     @cached_property
-    def _nodes(self) -> list[Node]:
+    def nodes(self) -> list[Node]:
+        """Light that is diffracted alike."""
         return self.colours.planned(self.camera, self.accuracy)
 
     @property
     def _parts(self) -> int:
         """Cells of the grid across a pixel."""
         camera = self.camera
-        if any(node.plan.by_points for node in self._nodes):
+        if any(node.plan.by_points for node in self.nodes):
             return 1  # kernels of such are integrated over pixels
-        extent = in_millimetres(min(node.plan.wavelength for node in self._nodes)) * camera.detector_distance
+        extent = in_millimetres(min(node.plan.wavelength for node in self.nodes)) * camera.detector_distance
         highest = float(camera.lattice.aperture_width) / extent * camera.pixel_size
         return math.ceil(_KEPT[self.accuracy < FINE] * highest)
 
-    def _sum(self, spp: int, seed: int) -> SignedRaySum:
-        return SignedRaySum(
-            self.camera, self.light, self._nodes, self.colours.drawn, parts=self._parts, spp=spp, seed=seed
-        )
+    def sums(
+        self, spp: int, seed: int, runs: int, kind: Callable[..., Sum], light: SceneLight | None = None
+    ) -> list[Callable[[], Sum]]:
+        """Return what makes the sums of so many independent captures of equal parts of the rays, of its or other light.
+
+        What one holds is given back before the next is made.
+        """
+        return [
+            partial(
+                kind,
+                self.camera,
+                light or self.light,
+                self.nodes,
+                self.colours.drawn,
+                parts=self._parts,
+                spp=-(-spp // runs),
+                seed=own,
+            )
+            # Neighbouring seeds must not share runs.
+            for own in np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
+        ]
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
         """Capture the scene.
@@ -84,16 +108,14 @@ class SignedCapture:
             Pixel values, none negative; with noise twice as many channels, those of the standard deviations last.
         """
         runs = max(2, min(PARTS, spp // _SAMPLES)) if noise else 1
-        # Neighbouring seeds must not share runs.
-        seeds = np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
-        first = self._sum(-(-spp // runs), seeds[0])
+        sums = self.sums(spp, seed, runs, SignedRaySum)
+        first = sums[0]()
         found, items = first.probe(), int(first.items.sum())
-        # What one sum holds is given back before the next.
         del first
-        tasks = [Task(items, partial(self._sum, -(-spp // runs), own), partial(_part, runs)) for own in seeds]
+        tasks = [Task(items, plan, partial(_part, runs)) for plan in sums]
         if noise:
             tasks = [keep_spread(task) for task in tasks]
-        channels, responses = self.colours.spectrum.channels, self.colours.spectrum.matrix()
+        channels = self.colours.spectrum.channels
         shape = (*self.camera.shape, channels * (3 if noise else 1))
         if not found.any():
             warnings.warn(
@@ -106,30 +128,22 @@ class SignedCapture:
             image = with_spread(image, runs)
         np.maximum(image[..., channels:], 0, out=image[..., channels:])
         np.sqrt(image[..., channels:], out=image[..., channels:])
-        extent = in_millimetres(max(node.plan.wavelength for node in self._nodes)) * self.camera.detector_distance
-        spot = extent / float(self.camera.lattice.aperture_width) / self.camera.pixel_size
-        for channel in np.flatnonzero(responses.min(1) >= 0).tolist():
-            image[..., channel] = _without_negatives(image[..., channel], 2 * math.ceil(_SPOTS * spot) + 1)
+        for channel, mended in self.mended(image).items():
+            image[..., channel] = mended.image
         return image
+
+    def mended(self, image: NDArray[np.float32]) -> dict[int, Mended]:
+        """Return the channels of an image that only chance takes below zero, without what is there."""
+        extent = in_millimetres(max(node.plan.wavelength for node in self.nodes)) * self.camera.detector_distance
+        spot = extent / float(self.camera.lattice.aperture_width) / self.camera.pixel_size
+        size = 2 * math.ceil(_SPOTS * spot) + 1
+        channels = np.flatnonzero(self.colours.spectrum.matrix().min(1) >= 0).tolist()
+        return {channel: Mended(image[..., channel], size) for channel in channels}
 
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
         """Estimate what `compute` takes, from some of the rays."""
-        seconds, memory = self._sum(spp, seed).cost()
+        seconds, memory = self.sums(spp, seed, 1, SignedRaySum)[0]().cost()
         return Cost(0, 0, seconds, memory)
-
-
-def _without_negatives(image: NDArray[np.float32], size: int) -> NDArray[np.float32]:
-    """Return an image in which what is below zero, by chance, is taken from the light around it.
-
-    To set it to zero would brighten what is dark, the more the fewer samples there are.
-    """
-    from scipy.ndimage import uniform_filter
-
-    light = np.maximum(image, 0)
-    around = uniform_filter(light, size)
-    missing = uniform_filter(light - image, size)
-    share = np.divide(missing, around, out=np.zeros_like(image), where=around > 0)
-    return np.asarray(light * (1 - np.minimum(share, 1)), np.float32)
 
 
 def _part(runs: int, image: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -162,6 +163,11 @@ class Node:
             )
         dr.eval(made)
         return list(range(len(lanes.weight))), made
+
+
+def mixed(weights: Sequence[Any], values: Sequence[Any]) -> Any:
+    """Return the sum of the products."""
+    return sum((weight * value for weight, value in zip(weights, values, strict=True)), start=mi.Float(0))
 
 
 def span(nodes: list[Node]) -> tuple[float, float]:

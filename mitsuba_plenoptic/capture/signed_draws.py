@@ -20,6 +20,7 @@ from ..optics.phase import in_millimetres
 from ..optics.phase_space import PhaseSpace
 from ..optics.ray_pupil import RayPupil
 from ..runtime.batches import Box
+from .signed_colours import Lanes
 
 Pair = tuple[Any, Any]
 
@@ -89,6 +90,34 @@ class Cells:
     box: Box
     index: Any
     steps: NDArray[np.int64]
+
+
+class Lot(NamedTuple):
+    """Cells with a lens that lights each, whose rays are traced at once.
+
+    Attributes
+    ----------
+    some : UInt32
+        Which of all cells they are.
+    kind : UInt32
+        Kinds of the lenses.
+    cells : Cells
+        The cells.
+    lanes : list of Lanes or None
+        Wavelengths that are drawn for them, for each group of nodes.
+    seed : int
+        Of the rays.
+    """
+
+    some: Any
+    kind: Any
+    cells: Cells
+    lanes: list[Lanes | None]
+    seed: int
+
+    def first(self, every: Any, values: int) -> Any:
+        """Return where their first values are in an image of so many values of so many cells, of each kind."""
+        return self.some + every * (self.kind * values)
 
 
 class Aims(NamedTuple):

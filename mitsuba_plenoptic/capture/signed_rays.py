@@ -16,8 +16,8 @@ which has the same mean, as the coefficients' integral over m is known, and no n
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -27,16 +27,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
-from ..optics.phase_space import Polynomials, RayCoefficients
+from ..optics.phase_space import PhaseSpace, Polynomials, RayCoefficients
 from ..optics.pixel_response import angular_response
 from ..optics.ray_pupil import RayPupil
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
-from . import radiance as along
 from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
-from .signed_colours import DrawnWavelengths, Lanes, Node, chances, span
-from .signed_draws import ORDER, Cells, Draws, Pair, jitter
+from .scene_light import require_finite
+from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
+from .signed_draws import ORDER, Cells, Drawn, Draws, Lot, Pair, jitter
 
 _BLOCK_BYTES = 2**29
 """Memory of the images of one block of the detector."""
@@ -53,45 +52,8 @@ _PROBES, _CELLS = 2**10, 2**16
 _LEAST = 2
 """Rays from each cell through each lens at least: two halves of them correct each other."""
 
-_REACH = 1.25
+REACH = 1.25
 """Distance in lenses to which kernels are computed."""
-
-
-@dataclass(frozen=True)
-class SceneLight:
-    """The radiance along rays from the main lens into a scene.
-
-    Attributes
-    ----------
-    scene, sensor : mitsuba.Scene, mitsuba.Sensor
-        The scene, and the plenoptic sensor that says where the main lens is and when the shutter is open.
-    integrator : mitsuba.SamplingIntegrator
-        Finds the radiance.
-    wavelength : float, optional
-        For spectral variants, in nanometres.
-    """
-
-    scene: Any
-    sensor: Any
-    integrator: Any
-    wavelength: float | None = None
-
-    def __call__(
-        self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
-    ) -> list[Any]:
-        """Return the radiance along rays from points of the camera frame, by channel or at wavelengths of theirs."""
-        to_world = self.sensor.world_transform()
-        ray = mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
-        if wavelengths is not None:
-            ray.wavelengths = type(ray.wavelengths)(*wavelengths)
-        elif self.wavelength is not None:
-            ray.wavelengths = self.wavelength
-        sampler = along.random_numbers(seed, dr.width(ray))
-        ray.time = self.sensor.shutter_open()
-        if self.sensor.shutter_open_time() > 0:
-            ray.time += sampler.next_1d(active) * self.sensor.shutter_open_time()
-        found = along.sample(self.integrator, self.scene, sampler, ray, self.sensor.get_medium(), active)
-        return along.channels(found) if wavelengths is None else list(found)
 
 
 class SignedRaySum:
@@ -116,6 +78,8 @@ class SignedRaySum:
     """
 
     arrays: Any = np
+    _sets = 1
+    """How often a ray has a value for each coefficient: once, but for derivatives."""
 
     def __init__(
         self,
@@ -168,15 +132,18 @@ class SignedRaySum:
     @cached_property
     def _kernels(self) -> list[list[NDArray[np.float32]]]:
         """Those of each node, for each type of lenses. A pixel is the mean of its cells."""
-        reach = _REACH * max(self._camera.mla_pitches)
         return [
             [
                 (kernel / self._parts**2).astype(np.float32)
                 for kind in range(len(node.plan.kinds))
-                for kernel in node.plan.kernels(self._step, reach, kind)
+                for kernel in self._kernels_of(node.plan, kind)
             ]
             for node in self._nodes
         ]
+
+    def _kernels_of(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
+        """Return the kernels of lenses of a kind, for each value of a ray."""
+        return list(plan.kernels(self._step, REACH * max(self._camera.mla_pitches), kind))
 
     @cached_property
     def _convolutions(self) -> list[Convolution]:
@@ -197,11 +164,29 @@ class SignedRaySum:
         """
         kinds = len(self._draws.kinds.every)
         sums = [
-            dr.zeros(mi.Float, dr.width(cells) * kinds * len(node.plan.exponents))
+            dr.zeros(mi.Float, dr.width(cells) * kinds * self._values_of(node))
             for node in self._nodes
             for _ in node.channels
         ]
         dr.eval(cells, sums)
+        every = dr.opaque(mi.UInt32, dr.width(cells))
+        for lot in self._lots(box, cells, seeds):
+            for total, parts in zip(sums, self._collect(lot), strict=True):
+                first = lot.first(every, len(parts))
+                for number, part in enumerate(parts):
+                    # Every cell is in it once.
+                    dr.scatter_reduce(
+                        dr.ReduceOp.Add, total, part, first + every * number, mode=dr.ReduceMode.NoConflicts
+                    )
+            dr.eval(sums)
+        return sums
+
+    def _values_of(self, node: Node) -> int:
+        """Return how many values a ray has for each image of a node."""
+        return self._sets * len(node.plan.exponents)
+
+    def _lots(self, box: Box, cells: Any, seeds: np.random.SeedSequence) -> Iterator[Lot]:
+        """Yield some cells of a box with all lenses that light them, in lots."""
         for steps in self._draws.candidates:
             aims = self._draws.aims(Cells(box, cells, steps))
             pupil = self._draws.seen(aims.middle, aims)
@@ -211,22 +196,27 @@ class SignedRaySum:
                 some = dr.gather(
                     mi.UInt32, lit, dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, min(size, dr.width(lit) - start))
                 )
-                every = dr.opaque(mi.UInt32, dr.width(cells))
+                several = len(self._draws.kinds.every) > 1
+                kind = dr.gather(mi.UInt32, aims.kind, some) if several else mi.UInt32(0)
                 chosen = Cells(box, dr.gather(mi.UInt32, cells, some), steps)
                 own = seeds.spawn(1)[0].generate_state(1 + self._passes).tolist()
                 for turn, seed in enumerate(own[1:]):
-                    lanes = self._lanes(chosen, turn, own[0])
-                    for total, parts in zip(sums, self._collect(chosen, seed, lanes), strict=True):
-                        first = (
-                            some if kinds == 1 else some + every * (dr.gather(mi.UInt32, aims.kind, some) * len(parts))
-                        )
-                        for number, part in enumerate(parts):
-                            # Every cell is in it once.
-                            dr.scatter_reduce(
-                                dr.ReduceOp.Add, total, part, first + every * number, mode=dr.ReduceMode.NoConflicts
-                            )
-                    dr.eval(sums)
-        return sums
+                    yield Lot(some, kind, chosen, self._lanes(chosen, turn, own[0]), seed)
+
+    def _back(self, gradient: Sequence[NDArray[np.float32]]) -> Iterator[tuple[Lot, list[list[Any]]]]:
+        """Yield the lots of all blocks, and what a figure changes by with what their rays bring.
+
+        Given is the figure's gradient with respect to the sum, by channel (rows, columns). The changes are those with
+        each image of each node, flat as `_trace` returns the images.
+        """
+        for number, bins in enumerate(self._blocks):
+            convolutions, felt = iter(self._convolutions), []
+            for node in self._nodes:
+                images = [next(convolutions).adjoint(gradient[channel], bins) for channel in node.channels]
+                felt.append([mi.Float(np.concatenate([part.ravel() for part in image])) for image in images])
+            seeds = np.random.SeedSequence([self._seed, number])
+            for lot in self._lots(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds):
+                yield lot, felt
 
     def probe(self) -> NDArray[np.float32]:
         """Return what some cells' rays bring, by which a scene and its camera are known as the same."""
@@ -271,53 +261,84 @@ class SignedRaySum:
         dr.eval(lanes)
         return lanes
 
-    def _collect(self, cells: Cells, seed: int, lanes: Sequence[Lanes | None]) -> list[list[Any]]:
-        """Trace the rays of some cells through a lens of each; return for each image what they bring."""
-        spp = dr.opaque(mi.UInt32, self._spp)
-        count, key = dr.width(cells.index), dr.opaque(mi.UInt32, seed & ~15)
-        lane = dr.arange(mi.UInt32, count * self._spp)
-        own = lane // spp
-        drawn = self._draws.draw(replace(cells, index=dr.gather(mi.UInt32, cells.index, own)), lane - own * spp, key)
+    def _collect(self, lot: Lot) -> list[list[Any]]:
+        """Trace the rays of a lot; return for each image what they bring."""
+        count, key = dr.width(lot.cells.index), dr.opaque(mi.UInt32, lot.seed & ~15)
+        drawn, own = self._drawn_rays(lot.cells, key)
         counted = dr.select(drawn.open, mi.Float(1), 0)
         brought = []
-        for (pupil, nodes), some in zip(self._groups, lanes, strict=True):
-            start, direction = pupil.trace(drawn.place, drawn.pupil, drawn.height)
-            # Beside a lens, surfaces may send rays back.
-            seen = drawn.open & dr.all([dr.isfinite(value) for value in (*start, *direction)], axis=0)
-            own_light = [] if some is None else [[dr.gather(mi.Float, each, own) for each in some.wavelengths]]
-            radiance = self._light(start, direction, seen, seed, *own_light)
-            if self._response is not None:
-                response = self._response(self._draws.incidence(drawn))
-                radiance = [light * response for light in radiance]
-            finite = dr.all([dr.isfinite(light) for light in radiance], axis=0)
-            dr.eval(finite, radiance, counted)
-            if not dr.all(finite):
-                raise InputError("scene: the radiance of some rays is NaN or infinite: all must be finite")
-            known = self._known(radiance, counted, count)
+        for (pupil, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
+            radiance = self._light(*self._asked(pupil, drawn, own, lanes, lot.seed))
+            radiance = [light * self._answer(drawn) for light in radiance]
+            require_finite(radiance, counted)
+            known, lit = self._known(radiance, counted, count)
             for number in nodes:
-                brought += self._bring(cells, key, radiance, known, number, some)
+                brought += self._bring(lot.cells, key, radiance, known, lit, number, lanes)
         return brought
 
-    def _known(self, radiance: list[Any], seen: Any, count: int) -> list[Pair]:
-        """Return, for each of its values, the mean radiance that the rays of even and of odd numbers have found."""
+    def _drawn_rays(self, cells: Cells, key: Any) -> tuple[Drawn, Any]:
+        """Return all rays of some cells, a lane each, and the places of their cells among these."""
+        spp = dr.opaque(mi.UInt32, self._spp)
+        lane = dr.arange(mi.UInt32, dr.width(cells.index) * self._spp)
+        own = lane // spp
+        each = replace(cells, index=dr.gather(mi.UInt32, cells.index, own))
+        return self._draws.draw(each, lane - own * spp, key), own
+
+    def _asked(self, pupil: RayPupil, drawn: Drawn, own: Any, lanes: Lanes | None, seed: int) -> tuple[Any, ...]:
+        """Return what finds the radiance along rays takes: see `SceneLight`."""
+        start, direction = pupil.trace(drawn.place, drawn.pupil, drawn.height)
+        # Beside a lens, surfaces may send rays back.
+        seen = drawn.open & dr.all([dr.isfinite(value) for value in (*start, *direction)], axis=0)
+        if lanes is None:
+            return start, direction, seen, seed
+        return start, direction, seen, seed, [dr.gather(mi.Float, each, own) for each in lanes.wavelengths]
+
+    def _answer(self, drawn: Drawn) -> Any:
+        """Return how the pixels answer to light from the directions of rays."""
+        return 1 if self._response is None else self._response(self._draws.incidence(drawn))
+
+    def _known(self, radiance: list[Any], seen: Any, count: int) -> tuple[list[Pair], Any]:
+        """Return, for each of its values, the mean radiance that the rays of even and of odd numbers have found.
+
+        Return, too, which cells have any; derivatives of radiance may cancel in the means.
+        """
+        (counts, *sums), lit = self._halves(seen, radiance, count)
+        means = [
+            tuple(dr.select(number > 0, total / number, 0) for total, number in zip(pair, counts, strict=True))
+            for pair in sums
+        ]
+        dr.eval(means, lit)
+        return means, lit
+
+    def _halves(self, seen: Any, values: list[Any], count: int) -> tuple[list[Pair], Any]:
+        """Return sums over the rays of even and those of odd numbers of cells: of `seen`, and of each of some values.
+
+        Return, too, where any of these values is not zero.
+        """
         spp, first = dr.opaque(mi.UInt32, self._spp), dr.arange(mi.UInt32, count) * dr.opaque(mi.UInt32, self._spp)
 
-        def add(k: Any, totals: list[Any]) -> tuple[Any, list[Any]]:
-            values = [dr.gather(mi.Float, each, first + k) for each in (seen, *radiance)]
+        def add(k: Any, totals: list[Pair], some: Any) -> tuple[Any, list[Pair], Any]:
+            own = [dr.gather(mi.Float, each, first + k) for each in (seen, *values)]
             even = (k & 1) == 0
-            return k + 1, [total + dr.select(even == (i % 2 == 0), values[i // 2], 0) for i, total in enumerate(totals)]
+            totals = [
+                (a + dr.select(even, value, 0), b + dr.select(even, 0, value))
+                for (a, b), value in zip(totals, own, strict=True)
+            ]
+            return k + 1, totals, some | dr.any([value != 0 for value in own[1:]], axis=0)
 
-        nothing = [mi.Float(0) for _ in range(2 * (1 + len(radiance)))]
-        _, totals = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < spp, add, label="means")
-        result = [
-            tuple(dr.select(totals[side] > 0, totals[2 + 2 * i + side] / totals[side], 0) for side in range(2))
-            for i in range(len(radiance))
-        ]
-        dr.eval(result)
-        return result
+        state = mi.UInt32(0), [(mi.Float(0), mi.Float(0)) for _ in range(1 + len(values))], mi.Bool(False)
+        _, totals, some = dr.while_loop(state, lambda k, *_: k < spp, add, label="halves")
+        return totals, some
 
     def _bring(
-        self, cells: Cells, key: Any, radiance: list[Any], known: list[Pair], number: int, lanes: Lanes | None
+        self,
+        cells: Cells,
+        key: Any,
+        radiance: list[Any],
+        known: list[Pair],
+        lit: Any,
+        number: int,
+        lanes: Lanes | None,
     ) -> list[list[Any]]:
         """Return, for each image of a node, what rays bring of each kernel."""
         spp = dr.opaque(mi.UInt32, self._spp)
@@ -326,9 +347,6 @@ class SignedRaySum:
         node, coefficients = self._nodes[number], self._coefficients[number]
         used, weights = node.mixture(lanes)
         radiance, known = [radiance[i] for i in used], [known[i] for i in used]
-        lit = mi.Bool(False)
-        for even, odd in known:
-            lit |= (even != 0) | (odd != 0)
 
         def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
             drawn, chance, even = self._draws.draw(cells, k, key), jitter(cells.index, key ^ (k << 4)), (k & 1) == 0
@@ -340,14 +358,18 @@ class SignedRaySum:
             values = coefficients(drawn.point, drawn.inner, chance, active)
             result = []
             for row, before in zip(weights, brought, strict=True):
-                change = drawn.weight * _mixed(row, changes)
+                change = drawn.weight * mixed(row, changes)
                 after = [old + dr.select(active, value * change, 0) for old, value in zip(before, values, strict=True)]
-                after[0] += dr.select(drawn.open, _mixed(row, others), 0)
+                after[0] += dr.select(drawn.open, mixed(row, others), 0)
                 result.append(after)
             return k + 1, result
 
-        nothing = [[mi.Float(0) for _ in node.plan.exponents] for _ in node.channels]
-        end = dr.select(lit, spp, 0)
+        return self._mean_of(bring, lit, node)
+
+    def _mean_of(self, bring: Callable[..., Any], lit: Any, node: Node) -> list[list[Any]]:
+        """Return the mean of what the rays of each lit cell bring, one after another, for each image of a node."""
+        nothing = [[mi.Float(0) for _ in range(self._values_of(node))] for _ in node.channels]
+        end = dr.select(lit, dr.opaque(mi.UInt32, self._spp), 0)
         _, brought = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < end, bring, label="signed rays")
         rays = mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes))
         return [[part / rays for part in parts] for parts in brought]
@@ -360,8 +382,3 @@ def _groups(nodes: Sequence[Node]) -> list[tuple[RayPupil, list[int]]]:
         pupil = RayPupil(node.plan.camera, node.plan.wavelength)
         found.setdefault(pupil.refraction, (pupil, []))[1].append(number)
     return list(found.values())
-
-
-def _mixed(weights: Sequence[Any], values: Sequence[Any]) -> Any:
-    """Return the sum of the products."""
-    return sum((weight * value for weight, value in zip(weights, values, strict=True)), start=mi.Float(0))

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..capture.render import chosen_integrator, plenoptic_sensor
+from ..capture.scene_light import SceneLight
 from ..capture.scene_points import find_points, require_matte
-from ..capture.signed_rays import SceneLight
 from ..capture.units import brightness_at
 from ..errors import InputError, require_count, require_number
 from ..io.captures import as_array, require_pixels

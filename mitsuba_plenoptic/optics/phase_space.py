@@ -28,7 +28,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -313,7 +313,16 @@ class PhaseSpace:
 
     def bind(self) -> RayCoefficients | Polynomials:
         """Return what gives rays their coefficients, for Dr.Jit's variant that is set."""
-        return Polynomials(self) if self.by_points else RayCoefficients(self)
+        return Polynomials(self) if self.by_points else RayCoefficients(self, self.table)
+
+    def moved(self, camera: PlenopticCamera) -> PhaseSpace:
+        """Return the plan of a camera that differs a little, whose table has the same nodes."""
+        plan = replace(self, camera=camera)
+        scales = [own / before for own, before in zip(plan.lattice.period(), self.lattice.period(), strict=True)]
+        vars(plan)["nodes"] = [
+            node._replace(sides=(node.sides[0] * scales[0], node.sides[1] * scales[1])) for node in self.nodes
+        ]
+        return plan
 
     # -- the array: kernels of images ------------------------------------------------------------------
 
@@ -325,24 +334,32 @@ class PhaseSpace:
         """
         key = step, reach, kind
         if key not in self._kept:
-            make = self._cell_kernels if self.by_points else self._kernels
-            self._kept[key] = make(step, reach, self.kinds[kind])
+            if self.by_points:
+                self._kept[key] = self._cell_kernels(step, reach, self.kinds[kind])
+            else:
+                self._kept[key] = self.sampled_kernels(step, self.kernel_samples(step, reach, kind), kind)
         return self._kept[key]
 
     @cached_property
     def _kept(self) -> dict[tuple[float, float, int], NDArray[np.float64]]:
         return {}
 
-    @single_threaded_blas()
-    def _kernels(self, step: float, reach: float, kind: Kind) -> NDArray[np.float64]:
-        """Return the kernels that `kernels` keeps."""
-        scale = in_millimetres(self.wavelength) * kind.detector_distance
+    def kernel_samples(self, step: float, reach: float, kind: int = 0) -> tuple[int, int, int]:
+        """Return how `kernels` are sampled: steps from lag to lag, lags and samples on each side of the middle."""
+        scale = in_millimetres(self.wavelength) * self.kinds[kind].detector_distance
         fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
         every = max(1, int(scale / (2 * fine * reach)))
         # Pairs in neighbouring lenses are less than two widths of a cell apart; a grid holds half a cycle a step.
         farthest = int(min(2 * _TRANSFER_SAMPLES, scale / (2 * step * fine))) // every
-        transfer = self._transfer(np.arange(-farthest, farthest + 1) * every, kind)
-        count = math.ceil(scale / (2 * fine * every * step) - 0.5)
+        return every, farthest, math.ceil(scale / (2 * fine * every * step) - 0.5)
+
+    @single_threaded_blas()
+    def sampled_kernels(self, step: float, samples: tuple[int, int, int], kind: int = 0) -> NDArray[np.float64]:
+        """Return `kernels` that are sampled like others, whatever would be best for them."""
+        scale = in_millimetres(self.wavelength) * self.kinds[kind].detector_distance
+        fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
+        every, farthest, count = samples
+        transfer = self._transfer(np.arange(-farthest, farthest + 1) * every, self.kinds[kind])
         place, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * (every * fine)
         waves = np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (every * fine * step / scale)
         return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
@@ -443,13 +460,13 @@ class PhaseSpace:
 
 
 class RayCoefficients:
-    """The table of a `PhaseSpace` on the device of the active variant."""
+    """The table of a `PhaseSpace`, or one like it, on the device of the active variant."""
 
-    def __init__(self, plan: PhaseSpace) -> None:
+    def __init__(self, plan: PhaseSpace, table: Sequence[NDArray[np.float32]]) -> None:
         self.plan = plan
         count, self._packets = len(plan.exponents), -(-len(plan.exponents) // 4)
         # Coefficients are read four at a time.
-        parts = [np.pad(part, [(0, 0)] * 3 + [(0, 4 * self._packets - count)]).ravel() for part in plan.table]
+        parts = [np.pad(part, [(0, 0)] * 3 + [(0, 4 * self._packets - count)]).ravel() for part in table]
         self._table = mi.Float(np.concatenate(parts))
         first = np.cumsum([0] + [part.size // 4 // self._packets for part in parts])[:-1]
         self._first = mi.Int(first.astype(np.int32))
@@ -481,13 +498,11 @@ class RayCoefficients:
         plan = self.plan
         lattice = plan.lattice
         (u, v), (Pu, Pv) = lattice.to_frame(*point), lattice.to_frame(*pupil)
-        distance = dr.sqrt(Pu * Pu + Pv * Pv) / self._radius
+        distance, radial = self._along(Pu, Pv, jitter[0])
         active = active & (distance <= 1)
         # A quarter of the pupil stands for all of it, mirrored as lenses are.
         mirrored = Pu < 0, Pv < 0
         u, v = (dr.select(turned, -place, place) for turned, place in zip(mirrored, (u, v), strict=True))
-        along = (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * plan.radial
-        radial = mi.UInt(dr.minimum(dr.floor(along + jitter[0]), plan.radial))
         turn = dr.atan2(dr.abs(Pv), dr.abs(Pu)) * (2 / math.pi) * dr.gather(mi.Float, self._angular, radial)
         index = dr.gather(mi.Int, self._first, radial)
         sizes = [dr.gather(mi.Int, each, radial) for each in self._counts]
@@ -505,6 +520,32 @@ class RayCoefficients:
             for value in dr.gather(mi.Vector4f, self._table, mi.UInt(index * self._packets + packet), active)
         ]
         return plan.mirrored(values, *mirrored)
+
+    def slopes(
+        self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
+    ) -> tuple[list[Any], list[Any]]:
+        """Return the derivatives of the coefficients by the point, along the lattice's axes; see `__call__`."""
+        Pu, Pv = self.plan.lattice.to_frame(*pupil)
+        _, radial = self._along(Pu, Pv, jitter[0])
+        result = []
+        for axis, P in enumerate((Pu, Pv)):
+            # From node to node linear interpolation has this slope.
+            before, after = (
+                self(point, pupil, (*jitter[:2], *(end if i == 1 - axis else jitter[2 + i] for i in range(2))), active)
+                for end in (mi.Float(0), mi.Float(1))
+            )
+            density = mi.Float(dr.gather(mi.Int, self._counts[axis], radial)) / dr.gather(
+                mi.Float, self._sides[axis], radial
+            )
+            density = dr.select(P < 0, -density, density)
+            result.append([(b - a) * density for a, b in zip(before, after, strict=True)])
+        return result[0], result[1]
+
+    def _along(self, Pu: Any, Pv: Any, chance: Any) -> tuple[Any, Any]:
+        """Return how far points are from the middle of the pupil, over its radius, and a node of the table there."""
+        distance = dr.sqrt(Pu * Pu + Pv * Pv) / self._radius
+        along = (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * self.plan.radial
+        return distance, mi.UInt(dr.minimum(dr.floor(along + chance), self.plan.radial))
 
 
 class Polynomials:

@@ -34,7 +34,7 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
             continue
         name = key.rsplit(".", 1)[-1]
         if isinstance(node, mi.Shape) or name == "to_world":
-            raise InputError(f"plenoptic_wave: {key}: it has no gradient: the radiators' places are held")
+            raise InputError(f"plenoptic_wave: {key}: it has no gradient: places of shapes and cameras are held")
         if isinstance(node, (mi.Sensor, mi.Film)):
             if name not in NUMBERS:
                 raise InputError(f"plenoptic_wave: {key}: captures by waves have no derivative by it")

@@ -12,16 +12,19 @@ from ..capture import colour
 from ..capture.accuracy import DEFAULT_ACCURACY, check_accuracy
 from ..capture.patch_plan import Cost
 from ..capture.points_capture import PointsCapture
+from ..capture.scene_light import LightDerivatives, SceneLight
 from ..capture.scene_points import require_matte
+from ..capture.signed_camera import require_parameters
 from ..capture.signed_capture import SignedCapture
-from ..capture.signed_rays import SceneLight
+from ..capture.signed_gradients import SignedGradients
 from ..errors import InputError
 from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..optics.wave_cameras import require_ideal
 from ..runtime.jobs import Job
 from .colours import NAME, SHARED, read_colours
-from .films import put
+from .films import develop, develop_back, put
+from .gradients import accumulate, numbers_and_others, tangent
 from .properties import read_choice, read_plain
 
 _GONE = ("radiators_per_lens", "passes", "occlusion")
@@ -111,10 +114,13 @@ def make_class() -> type:
 
         The same seed gives the same bits, on any number of threads.
 
-        ``mi.render`` differentiates captures, forward and in reverse, by the numbers that the sensor exposes and by
-        what the light depends on: textures, emitters and BSDFs. Radiators, and how their light fills the pupil, are
-        held: shapes do not move. ``path`` is replaced by ``prb``, which replays its light paths; with other nested
-        integrators, and in scenes with mirrors, glass, masks or media, there are gradients by the camera only.
+        ``mi.render`` differentiates captures by ``signed_rays``, forward and in reverse, by what the light depends on:
+        textures, emitters, BSDFs, and media in reverse; shapes do not move. ``path`` is replaced by ``prb``, and
+        ``volpath`` by ``prbvolpath``, which replay their light paths; other nested integrators have no gradients by the
+        scene. By the sensor's ``focal_length``, ``mla_distance``, ``mla_focal_length``, ``mla_pitch``, ``mla_offset``,
+        ``detector_distance`` and ``detector_width`` there are gradients behind thin main lenses without aberrations,
+        distortion and glass, of regular arrays near the microlenses' focus. Spectral variants have gradients in
+        reverse alone.
 
         .. tabs::
             .. code-tab:: xml
@@ -167,6 +173,43 @@ def make_class() -> type:
             film = self.record(scene, sensor, seed=seed, spp=spp)
             return film.develop() if develop else None
 
+        def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
+            """Return the change of the capture with the tangents of parameters, for `mi.render`."""
+            sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+            names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=True)
+            with guards.watch():
+                change = gradients.forward({name: tangent(sensor, name) for name in names})
+            return develop(sensor.film(), change)
+
+        def render_backward(
+            self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
+        ) -> None:
+            """Take the gradient of the capture back to that of parameters, for `mi.render`."""
+            sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+            names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=False)
+            shape = *gradients.capture.camera.shape, gradients.capture.colours.spectrum.channels
+            with guards.watch():
+                found = gradients.backward(develop_back(sensor.film(), grad_in, shape), names)
+            for name, gradient in found.items():
+                accumulate(sensor, name, gradient)
+
+        def _gradients(
+            self, scene: Any, params: Any, sensor: Any, seed: Any, spp: int, forward: bool
+        ) -> tuple[tuple[str, ...], SignedGradients]:
+            """Return which of the camera's numbers have gradients, and what differentiates; or refuse."""
+            if self.method != SIGNED_RAYS:
+                raise InputError(f"{NAME}: method = {self.method}: it has no gradients; use {SIGNED_RAYS}")
+            names, others = numbers_and_others(params, sensor)
+            seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
+            spp = spp or sensor.sampler().sample_count()
+            capture = self._signed(scene, sensor)
+            try:
+                require_parameters(capture.camera, names, any(node.plan.by_points for node in capture.nodes))
+                light = LightDerivatives.of(capture.light, forward) if others or not names else None
+            except InputError as error:
+                raise InputError(f"{NAME}: {error}") from None
+            return names, SignedGradients(capture, light, seed, spp)
+
         def record(
             self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False
         ) -> Any:
@@ -213,16 +256,17 @@ def make_class() -> type:
             return self.colours.spectrum_for(channels, colour.tables_of(scene) if mi.is_spectral else [])
 
         def _capture(self, scene: Any, sensor: Any) -> SignedCapture | PointsCapture:
-            camera = PlenopticCamera.from_sensor(sensor)
-            if self.method == POINTS:
-                return self._by_points(scene, sensor, camera)
+            return self._by_points(scene, sensor) if self.method == POINTS else self._signed(scene, sensor)
+
+        def _signed(self, scene: Any, sensor: Any) -> SignedCapture:
             colours = self.colours.signed(sensor.film().base_channels_count())
             if mi.is_spectral:
                 colour.require_spectra(scene, colours.spectrum.wavelengths, colours.spectrum.matrix())
             light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
-            return SignedCapture(camera, light, colours, self.accuracy)
+            return SignedCapture(PlenopticCamera.from_sensor(sensor), light, colours, self.accuracy)
 
-        def _by_points(self, scene: Any, sensor: Any, camera: PlenopticCamera) -> PointsCapture:
+        def _by_points(self, scene: Any, sensor: Any) -> PointsCapture:
+            camera = PlenopticCamera.from_sensor(sensor)
             require_ideal(camera)
             spectrum = self.spectrum_of(scene, sensor)
             if mi.is_spectral:

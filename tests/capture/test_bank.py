@@ -5,11 +5,11 @@ import pickle
 import numpy as np
 import pytest
 import scipy
+from mitsuba_plenoptic.capture.bank import Convolution, LensBank, lens_bank, near_weight
+from mitsuba_plenoptic.capture.bank.radial import RadialFields
 from threadpoolctl import threadpool_info, threadpool_limits
 from wave_cases import WAVELENGTH, capture, error, small_camera
 
-from mitsuba_plenoptic.capture.bank import Convolution, LensBank, lens_bank, near_weight
-from mitsuba_plenoptic.capture.bank.radial import RadialFields
 from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.capture.point_spread import point_fields
 from mitsuba_plenoptic.optics.main_lens import main_lens
@@ -141,6 +141,12 @@ def test_convolution_in_tiles_its_bands_and_its_adjoint():
     pixels = generator.random((61, 200), dtype=np.float32)
     back = sum(np.vdot(image.astype(float), part) for image, part in zip(images, shared.adjoint(pixels), strict=True))
     assert np.vdot(shared.forward(images).astype(float), pixels) == pytest.approx(back, rel=1e-5)
+    # A part of the samples, and some beyond those that pixels feel.
+    part = Box(box.left + 100, box.top - 7, box.columns - 60, 40)
+    image = next(bands.adjoint(pixels, part))
+    assert image.shape == (40, part.columns)
+    np.testing.assert_allclose(image[:7], 0, atol=1e-4)
+    np.testing.assert_allclose(image[7:, :-40], next(plain.adjoint(pixels))[:33, 100:], atol=1e-4)
 
 
 def test_near_weight_goes_smoothly_from_focus():

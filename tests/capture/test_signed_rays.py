@@ -180,13 +180,6 @@ def test_cameras_that_are_not_served_are_refused_by_name(parameters, message):
         by_waves(scene)
 
 
-def test_gradients_are_refused():
-    scene = scene_of(sensor(4, 8), wall=wall())
-    integrator = mi.load_dict({"type": "plenoptic_wave", "method": "signed_rays"})
-    with pytest.raises(InputError, match="method = signed_rays: it has no gradients; use patch"):
-        integrator.render_forward(scene, mi.traverse(scene))
-
-
 def test_plans_are_the_same_in_another_process():
     from mitsuba_plenoptic.optics.phase_space import PhaseSpace
 

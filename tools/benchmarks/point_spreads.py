@@ -21,8 +21,8 @@ from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.capture.patch import PatchBatch, Workspace
 from mitsuba_plenoptic.capture.patch_plan import PatchPlan
 from mitsuba_plenoptic.capture.pupil_weights import PupilWeights
+from mitsuba_plenoptic.capture.scene_light import SceneLight
 from mitsuba_plenoptic.capture.scene_points import find_points
-from mitsuba_plenoptic.capture.signed_rays import SceneLight
 from mitsuba_plenoptic.runtime.batches import Threads
 from mitsuba_plenoptic.runtime.fft import resting_drjit
 from mitsuba_plenoptic.runtime.jobs import Job

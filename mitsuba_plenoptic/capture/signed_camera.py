@@ -1,0 +1,423 @@
+r"""Derivatives of captures by signed rays by the camera's parameters: rays are held in the scene.
+
+A ray is held before the main lens: where it meets the pupil, its direction, its radiance and its étendue. A changed
+camera bends it elsewhere: it meets its lens at another point m, lands elsewhere on the detector, in the cell u of its
+grid, and counts by another measure, of logarithm f. With a prime for derivatives by a parameter, the capture changes by
+
+.. math:: I' = \sum_n \left[ \varphi_n * \sum_{rays} L\, (f' A_n + m' \cdot \nabla_m A_n + q'\, \partial_q A_n)
+          - \nabla \varphi_n * \sum_{rays} L A_n u' + \varphi_n' * \sum_{rays} L A_n \right] ,
+
+where q is the logarithm of the width of the pupil's diffraction over the pitch, on which alone the coefficients depend
+otherwise. As the rays that the changed camera would draw fill the same light, this is the derivative of its capture:
+nothing need be known of how radiance differs from ray to ray. What shines with the mean radiance c keeps its known
+integral over m: of it only where rays land, and how densely, changes.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import InputError
+from ..optics import rays
+from ..optics.phase_space import PhaseSpace, RayCoefficients
+from .scene_light import require_finite
+from .signed_colours import Lanes, mixed
+from .signed_draws import Cells, Drawn, Lot, Pair, jitter
+from .signed_rays import REACH, SignedRaySum
+
+PARAMETERS = (
+    "focal_length",
+    "mla_distance",
+    "mla_focal_length",
+    "mla_pitch",
+    "mla_offset",
+    "detector_distance",
+    "detector_width",
+)
+"""Parameters of a camera by which captures by signed rays have derivatives."""
+
+_OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distance", "detector_width")
+"""Those on which the kernels depend."""
+
+_REFUSED = ("main_lens", "wavefront", "distortion", "glass", "mla_glass", "mla_jitter", "mla_tilt", "pixel_response")
+"""What a camera must not have: rays that are held in the scene are followed behind thin main lenses alone."""
+
+_KERNEL_STEP, _TABLE_STEP = 1e-3, 2e-2
+"""Relative steps of the differences of kernels, and of tables, whose overlaps are sampled."""
+
+_REACHED, _SHAPE = 16, 8.0
+"""Samples that slopes are taken from on either side, and the shape of their weights, of Kaiser."""
+
+Values = dict[str, NDArray[np.float64]]
+
+
+class Held(NamedTuple):
+    """How rays that are held in the scene meet a changed camera.
+
+    Attributes
+    ----------
+    point : (Float, Float)
+        Where they meet the array, from the lens's centre, in the lattice's frame; it grows with the pitch.
+    cell : (Float, Float)
+        Where they land, in cells of the grid from the axis.
+    measure : Float
+        Logarithm of what a ray counts.
+    density : Float
+        Logarithm of how densely rays land whose directions fill the lens.
+    """
+
+    point: Pair
+    cell: Pair
+    measure: Any
+    density: Any
+
+
+def parameters_of(camera: PlenopticCamera) -> Values:
+    """Return the values of all `PARAMETERS`, each as an array of its parts."""
+    given = {name: getattr(camera, name) for name in PARAMETERS if name != "mla_focal_length"}
+    given["mla_focal_length"] = camera.mla_focal_lengths
+    return {name: np.array(np.ravel(given[name]), np.float64) for name in PARAMETERS}
+
+
+def require_parameters(camera: PlenopticCamera, names: Iterable[str], by_points: bool) -> None:
+    """Refuse parameters by which captures by signed rays, or those of rays that land by their own points, have none.
+
+    Raises
+    ------
+    InputError
+        Naming the parameter.
+    """
+    for name in names:
+        if name not in PARAMETERS:
+            raise InputError(f"{name}: captures by signed rays have derivatives by {', '.join(PARAMETERS)} alone")
+        if name == "mla_pitch" and camera.mla_pitches[0] != camera.mla_pitches[1]:
+            raise InputError("mla_pitch: captures by signed rays have no derivative by one of two pitches")
+        for other in _REFUSED:
+            value = getattr(camera, other)
+            if any(value) if isinstance(value, tuple) else value is not None:
+                raise InputError(f"{name}: captures by signed rays have no derivative by it with {other}; leave it out")
+        if by_points:
+            raise InputError(
+                f"{name}: captures by signed rays have derivatives by it near the microlenses' focus alone, and "
+                f"detector_distance = {camera.detector_distance:g} is far from it"
+            )
+
+
+class CameraTangents(SignedRaySum):
+    """The change of a capture with parameters of its camera.
+
+    Parameters
+    ----------
+    changes : dict
+        By name, of each part of some `PARAMETERS`.
+    """
+
+    _sets = 4
+
+    def __init__(self, *arguments: Any, changes: Values, **options: Any) -> None:
+        self._changes = changes
+        super().__init__(*arguments, **options)
+
+    def _kernels_of(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
+        own = np.array(super()._kernels_of(plan, kind))
+        change = sum(
+            (
+                part * slope
+                for name, parts in self._changes.items()
+                for part, slope in zip(parts, kernel_slopes(plan, name, self._step, kind), strict=True)
+            ),
+            np.zeros_like(own),
+        )
+        return [*own, *displaced(own), *change]
+
+    @cached_property
+    def _by_width(self) -> list[RayCoefficients]:
+        return [width_slopes(node.plan) for node in self._nodes]
+
+    def _bring(
+        self,
+        cells: Cells,
+        key: Any,
+        radiance: list[Any],
+        known: list[Pair],
+        lit: Any,
+        number: int,
+        lanes: Lanes | None,
+    ) -> list[list[Any]]:
+        """Return, for each image of a node, what rays bring of each kernel, of its slopes, and of its change."""
+        first = dr.arange(mi.UInt32, dr.width(cells.index)) * dr.opaque(mi.UInt32, self._spp)
+        node, table, width = self._nodes[number], self._coefficients[number], self._by_width[number]
+        used, weights = node.mixture(lanes)
+        radiance, known = [radiance[i] for i in used], [known[i] for i in used]
+        assert isinstance(table, RayCoefficients)  # others are refused
+        drawn, _ = self._drawn_rays(cells, key)
+        _, direction = self._groups[0][0].trace(drawn.place, drawn.pupil, drawn.height)
+        with dr.resume_grad():
+            varying = varying_parameters(self._camera)
+            for name, parts in self._changes.items():
+                dr.enable_grad(varying[name])
+                for value, part in zip(varying[name], parts, strict=True):
+                    dr.set_grad(value, part)
+            held = hold(self._camera, varying, drawn, direction, self._step)
+            changes = [
+                dr.forward_to(value, flags=dr.ADFlag.ClearInterior) if dr.grad_enabled(value) else mi.Float(0)
+                for value in (*held.point, *held.cell, held.measure, held.density)
+            ]
+        changes = [dr.detach(change) + dr.zeros(mi.Float, dr.width(radiance[0])) for change in changes]
+        dr.eval(changes)
+        wider = dr.opaque(mi.Float, width_change(self._camera, self._changes))
+
+        def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
+            drawn, chance, even = self._draws.draw(cells, k, key), jitter(cells.index, key ^ (k << 4)), (k & 1) == 0
+            du, dv, dx, dy, measure, density = (dr.gather(mi.Float, change, first + k) for change in changes)
+            means = [dr.select(drawn.open, dr.select(even, pair[1], pair[0]), 0) for pair in known]
+            lights = [dr.gather(mi.Float, light, first + k) for light in radiance]
+            nodes = drawn.point, drawn.inner, chance, drawn.open
+            values, (by_u, by_v), by_width = table(*nodes), table.slopes(*nodes), width(*nodes)
+            result = []
+            for row, before in zip(weights, brought, strict=True):
+                mean = mixed(row, means)
+                strength = dr.select(drawn.open, (mixed(row, lights) - mean) * drawn.weight, 0)
+                own = [strength * value for value in values]
+                change = [
+                    strength * (a * measure + u * du + v * dv + q * wider)
+                    for a, u, v, q in zip(values, by_u, by_v, by_width, strict=True)
+                ]
+                own[0] += mean
+                change[0] += mean * density
+                parts = [*change, *(a * dx for a in own), *(a * dy for a in own), *own]
+                result.append([old + part for old, part in zip(before, parts, strict=True)])
+            return k + 1, result
+
+        return self._mean_of(bring, lit, node)
+
+
+class CameraAdjoint(SignedRaySum):
+    """The way back through a capture to the parameters of its camera.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Some `PARAMETERS`.
+    """
+
+    def __init__(self, *arguments: Any, names: Sequence[str], **options: Any) -> None:
+        self._names = names
+        super().__init__(*arguments, **options)
+        self._sets = 3 + len(self._of_kernels)
+
+    @cached_property
+    def _of_kernels(self) -> list[tuple[str, int]]:
+        """Those parts of parameters that kernels depend on."""
+        start = parameters_of(self._camera)
+        return [
+            (name, i)
+            for name in self._names
+            if name in _OF_KERNELS
+            for i in range(1 if name == "mla_pitch" else len(start[name]))
+        ]
+
+    def _kernels_of(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
+        own = np.array(super()._kernels_of(plan, kind))
+        slopes = {name: kernel_slopes(plan, name, self._step, kind) for name, _ in self._of_kernels}
+        return [*own, *displaced(own), *(kernel for name, i in self._of_kernels for kernel in slopes[name][i])]
+
+    @cached_property
+    def _by_width(self) -> list[RayCoefficients]:
+        return [width_slopes(node.plan) for node in self._nodes]
+
+    def backward(self, gradient: Sequence[NDArray[np.float32]]) -> Values:
+        """Return the gradient by each part of the parameters from that of the sum, by channel (rows, columns)."""
+        total = {name: np.zeros(len(value)) for name, value in parameters_of(self._camera).items()}
+        for lot, felt in self._back(gradient):
+            self._pull(lot, felt, total)
+        return {name: total[name] for name in self._names}
+
+    def _pull(self, lot: Lot, felt: list[list[Any]], total: Values) -> None:
+        """Add the gradients from rays of a lot; see `_back`."""
+        key, count = dr.opaque(mi.UInt32, lot.seed & ~15), dr.width(lot.some)
+        drawn, own = self._drawn_rays(lot.cells, key)
+        ((pupil, _),), (lanes,) = self._groups, lot.lanes
+        radiance = self._light(*self._asked(pupil, drawn, own, lanes, lot.seed))
+        seen = dr.select(drawn.open, mi.Float(1), 0)
+        require_finite(radiance, seen)
+        known, lit = self._known(radiance, seen, count)
+        lit = dr.compress(lit)
+        if not dr.width(lit):
+            return
+        spp, every = dr.opaque(mi.UInt32, self._spp), dr.opaque(mi.UInt32, lot.cells.box.rows * lot.cells.box.columns)
+        cells = replace(lot.cells, index=dr.gather(mi.UInt32, lot.cells.index, lit))
+        drawn, own = self._drawn_rays(cells, key)
+        _, direction = pupil.trace(drawn.place, drawn.pupil, drawn.height)
+        sample = dr.arange(mi.UInt32, dr.width(own)) - own * spp
+        chance, even = jitter(dr.gather(mi.UInt32, cells.index, own), key ^ (sample << 4)), (sample & 1) == 0
+        points, own = (drawn.point, drawn.inner, chance, drawn.open), dr.gather(mi.UInt32, lit, own)
+        lights = [dr.gather(mi.Float, light, own * spp + sample, drawn.open) for light in radiance]
+        means = [
+            dr.select(drawn.open, dr.select(even, *(dr.gather(mi.Float, half, own) for half in pair[::-1])), 0)
+            for pair in known
+        ]
+        by_held, by_width, by_kernels = [mi.Float(0)] * 6, mi.Float(0), [mi.Float(0)] * len(self._of_kernels)
+        for node, table, width, totals in zip(self._nodes, self._coefficients, self._by_width, felt, strict=True):
+            assert isinstance(table, RayCoefficients)  # others are refused
+            place = dr.gather(mi.UInt32, lot.first(every, self._values_of(node)), own)
+            values, (by_u, by_v), wider = table(*points), table.slopes(*points), width(*points)
+            used, weights = node.mixture(lanes)
+            if lanes is not None:
+                weights = [[dr.gather(mi.Float, weight, own) for weight in row] for row in weights]
+            for row, total_felt in zip(weights, totals, strict=True):
+                mean = mixed(row, [means[i] for i in used])
+                strength = (mixed(row, [lights[i] for i in used]) - mean) * drawn.weight
+                strength = dr.select(drawn.open, strength, 0)
+                weighted = [strength * value for value in values]
+                weighted[0] += mean
+                sets = [
+                    [
+                        dr.gather(mi.Float, total_felt, place + every * (each * len(values) + n), drawn.open)
+                        for n in range(len(values))
+                    ]
+                    for each in range(self._sets)
+                ]
+                brought = [
+                    *(strength * mixed(parts, sets[0]) for parts in (by_u, by_v)),
+                    *(mixed(weighted, sets[each]) for each in (1, 2)),
+                    strength * mixed(values, sets[0]),
+                    mean * sets[0][0],
+                ]
+                by_held = [before + part for before, part in zip(by_held, brought, strict=True)]
+                by_width += strength * mixed(wider, sets[0])
+                by_kernels = [before + mixed(weighted, each) for before, each in zip(by_kernels, sets[3:], strict=True)]
+        dr.eval(by_held, by_width, by_kernels)
+        rays = self._spp * self._passes
+        for (name, part), figure in zip(self._of_kernels, by_kernels, strict=True):
+            total[name][part] += dr.sum(figure)[0] / rays
+        of_width = float(dr.sum(by_width)[0]) / rays
+        total["mla_distance"] += of_width / self._camera.mla_distance
+        total["mla_pitch"][0] -= of_width / self._camera.mla_pitch
+        with dr.resume_grad():
+            varying = varying_parameters(self._camera)
+            dr.enable_grad(varying)
+            held = hold(self._camera, varying, drawn, direction, self._step)
+            parts = *held.point, *held.cell, held.measure, held.density
+            dr.backward(dr.sum(mixed(by_held, parts)) / rays)
+            for name, values in varying.items():
+                total[name] += [float(dr.grad(value)[0]) for value in values]
+
+
+def varying_parameters(camera: PlenopticCamera) -> dict[str, list[Any]]:
+    """Return the parts of all `PARAMETERS` as Dr.Jit's."""
+    return {name: [dr.opaque(mi.Float, value) for value in values] for name, values in parameters_of(camera).items()}
+
+
+def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn, direction: Pair, step: float) -> Held:
+    """Follow rays that are held in the scene into a camera whose parameters are Dr.Jit's.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera that has drawn them.
+    varying : dict
+        The parts of all `PARAMETERS`.
+    drawn : Drawn
+        The rays.
+    direction : (Float, Float)
+        Their slopes in the scene.
+    step : float
+        Width of a cell of the detector's grid.
+    """
+    ((f1,), (b,), (z,), (width,)) = (
+        varying[name] for name in ("focal_length", "mla_distance", "detector_distance", "detector_width")
+    )
+    pitch = varying["mla_pitch"][0] / camera.mla_pitches[0]
+    # Back through the lens: what it has bent it bends the other way.
+    cosines = (
+        rays.main_lens_slope(s, P, -f1) for s, P in zip(rays.slopes_to_cosines(*direction), drawn.pupil, strict=True)
+    )
+    slope = rays.cosines_to_slopes(*cosines)
+    aside, landed = [], []
+    for P, t, m, q, offset, held in zip(
+        drawn.pupil, slope, drawn.point, drawn.place, varying["mla_offset"], camera.mla_offset, strict=True
+    ):
+        centre = offset + (q - m - held) * pitch
+        aside.append((rays.pupil_point(P, t, -b) - centre) / pitch)
+        landed.append((centre - (P - centre) * (z / b)) / (step * width / camera.detector_width))
+    u, v = camera.lattice.to_frame(*aside)
+    square = slope[0] * slope[0] + slope[1] * slope[1]
+    grid = 2 * dr.log(width)
+    return Held(
+        (u, v),
+        (landed[0], landed[1]),
+        2 * dr.log(z) + 2 * dr.log(1 + square) - 2 * dr.log(pitch) - grid,
+        2 * dr.log(z / b) - grid,
+    )
+
+
+def width_change(camera: PlenopticCamera, changes: Values) -> float:
+    """Return the relative change of the width of the pupil's diffraction over the pitch."""
+    parts = (
+        sign * float(changes[name][0]) / value
+        for name, sign, value in (("mla_distance", 1, camera.mla_distance), ("mla_pitch", -1, camera.mla_pitch))
+        if name in changes
+    )
+    return sum(parts)
+
+
+def width_slopes(plan: PhaseSpace) -> RayCoefficients:
+    """Return the derivatives of coefficients by the logarithm of the width of the pupil's diffraction."""
+    return RayCoefficients(plan, _width_table(plan))
+
+
+@functools.lru_cache(maxsize=4)
+def _width_table(plan: PhaseSpace) -> list[NDArray[np.float32]]:
+    """Return the table of these derivatives."""
+    distance = plan.camera.mla_distance
+    sides = [
+        plan.moved(plan.camera.replace(mla_distance=distance * (1 + side))).table
+        for side in (_TABLE_STEP, -_TABLE_STEP)
+    ]
+    return [(a - b) / np.float32(2 * _TABLE_STEP) for a, b in zip(*sides, strict=True)]
+
+
+@functools.lru_cache(maxsize=32)
+def kernel_slopes(plan: PhaseSpace, name: str, step: float, kind: int) -> list[NDArray[np.float64]]:
+    """Return the derivatives of kernels by each part of a parameter."""
+    camera, start = plan.camera, parameters_of(plan.camera)[name]
+    samples = plan.kernel_samples(step, REACH * max(camera.mla_pitches), kind)
+    if name not in _OF_KERNELS:
+        return [np.zeros(1)] * len(start)
+    slopes = []
+    # All parts of the pitch are one.
+    for part in range(1 if name == "mla_pitch" else len(start)):
+        sides = []
+        for side in (_KERNEL_STEP, -_KERNEL_STEP):
+            if name == "detector_width":
+                sides.append(plan.sampled_kernels(step * (1 + side), samples, kind))
+                continue
+            changed = start.copy()
+            changed[slice(None) if name == "mla_pitch" else part] *= 1 + side
+            value = changed.tolist() if len(changed) > 1 else float(changed[0])
+            sides.append(plan.moved(camera.replace(**{name: value})).sampled_kernels(step, samples, kind))
+        slopes.append((sides[0] - sides[1]) / (2 * _KERNEL_STEP * start[part]))
+    return slopes + [np.zeros(1)] * (len(start) - len(slopes))
+
+
+def displaced(kernels: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Return by how much kernels change as they move by a cell along x, and then along y."""
+    from scipy.ndimage import convolve1d
+
+    # Kernels end abruptly, which is a part of how they change: a filter of few samples stays where they end.
+    steps = np.arange(-_REACHED, _REACHED + 1)
+    ideal = np.divide((-1.0) ** steps, steps, out=np.zeros(len(steps)), where=steps != 0)
+    wide = np.pad(kernels, [(0, 0), (_REACHED, _REACHED), (_REACHED, _REACHED)])
+    both = [convolve1d(wide, -ideal * np.kaiser(len(steps), _SHAPE), axis, mode="constant") for axis in (2, 1)]
+    return [kernel for along in both for kernel in along]
