@@ -273,7 +273,7 @@ def white_images(verdict: Verdict) -> None:
         )
         pitch = camera.micro_image_pitch / camera.pixel_size
         for model in ("ray", "wave"):
-            image = render_capture(white_wall(camera), model=model, spp=64 if model == "ray" else 1).image
+            image = render_capture(white_wall(camera), model=model, spp=64).image
             centres = camera_centres(camera).pixel + 0.5
             judge_white(verdict, f"by {model}s, {lattice}", image.clip(0), centres, pitch, 0.3)
 
@@ -288,8 +288,7 @@ def white_wall(camera: PlenopticCamera) -> Any:
         "emitter": {"type": "area", "radiance": 1.0},
         "bsdf": {"type": "diffuse", "reflectance": 0.0},
     }
-    integrator = {"type": "plenoptic_wave", "radiators_per_lens": 4}
-    return mi.load_dict({"type": "scene", "wall": wall, "integrator": integrator, "camera": camera.to_sensor()})
+    return mi.load_dict({"type": "scene", "wall": wall, "integrator": {"type": "path"}, "camera": camera.to_sensor()})
 
 
 def judge_white(verdict: Verdict, name: str, light: np.ndarray, centres: np.ndarray, pitch: float, turn: float) -> None:

@@ -32,7 +32,7 @@ if __name__ == "__main__":
 
 def start(output: Path, *extra: str) -> subprocess.Popen[str]:
     """Start the capture."""
-    words = ["render", "letters", "--model", "wave", "--spp", "1", "--radiators-per-lens", "4", *extra]
+    words = ["render", "letters", "--model", "wave", "--method", "points", "--spp", "16", *extra]
     words += ["-o", str(output), *(word for name, value in SCENE.items() for word in ("-D", f"{name}={value}"))]
     return subprocess.Popen(
         [sys.executable, "-c", COMMAND, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True

@@ -402,7 +402,7 @@ def _wall() -> Any:
 
 
 def _render_waves(checkpoint: Checkpoint) -> np.ndarray:
-    return render_capture(_wall(), model="wave", spp=1, radiators_per_lens=2, checkpoint=checkpoint).image
+    return render_capture(_wall(), model="wave", method="points", spp=4, checkpoint=checkpoint).image
 
 
 @cache
