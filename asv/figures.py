@@ -23,8 +23,7 @@ DISTANCES = (210.0, 240.0, 280.0)
 def letters(model: str = "ray") -> Any:
     """Render the letters before a quarter of the paper's camera."""
     mi.set_variant("llvm_ad_mono")
-    options = {"method": "signed_rays", "spp": 16} if model == "wave" else {"spp": 16}
-    return mp.render_capture(mp.load_scene("letters", parameters=SMALL), model=model, **options)
+    return mp.render_capture(mp.load_scene("letters", parameters=SMALL), model=model, spp=16)
 
 
 class Start:
@@ -53,11 +52,11 @@ class Captures:
 
     def time_wave_capture(self) -> None:
         """Capture by waves."""
-        mp.render_capture(self.scene, model="wave", method="signed_rays", spp=16)
+        mp.render_capture(self.scene, model="wave", spp=16)
 
     def peakmem_wave_capture(self) -> None:
         """Capture by waves."""
-        mp.render_capture(self.scene, model="wave", method="signed_rays", spp=16)
+        mp.render_capture(self.scene, model="wave", spp=16)
 
     def track_wave_energy(self) -> float:
         """Return the energy of the capture by waves over that by rays."""

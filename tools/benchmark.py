@@ -19,7 +19,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import scipy
-from benchmarks import captures, choice, gpu, growth, point_spreads, reconstructions, shares, steps, workers
+from benchmarks import captures, gpu, growth, point_spreads, reconstructions, shares, steps, workers
 from benchmarks.table import markdown
 
 from mitsuba_plenoptic.runtime.fft import worker_count
@@ -61,7 +61,6 @@ def main() -> None:
         ],
         "reconstructions": lambda: reconstructions.run(arguments.runs, arguments.old),
         "shares": shares.run,
-        "choice": choice.run,
         "growth": lambda: growth.run(sizes, arguments.runs),
     }
     parser.add_argument("--only", action="append", choices=sections, help="a section; default: all")

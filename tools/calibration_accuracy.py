@@ -288,8 +288,7 @@ def white_wall(camera: PlenopticCamera) -> Any:
         "emitter": {"type": "area", "radiance": 1.0},
         "bsdf": {"type": "diffuse", "reflectance": 0.0},
     }
-    integrator = {"type": "plenoptic_wave", "method": "signed_rays"}
-    return mi.load_dict({"type": "scene", "wall": wall, "integrator": integrator, "camera": camera.to_sensor()})
+    return mi.load_dict({"type": "scene", "wall": wall, "integrator": {"type": "path"}, "camera": camera.to_sensor()})
 
 
 def judge_white(verdict: Verdict, name: str, light: np.ndarray, centres: np.ndarray, pitch: float, turn: float) -> None:

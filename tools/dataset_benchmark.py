@@ -50,7 +50,6 @@ def recipe(count: int, size: int) -> dict[str, Any]:
         "scenes": [{"generator": "shapes", "objects": {"from": 6, "to": 16, "step": 1}}],
         "light": {"sky": {"from": 0.2, "to": 0.6}, "lamp": {"from": 0.2, "to": 1}},
         "ray": {"spp": 16},
-        # A bank of kernels is as quick for fine textures as for coarse ones.
         "wave": {"spp": 16},
         "samples_per_shard": 25,
     }
@@ -144,7 +143,7 @@ def main() -> None:
     spread = np.linspace(0, arguments.count - 1, COMPARED).astype(int).tolist()
     near = [index for kill in kills for index in (kill, kill + 1) if index < arguments.count]
     compared = sorted({*spread, *near})
-    # The first samples of a run compile its kernels and learn its first bank.
+    # The first samples of a run compile its kernels.
     log = np.array(run.log)
     late = log[log[:, 1] >= kills[1] + 2]
     rate, growth = (np.polyfit(late[:, 1], late[:, column], 1)[0] if len(late) > 2 else np.nan for column in (0, 2))

@@ -77,7 +77,7 @@ def main() -> None:
                 accuracy.write_comparison(picture, scale * image, reference)
         captures = {"ray": capture}
         if arguments.wave:
-            captures["wave"] = render_capture(chart, model="wave", method="signed_rays", spp=64, wavelength=WAVELENGTH)
+            captures["wave"] = render_capture(chart, model="wave", spp=arguments.spp, wavelength=WAVELENGTH)
         for model, taken in captures.items():
             row, image = _resolution(taken, max(finest, 10))
             resolved.append({"camera": name, "model": model, **row})

@@ -10,7 +10,7 @@ How far the square's blue lies from its red is measured in the captures, in pixe
 traced from the square through lens and microlenses, colour by colour; the exit status is 1 if one is 0.1 off.
 
     python tools/lens_pictures.py                                 (five minutes on two quiet cores)
-    python tools/lens_pictures.py --resolution 1024 --radiators 4 --spp 64
+    python tools/lens_pictures.py --resolution 1024 --spp 64
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ MARGIN = 10
 """Lenses around the square's image in which its light is looked for."""
 
 SQUARE_ACCURACY = 0.003
-"""Of its capture by waves; spreads that are shared lie a little beside their places."""
+"""Of its capture by waves."""
 
 LIMIT = 0.1
 """Pixels that lateral colour may be off."""
@@ -158,17 +158,14 @@ def refocused(capture: Capture) -> np.ndarray:
     return np.clip(np.nan_to_num(reconstruct(capture.image, DISTANCE, camera=like).image), 0, 1)
 
 
-def judge_square(verdict: Verdict, name: str, camera: PlenopticCamera, spp: int, radiators: int) -> None:
+def judge_square(verdict: Verdict, name: str, camera: PlenopticCamera, spp: int) -> None:
     """Compare the colours of the square in captures, one wavelength to each, with traced rays."""
     mi.set_variant("llvm_ad_rgb")
     scene = scene_of(around_square(camera), letters=False)
     expected = np.zeros(2) if camera.prescription is None else traced_colour(camera)
-    for model, options in (
-        ("ray", {"spp": spp}),
-        ("wave", {"radiators_per_lens": radiators, "accuracy": SQUARE_ACCURACY}),
-    ):
+    for model, options in (("ray", {}), ("wave", {"accuracy": SQUARE_ACCURACY})):
         began = time.perf_counter()
-        found = measured_colour(render_capture(scene, model=model, **options))
+        found = measured_colour(render_capture(scene, model=model, spp=spp, **options))
         seconds = time.perf_counter() - began
         print(
             f"{name}, {model}: blue beyond red by {found.round(3)} pixels, traced {expected.round(3)}; {seconds:.1f} s"
@@ -180,11 +177,9 @@ def main() -> None:
     """Measure, render, refocus and draw."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--resolution", type=int, default=1024, help="columns of the detector")
-    parser.add_argument("--spp", type=int, default=128, help="samples per pixel by rays")
+    parser.add_argument("--spp", type=int, default=128, help="samples per pixel")
     parser.add_argument("--square-spp", type=int, default=4096, help="those of the square alone")
-    parser.add_argument("--radiators", type=int, default=4, help="radiators along each side of a lens by waves")
-    parser.add_argument("--square-radiators", type=int, default=8, help="those of the square alone")
-    parser.add_argument("--nodes", type=int, default=5, help="wavelengths at which point spreads are computed")
+    parser.add_argument("--nodes", type=int, default=5, help="wavelengths at which diffraction is computed")
     parser.add_argument("--accuracy", type=float, default=0.03, help="of the pictures by waves")
     parser.add_argument("--draw-only", action="store_true", help="draw, and measure nothing")
     parser.add_argument("--aperture", type=float, default=2.5, help="radius of the entrance pupil in millimetres")
@@ -202,7 +197,7 @@ def main() -> None:
             resolution=(arguments.resolution, arguments.resolution),
         )
         if not arguments.draw_only:
-            judge_square(verdict, name, cameras[name], arguments.square_spp, arguments.square_radiators)
+            judge_square(verdict, name, cameras[name], arguments.square_spp)
     if not arguments.judge_only:
         draw(cameras, arguments)
     sys.exit(0 if verdict.kept else 1)
@@ -213,14 +208,13 @@ def draw(cameras: dict[str, PlenopticCamera], arguments: argparse.Namespace) -> 
     mi.set_variant("llvm_ad_spectral")
     size, gap = 3.0, 0.35
     canvas = Canvas(0.2 + (size + 0.2) * 3, 0.35 + 2 * (size + gap) + size / 2)
-    waves = {"responses": "srgb", "radiators_per_lens": arguments.radiators, "nodes": arguments.nodes}
-    waves["accuracy"] = arguments.accuracy
+    waves = {"responses": "srgb", "nodes": arguments.nodes, "accuracy": arguments.accuracy}
     for column, (name, camera) in enumerate(cameras.items()):
         scene, left = scene_of(camera), 0.2 + (size + 0.2) * column
         half = size / 2 - 0.05
-        for row, (model, options) in enumerate((("ray", {"spp": arguments.spp}), ("wave", waves))):
+        for row, (model, options) in enumerate((("ray", {}), ("wave", waves))):
             began = time.perf_counter()
-            picture = refocused(render_capture(scene, model=model, **options))
+            picture = refocused(render_capture(scene, model=model, spp=arguments.spp, **options))
             print(f"{name}, {model}: {time.perf_counter() - began:.1f} s", flush=True)
             title = f"{name}, f/{camera.f_number:.3g}, {model}s"
             show(canvas.axes(left, 0.3 + row * (size + gap), size, size), picture, title, peak=1.0)

@@ -131,8 +131,8 @@ def board_by_waves(verdict: Verdict) -> None:
         distortion=(0.0,) * 5,
     )
     scene = board_scene(board, pose, camera)
-    waves = mi.load_dict({"type": "plenoptic_wave", "method": "signed_rays"})
-    image = np.array(mi.render(scene, integrator=waves, spp=64))[..., 0].clip(0)
+    waves = mi.load_dict({"type": "plenoptic_wave"})
+    image = np.array(mi.render(scene, integrator=waves, spp=ROUND_TRIP_SAMPLES))[..., 0].clip(0)
     noisy = np.random.default_rng(0).poisson(ROUND_TRIP_PHOTONS * image) / ROUND_TRIP_PHOTONS
     found = detect_corners(noisy, white_image(camera), camera_centres(camera), board)
     seen, _ = observations(found, board, LensIndex(0.5, 1, (0, 0)))

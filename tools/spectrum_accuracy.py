@@ -1,7 +1,7 @@
 """Measure colour: focal lengths and their shift, bands against dense quadrature, many wavelengths of the letters.
 
 Every figure is printed with its limit; the exit status is 1 if one fails. At --resolution 4096 the letters have their
-full size; the captures of each wavelength by itself, with which they are compared, then take half an hour.
+full size; the sums of each wavelength by itself, with which they are compared, then take half an hour.
 
     python tools/spectrum_accuracy.py --resolution 512
 """
@@ -17,12 +17,17 @@ import numpy as np
 from verdict import Verdict
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, Spectrum, load_scene
-from mitsuba_plenoptic.capture.spectral import neighbours, with_enough_nodes
+from mitsuba_plenoptic.capture.scene_points import find_points
+from mitsuba_plenoptic.capture.signed_rays import SceneLight
+from mitsuba_plenoptic.capture.spectral import with_enough_nodes
 from mitsuba_plenoptic.prescription import bundled_prescription, paraxial
 from mitsuba_plenoptic.prescription.glass import LINE_C, LINE_D, LINE_F
 
 LOW, HIGH, COUNT = 400.0, 700.0, 31
 ERROR, TIMES = 0.003, 10.0
+PER_LENS, TRIED = 16, 6
+"""Points that rays find from each lens, and how many of all of them choose the nodes."""
+
 CROWN = {"index": 1.5168, "abbe": 64.17}
 POINTS = ((0.0, 0.0, 240.0), (0.3, 0.2, 210.0), (0.3, -0.4, 280.0))
 
@@ -77,25 +82,23 @@ def bands(verdict: Verdict) -> None:
 
 
 def letters(verdict: Verdict, resolution: int, glass: dict[str, float] | None, accuracy: float, shared: bool) -> None:
-    """Compare 31 wavelengths of the letters at once with 31 captures, in error and in time."""
+    """Compare 31 wavelengths of points of the letters at once with 31 sums, in error and in time."""
     part = resolution / 4096
     values = {"resolution": str(resolution), "detector_width": str(8.192 * part), "letter_scale": str(part)}
     scene = load_scene("letters", variant="llvm_ad_mono", parameters=values)
-    integrator = mi.load_dict({"type": "plenoptic_wave", "accuracy": accuracy, "child": {"type": "path"}})
-    capture = integrator._capture(scene, scene.sensors()[0])
-    radiators = capture.radiators("patch", 0, 1)[0]
-    weights = (capture.scale(radiators) * radiators.radiance)[:, 0]
-    camera = capture.camera.replace(glass=glass)
+    sensor = scene.sensors()[0]
+    plain = PlenopticCamera.from_sensor(sensor)
+    points = find_points([SceneLight(scene, sensor, mi.load_dict({"type": "path"}))], plain, PER_LENS, seed=0)
+    weights, pupils = points.weights[:, 0], points.pupil_weights
+    camera = plain.replace(glass=glass)
     wavelengths = np.linspace(LOW, HIGH, COUNT)
     responses = np.stack([np.exp(-(((wavelengths - middle) / 40) ** 2)) for middle in (610, 540, 460)])
-    # The light of each radiator changes with the wavelength, in its own way or as that of all.
+    # The light of each point changes with the wavelength, in its own way or as that of all.
     light = 1 + np.sin(wavelengths / 23 + np.arange(len(weights))[:, None] * (not shared))
     columns = weights[:, None] * light
 
     def operator(**options: object) -> CaptureOperator:
-        return CaptureOperator(
-            camera, radiators.positions, accuracy=accuracy, pupil_weights=radiators.pupil_weights, **options
-        )
+        return CaptureOperator(camera, points.positions, accuracy=accuracy, pupil_weights=pupils, **options)
 
     operator(wavelength=555.0).forward(columns[:, :1])  # compiles the kernels
     start = time.perf_counter()
@@ -104,9 +107,8 @@ def letters(verdict: Verdict, resolution: int, glass: dict[str, float] | None, a
     one = time.perf_counter() - start
     spectrum = Spectrum(tuple(wavelengths.tolist()), tuple(map(tuple, responses.tolist())))
     start = time.perf_counter()
-    near = neighbours(camera, radiators.positions)
-    pupils = radiators.pupil_weights and radiators.pupil_weights.take(near)
-    chosen = with_enough_nodes(camera, radiators.positions[near], spectrum, accuracy, pupils, together=True)
+    some = np.linspace(0, len(weights) - 1, TRIED).astype(int)
+    chosen = with_enough_nodes(camera, points.positions[some], spectrum, accuracy, pupils and pupils.take(some))
     probed = time.perf_counter() - start
     found = operator(spectrum=chosen).forward(columns)
     seconds = time.perf_counter() - start
@@ -116,10 +118,10 @@ def letters(verdict: Verdict, resolution: int, glass: dict[str, float] | None, a
         expected += own[..., None] * responses[:, index].astype(np.float32)
     name = f"letters at {resolution} pixels, {'crown' if glass else 'no glass'}, accuracy {accuracy:g}"
     name += ", one spectrum" if shared else ""
-    print(f"{name}: {len(weights)} radiators, {len(chosen.nodes or wavelengths)} nodes, "
+    print(f"{name}: {len(weights)} points, {len(chosen.nodes or wavelengths)} nodes, "
           f"one wavelength {one:.2f} s, 31 in {seconds:.2f} s of which {probed:.2f} s find the nodes")  # fmt: skip
     worst = max(relative(found[..., i], expected[..., i]) for i in range(3))
-    verdict.judge(f"{name}: 31 wavelengths against 31 captures", worst, ERROR)
+    verdict.judge(f"{name}: 31 wavelengths against 31 sums", worst, ERROR)
     verdict.judge(f"{name}: time over that of one wavelength", seconds / one, TIMES)
 
 
@@ -127,9 +129,9 @@ def main() -> None:
     """Measure all of it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--resolution", type=int, default=512, help="columns of the letters' detector, of 4096")
-    parser.add_argument("--accuracy", type=float, default=0.01, help="of the captures")
+    parser.add_argument("--accuracy", type=float, default=0.01, help="of the sums")
     parser.add_argument("--glass", action="store_true", help="also the letters through thin lenses of crown")
-    parser.add_argument("--one-spectrum", action="store_true", help="all radiators of the letters have the same one")
+    parser.add_argument("--one-spectrum", action="store_true", help="all points of the letters have the same one")
     parser.add_argument("--only", choices=("bands", "letters"), help="measure one of the two alone")
     arguments = parser.parse_args()
     mi.set_variant("llvm_ad_mono")

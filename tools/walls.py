@@ -37,10 +37,7 @@ def known_radiance(camera: PlenopticCamera, wall: str) -> np.ndarray:
 
 
 def capture(camera: PlenopticCamera, distance: float, wall: str, model: str, spp: int) -> Capture:
-    """Capture a wall, or for an infinite distance a sky; out of focus, as everything here must be.
-
-    By waves the kernel bank records it, which for walls out of focus is within a percent of exact sums.
-    """
+    """Capture a wall, or for an infinite distance a sky."""
     half = camera.bin_count[0] / 2 * camera.mla_pitch / camera.mla_distance
     blur = camera.blur_diameter(distance) / 2 / camera.mla_distance
     scene = {
@@ -49,7 +46,7 @@ def capture(camera: PlenopticCamera, distance: float, wall: str, model: str, spp
         "sensor": camera.to_sensor(),
         "wall": _sky(half, wall) if math.isinf(distance) else _wall(half, distance, 1 + blur / half + _MARGIN, wall),
     }
-    options = {"wavelength": WAVELENGTH, "method": "bank"} if model == "wave" else {}
+    options = {"wavelength": WAVELENGTH} if model == "wave" else {}
     return render_capture(mi.load_dict(scene), model=model, spp=spp, **options)
 
 

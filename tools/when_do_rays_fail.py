@@ -4,9 +4,9 @@
 
 Cameras of several microlens f-numbers and pitches look at a Siemens star, in focus and four lenses of blur out of
 focus; otherwise they are alike: the paper's main lens, stopped down so that micro-images fill two thirds of their
-pitch, and 8 x 8 lenses. Each capture by rays is compared with the capture by waves: root of the summed squared
-differences over that of the wave capture, free of the ray capture's noise, because two independent ones take the place
-of the square. Averaging pixels gives larger ones, so that the pixel size needs no captures of its own.
+pitch, and 8 x 8 lenses. Captures by rays are compared with captures by waves: root of the summed squared differences
+over that of the wave captures, free of noise, because two independent pairs take the place of the square. Averaging
+pixels gives larger ones, so that the pixel size needs no captures of its own.
 Beside the bare rays stands the cheap middle way: the ray capture convolved with the diffraction spot of a square lens,
 sinc^2 along each axis, which a Fourier transform does in a moment.
 
@@ -42,6 +42,7 @@ BLUR = 4.0
 # Pixels across the spot's half width (centre to first zero), before averaging, and how many are averaged.
 PIXELS_PER_SPOT = 4
 BINNING = (1, 2, 4, 8)
+SAMPLES = 128
 
 # A larger difference counts as failure in the table.
 LIMIT = 0.1
@@ -85,9 +86,11 @@ def study(f_number: float, pitch: float, focus: str) -> list[dict[str, Any]]:
         resolution=(LENSES * pixels, LENSES * pixels), lens_model="parabolic",
     )  # fmt: skip
     scene = star(camera, distance)
-    rays = [render_capture(scene, model="ray", spp=128, seed=seed).image.astype(np.float64) for seed in (0, 1)]
-    by_waves = render_capture(scene, model="wave", method="signed_rays", wavelength=WAVELENGTH, spp=512)
-    wave = by_waves.image.astype(np.float64)
+    rays = [render_capture(scene, model="ray", spp=SAMPLES, seed=seed).image.astype(np.float64) for seed in (0, 1)]
+    waves = [
+        render_capture(scene, model="wave", wavelength=WAVELENGTH, spp=SAMPLES, seed=seed).image.astype(np.float64)
+        for seed in (2, 3)
+    ]
     convolved = [diffract(image, camera) for image in rays]
     return [
         {
@@ -98,9 +101,9 @@ def study(f_number: float, pitch: float, focus: str) -> list[dict[str, Any]]:
             "pixel": camera.pixel_size * binning,
             "pixel_over_spot": camera.pixel_size * binning / spot,
             "binning": binning,
-            "rays": difference(rays, wave, binning),
-            "convolved": difference(convolved, wave, binning),
-            "energy": float(rays[0].sum() / wave.sum()),
+            "rays": difference(rays, waves, binning),
+            "convolved": difference(convolved, waves, binning),
+            "energy": float(rays[0].sum() / waves[0].sum()),
         }
         for binning in BINNING
         if LENSES * pixels % binning == 0
@@ -139,11 +142,11 @@ def diffract(image: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
     return np.fft.irfft2(spectrum, (size, size))[: image.shape[0], : image.shape[1]]
 
 
-def difference(pair: list[np.ndarray], reference: np.ndarray, binning: int) -> float:
-    """Relative difference of larger pixels from the reference, without the noise of two independent images."""
-    large = average(reference, binning)
-    one, two = (average(image, binning) - large for image in pair)
-    return math.sqrt(max(0.0, float(np.vdot(one, two)))) / float(np.linalg.norm(large))
+def difference(pair: list[np.ndarray], references: list[np.ndarray], binning: int) -> float:
+    """Relative difference of larger pixels from the reference, without the noise of two independent pairs."""
+    large = [average(image, binning) for image in references]
+    one, two = (average(image, binning) - wave for image, wave in zip(pair, large, strict=True))
+    return math.sqrt(max(0.0, float(np.vdot(one, two))) / float(np.vdot(*large)))
 
 
 def average(image: np.ndarray, binning: int) -> np.ndarray:

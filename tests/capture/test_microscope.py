@@ -184,8 +184,6 @@ def test_each_lens_of_a_fourier_microscope_forms_an_airy_pattern():
 
 def test_what_does_not_know_objectives_says_so():
     points = [(0.0, 0.0, 0.0)]
-    with pytest.raises(InputError, match=r"method = bank: it does not know main_lens = 20x/0\.5 objective"):
-        CaptureOperator(camera_with(AIR), points, wavelength=WAVELENGTH, method="bank")
     with pytest.raises(InputError, match="method = patch: arrangement = fourier"):
         CaptureOperator(fourier_camera(), points, wavelength=WAVELENGTH)
     with pytest.raises(InputError, match="derivatives by waves are found for thin main lenses and prescriptions only"):

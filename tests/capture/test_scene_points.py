@@ -153,7 +153,7 @@ def test_the_noise_is_refused_and_the_cost_estimated():
     with pytest.raises(InputError, match="noise: method = points does not state it"):
         by_points(scene, noise=True)
     cost = estimate_capture(scene, model="wave", method="points", spp=8)
-    assert cost.radiators == 8 * 8**2
+    assert cost.points == 8 * 8**2
     assert 0 < cost.seconds < 600
 
 
@@ -184,11 +184,6 @@ def test_what_is_no_matte_surface_is_refused_by_name(objects, message):
     described = {"type": "scene", "integrator": {"type": "path"}, "camera": sensor(2, 8), "wall": wall()}
     with pytest.raises(InputError, match=f"method = points: .*{message}"):
         by_points(mi.load_dict(described | objects))
-
-
-def test_options_of_radiators_are_refused():
-    with pytest.raises(InputError, match="passes: method points has no radiators; leave it out, give spp"):
-        by_points(scene_of(sensor(2, 8), wall=wall()), passes=2)
 
 
 def test_black_scenes_are_black_and_said_to_be():

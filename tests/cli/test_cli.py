@@ -175,9 +175,8 @@ def test_interrupt_leaves_nothing(tmp_path):
 
 @pytest.mark.skipif(os.name == "nt", reason="signals differ")
 def test_interrupted_waves_write_a_checkpoint_and_say_how_to_go_on(tmp_path):
-    # The small detector shows little of the letters, with many radiators.
-    words = ["render", "letters", "-o", tmp_path / "raw.exr", "--model", "wave", "--spp", "1", "--resume"]
-    words += ["--checkpoint", tmp_path / "kept", "--radiators-per-lens", "16"]
+    words = ["render", "letters", "-o", tmp_path / "raw.exr", "--model", "wave", "--spp", "64", "--resume"]
+    words += ["--checkpoint", tmp_path / "kept", "--method", "points"]
     words += definitions(letters(8))
     process = start_command(*words)
     # Batches have begun once there is a checkpoint, which this command writes after each.

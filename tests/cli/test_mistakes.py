@@ -149,7 +149,7 @@ def test_mistakes(line, words, raw, tmp_path, complaint):
         ("render letters -o {out}.exr --checkpoint {out}.c", "--checkpoint: a ray capture does not take it"),
         ("render letters -o {out}.exr --workers 2", "--workers: a ray capture does not take it"),
         ("render letters -o {out}.exr --wavelength 633", "--wavelength: a ray capture does not take it"),
-        ("render letters -o {out}.exr --radiators-per-lens 4", "--radiators-per-lens: a ray capture does not take it"),
+        ("render letters -o {out}.exr --method points", "--method: a ray capture does not take it"),
         ("render letters --estimate --noise", "--noise: an estimate does not take it"),
         ("render letters --estimate --resume", "--resume: an estimate does not take it"),
         ("render letters --estimate --aov depth", "--aov: an estimate does not take it"),

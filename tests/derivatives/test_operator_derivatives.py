@@ -100,10 +100,9 @@ def test_mistakes(changes, message):
         operator.derivative([1.0], changes)
 
 
-@pytest.mark.parametrize("method", ["bank", "full_field"])
-def test_methods_without_derivatives_are_refused(method):
-    operator = CaptureOperator(small_camera(2), [(0, 0, 240.0)], wavelength=WAVELENGTH, method=method)
-    with pytest.raises(InputError, match=f"^method = {method}: it has no derivatives"):
+def test_the_method_without_derivatives_is_refused():
+    operator = CaptureOperator(small_camera(2), [(0, 0, 240.0)], wavelength=WAVELENGTH, method="full_field")
+    with pytest.raises(InputError, match=r"^method = full_field: it has no derivatives"):
         operator.gradient([1.0], np.zeros(operator.camera.shape))
 
 

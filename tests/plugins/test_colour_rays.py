@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, reconstruct, render_capture
+from mitsuba_plenoptic import PlenopticCamera, reconstruct, render_capture
 from mitsuba_plenoptic.optics.lens_system import LensSystem
 from mitsuba_plenoptic.optics.spectrum import RGB_WAVELENGTHS
 
@@ -146,10 +146,6 @@ def test_glass_in_a_scene_file():
     assert dataclasses.astuple(camera.glass)[:2] == ("abbe", (1.5168, 64.2))
     with pytest.raises(Exception, match="glass: it must be a JSON object"):
         mi.load_dict({"type": "plenoptic", "glass": "{1.5", "film": {"type": "hdrfilm", "rfilter": {"type": "box"}}})
-    with pytest.raises(InputError, match="method bank takes the same focal lengths"):
-        from mitsuba_plenoptic import CaptureOperator
-
-        CaptureOperator(camera, [(0, 0, 240)], wavelength=633, method="bank")
 
 
 def test_lateral_colour_in_pixels():

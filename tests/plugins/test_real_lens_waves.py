@@ -33,8 +33,8 @@ def test_a_scene_is_that_by_rays_and_that_of_the_thin_lens():
     for lens in (None, "double_gauss"):
         camera = with_lens(lens)
         scene = scene_of(camera, disk((0.1, 0.05, 236), 0.45), disk((-0.35, 0.1, 225), 0.2))
-        for model, options in (("ray", {"spp": 64}), ("wave", {"wavelength": WAVELENGTH, "radiators_per_lens": 4})):
-            capture = render_capture(scene, model=model, **options)
+        for model, options in (("ray", {}), ("wave", {"wavelength": WAVELENGTH})):
+            capture = render_capture(scene, model=model, spp=64, **options)
             images[lens, model] = np.nan_to_num(reconstruct(capture, 236.0).image)
     real = images["double_gauss", "ray"]
     assert np.corrcoef(real.ravel(), images[None, "ray"].ravel())[0, 1] > 0.999
@@ -55,7 +55,7 @@ def test_rays_and_waves_agree_in_energy_over_the_field(middle):
     camera = PlenopticCamera(main_lens="cooke_triplet", **wide, **crop)
     scene = scene_of(camera, {"type": "constant"})
     rays = render_capture(scene, spp=256).image
-    waves = render_capture(scene, model="wave", wavelength=WAVELENGTH, radiators_per_lens=8).image
+    waves = render_capture(scene, model="wave", wavelength=WAVELENGTH, spp=256).image
     assert waves.mean() == pytest.approx(rays.mean(), rel=0.015)
 
 

@@ -1,4 +1,4 @@
-"""How time and memory grow with the detector, the radiators, the distances and the threads.
+"""How time and memory grow with the detector, the points, the distances and the threads.
 
 Every point is measured in a process of its own, whose peak of memory is then that point's; on one core, but for the
 threads. With the size of the detector grows what is taken beyond that of the process before the work. The growth is the
@@ -40,7 +40,7 @@ def run(sizes: list[int], runs: int) -> Iterator[Row]:
     """Fit every growth."""
     sizes = sorted({512, *sizes})
     fields = [size for size in sizes if size <= _LARGEST_FIELD]
-    shared = f"the wave capture, accuracy {DEFAULT_ACCURACY:g}, with radiators"
+    shared = f"the sum of point spreads, accuracy {DEFAULT_ACCURACY:g}, with points"
     # The work, what it is given beside the count, and the exponents of time and memory that theory expects.
     for what, counts, work, given, time_expected, memory_expected in (
         ("the angular-spectrum step with pixels across", sizes, _step, (runs,), "2 over log N", "at most 2"),
@@ -48,9 +48,9 @@ def run(sizes: list[int], runs: int) -> Iterator[Row]:
         # At the main lens its windows are as wide as the pupil, however small the detector.
         ("the coherent reconstruction with pixels across", fields, _coherent, (runs,),
          "at most 2 over log N", "at most 2"),
-        ("the wave capture, accuracy 0, with radiators", (128, 512, 2048), _sum, (0.0,), "1", "0"),
+        ("the sum of point spreads, accuracy 0, with points", (128, 512, 2048), _sum, (0.0,), "1", "0"),
         (shared, (2048, 8192, 32768), _sum, (DEFAULT_ACCURACY,), "at most 1", "0"),
-        ("the whole wave capture with passes", (1, 2, 4, 8), _wave_capture, (), "1", "0"),
+        ("the whole wave capture with samples a pixel", (16, 64, 256), _wave_capture, (), "1", "0"),
         ("the ray reconstruction with distances", (2, 4, 8), _reconstruct, ("ray", runs), "at most 1", "at most 1"),
         ("the coherent reconstruction with distances", (2, 4, 8), _reconstruct, ("coherent", runs),
          "at most 1", "at most 1"),
@@ -62,7 +62,7 @@ def run(sizes: list[int], runs: int) -> Iterator[Row]:
     if worker_count() > 1:
         counts = (1, worker_count())
         points = [_point(count, _threaded, runs) for count in counts]
-        yield from _rows("the wave capture with threads", counts, points, "-1", "at most 1", unit="s")
+        yield from _rows("the sum of point spreads with threads", counts, points, "-1", "at most 1", unit="s")
 
 
 def _rows(
@@ -156,12 +156,12 @@ def _sum(count: int, accuracy: float) -> float:
     return time.process_time() - start
 
 
-def _wave_capture(passes: int) -> float:
-    """Render a part of the letters, whose radiators do not all see the whole pupil."""
+def _wave_capture(spp: int) -> float:
+    """Render a part of the letters."""
     scene = load_scene("letters", parameters={"resolution": "256", "detector_width": "0.512"})
-    render_capture(scene, model="wave", spp=1, radiators_per_lens=1)  # compiles the kernels
+    render_capture(scene, model="wave", spp=1)  # compiles the kernels
     start = time.process_time()
-    render_capture(scene, model="wave", spp=1, radiators_per_lens=4, passes=passes)
+    render_capture(scene, model="wave", spp=spp)
     return time.process_time() - start
 
 
