@@ -26,7 +26,7 @@ _BANDS = (
     (0.02, Band(cone=1.8, margin=60, bends=2.3, orders=10)),
     (1.0, Band(cone=1.5, margin=45, bends=1.8, orders=8)),
 )
-"""Bands, each with the allowed error of many radiators below which it is used."""
+"""Bands, each with the allowed error of many points below which it is used."""
 
 _FINEST = Band(cone=2.5, margin=200, bends=5, orders=32, edge=3.0, smooth=True)
 """Band of derivatives that are judged one by one (`tools/derivative_accuracy.py`)."""
@@ -35,18 +35,18 @@ _EXACT = 0.004
 """Allowed error below which it is used."""
 
 _FEW = 512
-"""Radiators up to which the light that is cut does not average out."""
+"""Points up to which the light that is cut does not average out."""
 
 _FEW_STRICTER = 5.0
 
 _SHARP = 1 / 4
-"""Samples over which edges of the pupil are softened for many radiators: walls lose 0.3 % of the light, not 1.2 %."""
+"""Samples over which edges of the pupil are softened for many points: walls lose 0.3 % of the light, not 1.2 %."""
 
 WAVES_PER_ERROR = 10.0
 """Waves across one microlens by which wavefronts may differ, over the allowed error of the sum of many."""
 
 _NEIGHBOURHOOD = 25
-"""Lenses whose radiators' point spreads overlap, about."""
+"""Lenses whose points' point spreads overlap, about."""
 
 _MANY = 1600
 """Overlapping point spreads from which on the allowed error is reached by `WAVES_PER_ERROR`."""
@@ -67,7 +67,7 @@ def check_accuracy(accuracy: Any, name: str = "accuracy") -> float:
 
 
 def band_for(accuracy: float, count: int) -> Band:
-    """Choose how much of the diffracted light to keep for an allowed error of the sum of some radiators."""
+    """Choose how much of the diffracted light to keep for an allowed error of the sum of some points."""
     allowed = accuracy / _FEW_STRICTER if count <= _FEW else accuracy
     band = next(band for limit, band in _BANDS if allowed < limit)
     if count <= _FEW:
@@ -88,7 +88,7 @@ def derivative_band_for(accuracy: float, count: int) -> Band:
 
 
 def derivatives_share(accuracy: float, count: int) -> bool:
-    """Tell whether derivatives of the sum of some radiators share point spreads, as its image does."""
+    """Tell whether derivatives of the sum of some points share point spreads, as its image does."""
     return accuracy >= _EXACT and count > _FEW
 
 

@@ -1,4 +1,4 @@
-"""How much of a radiator's light passes the apertures of microlenses with opaque gaps between them."""
+"""How much of a point's light passes the apertures of microlenses with opaque gaps between them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .patch_batches import Fields
 
 
 def aperture_power(fields: Fields) -> NDArray[np.float64]:
-    """Return the fraction of each radiator's power on the microlens array that is within apertures; (n,).
+    """Return the fraction of each point's power on the microlens array that is within apertures; (n,).
 
     The intensity before the array is band-limited, so that its integral over apertures of any shape is exact.
     """
@@ -26,14 +26,14 @@ def aperture_power(fields: Fields) -> NDArray[np.float64]:
     cosine = in_millimetres(grid.wavelength) / (2 * float(pitch.min()))
     row, column = np.indices((count, count)).reshape(2, -1)
     result = np.empty(len(batch.pupil))
-    for radiator, pupil in enumerate(batch.pupil):
+    for point, pupil in enumerate(batch.pupil):
         field = arrays.zeros((count, count), np.complex64)
         field[:directions, :directions] = pupil
         with resting_drjit():
             intensity: Any = arrays.abs(fft2(field, inverse=True)) ** 2
-        x0, y0 = grid.origin + batch.corner[radiator] * grid.pitch
+        x0, y0 = grid.origin + batch.corner[point] * grid.pitch
         x, y = types.Float64(x0 + column * pitch[0]), types.Float64(y0 + row * pitch[1])
         passed = batch.libraries.from_drjit(open_fraction(grid.camera, grid.wavelength, cosine, x, y))
         passed = intensity * passed.reshape(count, count)
-        result[radiator] = float(passed.sum(dtype=np.float64) / intensity.sum(dtype=np.float64))
+        result[point] = float(passed.sum(dtype=np.float64) / intensity.sum(dtype=np.float64))
     return result

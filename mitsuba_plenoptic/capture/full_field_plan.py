@@ -1,4 +1,4 @@
-"""Sums of point spreads without shortcuts, radiator by radiator: the reference for every quicker way."""
+"""Sums of point spreads without shortcuts, point by point: the reference for every quicker way."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .pupil_weights import PupilWeights
 
 @dataclass(frozen=True)
 class _FullField:
-    """One radiator: a batch."""
+    """One point: a batch."""
 
     camera: PlenopticCamera
     position: NDArray[np.float64]
@@ -65,7 +65,7 @@ class FullFieldPlan:
         return FullFieldSum(self, weights)
 
     def batch(self, point: int, factors: NDArray[np.float32]) -> _FullField:
-        """Describe the point spread of one radiator."""
+        """Describe the point spread of one point."""
         weights = self._pupil_weights and self._pupil_weights.take(np.array([point]))
         return _FullField(self._camera, self._points[point], factors, self._wavelength, weights)
 
@@ -82,13 +82,13 @@ class FullFieldPlan:
         return np.array([np.tensordot(psf, image, 2) for psf in spreads], np.float64).reshape(-1, image.shape[2])
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
-        """Return the bytes of the image, or refuse them; those of the fields are judged radiator by radiator."""
+        """Return the bytes of the image, or refuse them; those of the fields are judged point by point."""
         memory = 8.0 * channels * math.prod(self._camera.shape)
         check_memory(memory, f"image of {self._camera.shape[1]} x {self._camera.shape[0]} pixels")
         return memory
 
     def cost(self, batch_map: BatchMap) -> Cost:
-        """Estimate what a sum takes from its first radiator."""
+        """Estimate what a sum takes from its first point."""
         count, memory = len(self._points), self.check_memory(batch_map)
         start = time.perf_counter()
         if count:
@@ -107,7 +107,7 @@ class FullFieldSum:
         self.items = np.ones(len(self._lit), np.int64)
 
     def batches(self, first: int) -> Iterator[_FullField]:
-        """Yield one batch a radiator."""
+        """Yield one batch a point."""
         return (self._plan.batch(int(point), self._weights[point]) for point in self._lit[first:])
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:

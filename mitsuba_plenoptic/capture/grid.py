@@ -1,4 +1,4 @@
-"""Where the point spreads of radiators lie, and how finely and widely they are sampled.
+"""Where the point spreads of points lie, and how finely and widely they are sampled.
 
 All intensities are sampled on one grid of the detector, whatever the patch: there they can be added, and they are
 integrated over the pixels once, at the end. The grid lies in the frame that is turned with the microlens lattice about
@@ -155,7 +155,7 @@ class Placement:
 
 
 def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
-    """Choose size and place of the patches of some radiators.
+    """Choose size and place of the patches of some points.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
 
 
 def _ladder(minimum: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Round sample counts up to one of few that the FFT does quickly, so that radiators share them."""
+    """Round sample counts up to one of few that the FFT does quickly, so that points share them."""
     counts = [fast_length(16)]
     while counts[-1] < minimum.max(initial=0):
         length = fast_length(math.ceil(counts[-1] * _WIDTH_STEP))

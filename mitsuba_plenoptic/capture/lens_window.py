@@ -12,7 +12,7 @@ from ..lattice import Lattice
 from ..optics import rays
 
 _MARGIN = 3
-"""Lenses beyond the recorded ones whose radiators count.
+"""Lenses beyond the recorded ones whose points count.
 
 Diffraction at the microlenses' edges, which falls with the inverse square of the distance, brings 1 % of a white
 scene's light from lenses farther off than the next one.

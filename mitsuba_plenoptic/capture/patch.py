@@ -1,4 +1,4 @@
-r"""Fields of radiators on a patch of the detector, many at a time.
+r"""Fields of points on a patch of the detector, many at a time.
 
 A scene point lights a small patch of the MLA. There its field is a sum of plane waves, one for each direction
 cosine s from a pupil point P to the centre Mc of the patch, times a common curvature (the Debye integral with its
@@ -60,7 +60,7 @@ _CUDA = _Sizes(group=2**25, block=2**31)
 
 
 class Workspace:
-    """Memory for the transforms of a batch's radiators."""
+    """Memory for the transforms of a batch's points."""
 
     def __init__(self, batch: PatchBatch) -> None:
         arrays, count, m = batch.libraries.arrays, batch.together, batch.mla_samples
@@ -72,14 +72,14 @@ class Workspace:
 
 
 class PatchBatch:
-    """The fields of radiators whose patches have one size, ready to be transformed.
+    """The fields of points whose patches have one size, ready to be transformed.
 
     Parameters
     ----------
     grid : Grid
         The grid that they lie on.
     placement : Placement
-        Of these radiators.
+        Of these points.
     positions : float64 array (n, 3)
         Scene points in the frame of the lattice.
     amplitudes : float64 array (n,)
@@ -120,11 +120,11 @@ class PatchBatch:
 
     @property
     def together(self) -> int:
-        """Radiators to transform at a time: small ones in groups, so that the calls cost little."""
+        """Points to transform at a time: small ones in groups, so that the calls cost little."""
         return min(len(self.chief), max(1, self.sizes.group // self.mla_samples**2))
 
     def to_detector(self, start: int, stop: int, work: Workspace) -> Iterator[tuple[int, slice, Field]]:
-        """Transform the fields of radiators start ... stop to the detector.
+        """Transform the fields of points start ... stop to the detector.
 
         Everything is done on blocks that stay in a core's own cache: along x for the directions of the pupil; then,
         turned over, along y to the MLA, to the spectrum and to the detector; at last along x to the detector.
@@ -132,13 +132,13 @@ class PatchBatch:
         Parameters
         ----------
         start, stop : int
-            Which radiators of the batch, at most `together`.
+            Which points of the batch, at most `together`.
         work : Workspace
             Overwritten.
 
         Yields
         ------
-        radiator : int
+        point : int
             Number in the batch.
         along_y : slice
             Which samples along y the part of its field has.
@@ -152,8 +152,8 @@ class PatchBatch:
             self._pass_plane(start, stop, work, self.lenses)
         for block in _blocks(n, n, self.sizes.block):
             detector = _inverse(field[..., block], axis=1)
-            for part, radiator in zip(detector, range(start, stop), strict=True):
-                yield radiator, block, part
+            for part, point in zip(detector, range(start, stop), strict=True):
+                yield point, block, part
 
     def _pass_product(self, start: int, stop: int, work: Workspace) -> None:
         """Take the fields from the pupil to the detector, along y only: through microlenses axis by axis."""

@@ -1,4 +1,4 @@
-"""Which point spreads are computed for some radiators, together with which, and where each of their copies goes."""
+"""Which point spreads are computed for some points, together with which, and where each of their copies goes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _FEW, _CHUNKS = 4, 32
 have some."""
 
 _PATCH_LIMIT = 2**26
-"""Bytes of one radiator's field above which many are refused: blurred over thousands of pixels, they take days."""
+"""Bytes of one point's field above which many are refused: blurred over thousands of pixels, they take days."""
 
 _CHUNK_BYTES = 2**26
 
@@ -76,9 +76,9 @@ class Cost:
 
 
 class PatchPlan:
-    """Radiators gathered into patterns, and patterns into chunks of one patch size and neighbourhood.
+    """Points gathered into patterns, and patterns into chunks of one patch size and neighbourhood.
 
-    A pattern is a point spread that several radiators share; each has it at a place of its own, as a copy. Each chunk
+    A pattern is a point spread that several points share; each has it at a place of its own, as a copy. Each chunk
     is a batch: it is added into a tile of its own, in the order of its patterns.
 
     Parameters
@@ -86,7 +86,7 @@ class PatchPlan:
     camera : PlenopticCamera
         The camera.
     points : float64 array (n, 3)
-        Radiators in the camera frame.
+        Points in the camera frame.
     pupil_weights : PupilWeights, optional
         Their power over the pupil.
     wavelength : float
@@ -96,7 +96,7 @@ class PatchPlan:
     band : Band, optional
         How much of the diffracted light is kept. Default: what suits the allowed error of images.
     shared : bool
-        Whether radiators may share patterns, if the allowed error lets them.
+        Whether points may share patterns, if the allowed error lets them.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class PatchPlan:
         self._recorder = Recorder(camera, self._grid, low, high)
         box = self._recorder.box
         start, size = np.array([box.left, box.top]), np.array([box.columns, box.rows])
-        # The radiators that are seen, pattern by pattern.
+        # The points that are seen, pattern by pattern.
         order = np.flatnonzero(((high > start) & (low < start + size)).all(1))
         self._order = order = order[np.argsort(patterns.pattern[order], kind="stable")]
         self._shifts = shifts[order]
@@ -212,7 +212,7 @@ class PatchPlan:
         return Fields(self._grid, self._placement.take(which), self._positions[which], weights)
 
     def lit_chunks(self, weights: NDArray[np.float64]) -> tuple[list[NDArray[np.int64]], NDArray[np.int64]]:
-        """Return the chunks that have any weight, and how many radiators each of them stands for."""
+        """Return the chunks that have any weight, and how many points each of them stands for."""
         if not self._chunks:
             return [], np.zeros(0, np.int64)
         lit = np.add.reduceat(weights[self._order].any(1), self._first) > 0
@@ -275,7 +275,7 @@ class PatchPlan:
     # -- adjoint ---------------------------------------------------------------------------------------
 
     def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
-        """Return for every radiator the image weighted by its point spread.
+        """Return for every point the image weighted by its point spread.
 
         Parameters
         ----------
@@ -284,7 +284,7 @@ class PatchPlan:
         job : Job
             Who computes, and who is told of the progress.
         done, total : int
-            The radiators that are done before, and those of the whole job.
+            The points that are done before, and those of the whole job.
 
         Returns
         -------
@@ -344,7 +344,7 @@ class PatchPlan:
         """Return the bytes that a sum takes, or refuse them."""
         memory = self.memory(batch_map, channels)
         largest, patterns = int(self._placement.samples.max(initial=0)), len(self._positions)
-        what = f"{self._count} radiators by patches of {largest} x {largest} samples"
+        what = f"{self._count} points by patches of {largest} x {largest} samples"
         check_memory(memory, what)
         each = 8.0 * largest**2
         if patterns > _CHUNK and each > _PATCH_LIMIT:

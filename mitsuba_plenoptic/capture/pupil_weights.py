@@ -1,7 +1,7 @@
-r"""How strongly the light of each radiator fills the pupil: what it is hidden from, and where it shines more or less.
+r"""How strongly the light of each point fills the pupil: what it is hidden from, and where it shines more or less.
 
 A surface that is seen slantwise has another cosine with the light to each side of the pupil. With its normal n, a
-radiator at X sends to the point P of the pupil the power
+point at X sends to the point P of the pupil the power
 
 .. math:: w(P) = \frac{n \cdot (X - P)}{n \cdot X}
 
@@ -31,7 +31,7 @@ STEEPEST = 0.98
 
 @dataclass(frozen=True)
 class PupilWeights:
-    """Relative power over the pupil, for many radiators of which most have the same.
+    """Relative power over the pupil, for many points of which most have the same.
 
     The pupil's bounding square is cut into m x m cells, rows along y and columns along x of the camera frame.
 
@@ -40,7 +40,7 @@ class PupilWeights:
     table : float32 array (k, m, m)
         Distinct weights, not negative.
     index : int64 array (n,)
-        Which of them each radiator has.
+        Which of them each point has.
     slant : float64 array (n, 2)
         By how much the power grows besides from the pupil's centre to its rim, along x and along y of the camera frame.
     sampled : bool
@@ -55,14 +55,14 @@ class PupilWeights:
 
     @classmethod
     def of(cls, weights: Any, count: int) -> PupilWeights | None:
-        """Gather the weights of some radiators.
+        """Gather the weights of some points.
 
         Parameters
         ----------
         weights : array (n, m, m), PupilWeights or None
             Relative power, or booleans for what is visible; None if it is the same over all of the pupil.
         count : int
-            The radiators.
+            The points.
 
         Raises
         ------
@@ -95,15 +95,15 @@ class PupilWeights:
         return cls(table.reshape(-1, cells, cells), index.reshape(-1), np.zeros((len(bits), 2)))
 
     def take(self, which: NDArray[Any] | slice) -> PupilWeights:
-        """Return those of some radiators."""
+        """Return those of some points."""
         kept, index = np.unique(self.index[which], return_inverse=True)
         return replace(self, table=self.table[kept], index=index.reshape(-1), slant=self.slant[which])
 
     def lit(self) -> NDArray[np.bool_]:
-        """Whether any light of each radiator passes."""
+        """Whether any light of each point passes."""
         return np.asarray(self.table.reshape(len(self.table), -1).max(axis=1) > 0)[self.index]
 
-    def at(self, radiator: Any, Px: Any, Py: Any, radius: Any, sample: Any) -> tuple[Any, Any]:
+    def at(self, point: Any, Px: Any, Py: Any, radius: Any, sample: Any) -> tuple[Any, Any]:
         """Average the weights, and their square roots, over samples of the pupil.
 
         A hard border of a cell would fold its steep spectrum back into the band of the samples. Samples wider than a
@@ -111,8 +111,8 @@ class PupilWeights:
 
         Parameters
         ----------
-        radiator : UInt32 array of Dr.Jit
-            Number of the radiator.
+        point : UInt32 array of Dr.Jit
+            Number of the point.
         Px, Py : float64 arrays of Dr.Jit
             Points of the pupil in the camera frame.
         radius : float
@@ -124,10 +124,10 @@ class PupilWeights:
         -------
         power, amplitude : Float arrays of Dr.Jit
         """
-        UInt32 = type(radiator)
+        UInt32 = type(point)
         Float = dr.float32_array_t(UInt32)
         cells = self.table.shape[1]
-        first = dr.gather(UInt32, UInt32(self.index.astype(np.uint32)), radiator) * (cells * cells)
+        first = dr.gather(UInt32, UInt32(self.index.astype(np.uint32)), point) * (cells * cells)
         half = dr.minimum(sample * (cells / (4 * radius)), 0.5)
         sides = []
         for P in (Px, Py):
@@ -142,12 +142,12 @@ class PupilWeights:
             amplitude += across * down * dr.sqrt(weight)
         if self.sampled:
             amplitude = dr.sqrt(power)
-        slant = [dr.gather(Float, Float(np.ascontiguousarray(part)), radiator) for part in self.slant.T]
+        slant = [dr.gather(Float, Float(np.ascontiguousarray(part)), point) for part in self.slant.T]
         cosine = dr.maximum(1 + (slant[0] * Float(Px) + slant[1] * Float(Py)) / radius, 0)
         return power * cosine, amplitude * dr.sqrt(cosine)
 
     def means(self, points: int) -> NDArray[np.float64]:
-        """Return the mean of each radiator's weights over the pupil; (n,).
+        """Return the mean of each point's weights over the pupil; (n,).
 
         Parameters
         ----------
@@ -192,7 +192,7 @@ def slants(normals: NDArray[np.floating[Any]], positions: NDArray[np.float64], r
     normals : array (n, 3)
         Normals in the camera frame; zero where there is no surface.
     positions : float64 array (n, 3)
-        Radiators on them.
+        Points on them.
     radius : float
         Of the pupil.
 

@@ -27,7 +27,7 @@ from .scene import KNOWN_PARAMETERS, mitsuba_sentence
 _RAYS_PER_PASS = 2**24
 
 MOST_SAMPLES = 2**24
-"""Samples per pixel, and light paths per radiator, at most."""
+"""Samples per pixel, and light paths per point, at most."""
 
 # Bytes a pixel while a film is rendered: its block of red, green, blue and weight, what is developed of it, the copy
 # of that, and the sum of passes, each of up to four numbers.

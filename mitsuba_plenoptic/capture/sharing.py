@@ -1,14 +1,14 @@
-r"""Radiators that share one pattern by the symmetry of the microlens lattice.
+r"""Points that share one pattern by the symmetry of the microlens lattice.
 
 Move a scene point so that its image on the MLA moves by one lens: the pattern on the detector stays the same but
 for the aberrations of a thin lens far from the axis, and moves by one micro-image, :math:`D_2 (b + z) / b`. So
-radiators of the same wavefront at the same place of their lenses need one propagation for a zone of lenses.
+points of the same wavefront at the same place of their lenses need one propagation for a zone of lenses.
 
 "The same" is a matter of what one microlens sees. Out of focus it sees a part of the pupil only, one of
 :math:`n = 2 a |\Delta b| / b D_2` across, and of a changed wavefront the changed tilt of this part, which moves its
 spot: for a change by :math:`\delta` waves at the pupil's edge :math:`4 \delta / n` waves across a lens, for an image
 that moves by :math:`\mu` :math:`\mu D_1 / \lambda b n`. So the farther from focus, the wider the steps of place and
-distance within which radiators share.
+distance within which points share.
 """
 
 from __future__ import annotations
@@ -45,18 +45,18 @@ _OFF_LATTICE = 0.38196601
 
 @dataclass(frozen=True)
 class Patterns:
-    """Patterns, and which radiator takes which.
+    """Patterns, and which point takes which.
 
     Attributes
     ----------
     positions : float64 array (patterns, 3)
         The scene point that each is computed for.
     slant : float64 array (patterns, 2), or None
-        Mean of the radiators' slants (see `PupilWeights`).
+        Mean of the points' slants (see `PupilWeights`).
     pattern : int array (n,)
-        For each radiator its pattern.
+        For each point its pattern.
     shift : int array (n, 2)
-        For each radiator the lenses, along x and y, from the pattern's place to its own.
+        For each point the lenses, along x and y, from the pattern's place to its own.
     """
 
     positions: NDArray[np.float64]
@@ -73,7 +73,7 @@ def find_patterns(
     wavelength: float,
     step: float,
 ) -> Patterns:
-    """Find radiators that share patterns.
+    """Find points that share patterns.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def find_patterns(
         keys += [pupil_weights.index[:, None], slants]
     _, first, pattern = np.unique(np.hstack(keys), axis=0, return_index=True, return_inverse=True)
     pattern = pattern.reshape(-1)
-    # A pattern is computed for the mean of its radiators, in the middle lens of those that have it.
+    # A pattern is computed for the mean of its points, in the middle lens of those that have it.
     low, high = np.full((2, len(first), 2), np.iinfo(np.int64).max)
     high = -high
     np.minimum.at(low, pattern, cell)

@@ -27,8 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..optics.phase_space import PhaseSpace, Polynomials, RayCoefficients
+from ..optics.phase_space import PhaseSpace
 from ..optics.pixel_response import angular_response
+from ..optics.ray_coefficients import Polynomials, RayCoefficients, coefficients_of
 from ..optics.ray_pupil import RayPupil
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
@@ -155,7 +156,7 @@ class SignedRaySum:
 
     @cached_property
     def _coefficients(self) -> list[RayCoefficients | Polynomials]:
-        return [node.plan.bind() for node in self._nodes]
+        return [coefficients_of(node.plan) for node in self._nodes]
 
     def _trace(self, box: Box, cells: Any, seeds: np.random.SeedSequence) -> list[Any]:
         """Trace the rays of some cells of a box.

@@ -39,7 +39,7 @@ class Tile:
     batch : PatchBatch
         Whose patches it covers.
     copies : list of Copies
-        For each radiator of the batch.
+        For each point of the batch.
     """
 
     def __init__(self, batch: PatchBatch, copies: list[Copies]) -> None:
@@ -73,8 +73,8 @@ class Tile:
             ]
             for places, copy in zip(self._places, self._copies, strict=True)
         ]
-        for radiator, along_x, along_y, intensity, weighted in self._intensities():
-            for x, y, channel, weight in targets[radiator]:
+        for point, along_x, along_y, intensity, weighted in self._intensities():
+            for x, y, channel, weight in targets[point]:
                 target = sums[channel, x + along_x.start : x + along_x.stop, y + along_y.start : y + along_y.stop]
                 if weight == 1:
                     target += intensity
@@ -85,12 +85,12 @@ class Tile:
     def _sum_together(self, cells: Cells) -> Any:
         """Add by cells, (channels, samples along x, along y)."""
         sums, last = cells.sum(self.size, self._channels, self._batch.together), 0
-        for radiator, along_x, along_y, intensity, _ in self._intensities():
+        for point, along_x, along_y, intensity, _ in self._intensities():
             # Those that are transformed together come in turns.
-            if radiator // self._batch.together != last and sums.free < self._batch.together:
+            if point // self._batch.together != last and sums.free < self._batch.together:
                 sums.add()
-            last = radiator // self._batch.together
-            plane = sums.plane(radiator, self._places[radiator], self._copies[radiator].weights)
+            last = point // self._batch.together
+            plane = sums.plane(point, self._places[point], self._copies[point].weights)
             plane[along_x, along_y] = intensity
         return sums.total()
 
@@ -109,25 +109,25 @@ class Tile:
         Returns
         -------
         list of float64 arrays (copies, channels)
-            For each radiator.
+            For each point.
         """
         turned = self._arrays.ascontiguousarray(self._arrays.asarray(samples).transpose(0, 2, 1))
         products = [np.zeros((len(places), len(turned))) for places in self._places]
-        for radiator, along_x, along_y, intensity, _ in self._intensities():
-            for copy, (x, y) in enumerate(self._places[radiator].tolist()):
+        for point, along_x, along_y, intensity, _ in self._intensities():
+            for copy, (x, y) in enumerate(self._places[point].tolist()):
                 part = turned[:, x + along_x.start : x + along_x.stop, y + along_y.start : y + along_y.stop]
                 # Row by row in single precision, so that few numbers are added in it.
                 rows = self._arrays.einsum("cij,ij->ci", part, intensity).sum(1, dtype=np.float64)
-                products[radiator][copy] += self._batch.libraries.to_host(rows)
+                products[point][copy] += self._batch.libraries.to_host(rows)
         return products
 
     def _intensities(self) -> Iterator[tuple[int, slice, slice, Any, Any]]:
-        """Yield the intensities of all radiators in parts, (along x, along y), and as much memory for work."""
+        """Yield the intensities of all points in parts, (along x, along y), and as much memory for work."""
         batch, arrays = self._batch, self._arrays
         work = Workspace(batch)
         for first in range(0, len(self._copies), batch.together):
             stop = min(len(self._copies), first + batch.together)
-            for radiator, along_y, field in batch.to_detector(first, stop, work):
+            for point, along_y, field in batch.to_detector(first, stop, work):
                 rows = max(1, self._block // field.shape[1])
                 for start, end in itertools.pairwise([*range(0, len(field), rows), len(field)]):
                     part = field[start:end]
@@ -136,7 +136,7 @@ class Tile:
                     arrays.copyto(squares.view(np.complex64), part)
                     arrays.multiply(squares, squares, out=squares)
                     arrays.add(squares[:, ::2], squares[:, 1::2], out=intensity)
-                    yield radiator, slice(start, end), along_y, intensity, weighted
+                    yield point, slice(start, end), along_y, intensity, weighted
 
 
 def tile_extent(

@@ -15,7 +15,7 @@ from ..optics.open_pupil import pupil_bound
 
 
 def brightness(lattice: Any, pupil_radius: Any, detector_distance: Any, pixel_size: Any) -> Any:
-    r"""Return :math:`A_{pupil} z^2 / (A_{lens} A_{pixel})`, of the weight of a radiator what depends on the camera.
+    r"""Return :math:`A_{pupil} z^2 / (A_{lens} A_{pixel})`, of the weight of a point what depends on the camera.
 
     The rest is its radiance times the solid angle :math:`A_c / b^2` that it stands for.
 

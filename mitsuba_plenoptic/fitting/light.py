@@ -29,7 +29,7 @@ class View:
     r"""A capture, and the light that it shows.
 
     A pixel is expected to be :math:`B \sum_r w_r \, \mathrm{psf}_r`, with what `capture.units.brightness` returns as B:
-    a capture in the unit of ``plenoptic_wave``. Behind a real main lens each radiator counts by the part of the pupil
+    a capture in the unit of ``plenoptic_wave``. Behind a real main lens each point counts by the part of the pupil
     that is open to it.
 
     Parameters

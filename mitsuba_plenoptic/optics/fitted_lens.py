@@ -333,7 +333,7 @@ def _fitted(camera: PlenopticCamera, wavelength: float, field: float, low: float
 
 
 def lens_of_rays(camera: PlenopticCamera) -> UniformLens | LensSystem:
-    """Return a camera's main lens as rays that look for radiators pass it.
+    """Return a camera's main lens as rays that look for points pass it.
 
     Parameters
     ----------

@@ -33,7 +33,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import drjit as dr
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
@@ -311,10 +310,6 @@ class PhaseSpace:
                 scale += area * share
         return (total / scale).astype(np.float32)
 
-    def bind(self) -> RayCoefficients | Polynomials:
-        """Return what gives rays their coefficients, for Dr.Jit's variant that is set."""
-        return Polynomials(self) if self.by_points else RayCoefficients(self, self.table)
-
     def moved(self, camera: PlenopticCamera) -> PhaseSpace:
         """Return the plan of a camera that differs a little, whose table has the same nodes."""
         plan = replace(self, camera=camera)
@@ -457,113 +452,3 @@ class PhaseSpace:
         result[:, :middle] = result[:, :middle:-1, ::-1].conj()
         # The open area as it is sampled, so that energy is kept.
         return np.asarray(result / result[0, middle, middle].real)
-
-
-class RayCoefficients:
-    """The table of a `PhaseSpace`, or one like it, on the device of the active variant."""
-
-    def __init__(self, plan: PhaseSpace, table: Sequence[NDArray[np.float32]]) -> None:
-        self.plan = plan
-        count, self._packets = len(plan.exponents), -(-len(plan.exponents) // 4)
-        # Coefficients are read four at a time.
-        parts = [np.pad(part, [(0, 0)] * 3 + [(0, 4 * self._packets - count)]).ravel() for part in table]
-        self._table = mi.Float(np.concatenate(parts))
-        first = np.cumsum([0] + [part.size // 4 // self._packets for part in parts])[:-1]
-        self._first = mi.Int(first.astype(np.int32))
-        sides, counts = np.array([n.sides for n in plan.nodes]), np.array([n.counts for n in plan.nodes])
-        self._sides = [mi.Float(column) for column in sides.T]
-        self._counts = [mi.Int(column.astype(np.int32)) for column in counts.T]
-        self._angular = mi.Float([node.angular for node in plan.nodes])
-        self._radius = plan.camera.pupil_radius
-
-    def __call__(
-        self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
-    ) -> list[Any]:
-        """Return the coefficients of rays from points of a lens through points of the pupil.
-
-        Each ray takes one node of the table, by chance, so that the mean is what linear interpolation between the
-        sixteen nodes around it gives.
-
-        Parameters
-        ----------
-        point : (Float, Float)
-            Where the ray meets the array, from the centre of a lens.
-        pupil : (Float, Float)
-            Where it meets the pupil.
-        jitter : four Float
-            Random numbers from 0 to 1.
-        active : Bool
-            Rays that are wanted; of others, and of those outside the pupil or the window, the coefficients are 0.
-        """
-        plan = self.plan
-        lattice = plan.lattice
-        (u, v), (Pu, Pv) = lattice.to_frame(*point), lattice.to_frame(*pupil)
-        distance, radial = self._along(Pu, Pv, jitter[0])
-        active = active & (distance <= 1)
-        # A quarter of the pupil stands for all of it, mirrored as lenses are.
-        mirrored = Pu < 0, Pv < 0
-        u, v = (dr.select(turned, -place, place) for turned, place in zip(mirrored, (u, v), strict=True))
-        turn = dr.atan2(dr.abs(Pv), dr.abs(Pu)) * (2 / math.pi) * dr.gather(mi.Float, self._angular, radial)
-        index = dr.gather(mi.Int, self._first, radial)
-        sizes = [dr.gather(mi.Int, each, radial) for each in self._counts]
-        index += mi.Int(dr.floor(turn + jitter[1])) * (sizes[0] * sizes[1])
-        for axis, place, chance, row in ((1, v, jitter[2], sizes[0]), (0, u, jitter[3], 1)):
-            side, size = dr.gather(mi.Float, self._sides[axis], radial), sizes[axis]
-            active &= dr.abs(place) <= side / 2
-            count = mi.Float(size)
-            node = mi.Int(dr.floor(place * (count / side) + (count / 2 - 0.5) + chance))
-            # The window repeats.
-            index += dr.select(node < 0, node + size, dr.select(node >= size, node - size, node)) * row
-        values = [
-            value
-            for packet in range(self._packets)
-            for value in dr.gather(mi.Vector4f, self._table, mi.UInt(index * self._packets + packet), active)
-        ]
-        return plan.mirrored(values, *mirrored)
-
-    def slopes(
-        self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
-    ) -> tuple[list[Any], list[Any]]:
-        """Return the derivatives of the coefficients by the point, along the lattice's axes; see `__call__`."""
-        Pu, Pv = self.plan.lattice.to_frame(*pupil)
-        _, radial = self._along(Pu, Pv, jitter[0])
-        result = []
-        for axis, P in enumerate((Pu, Pv)):
-            # From node to node linear interpolation has this slope.
-            before, after = (
-                self(point, pupil, (*jitter[:2], *(end if i == 1 - axis else jitter[2 + i] for i in range(2))), active)
-                for end in (mi.Float(0), mi.Float(1))
-            )
-            density = mi.Float(dr.gather(mi.Int, self._counts[axis], radial)) / dr.gather(
-                mi.Float, self._sides[axis], radial
-            )
-            density = dr.select(P < 0, -density, density)
-            result.append([(b - a) * density for a, b in zip(before, after, strict=True)])
-        return result[0], result[1]
-
-    def _along(self, Pu: Any, Pv: Any, chance: Any) -> tuple[Any, Any]:
-        """Return how far points are from the middle of the pupil, over its radius, and a node of the table there."""
-        distance = dr.sqrt(Pu * Pu + Pv * Pv) / self._radius
-        along = (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * self.plan.radial
-        return distance, mi.UInt(dr.minimum(dr.floor(along + chance), self.plan.radial))
-
-
-class Polynomials:
-    """The polynomials of a `PhaseSpace` as coefficients of rays that land by their own points of a lens."""
-
-    def __init__(self, plan: PhaseSpace) -> None:
-        self.plan = plan
-
-    def __call__(self, point: tuple[Any, Any], pupil: Any, jitter: Any, active: Any) -> list[Any]:
-        """Return the values of the polynomials at points of a lens."""
-        plan = self.plan
-        u, v = (place / plan.lattice.pitches[0] for place in plan.lattice.to_frame(*point))
-        powers = [[mi.Float(1)], [mi.Float(1)]]
-        for _ in range(plan.degree):
-            for each, place in zip(powers, (u, v), strict=True):
-                each.append(each[-1] * place)
-        monomials = [powers[0][i] * powers[1][j] for i, j in plan.exponents]
-        return [
-            sum((m * float(c) for m, c in zip(monomials, column, strict=True) if c), mi.Float(0))
-            for column in plan.triangle.T
-        ]

@@ -1,6 +1,6 @@
 """Batches on the worker processes of a Dask cluster: on this machine, or on others.
 
-Only arrays travel: the radiators of a batch and the camera to a worker, and its result back. Which worker does what
+Only arrays travel: the points of a batch and the camera to a worker, and its result back. Which worker does what
 has no influence on the bits; but different processors may round differently.
 """
 

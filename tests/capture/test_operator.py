@@ -398,7 +398,7 @@ def test_more_memory_than_allowed_is_refused_with_the_estimate(monkeypatch):
     monkeypatch.setattr("mitsuba_plenoptic.optics.sampling.MEMORY_LIMIT", 2**20)
     operator = CaptureOperator(SMALL, [(0.0, 0.0, 240.0)], wavelength=WAVELENGTH)
     for work in (operator.estimate, lambda: operator.forward([1.0]), lambda: operator.adjoint(np.ones(SMALL.shape))):
-        with pytest.raises(InputError, match=r"1 radiators by patches.*GiB"):
+        with pytest.raises(InputError, match=r"1 points by patches.*GiB"):
             work()
 
 
@@ -417,7 +417,7 @@ def test_many_points_at_infinity_are_refused():
     """Their blur of 5 mm covers 2,500 pixels; a few are allowed."""
     x = np.random.default_rng(0).uniform(-2e5, 2e5, (100, 2))
     positions = np.column_stack([x, np.full(100, 1e7)])
-    with pytest.raises(InputError, match=r"^100 radiators by patches.*GiB"):
+    with pytest.raises(InputError, match=r"^100 points by patches.*GiB"):
         capture(PlenopticCamera(), positions, np.ones(100))
 
 

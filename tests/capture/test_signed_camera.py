@@ -22,6 +22,7 @@ from mitsuba_plenoptic.capture.signed_colours import Node
 from mitsuba_plenoptic.capture.signed_draws import Cells, jitter
 from mitsuba_plenoptic.capture.signed_rays import REACH
 from mitsuba_plenoptic.optics.phase_space import PhaseSpace
+from mitsuba_plenoptic.optics.ray_coefficients import coefficients_of
 from mitsuba_plenoptic.optics.ray_pupil import RayPupil
 from mitsuba_plenoptic.runtime.batches import Box
 from mitsuba_plenoptic.runtime.jobs import Job, Task
@@ -68,7 +69,7 @@ class HeldRays(CameraTangents):
 
     def figure(self, camera):
         plan = self._nodes[0].plan
-        self.other, self.table, self.total = camera, plan.moved(camera).bind(), 0.0
+        self.other, self.table, self.total = camera, coefficients_of(plan.moved(camera)), 0.0
         samples = plan.kernel_samples(self._step, REACH * max(CAMERA.mla_pitches))
         step = self._step * camera.detector_width / CAMERA.detector_width
         kernels = plan.moved(camera).sampled_kernels(step, samples, 0)

@@ -27,7 +27,7 @@ from .spread_copies import SpreadCopies, SpreadSum, Window, covered, gathered
 
 @dataclass(frozen=True)
 class _Drawn:
-    """The factors of all radiators of a batch, as Complex2f of Dr.Jit that carry gradients."""
+    """The factors of all points of a batch, as Complex2f of Dr.Jit that carry gradients."""
 
     pupil: Any
     along_x: Any
@@ -75,22 +75,22 @@ def _shapes(fields: Fields, made: PatchFactors) -> list[tuple[int, ...]]:
     return [(n, d, d), (n, m), (n, m), (n, m, m), made.transfer_shape]
 
 
-def _of_radiator(parts: list[Field | None], made: Any, radiator: int) -> list[Any]:
-    """Take one radiator's factors from those of a batch."""
+def _of_point(parts: list[Field | None], made: Any, point: int) -> list[Any]:
+    """Take one point's factors from those of a batch."""
     *own, transfer = parts
-    rows, columns = _directions(made, radiator)
-    mine = [None if part is None else part[radiator] for part in own]
+    rows, columns = _directions(made, point)
+    mine = [None if part is None else part[point] for part in own]
     return [*mine, None if transfer is None else transfer[rows, columns]]
 
 
-def _directions(made: Any, radiator: int) -> tuple[slice, slice]:
-    """Return which of a batch's directions, along y and x, one radiator's field has."""
-    x, y = (made.chief[radiator] - made.chief.min(0)).tolist()
+def _directions(made: Any, point: int) -> tuple[slice, slice]:
+    """Return which of a batch's directions, along y and x, one point's field has."""
+    x, y = (made.chief[point] - made.chief.min(0)).tolist()
     return slice(y, y + made.samples), slice(x, x + made.samples)
 
 
 def _plain(batch: PatchBatch) -> list[Field | None]:
-    """Return the factors of a batch as `_of_radiator` takes them."""
+    """Return the factors of a batch as `_of_point` takes them."""
     # Fields are multiplied with it row by row.
     transfer = batch.libraries.arrays.ascontiguousarray(batch.transfer.T)
     return [batch.pupil, batch.along_x, batch.along_y, batch.lenses, transfer]
@@ -172,15 +172,15 @@ def _push(push: Push, batch: PatchBatch, changes: list[list[Field | None]], latt
     parts = len(changes) + (3 if push.placed else 1)
     sums = arrays.zeros((parts, channels, box.rows, box.columns), np.float32)
     plain, memory = _plain(batch), Memory(arrays)
-    for radiator, copies in enumerate(push.copies):
+    for point, copies in enumerate(push.copies):
         memory.restart()
-        way = Way(Factors(*_of_radiator(plain, batch, radiator)), finer, memory)
-        windows = copies.windows(batch.corner[radiator], batch.samples, box, finer)
+        way = Way(Factors(*_of_point(plain, batch, point)), finer, memory)
+        windows = copies.windows(batch.corner[point], batch.samples, box, finer)
         one, moved = np.ones(len(windows)), []
         if copies.moving:
-            moved = [way.moved(Changes(*_of_radiator(move, batch, radiator))) for move in lattice]
+            moved = [way.moved(Changes(*_of_point(move, batch, point))) for move in lattice]
         for part, direction, slopes in zip(sums, changes, push.slopes, strict=False):
-            terms = [(way.tangent(Changes(*_of_radiator(direction, batch, radiator))), one)]
+            terms = [(way.tangent(Changes(*_of_point(direction, batch, point))), one)]
             for axis in (0, 1) if moved and slopes.any() else ():
                 both = sum(arrays.float32(slope) * move for slope, move in zip(slopes[:, axis], moved, strict=True))
                 terms.append((way.slope(both), copies.places[:, axis]))
@@ -284,23 +284,23 @@ def _pull(pull: Pull, batch: PatchBatch, lattice: list[list[Field | None]]) -> P
     returning = arrays.conj(plain[-1])
     spreads = SpreadSum(box, batch, [own.summed(pull.summed) for own in pull.copies], finer) if pull.summed else None
     products, memory = np.zeros((2, 2)), Memory(arrays)
-    for radiator, copies in enumerate(pull.copies):
+    for point, copies in enumerate(pull.copies):
         memory.restart()
-        rows, columns = _directions(batch, radiator)
-        way = Way(Factors(*_of_radiator(plain, batch, radiator)), finer, memory, returning[rows, columns])
-        windows = copies.windows(batch.corner[radiator], batch.samples, box, finer)
+        rows, columns = _directions(batch, point)
+        way = Way(Factors(*_of_point(plain, batch, point)), finer, memory, returning[rows, columns])
+        windows = copies.windows(batch.corner[point], batch.samples, box, finer)
         gradient, *moments = gathered(tile, windows, copies, bool(lattice) and copies.moving, arrays)
-        moved = [way.moved(Changes(*_of_radiator(move, batch, radiator))) for move in lattice if moments]
+        moved = [way.moved(Changes(*_of_point(move, batch, point))) for move in lattice if moments]
         for axis, moment in enumerate(moments):
             with memory.lent():
                 products[:, axis] += way.products(moment, moved)
         if spreads is not None:
-            spreads.add(radiator, way.intensity)
+            spreads.add(point, way.intensity)
         *targets, total = result
         *own, transfer = way.back(gradient, total is not None).parts
         for target, part in zip(targets, own, strict=True):
             if target is not None:
-                target[radiator] = part
+                target[point] = part
         if total is not None:
             total[rows, columns] += transfer
     return Pulled(result, products, None if spreads is None else Part(box, spreads.total()))

@@ -1,4 +1,4 @@
-r"""The way of one radiator's field over its patch, how it changes with the factors on it, and the way back.
+r"""The way of one point's field over its patch, how it changes with the factors on it, and the way back.
 
 With the pupil's plane waves p, the factor f on the microlens array, and the transfer function h the field is
 :math:`u = F^{-1} h \, C F f \, F^{-1} Z p`, Z adding zeros and C cutting to the patch's frequencies (see `patch`). It

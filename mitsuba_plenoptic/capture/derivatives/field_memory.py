@@ -1,4 +1,4 @@
-"""Memory that the fields of many radiators use one after another."""
+"""Memory that the fields of many points use one after another."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ...runtime.fft import Field
 
 
 class Memory:
-    """Memory for the fields of one radiator after another, by their shapes.
+    """Memory for the fields of one point after another, by their shapes.
 
     Fields of some MiB that are made and dropped go back to the system each time, and clearing them anew for the next
-    radiator takes longer than their transforms.
+    point takes longer than their transforms.
     """
 
     def __init__(self, arrays: Any = np) -> None:
@@ -25,7 +25,7 @@ class Memory:
         self._used: Counter[tuple[int, ...]] = Counter()
 
     def restart(self) -> None:
-        """Let the next radiator have all of it."""
+        """Let the next point have all of it."""
         self._used.clear()
 
     @contextmanager

@@ -36,7 +36,7 @@ _LEFT_OUT = 0.1
 class DerivativePlan(PatchPlan):
     """Point spreads and their copies, with what tells the changes of these from those of the spreads.
 
-    For sums of many, radiators share spreads as they do for images; else each has a spread of its own, whose intensity
+    For sums of many, points share spreads as they do for images; else each has a spread of its own, whose intensity
     is sampled twice as finely as its field: its square has twice its frequencies, and those that would fold change
     fastest. In sums of many they average out.
 
@@ -86,13 +86,13 @@ class DerivativePlan(PatchPlan):
         Parameters
         ----------
         weights : float64 array (n, channels)
-            Of the radiators.
+            Of the points.
         names : tuple of str
             The numbers.
         job : Job
             Who computes, and who is told of the progress.
         done, total : int
-            The radiators that are done before, and those of the whole job.
+            The points that are done before, and those of the whole job.
         """
         numbers = VaryingNumbers(self._camera, self._wavelength, names)
         moves, copied = ([name for name in some if name in names] for some in (MOVES, MOVED_COPIES))

@@ -25,7 +25,7 @@ _ACCURACY = 0.01
 _MANY = 2**20
 
 _RADIATORS, _MOST_RADIATORS = 8, 32
-"""Radiators along a lens, at least and at most, whose mean stands for the light of its bins."""
+"""Points along a lens, at least and at most, whose mean stands for the light of its bins."""
 
 _RADIATORS_PER_LINE = 4
 """The same along a period of the finest lines that the plane's light tells apart."""
@@ -64,7 +64,7 @@ def wave_batches(cells: Cells, distance: float, cell: NDArray[np.int64]) -> list
     depth = finite_distance(cells.camera, distance)
     lens = grid.lens
     nearness = float(lens.nearness(np.array([[0.0, 0.0, depth]]))[0])
-    places = cells.bin_places(cell, math.ceil(_radiators(cells, distance) / cells.oversample))
+    places = cells.bin_places(cell, math.ceil(_points(cells, distance) / cells.oversample))
     weight = bin_weight(cells) / places.shape[1]
     if isinstance(lens, FittedLens):
         weight *= float(open_fraction(cells.camera, *places.mean((0, 1))[:, None])[0])
@@ -86,8 +86,8 @@ def wave_batches(cells: Cells, distance: float, cell: NDArray[np.int64]) -> list
     return batches
 
 
-def _radiators(cells: Cells, distance: float) -> int:
-    """Return how many radiators along a lens stand for its bins."""
+def _points(cells: Cells, distance: float) -> int:
+    """Return how many points along a lens stand for its bins."""
     camera = cells.camera
     limit = resolution_limit(camera, distance, cells.grid.wavelength)
     lines = 0.0 if limit.in_focus else limit.frequency / (2 * limit.lenses)  # along a lens
