@@ -121,7 +121,8 @@ class LensKinds:
     def _ratios(self) -> NDArray[np.float64]:
         """Factors on the focal lengths."""
         most = MOST_DEVIATIONS * self.camera.mla_jitter[1]
-        return 1 + _steps(most, _STEP / self._phase * min(self.camera.mla_focal_lengths))
+        # The detector's distance stands for focal lengths, which differ by wavelength: the kinds must not.
+        return 1 + _steps(most, _STEP / self._phase * self.camera.detector_distance)
 
     @cached_property
     def _heights(self) -> NDArray[np.float64]:
