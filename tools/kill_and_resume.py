@@ -1,8 +1,8 @@
 """Kill a small wave capture at random moments, resume it, and compare with a capture that was left in peace.
 
 Each trial starts the command, kills it (SIGKILL) at a random moment between the beginning of the sum, or a little
-earlier, and its end, and resumes it. Checkpoints are written all the time instead of every ten seconds. Prints a table; the exit status is 1
-if a single bit differs or anything is left behind.
+earlier, and its end, and resumes it. Checkpoints are written all the time instead of every ten seconds. Prints a table;
+the exit status is 1 if a single bit differs or anything is left behind.
 
     python tools/kill_and_resume.py [--kills 20] [--seed 0]
 """

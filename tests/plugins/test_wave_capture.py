@@ -13,7 +13,6 @@ from wave_cases import error
 from mitsuba_plenoptic import design, reconstruct, render_capture, scene_path
 from mitsuba_plenoptic.capture.point_spread import point_spread_function
 
-
 SHARED = {"resolution": 128, "detector_width": 0.256}
 """Four lenses across: the camera of most tests, so that what is planned for it is planned once a wavelength."""
 
