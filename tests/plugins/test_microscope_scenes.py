@@ -62,7 +62,7 @@ def exact(points, weights, over_stop):
 def test_a_disc_is_the_sum_of_its_points(depth, tilt, limit):
     """Facing the objective, and turned by an angle at which Lambert's law matters."""
     expected = exact(*points_of(depth, math.radians(tilt)), lambert(math.radians(tilt)))
-    one, two = (wave_capture({"light": disc(depth, tilt)}, spp=128, seed=seed).image for seed in (0, 1))
+    one, two = (wave_capture({"light": disc(depth, tilt)}, spp=256, seed=seed).image for seed in (0, 1))
     # Without the noise, which is another one in each.
     assert np.vdot(one - expected, two - expected) < (limit * np.linalg.norm(expected)) ** 2
     assert one.sum() + two.sum() == pytest.approx(2 * expected.sum(), rel=0.01)
