@@ -69,6 +69,12 @@ _SUBSAMPLES = 4
 """Gauss-Legendre nodes, per direction and side, of the pupil's overlap around a node of the table."""
 
 
+_TABLES = 8
+"""Tables that are held for further plans, of some 35 MiB each."""
+
+_tables: dict[tuple[Any, ...], list[NDArray[np.float32]]] = {}
+
+
 class Node(NamedTuple):
     """The window of the table at one node of the pupil's radius, in the lattice's frame.
 
@@ -245,9 +251,25 @@ class PhaseSpace:
     # -- the pupil: coefficients of rays -------------------------------------------------------------
 
     @cached_property
-    @single_threaded_blas()
     def table(self) -> list[NDArray[np.float32]]:
-        """Coefficients of rays at each node of the radius: (nodes of the angle, rows, columns, polynomials)."""
+        """Coefficients of rays at each node of the radius: (nodes of the angle, rows, columns, polynomials).
+
+        Cameras share it that differ in what it does not depend on, such as their detectors.
+        """
+        camera = self.camera
+        key = (
+            *(camera.mla_lattice, camera.mla_pitches, camera.mla_aperture, camera.mla_fill),
+            *(camera.pupil_radius, camera.pupil_distance, self.wavelength, self.degree, *self.nodes),
+        )
+        if key not in _tables:
+            while len(_tables) >= _TABLES:
+                del _tables[next(iter(_tables))]
+            _tables[key] = self._tabulated()
+        return _tables[key]
+
+    @single_threaded_blas()
+    def _tabulated(self) -> list[NDArray[np.float32]]:
+        """Return the table that `table` keeps."""
         radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
         u, v, inside = self._aperture_grid(_SPECTRUM_SAMPLES)
         values = np.where(inside[..., None], self.polynomials(u, v), 0) * (u[0, 1] - u[0, 0]) ** 2
