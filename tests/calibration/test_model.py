@@ -110,8 +110,8 @@ def test_waves_refuse_what_they_do_not_know(changes):
     scene = with_camera(load_scene("letters"), camera)
     for work in (
         lambda: CaptureOperator(camera, np.array([[0.0, 0.0, 240.0]]), wavelength=633.0),
-        lambda: render_capture(scene, model="wave"),
-        lambda: estimate_capture(scene, model="wave"),
+        lambda: render_capture(scene, model="wave", method="points"),
+        lambda: estimate_capture(scene, model="wave", method="points"),
         lambda: reconstruct(np.ones((256, 256)), 240.0, camera=camera, method="partial", wavelength=633.0),
     ):
         with pytest.raises(InputError, match=rf"\A{next(iter(changes))} = .*waves need 0.*\Z"):
