@@ -289,7 +289,9 @@ def test_console_script():
     script = Path(sys.executable).parent / "mitsuba-plenoptic"
     result = subprocess.run([script, "info", "nosuch"], capture_output=True, text=True, check=False)
     assert result.returncode == 2
-    assert result.stderr.count("\n") == 1
+    # A busy machine takes long enough for lines of the progress.
+    lines = [line for line in result.stderr.splitlines() if not re.fullmatch(r"mitsuba-plenoptic: info: \d+ s", line)]
+    assert len(lines) == 1
 
 
 def test_ground_truth_lies_beside_the_capture_and_reaches_views_and_depth(tmp_path, run, complaint):
