@@ -139,11 +139,11 @@ class PatchFactors:
         """Return a number that is no part of the kernel's code."""
         return number if dr.is_array_v(number) else dr.opaque(self._types.Float64, number)
 
-    def _each(self, numbers: Any, point: Any) -> Any:
+    def _each(self, numbers: Any, number: Any) -> Any:
         """Return for each lane the number of its point."""
         if isinstance(numbers, np.ndarray):
             numbers = self._types.Float64(np.ascontiguousarray(numbers, np.float64))
-        return dr.gather(self._types.Float64, numbers, point)
+        return dr.gather(self._types.Float64, numbers, number)
 
     def pupil(self, elements: Elements) -> tuple[Any, Any]:
         """Return plane waves from the pupil, (n, along y, along x), and the power of each point through it.
@@ -156,10 +156,10 @@ class PatchFactors:
         types, lens, grid, placement = self._types, elements.lens, self._grid, self._placement
         size = self.directions
         index = dr.arange(types.UInt32, len(self._positions) * size * size)
-        point, row, column = split(types, index, size, size)
+        number, row, column = split(types, index, size, size)
 
         def value(numbers: NDArray[Any]) -> Any:
-            return self._each(numbers, point)
+            return self._each(numbers, number)
 
         steps, growth = self._steps, elements.growth
         start = grid.origin + placement.corner * grid.pitch - placement.image
@@ -170,7 +170,7 @@ class PatchFactors:
         image = value(placement.image[:, 0]) * growth, value(placement.image[:, 1]) * growth
         pupil, R, length = lens.from_array((sx, sy), image)
         X, Y = turn(value(self._positions[:, 0]), value(self._positions[:, 1]), -elements.turned)
-        point, light = (X, Y, value(self._positions[:, 2])), lens.bind(self._positions, point)
+        point, light = (X, Y, value(self._positions[:, 2])), lens.bind(self._positions, number)
         waves = self._path(elements, light, pupil, point)
         waves += length / self._constant(in_millimetres(elements.wavelength))
         start[:, 1] *= grid.pitch[0] / grid.pitch[1]
@@ -184,7 +184,7 @@ class PatchFactors:
         power = types.Float64(bright * bright * cover)
         if self._weights is not None:
             place = self._in_camera(elements, *pupil)
-            passed, amplitude = self._weights.at(point, *place, lens.pupil_radius, sample)
+            passed, amplitude = self._weights.at(number, *place, lens.pupil_radius, sample)
             power *= types.Float64(passed)
             cover *= types.Float(amplitude)
         return phasor(waves) * (bright * cover), dr.block_sum(power, size * size) * self._constant(math.prod(steps))
@@ -225,31 +225,31 @@ class PatchFactors:
         types, placement = self._types, self._placement
         count = len(self._positions)
         index = dr.arange(types.UInt32, count * self.mla_samples)
-        _, point, sample = split(types, index, count, self.mla_samples)
-        m = self._each(self._corner[:, axis], point)
+        _, number, sample = split(types, index, count, self.mla_samples)
+        m = self._each(self._corner[:, axis], number)
         m += types.Float64(sample) * self._constant(float(self._mla_pitch[axis]))
-        image, growth = self._each(placement.image[:, axis], point), elements.growth
+        image, growth = self._each(placement.image[:, axis], number), elements.growth
         mu = (m - image) * growth
         # path from the pupil: (mu^2 - (s mu)^2) / 2 R, of which the part along the other axis is tiny
         b = self._constant(elements.lens.pupil_distance)
-        square = self._each((placement.image**2).sum(1), point) * growth * growth + b * b
+        square = self._each((placement.image**2).sum(1), number) * growth * growth + b * b
         own = image * image * growth * growth
         spread = (1 - own / square) / (2 * self._constant(in_millimetres(elements.wavelength)))
         curvature = spread * elements.lens.curvature(square)
         shift = ((placement.first - self.chief)[:, axis] + self.samples // 2) / self.mla_samples
-        waves = mu * mu * curvature + types.Float64(sample) * self._each(shift, point)
+        waves = mu * mu * curvature + types.Float64(sample) * self._each(shift, number)
         factor = phasor(waves)
         if self.separable:
             factor *= elements.microlenses.along(m * growth, axis)
-        return factor * types.Float(self._each(scale, point)) if axis else factor
+        return factor * types.Float(self._each(scale, number)) if axis else factor
 
     def lenses(self, elements: Elements) -> Any:
         """Return the transmission of the microlenses, (n, samples along y, samples along x), as Complex2f."""
         types, size = self._types, self.mla_samples
-        point, row, column = split(types, dr.arange(types.UInt32, len(self._positions) * size * size), size, size)
+        number, row, column = split(types, dr.arange(types.UInt32, len(self._positions) * size * size), size, size)
         x, y = (
             (
-                self._each(self._corner[:, axis], point)
+                self._each(self._corner[:, axis], number)
                 + types.Float64(index) * self._constant(float(self._mla_pitch[axis]))
             )
             * elements.growth
