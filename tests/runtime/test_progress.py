@@ -62,7 +62,7 @@ def test_what_is_quick_prints_nothing(capsys):
     ("line", "label"),
     [
         ("render letters -D resolution=64 --estimate", "Estimating"),
-        ("render letters -D resolution=64 --spp 1 -o {out}.exr", "(Loading the scene|Rendering)"),
+        ("render letters -D resolution=256 --spp 256 -o {out}.exr", "(Loading the scene|Rendering)"),
         ("sweep letters -D resolution=64 --spp 1 -o {out}.nc --vary aperture_radius=4,5", ".*(capture|starting).*"),
         ("info letters -D resolution=64", "info"),
     ],
