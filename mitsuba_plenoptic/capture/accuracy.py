@@ -46,7 +46,7 @@ WAVES_PER_ERROR = 10.0
 """Waves across one microlens by which wavefronts may differ, over the allowed error of the sum of many."""
 
 _NEIGHBOURHOOD = 25
-"""Lenses whose points' point spreads overlap, about."""
+"""Lenses whose points have overlapping spreads, about."""
 
 _MANY = 1600
 """Overlapping point spreads from which on the allowed error is reached by `WAVES_PER_ERROR`."""

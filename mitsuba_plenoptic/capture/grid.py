@@ -1,4 +1,4 @@
-"""Where the point spreads of points lie, and how finely and widely they are sampled.
+"""Where point spreads lie, and how finely and widely they are sampled.
 
 All intensities are sampled on one grid of the detector, whatever the patch: there they can be added, and they are
 integrated over the pixels once, at the end. The grid lies in the frame that is turned with the microlens lattice about

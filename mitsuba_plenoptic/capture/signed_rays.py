@@ -4,8 +4,8 @@ Each cell of the detector's grid looks, through a lens that lights it, at points
 pupil into the scene; `optics.phase_space` says how much light of each ray arrives, and how it is spread. Nothing need
 be known of the scene but the radiance along rays.
 
-Coefficients change sign and size within a lens, so that their sum is uneven even for a scene of one radiance. Taken
-is therefore, with the mean c of radiances that other, independent rays of the same cell and lens have found,
+Coefficients change sign and size within a lens, so that their plain sum is uneven even for a scene of one radiance.
+With the mean c of the radiances that other, independent rays of the same cell and lens have found, the sum is therefore
 
 .. math:: \frac{1}{N} \sum_k \left[ w_k A_n(m_k, P_k)\, (L_k - c) + \delta_{n0}\, c \right] ,
 
@@ -234,7 +234,8 @@ class SignedRaySum:
         # The first compiles the kernels.
         seconds = [self._timed(self._some(_CELLS), seed) for seed in range(3)]
         # Tables are held by their plans and on the device.
-        tables = 2 * sum(part.nbytes for node in self._nodes for part in node.plan.table)
+        plans = [node.plan for node in self._nodes if not node.plan.by_points]
+        tables = 2 * sum(part.nbytes for plan in plans for part in plan.table)
         return made + convolved + min(seconds[1:]) * count, memory + tables + _RAY_BYTES * _LANES
 
     def _some(self, count: int) -> Any:

@@ -70,13 +70,14 @@ class LensKinds:
     camera: PlenopticCamera
 
     def __post_init__(self) -> None:
-        for name, values in (("mla_jitter", self._ratios), ("mla_tilt", self._heights)):
-            count = len(values) * len(self.camera.mla_focal_lengths)
-            if count > _MOST:
-                raise InputError(
-                    f"{name} = {getattr(self.camera, name)}: its lenses' waves differ by so much that {count} kinds of "
-                    f"them are to be told apart: for captures by waves at most {_MOST}"
-                )
+        count = len(self._ratios) * len(self._heights) * len(self.camera.mla_focal_lengths)
+        if count > _MOST:
+            # Named is what makes more of them.
+            name = "mla_jitter" if len(self._ratios) > len(self._heights) else "mla_tilt"
+            raise InputError(
+                f"{name} = {getattr(self.camera, name)}: a wave capture would need {count} kinds of microlenses, and "
+                f"takes {_MOST} at most; make it smaller"
+            )
 
     @cached_property
     def every(self) -> list[Kind]:

@@ -99,6 +99,15 @@ def test_lenses_of_uneven_focal_lengths_are_of_the_nearest_kind():
     assert len(set(number)) == len(kinds.every) > 3
 
 
+@pytest.mark.parametrize(
+    "name, parameters",
+    [("mla_jitter", {"mla_jitter": (0.0, 0.08)}), ("mla_tilt", {"mla_jitter": (0.0, 0.03), "mla_tilt": (0.3, 0.3)})],
+)
+def test_arrays_of_too_many_kinds_of_lenses_are_refused(name, parameters):
+    with pytest.raises(InputError, match=rf"{name} = .* a wave capture would need \d+ kinds of microlenses"):
+        LensKinds(PlenopticCamera(**parameters))
+
+
 def test_what_covers_half_of_the_pupil_darkens_halves_of_micro_images():
     pane = facing(1.0, (10.0, 20.0), (10.0, 0.0), bsdf={"type": "mask", "opacity": 0.7, "nested": BLACK})
     scene = scene_of(sensor(10, 16), pane=pane, wall=wall())
