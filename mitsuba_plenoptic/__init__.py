@@ -30,11 +30,8 @@ from . import design as design
 from . import plugins as plugins
 from .camera import PlenopticCamera
 from .capture.estimate import estimate_capture
-from .capture.operator import CaptureOperator
-from .capture.point_spread import point_spread_function
 from .capture.render import render_capture
 from .capture.scene import load_scene, scene_path
-from .capture.volumes import volume_points
 from .detector import Detector, expose
 from .errors import InputError, did_you_mean
 from .focusing import focus_by_group
@@ -43,9 +40,12 @@ from .io.checkpoints import Checkpoint
 from .io.ground_truth import GroundTruth, read_ground_truth, write_ground_truth
 from .io.lens_file import read_prescription
 from .io.raw import read_raw, write_raw
+from .lenses.lens_system import LensSystem
 from .objective import Objective
+from .operator.operator import CaptureOperator
+from .operator.point_spread import point_spread_function
+from .operator.volumes import volume_points
 from .optics.guards import PhysicsError, PhysicsWarning
-from .optics.lens_system import LensSystem
 from .optics.spectrum import Spectrum
 from .plugins.other_camera import with_camera
 from .prescription import Prescription

@@ -46,7 +46,7 @@ def no_progress_lines(monkeypatch):
 @pytest.fixture(autouse=True)
 def short_trials(monkeypatch):
     """Have captures by waves, which estimate their time from trials, try a few point spreads only."""
-    monkeypatch.setattr("mitsuba_plenoptic.capture.patch_plan._TRIAL_SECONDS", 0.0)
+    monkeypatch.setattr("mitsuba_plenoptic.operator.patch_plan._TRIAL_SECONDS", 0.0)
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from mitsuba_plenoptic import (
     scene_path,
 )
 from mitsuba_plenoptic.lightfield import white_image
-from mitsuba_plenoptic.report.reference import agreement, thin_lens_image
+from mitsuba_plenoptic.report.experiment import agreement, thin_lens_image
 from mitsuba_plenoptic.thin_lens import image_distance
 
 # The paper's camera, whose lenses see the main lens's image 3 z before them, or behind them.

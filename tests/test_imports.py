@@ -13,8 +13,9 @@ PACKAGE = Path(mitsuba_plenoptic.__file__).parent
 FLOORS = (
     "errors", "bounds", "thin_lens", "runtime", "lattice", "prescription", "objective", "presets",
     "io.files", "io.yaml_file", "io.lens_designs", "io.zemax_file", "io.codev_file", "io.lens_file", "camera",
-    "focusing", "io", "mosaic", "detector", "optics", "design", "capture", "plugins", "lightfield",
-    "calibration", "fitting", "reconstruction", "optimisation", "report", "dataset", "cli", "__main__",
+    "focusing", "io", "mosaic", "detector", "optics", "lenses", "system", "design", "operator", "capture",
+    "plugins", "lightfield", "calibration", "fitting", "reconstruction", "optimisation", "report", "dataset", "cli",
+    "__main__",
 )  # fmt: skip
 
 

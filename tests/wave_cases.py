@@ -3,11 +3,10 @@
 import numpy as np
 
 from mitsuba_plenoptic.camera import PlenopticCamera
-from mitsuba_plenoptic.capture.operator import CaptureOperator
-from mitsuba_plenoptic.optics.fitted_lens import FittedLens
-from mitsuba_plenoptic.optics.pupil_fit import Pupils, fit_pupil
-from mitsuba_plenoptic.optics.pupil_rays import PupilRays
-from mitsuba_plenoptic.optics.thin import ThinLens
+from mitsuba_plenoptic.lenses.fitted_lens import FittedLens
+from mitsuba_plenoptic.lenses.pupil_fit import PupilRays, Pupils, fit_pupil
+from mitsuba_plenoptic.lenses.thin import ThinLens
+from mitsuba_plenoptic.operator.operator import CaptureOperator
 
 WAVELENGTH = 633.0
 

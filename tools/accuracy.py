@@ -11,8 +11,8 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from mitsuba_plenoptic.report.experiment import agreement
 from mitsuba_plenoptic.report.images import write_png
-from mitsuba_plenoptic.report.reference import agreement
 
 Row = dict[str, Any]
 

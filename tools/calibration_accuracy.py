@@ -32,7 +32,6 @@ from mitsuba_plenoptic.calibration import (
     Board,
     Calibration,
     Table,
-    board_scene,
     calibrate,
     camera_centres,
     detect_corners,
@@ -42,6 +41,7 @@ from mitsuba_plenoptic.calibration import (
     read_centres,
     read_corners,
 )
+from mitsuba_plenoptic.calibration import boards as board_scene
 from mitsuba_plenoptic.calibration.model import NAMES, predict_centres
 from mitsuba_plenoptic.calibration.numbers import numbers_of
 from mitsuba_plenoptic.calibration.observations import observations

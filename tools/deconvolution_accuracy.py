@@ -39,13 +39,13 @@ import numpy as np
 from verdict import Verdict
 
 from mitsuba_plenoptic.camera import PlenopticCamera
-from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.design import resolution_limit
+from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.reconstruction import reconstruct
-from mitsuba_plenoptic.reconstruction.deconvolution.noise import Noise
+from mitsuba_plenoptic.reconstruction.deconvolution.cells import to_bins
 from mitsuba_plenoptic.reconstruction.deconvolution.response import Response
 from mitsuba_plenoptic.reconstruction.deconvolution.solver import Solution, richardson_lucy
-from mitsuba_plenoptic.reconstruction.deconvolution.to_bins import to_bins
+from mitsuba_plenoptic.reconstruction.deconvolution.variation import Noise
 from mitsuba_plenoptic.reconstruction.deconvolved import MOST_ITERATIONS
 
 WAVELENGTH = 633.0

@@ -20,7 +20,7 @@ import numpy as np
 from verdict import Verdict
 
 from mitsuba_plenoptic import Capture, CaptureOperator, PlenopticCamera, reconstruct
-from mitsuba_plenoptic.capture.units import radiance_weight
+from mitsuba_plenoptic.operator.units import radiance_weight
 
 WAVELENGTH = 633.0
 PLANES = (-30.0, -13.0, 13.0, 20.0, 30.0, 40.0)

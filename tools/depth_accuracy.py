@@ -21,7 +21,7 @@ from verdict import Verdict
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.lightfield import depth_map, distance_of, micro_images
 from mitsuba_plenoptic.lightfield.depth import is_focused
-from mitsuba_plenoptic.report.reference import pinhole_image
+from mitsuba_plenoptic.report.experiment import pinhole_image
 
 NEAR_BY = 0.01
 """Relative error of a depth that counts as right."""

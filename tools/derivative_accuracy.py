@@ -28,10 +28,10 @@ import numpy as np
 from scipy import ndimage
 
 from mitsuba_plenoptic.camera import PlenopticCamera
-from mitsuba_plenoptic.capture.derivatives import brightness_slopes
-from mitsuba_plenoptic.capture.full_field import full_field
-from mitsuba_plenoptic.capture.full_field_grids import FieldGrids, field_grids
-from mitsuba_plenoptic.capture.operator import CaptureOperator
+from mitsuba_plenoptic.operator.derivatives import brightness_slopes
+from mitsuba_plenoptic.operator.full_field import full_field
+from mitsuba_plenoptic.operator.full_field_grids import FieldGrids, field_grids
+from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.optics.spectrum import Spectrum
 from mitsuba_plenoptic.runtime.batches import Threads
 from mitsuba_plenoptic.runtime.jobs import Job

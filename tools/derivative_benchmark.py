@@ -34,11 +34,11 @@ import numpy as np
 from verdict import Verdict
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.capture.accuracy import derivative_band_for
-from mitsuba_plenoptic.capture.grid import Grid, place
 from mitsuba_plenoptic.capture.scene_light import SceneLight
 from mitsuba_plenoptic.capture.scene_points import find_points
-from mitsuba_plenoptic.capture.units import radiance_weight
+from mitsuba_plenoptic.operator.accuracy import derivative_band_for
+from mitsuba_plenoptic.operator.grid import Grid, place
+from mitsuba_plenoptic.operator.units import radiance_weight
 from mitsuba_plenoptic.runtime.batches import Threads
 from mitsuba_plenoptic.runtime.jobs import Job
 

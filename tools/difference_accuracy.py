@@ -17,7 +17,7 @@ import accuracy
 import mitsuba as mi
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, render_capture
-from mitsuba_plenoptic.report.difference import capture_difference, middle_of_micro_images
+from mitsuba_plenoptic.report.measurements import capture_difference, middle_of_micro_images
 
 COLUMNS = {
     "captures": "{captures}", "pixels": "{pixels}", "samples": "{samples}", "measured": "{measured:.2%}",

@@ -23,9 +23,9 @@ import numpy as np
 from verdict import Verdict
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, fit
-from mitsuba_plenoptic.capture.point_rays import PointRays
-from mitsuba_plenoptic.capture.units import brightness_of
 from mitsuba_plenoptic.fitting import View
+from mitsuba_plenoptic.fitting.ray_model import PointRays
+from mitsuba_plenoptic.operator.units import brightness_of
 
 WAVELENGTH = 633.0
 SPREAD, BOUND = 0.25, 0.2

@@ -43,11 +43,11 @@ from numpy.typing import NDArray
 from verdict import Verdict
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.capture.units import brightness_of
 from mitsuba_plenoptic.fitting import Fit, PixelNoise, View, come_near, lattice_from_white
 from mitsuba_plenoptic.fitting.model import Model, changed, limits_of, numbers_of, scales, values
 from mitsuba_plenoptic.fitting.noise import Pixels
 from mitsuba_plenoptic.fitting.result import summary
+from mitsuba_plenoptic.operator.units import brightness_of
 
 WAVELENGTH = 633.0
 NAMES = (

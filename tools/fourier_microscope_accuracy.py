@@ -19,8 +19,8 @@ from accuracy import Row, finish, markdown, options, start
 from verdict import Verdict
 
 from mitsuba_plenoptic import Capture, CaptureOperator, Objective, PlenopticCamera, reconstruct
-from mitsuba_plenoptic.capture.units import radiance_weight
 from mitsuba_plenoptic.lightfield import decode, view_mosaic
+from mitsuba_plenoptic.operator.units import radiance_weight
 from mitsuba_plenoptic.reconstruction import Reconstruction, Volume
 from mitsuba_plenoptic.reconstruction.deconvolution.fourier import FourierResponse
 from mitsuba_plenoptic.report.images import write_png

@@ -18,8 +18,8 @@ from accuracy import Row, finish, markdown, options, start
 from record_optiland import FIELDS, RAYS, SAMPLES, sample_results
 
 from mitsuba_plenoptic import PlenopticCamera, load_scene, with_camera
-from mitsuba_plenoptic.optics import sequential
-from mitsuba_plenoptic.optics.lens_system import LensSystem
+from mitsuba_plenoptic.lenses import sequential
+from mitsuba_plenoptic.lenses.lens_system import LensSystem
 from mitsuba_plenoptic.prescription import Prescription, bundled_prescription, paraxial
 
 

@@ -28,10 +28,10 @@ from scipy.stats import qmc
 from verdict import Verdict
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, Prescription, reconstruct, render_capture
-from mitsuba_plenoptic.optics.lens_system import LensSystem
+from mitsuba_plenoptic.lenses.lens_system import LensSystem
 from mitsuba_plenoptic.optics.spectrum import RGB_WAVELENGTHS
 from mitsuba_plenoptic.prescription import Surface, bundled_prescription
-from mitsuba_plenoptic.report.drawing import Canvas, show
+from mitsuba_plenoptic.report.framing import Canvas, show
 
 DISTANCE = 240.0
 BEFORE = 5.0

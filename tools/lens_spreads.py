@@ -16,7 +16,7 @@ from accuracy import Row, finish, markdown, options, start
 from record_optiland import image_distance, sample
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.capture.point_spread import point_fields
+from mitsuba_plenoptic.operator.point_spread import point_fields
 from mitsuba_plenoptic.prescription import bundled_prescription, paraxial
 
 WAVELENGTH = 633.0

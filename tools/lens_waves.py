@@ -25,8 +25,8 @@ from mitsuba_plenoptic import (
     render_capture,
     with_camera,
 )
-from mitsuba_plenoptic.optics.fitted_lens import lens_of_waves
-from mitsuba_plenoptic.optics.lens_system import LensSystem
+from mitsuba_plenoptic.lenses.fitted_lens import lens_of_waves
+from mitsuba_plenoptic.lenses.lens_system import LensSystem
 
 WAVELENGTH = 633.0
 LENSES = {"double_gauss": 5.0, "cooke_triplet": 7.0, "tessar": 7.0, "singlet": 5.0}

@@ -24,7 +24,7 @@ from numpy.polynomial.legendre import leggauss
 from scipy.special import j0
 
 from mitsuba_plenoptic import CaptureOperator, Objective, PlenopticCamera
-from mitsuba_plenoptic.capture.point_spread import point_fields
+from mitsuba_plenoptic.operator.point_spread import point_fields
 
 WAVELENGTH = 550.0
 DEBYE_LIMIT, PEER_LIMIT, CONVERGED = 1e-3, 0.02, 0.01

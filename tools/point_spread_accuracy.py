@@ -16,10 +16,10 @@ import accuracy
 import numpy as np
 
 from mitsuba_plenoptic.camera import PlenopticCamera
-from mitsuba_plenoptic.capture.full_field import full_field
-from mitsuba_plenoptic.capture.operator import CaptureOperator
-from mitsuba_plenoptic.capture.point_spread import point_spread_function
-from mitsuba_plenoptic.capture.pupil_weights import PupilWeights
+from mitsuba_plenoptic.operator.full_field import full_field
+from mitsuba_plenoptic.operator.operator import CaptureOperator
+from mitsuba_plenoptic.operator.point_spread import point_spread_function
+from mitsuba_plenoptic.operator.pupil_weights import PupilWeights
 
 PAPER = PlenopticCamera()
 SECOND = PlenopticCamera(

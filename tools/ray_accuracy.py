@@ -15,7 +15,7 @@ import accuracy
 import numpy as np
 
 from mitsuba_plenoptic import load_scene, reconstruct, render_capture
-from mitsuba_plenoptic.report.reference import best_shift, thin_lens_image
+from mitsuba_plenoptic.report.experiment import best_shift, thin_lens_image
 
 SCENES = {"letters": (210.0, 240.0, 280.0), "still_life": (215.0, 240.0, 280.0)}
 LIMITS = {

@@ -11,15 +11,8 @@ from scipy.stats import chi2
 from verdict import Verdict
 
 from mitsuba_plenoptic import PlenopticCamera, render_capture
-from mitsuba_plenoptic.calibration import (
-    Board,
-    LensIndex,
-    board_scene,
-    calibrate,
-    camera_centres,
-    detect_corners,
-    joined,
-)
+from mitsuba_plenoptic.calibration import Board, LensIndex, calibrate, camera_centres, detect_corners, joined
+from mitsuba_plenoptic.calibration import boards as board_scene
 from mitsuba_plenoptic.calibration.model import Observations, predict
 from mitsuba_plenoptic.calibration.numbers import numbers_of
 from mitsuba_plenoptic.calibration.observations import observations

@@ -19,7 +19,7 @@ from verdict import Verdict
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, Spectrum, load_scene
 from mitsuba_plenoptic.capture.scene_points import find_points
 from mitsuba_plenoptic.capture.signed_rays import SceneLight
-from mitsuba_plenoptic.capture.spectral import with_enough_nodes
+from mitsuba_plenoptic.operator.spectral import with_enough_nodes
 from mitsuba_plenoptic.prescription import bundled_prescription, paraxial
 from mitsuba_plenoptic.prescription.glass import LINE_C, LINE_D, LINE_F
 

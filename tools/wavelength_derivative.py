@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from verdict import Verdict
 
 from mitsuba_plenoptic.camera import PlenopticCamera
-from mitsuba_plenoptic.capture.operator import CaptureOperator
+from mitsuba_plenoptic.operator.operator import CaptureOperator
 
 IMAGE, DERIVATIVE = 0.002, 0.015
 STEP = 0.02

@@ -1,7 +1,7 @@
 """Calibration of a real camera: its numbers from corners of a board, its micro-images' centres from white images."""
 
 from .blur import Blur
-from .board_scene import board_scene
+from .boards import board_scene
 from .detect import camera_centres, detect_corners, write_corners
 from .files import read_camera, write_calibration
 from .fit import Calibration, Evaluation, calibrate, evaluate, left_out_errors

@@ -19,8 +19,8 @@ from ..io.captures import require_pixels
 from ..io.files import atomic_output
 from ..lightfield.grid import lens_types
 from ..runtime.limits import require_memory
-from .board_view import BoardView, Picture, find_board
-from .cut_blur import CutBlur
+from .blur import CutBlur
+from .boards import BoardView, Picture, find_board
 from .model import predict_centres
 from .numbers import numbers_of
 from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, Board, LensIndex, Table

@@ -18,7 +18,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_count, require_number, shown
 from ..io.files import atomic_output, read_text
-from ..optics.distortion import undistort
+from ..lenses.distortion import undistort
 from ..presets import PRESETS
 from .fit import Calibration
 from .model import NAMES

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera, require_camera
 from ..errors import InputError, suggest_keywords
-from .adjustment import Problem, Solution, adjust, adjust_poses
+from .adjustment import Problem, Solution, adjust, adjust_poses, both_axes, deviation, huber, outlying, robust_lines
 from .blur import Blur, fit_blur
 from .deviations import deviations, moved_solutions
 from .model import AT, NAMES, Observations, predict_centres
@@ -23,7 +23,6 @@ from .observations import (
     observations,
     require_on_detector,
 )
-from .robust import both_axes, deviation, huber, outlying, robust_lines
 from .start import board_images, start_values, upright_poses
 
 # How often it is decided anew which rows are outliers.

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..optics.distortion import undistorted
+from ..lenses.distortion import undistorted
 
 UNITS = {
     "focal_length": "mm",

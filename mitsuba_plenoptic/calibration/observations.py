@@ -10,6 +10,7 @@ displaces, as `white` finds them; a fit leaves these out. Other columns are igno
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,9 +21,9 @@ from scipy.spatial.transform import Rotation
 
 from ..errors import InputError, require_count, require_number
 from ..io.files import read_text
-from .foreign_centres import LARGEST_FILE, read_foreign_centres
+from ..lightfield.exchange.lftoolbox import grid_of_model
+from .adjustment import both_axes, robust_lines
 from .model import Observations
-from .robust import both_axes, robust_lines
 
 CORNER_COLUMNS = ("k", "l", "u", "v", "cluster", "frame")
 BLUR_COLUMN = "rho"
@@ -323,3 +324,36 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
     index = LensIndex(odd_rows, 1 if np.linalg.det(grid[1:]) > 0 else -1, (int(i), int(j)))
     first = grid[0] + (LensIndex(odd_rows, 1, (0, 0)).unit(*np.array([[i], [j]])))[0] @ grid[1:]
     return index, np.stack([first, grid[1], index.row_sign * grid[2]])
+
+
+LARGEST_FILE = 2**26
+"""Bytes of a table of centres or corners, at most: of more than a million rows."""
+
+
+def read_foreign_centres(path: str | Path) -> dict[str, np.ndarray]:
+    """Read the columns k, l, u and v of a JSON file of LFToolbox or PlenoptiCam.
+
+    Raises
+    ------
+    InputError
+        If it is neither, or damaged.
+    """
+    text = read_text(path, LARGEST_FILE)
+    try:
+        values = json.loads(text)
+        if isinstance(values, dict) and "mic_list" in values:
+            v, u, l, k = np.array(values["mic_list"], dtype=np.float64).reshape(-1, 4).T  # noqa: E741
+        elif isinstance(values, dict) and "LensletGridModel" in values:
+            grid = grid_of_model(values["LensletGridModel"])
+            if grid is None:
+                raise InputError(f"{path}: its grid has rows along the columns of the picture; transpose the picture")
+            # Ours cover [k, k + 1).
+            u, v = (grid.centres() - 0.5).reshape(-1, 2).T
+            l, k = np.indices(grid.shape, dtype=np.float64).reshape(2, -1)  # noqa: E741
+        else:
+            raise InputError(f"{path}: it has neither LFToolbox's LensletGridModel nor PlenoptiCam's mic_list")
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise InputError(f"{path}: it is no grid of micro-images: {type(error).__name__} {error}") from None
+    return {"k": k, "l": l, "u": u, "v": v}

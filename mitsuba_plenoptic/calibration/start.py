@@ -17,10 +17,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import InputError
-from .adjustment import Problem, adjust, adjust_poses
+from .adjustment import Problem, adjust, adjust_poses, both_axes, robust_lines
 from .model import AT, NAMES, Observations
 from .observations import Board
-from .robust import both_axes, robust_lines
 
 _FEWEST_POSES = 3
 _FEWEST_CORNERS = 6

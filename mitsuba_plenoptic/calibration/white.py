@@ -18,8 +18,8 @@ import numpy as np
 from ..errors import InputError
 from ..io.files import atomic_output
 from ..lightfield import LensGrid, estimate_lens_grid
+from .adjustment import OUTLIER
 from .observations import CENTRE_COLUMNS, DOUBTFUL_COLUMN, Table
-from .robust import OUTLIER
 
 _REPEATS = 6
 _BLOCK = 2048

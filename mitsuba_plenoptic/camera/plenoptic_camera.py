@@ -96,7 +96,7 @@ class PlenopticCamera(CameraGeometry):
         How rays refract: stigmatic thin lenses (slopes), or thin parabolic phase elements (direction cosines).
     distortion : five floats
         Of the main lens: k1, k2, k3 (radial, in mm^-2, mm^-4, mm^-6) and p1, p2 (tangential, in mm^-1) of the map that
-        takes the distortion away in the plane of the MLA; see `mitsuba_plenoptic.optics.distortion`.
+        takes the distortion away in the plane of the MLA; see `mitsuba_plenoptic.lenses.distortion`.
     wavefront : floats
         Aberrations of the main lens: coefficients of Zernike polynomials over its pupil in Noll's order, beginning with
         piston, each in waves of 633 nm root mean square; up to 66, those left out are 0. Other wavelengths see the same
@@ -114,7 +114,7 @@ class PlenopticCamera(CameraGeometry):
     mla_jitter : (float, float)
         Standard deviations of what is irregular in the array, for rays: of the lenses' places along x and along y, in
         millimetres and at most 0.1 of the pitch, and of their focal lengths, over these and at most 0.1; see
-        `mitsuba_plenoptic.optics.irregular`. What decodes and refocuses knows the regular array.
+        `mitsuba_plenoptic.system.lens_kinds`. What decodes and refocuses knows the regular array.
     mla_seed : int
         Which of all such arrays it is, up to 4294967295.
     pixel_response : floats

@@ -19,9 +19,9 @@ import scipy
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..optics.sampling import fast_length
 from ..runtime.batches import Box, Part, add
 from ..runtime.fft import resting_drjit, worker_count
+from ..system.sampling import fast_length
 
 _TAIL = 8
 """Samples by which kernels grow when what collecting the rays has smoothed is sharpened again."""

@@ -11,10 +11,10 @@ import mitsuba as mi
 
 from ..camera import PlenopticCamera
 from ..errors import suggest_keywords
+from ..operator.patch_plan import Cost
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job
-from .patch_plan import Cost
 from .render import chosen_integrator, film_memory, plenoptic_sensor, require_taken, sample_count
 from .scene import KNOWN_PARAMETERS
 

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..io.checkpoints import digest
+from ..operator.operator import CaptureOperator
+from ..operator.patch_plan import Cost
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job
-from .operator import CaptureOperator
-from .patch_plan import Cost
 from .scene_light import SceneLight
 from .scene_points import ScenePoints, find_points
 

@@ -24,14 +24,13 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..optics.fitted_lens import lens_of_rays, lens_of_waves
-from ..optics.open_pupil import open_fraction, pupil_bound
+from ..lenses.fitted_lens import lens_of_rays, lens_of_waves
+from ..lenses.open_pupil import open_fraction, pupil_bound
+from ..operator.pupil_weights import PupilWeights
+from ..operator.units import radiance_weight
 from ..runtime.limits import largest_fitting, require_memory
-from .entrance import Entrances, Front
-from .lens_window import LensWindow
-from .pupil_weights import PupilWeights
+from .entrance import Entrances, Front, LensWindow
 from .scene_light import SceneLight
-from .units import radiance_weight
 
 PATHS = 64
 """Light paths averaged for each point: their noise is an eighth of one path's, at less than a point spread's time."""

@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import rays
-from ..optics.phase_space import PhaseSpace
-from ..optics.ray_coefficients import RayCoefficients
+from ..system.phase_space import PhaseSpace
+from ..system.ray_coefficients import RayCoefficients
 from .scene_light import require_finite
 from .signed_colours import Lanes, mixed
 from .signed_draws import Cells, Drawn, Lot, Pair, jitter

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..io.checkpoints import digest
+from ..operator.patch_plan import Cost
 from ..optics.phase import in_millimetres
 from ..runtime.jobs import Job, Task
-from .negatives import Mended
-from .noise import PARTS, keep_spread, with_spread
-from .patch_plan import Cost
+from .noise import PARTS, Mended, keep_spread, with_spread
 from .scene_light import SceneLight
 from .signed_colours import FINE, Node, SignedColours
 from .signed_rays import SignedRaySum

@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..optics.lens_system import LensSystem
+from ..lenses.lens_system import LensSystem
 from ..optics.phase import in_millimetres
-from ..optics.phase_space import PhaseSpace
 from ..optics.spectrum import Responses, Spectrum
+from ..system.phase_space import PhaseSpace
 
 FINE = 0.005
 """Accuracy below which finer plans are made."""

@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..optics.irregular import MOST_DEVIATIONS
-from ..optics.lens_kinds import LensKinds
 from ..optics.phase import in_millimetres
-from ..optics.phase_space import PhaseSpace
-from ..optics.ray_pupil import RayPupil
 from ..runtime.batches import Box
+from ..system.lens_kinds import MOST_DEVIATIONS, LensKinds
+from ..system.phase_space import PhaseSpace
+from ..system.ray_pupil import RayPupil
 from .signed_colours import Lanes
 
 Pair = tuple[Any, Any]

@@ -27,12 +27,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..optics.phase_space import PhaseSpace
-from ..optics.pixel_response import angular_response
-from ..optics.ray_coefficients import Polynomials, RayCoefficients, coefficients_of
-from ..optics.ray_pupil import RayPupil
+from ..optics.rays import angular_response
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
+from ..system.phase_space import PhaseSpace
+from ..system.ray_coefficients import Polynomials, RayCoefficients, coefficients_of
+from ..system.ray_pupil import RayPupil
 from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
 from .scene_light import require_finite
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span

@@ -12,15 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 from ..camera import PlenopticCamera
 from ..capture.render import plenoptic_sensor
-from ..capture.scene import load_scene, scene_names, scene_path
-from ..capture.scene_file import check_scene_file
+from ..capture.scene import check_scene_file, load_scene, scene_names, scene_path
 from ..design import design_warnings
 from ..errors import InputError, did_you_mean
 from ..io.captures import Capture, read_capture
 from ..io.raw import RAW_SUFFIXES, read_raw, scaled_from, tells_detector
 from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
-from ..report.brightness import Brightness
+from ..report.images import Brightness
 from ..runtime.batches import BatchMap
 from ..runtime.cluster import Cluster
 from ..runtime.variant import DEFAULT_VARIANT

@@ -11,18 +11,7 @@ from .. import reconstruction
 from ..errors import InputError
 from ..runtime.variant import DEFAULT_VARIANT
 from .inputs import batches_on, parse_definitions
-from .options import (
-    Definitions,
-    Model,
-    ResumeOnly,
-    Samples,
-    Scene,
-    Scheduler,
-    Seed,
-    Variant,
-    Workers,
-    output_option,
-)
+from .options import Definitions, Model, ResumeOnly, Samples, Scene, Scheduler, Seed, Variant, Workers, output_option
 from .terminal import stage_lines
 
 

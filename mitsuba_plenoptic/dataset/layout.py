@@ -15,7 +15,7 @@ from typing import Any
 from ..errors import InputError, shown
 from ..io.files import read_text
 from ..report.stage_store import scene_fingerprint, write_json
-from ..runtime.software import software
+from ..runtime.limits import software
 from .recipe import Recipe
 
 if sys.platform != "win32":

@@ -15,9 +15,8 @@ from ..io.files import remove_leftovers
 from ..runtime.batches import BatchMap
 from ..runtime.jobs import Progress
 from ..runtime.variant import set_variant
-from .card import write_card, write_checksums
+from .card import write_card, write_checksums, write_preview
 from .layout import CARD, CHECKSUMS, PREVIEW, Layout, checksum, claim, locked, recorded_checksums
-from .preview import write_preview
 from .reader import DataSet
 from .recipe import Recipe
 from .sample import Sample, make_sample, open_sample

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..io.checkpoints import digest
 from ..io.files import atomic_output, require_file
-from ..io.hdf5 import h5py_module, stored_array
+from ..io.tables import h5py_module, stored_array
 from ..runtime.limits import require_memory
 from .sample import Sample
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..optics.lens_system import LensSystem
+from ..lenses.lens_system import LensSystem
 from ..optics.phase import in_millimetres
 
 MOST_OVERLAP = 100_000

@@ -1,11 +1,10 @@
 """Fitting a camera's numbers to captures of known light, by waves or by rays."""
 
-from .approach import come_near
+from .approach import come_near, lattice_from_white
 from .fit import fit
 from .light import View, known_view
 from .noise import PixelNoise, kept_noise
 from .result import Direction, Fit
-from .start import lattice_from_white
 
 __all__ = [
     "Direction",

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..capture.accuracy import check_accuracy
-from ..capture.pupil_weights import PupilWeights
 from ..errors import InputError, require_choice, require_number, suggest_keywords
 from ..io.checkpoints import Checkpoint, digest
+from ..operator.accuracy import check_accuracy
+from ..operator.pupil_weights import PupilWeights
 from .light import View, check_views
 from .model import Model, Number, changed, limits_of, numbers_of, scales, values
 from .noise import PixelNoise, Pixels, by_model

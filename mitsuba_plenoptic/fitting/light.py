@@ -15,12 +15,12 @@ from ..camera import PlenopticCamera
 from ..capture.render import chosen_integrator, plenoptic_sensor
 from ..capture.scene_light import SceneLight
 from ..capture.scene_points import find_points, require_matte
-from ..capture.units import brightness_at
 from ..errors import InputError, require_count, require_number
 from ..io.captures import as_array, require_pixels
-from ..optics.sampling import check_positions
+from ..operator.units import brightness_at
 from ..plugins.other_camera import with_camera
 from ..runtime.backend import one_at_a_time
+from ..system.sampling import check_positions
 from .noise import PixelNoise, check_light
 
 

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..capture.derivatives import NUMBERS, check_names, light_slopes, values_of
-from ..capture.operator import CaptureOperator
-from ..capture.units import brightness_at
 from ..errors import InputError, did_you_mean, shown
+from ..operator.derivatives import NUMBERS, check_names, light_slopes, values_of
+from ..operator.operator import CaptureOperator
+from ..operator.units import brightness_at
 from .light import View
 
 _FARTHEST = 50.0

@@ -2,18 +2,273 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..capture.point_rays import PointRays
-from ..capture.pupil_weights import PupilWeights
-from ..capture.units import brightness_at
 from ..errors import InputError
+from ..lattice import Lattice, make_lattice
+from ..lenses.fitted_lens import lens_of_waves
+from ..lenses.main_lens import MainLens
+from ..lenses.thin import ThinLens
+from ..lenses.wave_cameras import require_no_glass
+from ..operator.pupil_weights import PupilWeights
+from ..operator.units import brightness_at
+from ..optics import rays
+from ..runtime.backend import array_module, one_at_a_time
+from ..system.sampling import check_memory, check_positions
 from .light import View
 from .model import Number, changed, scales, values
+
+_PER_PIXEL, _ENOUGH = 4.0, 96.0
+"""Rays across a pixel, and across a micro-image that is so large that one ray a pixel tells its edge well enough."""
+
+_PER_LENS, _FEWEST = 12.0, 16.0
+"""Rays across a microlens and across the pupil at least."""
+
+_STEPS_OF_COUNTS = 2
+"""Steps, to each doubling, of how many rays lie across the pupil: few kernels are compiled."""
+
+_TOGETHER, _RAY_BYTES = 1 << 22, 100
+"""Rays that are followed at once, unless a point has more, and what each takes."""
+
+_REACH = 0.75
+"""Distance from a cell, in pitches, of the centres of all lenses that it touches."""
+
+_SHARPEST = 1e-3
+"""Least width, in pitches, over which borders of lenses fade: in focus all rays meet in one place."""
+
+
+class PointRays:
+    """The rays of some points, of which the counts are planned for one camera and held for others that are near it.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    points : float64 array (n, 3)
+        Incoherent points in the camera frame, in millimetres.
+    wavelength : float
+        In nanometres; rays of real main lenses depend on it.
+    pupil_weights : PupilWeights, optional
+        Relative power over the pupil.
+
+    Raises
+    ------
+    InputError
+        If the camera has an array that is tilted, irregular or has gaps, pixels that answer to angles differently, a
+        thin lens that distorts, glass or an objective, a point does not lie before its lens, or one is so far out of
+        focus that its rays do not fit into memory.
+    """
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        points: NDArray[np.float64],
+        wavelength: float,
+        pupil_weights: PupilWeights | None = None,
+    ) -> None:
+        _require_known(camera)
+        points = check_positions(points, camera, virtual=True)
+        self._points, self._wavelength, self._pupil_weights = points, wavelength, pupil_weights
+        lens = lens_of_waves(camera, points, wavelength)
+        on_array, on_detector = (2 * float(lens.pupil_radius) * abs(scale) for scale in _scales(camera, lens, points))
+        pixels, lenses = on_detector / camera.pixel_size, on_array / min(camera.mla_pitches)
+        sharp = np.clip(_PER_PIXEL * pixels, _FEWEST, np.maximum(_ENOUGH, pixels))
+        steps = np.ceil(_STEPS_OF_COUNTS * np.log2(np.maximum(sharp, _PER_LENS * lenses)))
+        self._across = np.ceil(2 ** (steps / _STEPS_OF_COUNTS)).astype(int)
+        most = int(self._across.max(initial=0))
+        check_memory(_RAY_BYTES * float(most) ** 2, f"points by {most} x {most} rays")
+
+    @one_at_a_time
+    def image(self, camera: PlenopticCamera, weights: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the fraction of each point's light in each pixel, weighted and added; (rows, columns).
+
+        Parameters
+        ----------
+        camera : PlenopticCamera
+            The camera that records, of the same lattice and the same count of pixels.
+        weights : float64 array (n,)
+            Of the points.
+        """
+        lens = lens_of_waves(camera, self._points, self._wavelength)
+        image = array_module().Float64(np.zeros(math.prod(camera.shape)))
+        for across in np.unique(self._across).tolist():
+            which = np.flatnonzero(self._across == across)
+            together = max(1, _TOGETHER // across**2)
+            for first in range(0, len(which), together):
+                some = which[first : first + together]
+                own = None if self._pupil_weights is None else self._pupil_weights.take(some)
+                _Bundles(camera, lens, self._points[some], across, own).add(image, weights[some])
+                dr.eval(image)
+        return np.asarray(image.numpy().reshape(camera.shape))
+
+
+def _require_known(camera: PlenopticCamera) -> None:
+    """Refuse a camera through which points cannot be followed, as `PointRays` says."""
+    for name in ("mla_tilt", "distortion", "mla_jitter", "pixel_response"):
+        if any(getattr(camera, name)):
+            raise InputError(f"{name} = {getattr(camera, name)}: points are followed through cameras without it only")
+    require_no_glass(camera, "points are followed at one wavelength;")
+    camera.require_no_objective("points are followed by rays")
+    if not camera.lattice.fills:
+        raise InputError(
+            f"mla_fill = {camera.mla_fill:g}, mla_aperture = {camera.mla_aperture}: points are followed by rays "
+            "through arrays without gaps only; use waves"
+        )
+
+
+def _scales(camera: PlenopticCamera, lens: MainLens, points: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
+    """Return by how much rays move on the array, and on the detector, as they move on the pupil."""
+    b, z = float(lens.pupil_distance), camera.detector_distance
+    on_array = 1 - b * np.array([float(lens.convergence(g)) for g in points[:, 2]])
+    bends = [1 + z / b - z / f2 for f2 in camera.mla_focal_lengths]
+    return on_array, np.max([abs(on_array * bend - z / b) for bend in bends], axis=0)
+
+
+@dataclass(frozen=True)
+class _Bundles:
+    """The rays of a few points.
+
+    Attributes
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    lens : MainLens
+        Its main lens.
+    points : float64 array (n, 3)
+        The points.
+    across : int
+        Rays across the pupil.
+    weights : PupilWeights, optional
+        Relative power over the pupil.
+    """
+
+    camera: PlenopticCamera
+    lens: MainLens
+    points: NDArray[np.float64]
+    across: int
+    weights: PupilWeights | None
+
+    def add(self, image: Any, factors: NDArray[np.float64]) -> None:
+        """Add their light, weighted, to the pixels in a row."""
+        types, side = array_module(), self.across
+        Float64 = types.Float64
+        index = dr.arange(types.UInt32, len(self.points) * side * side)
+        which = index // (side * side)
+        within = index - which * (side * side)
+
+        def value(numbers: NDArray[np.float64]) -> Any:
+            return dr.gather(Float64, Float64(np.ascontiguousarray(numbers)), which)
+
+        # One place beyond the edge on either side.
+        radius = self._number(self.lens.pupil_radius)
+        step = radius * (2 / (side - 2))
+        pupil = tuple((Float64(part) + (0.5 - side / 2)) * step for part in (within % side, within // side))
+        light, point = self._lens.bind(self.points, which), tuple(value(part) for part in self.points.T)
+        power = light.amplitude(pupil, point) ** 2 * dr.clip(light.inside(pupil) / step + 0.5, 0, 1)
+        if self.weights is not None:
+            power *= Float64(self.weights.at(which, pupil[0], pupil[1], radius, step)[0])
+        whole = dr.block_sum(power, side * side)
+        power *= dr.gather(Float64, Float64(factors) / dr.select(whole > 0, whole, 1), which)
+        place = light.land(pupil, point)
+        scales = _scales(self.camera, self.lens, self.points)
+        on_array, on_detector = (value(abs(scale)) * step for scale in scales)
+        for (i, j), share in self._lenses(place, on_array):
+            self._detect(image, self._detector_place(pupil, place, i, j), on_detector, power * share)
+
+    @staticmethod
+    def _number(value: Any) -> Any:
+        """Return a number that is not compiled into kernels, so that they serve cameras that are a little different."""
+        return dr.opaque(array_module().Float64, float(value))
+
+    @cached_property
+    def _lens(self) -> MainLens:
+        """The main lens, of such numbers where it is thin."""
+        lens = self.lens
+        if not isinstance(lens, ThinLens):
+            return lens
+        f1, radius, b = (self._number(part) for part in (lens.focal_length, lens.pupil_radius, lens.pupil_distance))
+        return ThinLens(f1, radius, b, lens.model, [self._number(part) for part in lens.aberrations])
+
+    @cached_property
+    def _lattice(self) -> Lattice:
+        """The microlens array, of such numbers."""
+        camera = self.camera
+        along, across = (self._number(pitch) for pitch in camera.mla_pitches)
+        offset = tuple(self._number(part) for part in camera.mla_offset)
+        return make_lattice(
+            camera.mla_lattice, (along, across), rotation=self._number(camera.mla_rotation), offset=offset
+        )
+
+    def _lenses(self, place: tuple[Any, Any], width: Any) -> list[tuple[tuple[Any, Any], Any]]:
+        """Return the lenses that rays come to, and the part of each ray's light that each of them gets."""
+        lattice, plain = self._lattice, self.camera.lattice
+        cell = lattice.cell(*place)
+        u, v = lattice.to_frame(place[0] - lattice.offset[0], place[1] - lattice.offset[1])
+        u, v = u / lattice.pitches[0], v / lattice.row_distance
+        fade = dr.maximum(width / dr.minimum(*lattice.pitches), _SHARPEST)
+
+        def away(i: Any, j: Any) -> tuple[Any, Any]:
+            cu, cv = lattice.unit_centre(i, j)
+            return u - cu, (v - cv) * lattice.row_ratio
+
+        (x, y), found = away(*cell), []
+        for step in plain.neighbours(_REACH * max(plain.pitches)).tolist():
+            lens = cell[0] + step[0], cell[1] + step[1]
+            dx, dy = away(*lens)
+            across, up = np.subtract(lattice.unit_centre(*step), lattice.unit_centre(0, 0))
+            apart = max(math.hypot(across, up * lattice.row_ratio), 1e-9)
+            # Cells are what is nearest to their centres: this is twice the distance from the border of two.
+            beyond = (dx * dx + dy * dy - x * x - y * y) / apart
+            found.append((lens, dr.maximum(1 - beyond / fade, 0)))
+        whole = sum((share for _, share in found), 0.0)
+        return [(lens, share / whole) for lens, share in found]
+
+    def _detector_place(self, pupil: tuple[Any, Any], place: tuple[Any, Any], i: Any, j: Any) -> tuple[Any, Any]:
+        """Return where rays come to the detector through lenses of some numbers."""
+        camera, lattice = self.camera, self._lattice
+        lengths = [self._number(length) for length in camera.mla_focal_lengths]
+        f2 = lengths[0]
+        for number, length in enumerate(lengths[1:], 1):
+            f2 = dr.select(abs(lattice.lens_type(i, j) - number) < 0.5, length, f2)
+        b, z = self._number(self.lens.pupil_distance), self._number(camera.detector_distance)
+        slope = tuple((q - P) / b for q, P in zip(place, pupil, strict=True))
+        bent = tuple((q - c) / f2 for q, c in zip(place, lattice.centre(i, j), strict=True))
+        if camera.lens_model == "ideal":
+            behind = tuple(s - turn for s, turn in zip(slope, bent, strict=True))
+        else:
+            cosines = rays.slopes_to_cosines(*slope)
+            behind = rays.cosines_to_slopes(*(s - turn for s, turn in zip(cosines, bent, strict=True)))
+        x, y = (q + z * s for q, s in zip(place, behind, strict=True))
+        return x, y
+
+    def _detect(self, image: Any, place: tuple[Any, Any], width: Any, power: Any) -> None:
+        """Add squares of some width around places of the detector to the pixels that they lie on."""
+        camera, UInt32 = self.camera, array_module().UInt32
+        rows, columns = camera.shape
+        size = self._number(camera.pixel_size)
+        half = dr.minimum(dr.maximum(width / size, 1e-3), 1) / 2
+        sides = []
+        for axis, q in enumerate(place):
+            pixel = q / size + (camera.resolution[axis] / 2 - camera.crop_offset[axis])
+            first = dr.floor(pixel - half)
+            # The part of the square beyond the border of the two pixels.
+            beyond = dr.clip((pixel + half - first - 1) / (2 * half), 0, 1)
+            sides.append([(first, 1 - beyond), (first + 1, beyond)])
+        for (column, across), (row, down) in itertools.product(*sides):
+            lit = power * across * down
+            seen = (column >= 0) & (column < columns) & (row >= 0) & (row < rows) & (lit > 0)
+            dr.scatter_reduce(dr.ReduceOp.Add, image, lit, UInt32(row * columns + column), seen)
+
 
 _STEP = 1e-4
 """Change of a number to either side for its derivative, in `scales`: less than what bright captures tell.

@@ -26,8 +26,7 @@ from ..errors import InputError, advice, require_choice, require_count, require_
 from ..runtime.backend import backend_of
 from ..runtime.batches import PartialSum
 from ..runtime.jobs import Snapshot
-from ..runtime.limits import require_memory
-from ..runtime.software import software
+from ..runtime.limits import require_memory, software
 from .files import atomic_output, remove_leftovers
 
 FORMAT = 2

@@ -2,7 +2,7 @@ r"""Light fields of the Fourier light-field microscope: the picture that each le
 
 The lens at c in the image of the stop gets the light that has passed the stop at :math:`-c f_T / f_F`, and shows the
 object upright in the camera frame at the scale :math:`z M / f_F`, about its own centre
-(`mitsuba_plenoptic.optics.telecentric`). A view's pixels are those of the detector, so that nothing is interpolated but
+(`mitsuba_plenoptic.lenses.telecentric`). A view's pixels are those of the detector, so that nothing is interpolated but
 what lies between pixels.
 """
 
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
+from ..lenses.telecentric import TelecentricLens
 from ..objective import Objective
-from ..optics.telecentric import TelecentricLens
 from ..runtime.limits import require_memory
 from .geometry import CHANNELS, DIMS
 from .white import white_radiance

@@ -12,8 +12,8 @@ from scipy.stats import qmc
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import rays
-from ..optics.pupil import PupilFraction
 from ..runtime.limits import require_memory
+from ..system.pupil import PupilFraction
 from .grid import LensGrid, lens_numbers, lens_types, micro_image_centres
 
 # Micro-images drawn at once.

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..capture.accuracy import check_accuracy
-from ..capture.operator import CaptureOperator
 from ..errors import InputError
-from ..optics.sampling import check_positions
+from ..operator.accuracy import check_accuracy
+from ..operator.operator import CaptureOperator
+from ..system.sampling import check_positions
 
 DESIGN_ACCURACY = 0.02
 """Allowed error of the point spreads unless told: designs differ by more."""

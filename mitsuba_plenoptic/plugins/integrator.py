@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..capture import colour
-from ..capture.accuracy import DEFAULT_ACCURACY, check_accuracy
-from ..capture.patch_plan import Cost
 from ..capture.points_capture import PointsCapture
 from ..capture.scene_light import LightDerivatives, SceneLight
 from ..capture.scene_points import require_matte
@@ -18,14 +18,70 @@ from ..capture.signed_camera import require_parameters
 from ..capture.signed_capture import SignedCapture
 from ..capture.signed_gradients import SignedGradients
 from ..errors import InputError
+from ..lenses.wave_cameras import require_ideal
+from ..operator.accuracy import DEFAULT_ACCURACY, check_accuracy
+from ..operator.derivatives import NUMBERS, values_of
+from ..operator.patch_plan import Cost
 from ..optics import guards
 from ..optics.spectrum import Spectrum
-from ..optics.wave_cameras import require_ideal
 from ..runtime.jobs import Job
-from .colours import NAME, SHARED, read_colours
-from .films import develop, develop_back, put
-from .gradients import accumulate, numbers_and_others, tangent
+from .colours import NAME, SHARED, develop, develop_back, put, read_colours
 from .properties import read_choice, read_plain
+
+
+def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]:
+    """Return which numbers of the camera carry gradients, and whether parameters of the scene do.
+
+    Parameters
+    ----------
+    params : mitsuba.SceneParameters, or None
+        As `mi.render` has been given them.
+    sensor : mitsuba.Sensor
+        The camera.
+
+    Raises
+    ------
+    InputError
+        If there is one by which captures have no derivative.
+    """
+    names, others = [], False
+    for key, (_, _, node, _) in {} if params is None else params.properties.items():
+        if not dr.grad_enabled(params[key]):
+            continue
+        name = key.rsplit(".", 1)[-1]
+        if isinstance(node, mi.Shape) or name == "to_world":
+            raise InputError(f"plenoptic_wave: {key}: it has no gradient: places of shapes and cameras are held")
+        if isinstance(node, (mi.Sensor, mi.Film)):
+            if name not in NUMBERS:
+                raise InputError(f"plenoptic_wave: {key}: captures by waves have no derivative by it")
+            if node is sensor:
+                names.append(name)
+        else:
+            others = True
+    return tuple(names), others
+
+
+def tangent(sensor: Any, name: str) -> NDArray[np.float64]:
+    """Return in which direction a number of the camera changes, as `derivatives.values_of` has its parts."""
+    given = np.ravel(np.array(dr.grad(getattr(sensor, name)), np.float64))
+    size = _parts(sensor, name)
+    return np.repeat(given, 2) if name == "mla_pitch" and given.size == 1 else np.pad(given, (0, size - given.size))
+
+
+def accumulate(sensor: Any, name: str, gradient: NDArray[np.float64]) -> None:
+    """Add to the gradient of a number of the camera."""
+    value = getattr(sensor, name)
+    if name == "mla_pitch" and dr.width(value) == 1:
+        gradient = gradient.sum(keepdims=True)
+    if name == "wavefront":
+        gradient = gradient[: dr.width(value)]
+    dr.accum_grad(value, type(value)(gradient.tolist()))
+
+
+def _parts(sensor: Any, name: str) -> int:
+    """Return of how many parts `derivatives.values_of` takes a number to be."""
+    return values_of(sensor.camera, 1.0, name).size
+
 
 _GONE = ("radiators_per_lens", "passes", "occlusion")
 """Parameters of captures by radiators, which signed rays have replaced."""

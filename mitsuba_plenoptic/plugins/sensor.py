@@ -12,11 +12,11 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..optics.lens_system import LensSystem
-from ..optics.pixel_response import angular_response
-from ..optics.telecentric import TelecentricLens
-from .camera_properties import FIXED, NUMBERS, POSITIVE, SEVERAL, WORDS, read_camera
+from ..lenses.lens_system import LensSystem
+from ..lenses.telecentric import TelecentricLens
+from ..optics.rays import angular_response
 from .camera_rays import CameraRays, Pair, Traced
+from .properties import FIXED, NUMBERS, POSITIVE, SEVERAL, WORDS, read_camera
 
 NAME = "plenoptic"
 
@@ -104,7 +104,7 @@ def make_class() -> type:
              with the aberrations that go with them: the geometric twin of the wave capture. (Default: ``ideal``)
          * - distortion
            - |string|
-           - Distortion of the main lens, "k1, k2, k3, p1, p2": see ``mitsuba_plenoptic.optics.distortion``.
+           - Distortion of the main lens, "k1, k2, k3, p1, p2": see ``mitsuba_plenoptic.lenses.distortion``.
              (Default: none)
          * - wavefront
            - |string|

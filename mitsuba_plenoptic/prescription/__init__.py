@@ -1,10 +1,9 @@
 """Prescriptions of real main lenses: surfaces and glasses, their paraxial numbers, and the lenses that are bundled.
 
-A `Prescription` is plain data. `LensSystem`, in `mitsuba_plenoptic.optics.lens_system`, follows rays through it.
+A `Prescription` is plain data. `LensSystem`, in `mitsuba_plenoptic.lenses.lens_system`, follows rays through it.
 """
 
-from .bundled import BUNDLED, bundled_prescription
-from .data import Prescription, Surface
+from .data import BUNDLED, Prescription, Surface, bundled_prescription
 from .glass import Glass
 from .paraxial import Paraxial, paraxial
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from dataclasses import dataclass
+from importlib import resources
 from typing import Any
 
 import drjit as dr
 import numpy as np
+import yaml
 
 from ..bounds import LONGEST, SHORTEST, require_wavelength
-from ..errors import InputError, require_known, require_number, shown
+from ..errors import InputError, did_you_mean, require_known, require_number, shown
+from . import lenses
 from .glass import LINE_D, Glass
 
 MOST_SURFACES = 100
@@ -256,3 +260,31 @@ def safe_sqrt(value: Any) -> Any:
         return dr.sqrt(dr.maximum(value, _LEAST))
     # NumPy's scalars would turn Dr.Jit arrays that they meet into NumPy's, without gradients.
     return math.sqrt(max(value, _LEAST)) if isinstance(value, float) else np.sqrt(np.maximum(value, _LEAST))
+
+
+BUNDLED = ("cooke_triplet", "double_gauss", "singlet", "tessar")
+"""Their names."""
+
+
+@functools.cache
+def bundled_prescription(name: str) -> Prescription:
+    """Return a bundled lens.
+
+    Parameters
+    ----------
+    name : str
+        One of `BUNDLED`; ``.yaml`` may follow it.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name; the message lists those there are.
+    """
+    stem = name.removesuffix(".yaml")
+    if stem not in BUNDLED:
+        raise InputError(
+            f"main_lens = {shown(name)}: there is no such file, and the bundled lenses are {', '.join(BUNDLED)}"
+            f"{did_you_mean(stem, BUNDLED)}"
+        )
+    text = (resources.files(lenses) / f"{stem}.yaml").read_text(encoding="utf-8")
+    return Prescription.from_plain(yaml.safe_load(text))

@@ -8,7 +8,7 @@ from . import ray, coherent, partial, deconvolved  # noqa: F401, I001
 from .api import reconstruct
 from .arguments import FOOTPRINTS, RESPONSES
 from .differentiable import RayRefocus
-from .differentiable_waves import CoherentRefocus
+from .differentiable import CoherentRefocus
 from .methods import METHODS
 from .result import Reconstruction, write_reconstruction
 from .volume import Volume, write_volume

@@ -23,13 +23,13 @@ from scipy import ndimage
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, argument
-from ..optics.fitted_lens import FAR, FittedLens, lens_over_field
-from ..optics.image_stretch import image_stretch
-from ..optics.lens_system import LensSystem
-from ..optics.main_lens import Light, UniformLens, main_lens
-from ..optics.open_pupil import pupil_bound
+from ..lenses.fitted_lens import FAR, FittedLens, lens_over_field
+from ..lenses.image_stretch import image_stretch
+from ..lenses.lens_system import LensSystem
+from ..lenses.main_lens import Light, UniformLens, main_lens
+from ..lenses.open_pupil import pupil_bound
+from ..lenses.pupil_fit import Pupils
 from ..optics.phase import in_millimetres
-from ..optics.pupil_fit import Pupils
 from ..runtime.backend import array_module
 
 _MARGIN = 4

@@ -14,10 +14,9 @@ from ..errors import InputError, argument
 from ..io.checkpoints import digest
 from ..runtime.jobs import Job
 from .deconvolution.fourier import FourierResponse
-from .deconvolution.kept import Kept, Solved
-from .deconvolution.noise import Noise
 from .deconvolution.response import Response
-from .deconvolution.solver import richardson_lucy
+from .deconvolution.solver import Kept, Solved, richardson_lucy
+from .deconvolution.variation import Noise
 from .methods import Found, Task, method
 
 DEFAULT_ITERATIONS, MOST_ITERATIONS = 30, 100

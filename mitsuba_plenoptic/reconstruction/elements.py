@@ -10,11 +10,10 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..optics import rays
-from ..optics.microlenses import is_separable, transmission, transmission_along
 from ..optics.phase import parabola, phasor, soft_edge
 from ..runtime.backend import array_module, backend
-from ..runtime.fft import Field, as_field, pack
-from ..runtime.indexing import split
+from ..runtime.fft import Field, as_field, pack, split
+from ..system.microlenses import is_separable, transmission, transmission_along
 from .conjugates import Zone
 from .grids import AxisStep, Directions, Step
 from .steps import Element

@@ -9,11 +9,11 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..optics import guards
 from ..optics.power import fraction, power
-from ..optics.sampling import check_memory
 from ..runtime.backend import backend
 from ..runtime.fft import Field, resting_drjit
+from ..system.sampling import check_memory
+from .bins import power_in_bins
 from .conjugates import Conjugates, ThinConjugates
-from .direction_bins import power_in_bins
 from .elements import NOTHING, converging, microlenses, to_object
 from .grids import Directions, Plan, Strip
 from .methods import Progress

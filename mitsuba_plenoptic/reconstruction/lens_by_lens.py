@@ -25,10 +25,9 @@ from ..camera import PlenopticCamera
 from ..optics import guards
 from ..optics.phase import in_millimetres, parabola, phasor, soft_edge
 from ..optics.power import fraction
-from ..optics.sampling import check_memory
 from ..runtime.backend import backend
-from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, unpack
-from ..runtime.indexing import split
+from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, split, unpack
+from ..system.sampling import check_memory
 from .conjugates import Conjugates, ThinConjugates
 from .lens_sets import LensBatch, LensSet, lens_set
 from .lens_tiles import Tile, reconstruction_tile

@@ -13,9 +13,9 @@ from ..camera import PlenopticCamera
 from ..design import focus_type
 from ..optics.free_space import advance
 from ..optics.phase import in_millimetres, phasor
-from ..optics.sampling import fast_length
 from ..runtime.backend import backend
 from ..runtime.fft import Field
+from ..system.sampling import fast_length
 from .planning import GUARD, field_subsamples
 
 # Samples that are transformed together, on the processor and on a CUDA device.

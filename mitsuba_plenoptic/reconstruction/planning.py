@@ -30,10 +30,10 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import rays
-from ..optics.microlenses import bend
 from ..optics.phase import in_millimetres
-from ..optics.sampling import fast_length
 from ..runtime.limits import memory_limit, require_memory
+from ..system.microlenses import bend
+from ..system.sampling import fast_length
 from .grids import AxisDirections, AxisStep, Directions, Plan, Step, Strip
 
 Span = tuple[int, int]

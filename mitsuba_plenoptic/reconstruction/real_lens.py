@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..design import crosstalk_neighbours
 from ..errors import InputError
+from ..lenses.lens_system import LensSystem
 from ..optics import rays
-from ..optics.lens_system import LensSystem
 from ..runtime.backend import array_module
-from ..runtime.indexing import rows_and_columns
+from ..runtime.fft import rows_and_columns
 
 _LANES = 2**22
 """Rays that are followed at once."""

@@ -12,9 +12,8 @@ from ..camera import PlenopticCamera
 from .conjugates import Conjugates, RealConjugates, behind_thin_lens, undistorted
 from .lens_tiles import Tile
 from .methods import Progress, Task
-from .radiance import to_radiance
+from .radiance import lens_scale, over_lenses, to_radiance
 from .ray_sums import white_sums
-from .spread import lens_scale, over_lenses
 from .white import white_light
 
 

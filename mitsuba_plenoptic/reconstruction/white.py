@@ -13,16 +13,16 @@ from ..design import focus_type
 from ..errors import InputError
 from ..optics import rays
 from ..optics.phase import soft_edge
-from ..optics.pupil import PupilFraction
-from ..optics.sampling import check_memory
 from ..runtime.backend import backend
-from ..runtime.convolve import convolve
+from ..runtime.fft import convolve
+from ..system.pupil import PupilFraction
+from ..system.sampling import check_memory
 from .conjugates import RealConjugates
 from .lens_by_lens import object_patches, on_bins, passing_power, pupil_fields
 from .lens_sets import AlignedLenses, LensSet, lens_set
 from .lens_tiles import Tile, tile_lenses
+from .radiance import lens_scale, over_lenses
 from .ray_sums import ray_sums, white_pixels, white_sums
-from .spread import lens_scale, over_lenses
 
 _THROUGHPUT_LENSES = 25
 

@@ -8,10 +8,10 @@ from typing import NamedTuple
 from .. import design
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..optics.lens_figures import field_figures, lateral_colour
 from ..prescription import Prescription, paraxial
 from ..prescription.glass import LINE_C, LINE_F
 from ..thin_lens import image_distance
+from .lens_drawing import field_figures, lateral_colour
 from .microscope_sheet import microscope_groups
 
 

@@ -9,9 +9,20 @@ from typing import Any
 import numpy as np
 
 from .. import design
-from .drawing import Canvas, annotate, mark, object_bar, scale_bar, show, show_difference
 from .experiment import METHODS, TITLES, Experiment
-from .framing import Zoom, common_peak, letter_zooms, lit_window
+from .framing import (
+    Canvas,
+    Zoom,
+    annotate,
+    common_peak,
+    letter_zooms,
+    lit_window,
+    mark,
+    object_bar,
+    scale_bar,
+    show,
+    show_difference,
+)
 from .images import shrink
 from .metrics import ssim_text
 

@@ -19,8 +19,7 @@ from ..io.files import require_writable
 from ..io.ground_truth import COORDINATES
 from ..lightfield.views import view_mosaic
 from ..reconstruction import Reconstruction, write_reconstruction
-from .brightness import Brightness
-from .images import write_png
+from .images import Brightness, write_png
 
 _AUTOMATIC = Brightness()
 

@@ -19,14 +19,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ..capture.scene import scene_path
-from ..capture.scene_file import LARGEST_SCENE
+from ..capture.scene import LARGEST_SCENE, scene_path
 from ..errors import InputError
 from ..io.captures import Capture, read_capture, write_capture
 from ..io.checkpoints import SUFFIX, Checkpoint, Existing
 from ..io.exr import read_exr, write_exr
 from ..io.files import atomic_output, read_text, require_size
-from ..runtime.software import software as versions
+from ..runtime.limits import software as versions
 
 _LARGEST_JSON = 2**26
 

@@ -20,7 +20,7 @@ import mitsuba as mi
 
 from ..errors import InputError, require_count
 from .batches import Batch
-from .software import software
+from .limits import software
 from .variant import set_variant
 
 _GROUP_SAMPLES = 2**22

@@ -19,6 +19,7 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
 from .backend import backend_of
@@ -167,3 +168,55 @@ def array_types(array: Any) -> Any:
     """Dr.Jit's module of array types that go with a flat array: of its backend, with or without gradients."""
     types = backend_of(array).types
     return types.ad if dr.is_diff_v(array) else types
+
+
+def rows_and_columns(types: Any, rows: int, columns: int) -> tuple[Any, Any]:
+    """Return the row and the column of each sample of an image, line by line."""
+    index = dr.arange(types.UInt32, rows * columns)
+    row = quotient(types, index, columns)
+    return row, index - row * dr.opaque(types.UInt32, columns)
+
+
+def split(types: Any, index: Any, rows: int, columns: int) -> tuple[Any, Any, Any]:
+    """Take a flat index apart into that of an image, its row and its column."""
+    line = quotient(types, index, columns)
+    image = quotient(types, line, rows)
+    return (
+        image,
+        line - image * dr.opaque(types.UInt32, rows),
+        index - line * dr.opaque(types.UInt32, columns),
+    )
+
+
+def quotient(types: Any, index: Any, divisor: int) -> Any:
+    """Whole quotient, by a multiplication: Dr.Jit's division of integers is several times slower."""
+    return types.UInt32((types.Float64(index) + 0.5) * dr.opaque(types.Float64, 1 / divisor))
+
+
+_LARGE = 2**24
+"""Samples of an image from which on it is convolved part by part."""
+
+
+def convolve(image: NDArray[Any], kernel: NDArray[Any]) -> NDArray[np.float64]:
+    """Return all of the convolution of two images, n + k - 1 samples along each axis.
+
+    Parameters
+    ----------
+    image, kernel : array (rows, columns)
+        Of real numbers.
+    """
+    if image.size > _LARGE:
+        from scipy.signal import oaconvolve
+
+        return np.asarray(oaconvolve(image, kernel))
+    size = [n + k - 1 for n, k in zip(image.shape, kernel.shape, strict=True)]
+    quick = [scipy.fft.next_fast_len(n, real=True) for n in size]
+    spectrum = scipy.fft.rfft2(np.asarray(image, np.float64), quick)
+    spectrum *= scipy.fft.rfft2(np.asarray(kernel, np.float64), quick)
+    return np.asarray(scipy.fft.irfft2(spectrum, quick, overwrite_x=True))[: size[0], : size[1]]
+
+
+def blur(image: NDArray[Any], kernel: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the part of the convolution that lies on the image, with the kernel's middle on each sample."""
+    rows, columns = ((k - 1) // 2 for k in kernel.shape)
+    return convolve(image, kernel)[rows : rows + image.shape[0], columns : columns + image.shape[1]]

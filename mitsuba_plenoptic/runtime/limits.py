@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
+import importlib.metadata
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+
+from threadpoolctl import threadpool_limits
 
 from ..errors import InputError, require_number
 
@@ -108,3 +113,26 @@ def _machine_memory() -> float:
 
 def _gib(size: float) -> str:
     return f"{size / GIB:.0f} GiB" if size >= 10 * GIB else f"{size / GIB:.1f} GiB"
+
+
+# Parts of the package that show results and do not make them.
+_SHOWING = {"report", "cli"}
+
+
+@cache
+def software() -> dict[str, str]:
+    """Return the versions that results depend on, our own by its source text."""
+    package = Path(__file__).parent.parent
+    text = hashlib.sha256()
+    for source in sorted(package.rglob("*.py")):
+        if not _SHOWING & set(source.relative_to(package).parts[:-1]):
+            text.update(source.read_bytes())
+    versions = {name: importlib.metadata.version(name) for name in ("mitsuba", "drjit", "numpy", "scipy")}
+    return {**versions, "mitsuba_plenoptic": text.hexdigest()[:16]}
+
+
+@contextmanager
+def single_threaded_blas() -> Iterator[None]:
+    """Keep the linear algebra of NumPy and SciPy on the calling thread; a context, or a decorator when called."""
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield

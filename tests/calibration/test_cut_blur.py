@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.calibration.cut_blur import CutBlur
+from mitsuba_plenoptic.calibration.blur import CutBlur
 from mitsuba_plenoptic.calibration.saddle import find_saddles
 
 CAMERA = PlenopticCamera.preset("raytrix").replace(mla_aperture="circle")

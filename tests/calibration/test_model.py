@@ -20,7 +20,7 @@ from mitsuba_plenoptic import (
 )
 from mitsuba_plenoptic.calibration.model import NAMES, predict, predict_centres
 from mitsuba_plenoptic.calibration.numbers import camera_of, numbers_of
-from mitsuba_plenoptic.optics.distortion import undistort
+from mitsuba_plenoptic.lenses.distortion import undistort
 
 GEOMETRY = {"pixel_size": 0.0055, "row_ratio": 0.75**0.5}
 

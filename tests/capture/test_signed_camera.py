@@ -21,11 +21,11 @@ from mitsuba_plenoptic.capture.signed_camera import (
 from mitsuba_plenoptic.capture.signed_colours import Node
 from mitsuba_plenoptic.capture.signed_draws import Cells, jitter
 from mitsuba_plenoptic.capture.signed_rays import REACH
-from mitsuba_plenoptic.optics.phase_space import PhaseSpace
-from mitsuba_plenoptic.optics.ray_coefficients import coefficients_of
-from mitsuba_plenoptic.optics.ray_pupil import RayPupil
 from mitsuba_plenoptic.runtime.batches import Box
 from mitsuba_plenoptic.runtime.jobs import Job, Task
+from mitsuba_plenoptic.system.phase_space import PhaseSpace
+from mitsuba_plenoptic.system.ray_coefficients import coefficients_of
+from mitsuba_plenoptic.system.ray_pupil import RayPupil
 
 PIXELS = 192
 CAMERA = PlenopticCamera(detector_width=6 * 0.064, resolution=(PIXELS, PIXELS))

@@ -8,11 +8,11 @@ import pytest
 from wave_cases import HALF, WAVELENGTH, scattered, small_camera
 
 from mitsuba_plenoptic import Capture, CaptureOperator, InputError, PlenopticCamera, fit
-from mitsuba_plenoptic.capture.point_rays import PointRays
-from mitsuba_plenoptic.capture.units import brightness_at, brightness_of
 from mitsuba_plenoptic.detector import Detector, expose
 from mitsuba_plenoptic.fitting import View, come_near, kept_noise, lattice_from_white
+from mitsuba_plenoptic.fitting.ray_model import PointRays
 from mitsuba_plenoptic.io import checkpoints
+from mitsuba_plenoptic.operator.units import brightness_at, brightness_of
 
 TRUE = small_camera(2, **HALF)
 POINTS = scattered(5, distances=(112.0, 128.0), image=0.05)

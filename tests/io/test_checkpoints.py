@@ -21,10 +21,10 @@ from stopped_runs import Keeper, StoppedError, start_command, stopped_before
 from wave_cases import scattered, small_camera
 
 from mitsuba_plenoptic import InputError, load_scene, read_capture, render_capture
-from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.io.checkpoints import Checkpoint
+from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.runtime.jobs import Job
 
 SMALL = small_camera()

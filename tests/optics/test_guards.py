@@ -21,11 +21,11 @@ from mitsuba_plenoptic import (
     render_capture,
     write_capture,
 )
-from mitsuba_plenoptic.capture import full_field_grids, patch_plan
-from mitsuba_plenoptic.capture.grid import Band
-from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.exr import read_exr
+from mitsuba_plenoptic.operator import full_field_grids, patch_plan
+from mitsuba_plenoptic.operator.grid import Band
+from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.optics import guards
 from mitsuba_plenoptic.optics.free_space import propagate
 from mitsuba_plenoptic.reconstruction import write_reconstruction

@@ -16,7 +16,7 @@ from mitsuba_plenoptic import InputError, PlenopticCamera, design, load_scene, r
 from mitsuba_plenoptic.camera.plenoptic_camera import LATER
 from mitsuba_plenoptic.io.captures import Capture, write_capture
 from mitsuba_plenoptic.lightfield import white_image
-from mitsuba_plenoptic.report.reference import agreement, best_shift, thin_lens_image
+from mitsuba_plenoptic.report.experiment import agreement, best_shift, thin_lens_image
 
 ROOT3 = math.sqrt(3)
 HEXAGONAL = {"mla_lattice": "hexagonal"}

@@ -15,7 +15,7 @@ from mitsuba_plenoptic import (
     render_capture,
     write_capture,
 )
-from mitsuba_plenoptic.optics.lens_system import LensSystem
+from mitsuba_plenoptic.lenses.lens_system import LensSystem
 from mitsuba_plenoptic.prescription import bundled_prescription
 
 

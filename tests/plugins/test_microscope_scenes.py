@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import CaptureOperator, InputError, Objective, PlenopticCamera, render_capture
-from mitsuba_plenoptic.capture.units import radiance_weight
+from mitsuba_plenoptic.operator.units import radiance_weight
 
 CAMERA = PlenopticCamera(
     main_lens=Objective(20, 0.5),

@@ -8,12 +8,12 @@ from wave_cases import WAVELENGTH, error, small_camera
 
 from mitsuba_plenoptic import InputError, reconstruct
 from mitsuba_plenoptic.reconstruction import CoherentRefocus
-from mitsuba_plenoptic.reconstruction.bin_sums import BinSums, Integrals
+from mitsuba_plenoptic.reconstruction.bins import BinSums, Integrals
+from mitsuba_plenoptic.reconstruction.coherent_chain import Passage, Spectrum
 from mitsuba_plenoptic.reconstruction.conjugates import ThinConjugates
 from mitsuba_plenoptic.reconstruction.elements import converging, microlenses, to_object
-from mitsuba_plenoptic.reconstruction.passages import Passage, Spectrum
 from mitsuba_plenoptic.reconstruction.planning import plan
-from mitsuba_plenoptic.reconstruction.spread import LensSpread
+from mitsuba_plenoptic.reconstruction.radiance import LensSpread
 
 CAMERAS = {
     "square": ({}, {}),

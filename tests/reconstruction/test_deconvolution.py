@@ -11,11 +11,11 @@ from mitsuba_plenoptic import Capture, CaptureOperator, Detector, InputError, Pl
 from mitsuba_plenoptic.design import resolution_limit
 from mitsuba_plenoptic.lattice import turn
 from mitsuba_plenoptic.lightfield.white import white_image
-from mitsuba_plenoptic.reconstruction.deconvolution.noise import Noise
+from mitsuba_plenoptic.reconstruction.deconvolution.cells import to_bins
 from mitsuba_plenoptic.reconstruction.deconvolution.response import Response
 from mitsuba_plenoptic.reconstruction.deconvolution.solver import richardson_lucy
-from mitsuba_plenoptic.reconstruction.deconvolution.to_bins import to_bins
-from mitsuba_plenoptic.reconstruction.deconvolution.wave_spreads import bin_weight
+from mitsuba_plenoptic.reconstruction.deconvolution.spreads import bin_weight
+from mitsuba_plenoptic.reconstruction.deconvolution.variation import Noise
 
 WAVELENGTH = 633.0
 SMALL = PlenopticCamera(detector_width=0.384, resolution=(192, 192))

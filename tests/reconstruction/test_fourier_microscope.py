@@ -19,9 +19,9 @@ from mitsuba_plenoptic import (
     expose,
     reconstruct,
 )
-from mitsuba_plenoptic.capture.units import radiance_weight
 from mitsuba_plenoptic.design import lens_aperture, resolution_limit
 from mitsuba_plenoptic.io import checkpoints
+from mitsuba_plenoptic.operator.units import radiance_weight
 from mitsuba_plenoptic.reconstruction.deconvolution import fourier
 from mitsuba_plenoptic.reconstruction.deconvolution.fourier import FourierResponse
 

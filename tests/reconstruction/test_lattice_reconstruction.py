@@ -7,11 +7,11 @@ import pytest
 from wave_cases import HALF, LATTICES, OTHER, WAVELENGTH, capture, error, scattered, small_camera
 
 from mitsuba_plenoptic import PlenopticCamera, reconstruct
-from mitsuba_plenoptic.capture.point_spread import point_spread_function
+from mitsuba_plenoptic.operator.point_spread import point_spread_function
 from mitsuba_plenoptic.reconstruction import lens_tiles
 from mitsuba_plenoptic.reconstruction.full_fields import reconstruct_subsets
 from mitsuba_plenoptic.reconstruction.lens_by_lens import reconstruct_lens_by_lens
-from mitsuba_plenoptic.reconstruction.spread import over_lenses
+from mitsuba_plenoptic.reconstruction.radiance import over_lenses
 from mitsuba_plenoptic.reconstruction.white import white_throughput
 
 SMALL = small_camera(12, **HALF)

@@ -10,10 +10,10 @@ import wave_cases
 from wave_cases import HALF, WAVELENGTH
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct, write_capture
-from mitsuba_plenoptic.capture.point_spread import point_spread_function
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.exr import read_exr
 from mitsuba_plenoptic.lightfield.white import white_image
+from mitsuba_plenoptic.operator.point_spread import point_spread_function
 from mitsuba_plenoptic.reconstruction import full_fields, planning
 from mitsuba_plenoptic.reconstruction.full_fields import FullFields, lit_window, reconstruct_subsets
 from mitsuba_plenoptic.reconstruction.lens_by_lens import reconstruct_lens_by_lens

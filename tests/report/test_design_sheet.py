@@ -7,9 +7,9 @@ import math
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera, design
-from mitsuba_plenoptic.optics.lens_figures import lateral_colour
 from mitsuba_plenoptic.prescription.glass import LINE_C, LINE_F
 from mitsuba_plenoptic.report.design_sheet import design_sheet
+from mitsuba_plenoptic.report.lens_drawing import lateral_colour
 
 
 def values(camera, wavelength=None):

@@ -9,6 +9,7 @@ import pytest
 from scipy.special import erf
 
 from mitsuba_plenoptic import PlenopticCamera
+from mitsuba_plenoptic.report.measurements import edge_sharpness, square_sharpness
 from mitsuba_plenoptic.report.metrics import (
     common_scale,
     image_metrics,
@@ -18,7 +19,6 @@ from mitsuba_plenoptic.report.metrics import (
     shape_window,
     ssim_text,
 )
-from mitsuba_plenoptic.report.slanted_edge import edge_sharpness, square_sharpness
 
 
 def test_likeness_of_equal_images():

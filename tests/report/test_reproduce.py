@@ -25,11 +25,9 @@ from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report import reproduce as reproductions
 from mitsuba_plenoptic.report.compare import compare
-from mitsuba_plenoptic.report.experiment import Settings, run_experiment
-from mitsuba_plenoptic.report.reference import pinhole_image, thin_lens_image
-from mitsuba_plenoptic.report.reproduce import reproduce
+from mitsuba_plenoptic.report.experiment import Settings, pinhole_image, run_experiment, thin_lens_image
+from mitsuba_plenoptic.report.reproduce import reproduce, seconds_on_one_core
 from mitsuba_plenoptic.report.stage_store import StageOptions, StageStore, scene_fingerprint
-from mitsuba_plenoptic.report.timing import seconds_on_one_core
 
 
 def files(folder):

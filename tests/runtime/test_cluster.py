@@ -17,8 +17,8 @@ from stopped_runs import Keeper, start_command
 from wave_cases import capture, scattered, small_camera
 
 from mitsuba_plenoptic import InputError, load_scene, render_capture
-from mitsuba_plenoptic.capture.operator import CaptureOperator
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.report.sweep import SweepSettings, sweep
 from mitsuba_plenoptic.runtime import cluster as distributed
 from mitsuba_plenoptic.runtime.cluster import Cluster

@@ -13,10 +13,10 @@ from stopped_runs import StoppedError, stopped_before
 from wave_cases import capture
 
 from mitsuba_plenoptic import PlenopticCamera, point_spread_function, reconstruct
-from mitsuba_plenoptic.capture.operator import CaptureOperator
-from mitsuba_plenoptic.capture.point_spread import point_fields
 from mitsuba_plenoptic.errors import InputError
 from mitsuba_plenoptic.io.checkpoints import Checkpoint
+from mitsuba_plenoptic.operator.operator import CaptureOperator
+from mitsuba_plenoptic.operator.point_spread import point_fields
 from mitsuba_plenoptic.optics.free_space import propagate
 from mitsuba_plenoptic.reconstruction.white import white_throughput
 from mitsuba_plenoptic.runtime import backend as _backend

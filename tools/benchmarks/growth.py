@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, reconstruct, render_capture
-from mitsuba_plenoptic.capture.accuracy import DEFAULT_ACCURACY
-from mitsuba_plenoptic.capture.operator import CaptureOperator
+from mitsuba_plenoptic.operator.accuracy import DEFAULT_ACCURACY
+from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.optics.free_space import propagate
 from mitsuba_plenoptic.runtime.batches import Threads
 from mitsuba_plenoptic.runtime.fft import worker_count

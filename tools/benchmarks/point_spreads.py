@@ -16,13 +16,13 @@ import numpy as np
 import scipy.fft
 
 from mitsuba_plenoptic import PlenopticCamera, load_scene
-from mitsuba_plenoptic.capture.accuracy import DEFAULT_ACCURACY
-from mitsuba_plenoptic.capture.operator import CaptureOperator
-from mitsuba_plenoptic.capture.patch import PatchBatch, Workspace
-from mitsuba_plenoptic.capture.patch_plan import PatchPlan
-from mitsuba_plenoptic.capture.pupil_weights import PupilWeights
 from mitsuba_plenoptic.capture.scene_light import SceneLight
 from mitsuba_plenoptic.capture.scene_points import find_points
+from mitsuba_plenoptic.operator.accuracy import DEFAULT_ACCURACY
+from mitsuba_plenoptic.operator.operator import CaptureOperator
+from mitsuba_plenoptic.operator.patch import PatchBatch, Workspace
+from mitsuba_plenoptic.operator.patch_plan import PatchPlan
+from mitsuba_plenoptic.operator.pupil_weights import PupilWeights
 from mitsuba_plenoptic.runtime.batches import Threads
 from mitsuba_plenoptic.runtime.fft import resting_drjit
 from mitsuba_plenoptic.runtime.jobs import Job

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_plenoptic.capture.accuracy import DEFAULT_ACCURACY
-from mitsuba_plenoptic.capture.patch import PatchBatch
-from mitsuba_plenoptic.capture.recorder import Recorder
-from mitsuba_plenoptic.capture.sharing import find_patterns
-from mitsuba_plenoptic.capture.tile import Tile
+from mitsuba_plenoptic.operator.accuracy import DEFAULT_ACCURACY
+from mitsuba_plenoptic.operator.patch import PatchBatch
+from mitsuba_plenoptic.operator.recorder import Recorder
+from mitsuba_plenoptic.operator.sharing import find_patterns
+from mitsuba_plenoptic.operator.tile import Tile
 from mitsuba_plenoptic.runtime.batches import Batch, add
 from mitsuba_plenoptic.runtime.fft import fft
 from mitsuba_plenoptic.runtime.jobs import Job

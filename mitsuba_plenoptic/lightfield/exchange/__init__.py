@@ -3,8 +3,7 @@
 from .files import open_light_field, open_micro_images, require_light_field_path, save_light_field
 from .labelled import read_labelled, write_labelled
 from .lftoolbox import read_lftoolbox, write_lftoolbox
-from .mosaic import LAYOUTS, read_mosaic, write_mosaic
-from .pictures import read_picture
+from .pictures import LAYOUTS, read_mosaic, read_picture, write_mosaic
 
 __all__ = [
     "LAYOUTS",

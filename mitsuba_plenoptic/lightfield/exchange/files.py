@@ -15,8 +15,7 @@ from ...io.ground_truth import NAME, SUFFIX, GroundTruth, read_ground_truth
 from .. import MicroImages, decode, estimate_lens_grid, micro_images
 from .labelled import read_labelled, write_labelled
 from .lftoolbox import read_lftoolbox, write_lftoolbox
-from .mosaic import read_mosaic, write_mosaic
-from .pictures import TIFF, read_picture
+from .pictures import TIFF, read_mosaic, read_picture, write_mosaic
 
 # The suffix that LFToolbox gives to pictures with the samples of each lens together.
 _LENSES = ".eslf.png"

@@ -24,16 +24,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...capture.full_field_plan import FullFieldPlan
-from ...capture.units import radiance_weight
 from ...errors import InputError
 from ...objective import Objective
+from ...operator.full_field import FullFieldPlan
+from ...operator.units import radiance_weight
 from ...optics.phase import in_millimetres
-from ...optics.sampling import fast_length
 from ...runtime.backend import backend
 from ...runtime.fft import fft, irfft, resting_drjit, rfft
 from ...runtime.jobs import Job
 from ...runtime.limits import largest_fitting, require_memory
+from ...system.sampling import fast_length
 from .variation import TotalVariation
 
 _MEMORY = 2 * 2**30

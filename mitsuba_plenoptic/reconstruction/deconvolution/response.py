@@ -11,17 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...capture.recorder import Recorder
+from ...operator.recorder import Recorder
 from ...runtime.backend import backend
 from ...runtime.jobs import Job
 from ...runtime.limits import largest_fitting, require_memory
-from .cells import Cells
-from .kernels import Kernel, make_kernel, on_disk
-from .plane import PlaneResponse, Zone, zones
-from .ray_spreads import ray_batches, ray_grid
-from .to_bins import to_bins
+from .cells import Cells, to_bins
+from .kernels import Kernel, PlaneResponse, Zone, make_kernel, on_disk, zones
+from .spreads import ray_batches, ray_grid, wave_batches, wave_grid
 from .variation import TotalVariation
-from .wave_spreads import wave_batches, wave_grid
 
 Batches = Callable[[Cells, float, NDArray[np.int64]], Sequence[Sequence[Any]]]
 """From the cells, a distance and a cell to the batches of each of its bins."""

@@ -14,8 +14,7 @@ from ...runtime.batches import BatchMap
 from ...runtime.variant import set_variant
 from ..stage_store import StageOptions, StageStore
 from .dataset import Layout, Sink
-from .grid import Grid, check_grid, merge_grids, parse_grid, read_grid
-from .points import Points, SweepSettings
+from .points import Grid, Points, SweepSettings, check_grid, merge_grids, parse_grid, read_grid
 
 __all__ = ["SweepSettings", "check_grid", "merge_grids", "parse_grid", "read_grid", "sweep"]
 

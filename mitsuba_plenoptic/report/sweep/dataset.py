@@ -13,8 +13,7 @@ import numpy as np
 from ...errors import InputError
 from ...io.captures import Capture
 from ..stage_store import software
-from .grid import DISTANCE, WAVELENGTH, Grid
-from .points import SweepSettings
+from .points import DISTANCE, WAVELENGTH, Grid, SweepSettings
 
 _UNITS = {WAVELENGTH: "nm", DISTANCE: "mm", "focus_distance": "mm"} | dict.fromkeys(
     ("focal_length", "aperture_radius", "mla_distance", "mla_focal_length", "mla_pitch", "detector_distance"), "mm"

@@ -1,0 +1,314 @@
+r"""Polynomials over pupil, field and distance of a lens that is the same all around its axis.
+
+A scalar of such a lens depends on the place P on the pupil and on the field u of a scene point by the invariants
+:math:`P^2`, :math:`P \cdot u` and :math:`u^2` alone (Welford, "Aberrations of Optical Systems", section 7.1), and on
+the point's nearness v.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ..optics.phase import in_millimetres
+
+Place = tuple[Any, Any]
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What counts as 1, so that all powers are of numbers from -1 to 1.
+
+    Attributes
+    ----------
+    radius : float
+        Of the pupil, in millimetres.
+    field : float
+        Largest field.
+    middle, half : float
+        Middle of the nearnesses and half their range, in 1/mm.
+    """
+
+    radius: float
+    field: float
+    middle: float
+    half: float
+
+    def of_pupil(self, square: Any) -> Any:
+        """Return the invariant of the pupil alone from the square of a place."""
+        return square * (2 / self.radius**2) - 1
+
+    def of_points(self, square: Any, nearness: Any) -> tuple[Any, Any]:
+        """Return the invariant of the field alone, and the nearness, both from -1 to 1."""
+        return square * (2 / self.field**2) - 1, (nearness - self.middle) * (1 / self.half)
+
+    @property
+    def mixed(self) -> float:
+        """Factor on the product of pupil and field."""
+        return 1 / (self.radius * self.field)
+
+
+@dataclass(frozen=True)
+class Degrees:
+    """Largest powers: of the pupil's coordinates, of those of the field, and of the nearness."""
+
+    pupil: int
+    field: int
+    depth: int
+
+    @cached_property
+    def pairs(self) -> list[tuple[int, int]]:
+        """Powers of the pupil's invariant and of the mixed one that occur."""
+        each = range(min(self.pupil, self.field) + 1)
+        return [(b, c) for c in each for b in range((self.pupil - c) // 2, -1, -1)]
+
+
+@dataclass(frozen=True)
+class Polynomial:
+    """A polynomial; its coefficients, (depth, field, pairs), are those of the powers of all invariants.
+
+    Attributes
+    ----------
+    scales : Scales
+        What counts as 1.
+    degrees : Degrees
+        Its largest powers.
+    coefficients : float64 array (depth + 1, field / 2 + 1, pairs)
+        Of the powers.
+    """
+
+    scales: Scales
+    degrees: Degrees
+    coefficients: NDArray[np.float64]
+
+    def at(self, field: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the coefficients of the polynomials over the pupil of some points, (n, pairs).
+
+        Parameters
+        ----------
+        field : float64 array (n, 2)
+            Fields of the points.
+        nearness : float64 array (n,)
+            Their nearnesses in 1/mm.
+        """
+        f, d = self.scales.of_points((field**2).sum(1), nearness)
+        depth, fields, pairs = self.coefficients.shape
+        powers = np.vander(d, depth, increasing=True)[:, :, None] * np.vander(f, fields, increasing=True)[:, None]
+        return np.asarray(powers.reshape(len(f), depth * fields) @ self.coefficients.reshape(-1, pairs))
+
+    def over_pupil(self, coefficients: list[Any], field: Place) -> PupilPolynomial:
+        """Return the polynomial over the pupil of points whose coefficients `at` has returned; likewise their fields.
+
+        Parameters
+        ----------
+        coefficients : list of arrays
+            One for each of the pairs: numbers, or arrays that go with the places that will be asked for.
+        field : (array, array)
+            Fields of the points.
+        """
+        return PupilPolynomial(self.scales, self.degrees, coefficients, field)
+
+
+def fit(
+    scales: Scales,
+    degrees: Degrees,
+    place: NDArray[np.float64],
+    field: NDArray[np.float64],
+    nearness: NDArray[np.float64],
+    values: NDArray[np.float64],
+) -> list[Polynomial]:
+    """Fit polynomials by least squares.
+
+    Parameters
+    ----------
+    scales : Scales
+        What counts as 1.
+    degrees : Degrees
+        Largest powers.
+    place : float64 array (2, n)
+        Places on the pupil, of points whose fields lie along y.
+    field, nearness : float64 array (n,)
+        Of these points.
+    values : float64 array (k, n)
+        Of k functions.
+
+    Returns
+    -------
+    list of k Polynomial
+    """
+    f, d = scales.of_points(field**2, nearness)
+    s, t = scales.of_pupil((place**2).sum(0)), place[1] * field * scales.mixed
+    own = [(b, c, a) for b, c in degrees.pairs for a in range((degrees.field - c) // 2 + 1)]
+    highest = (degrees.pupil, degrees.field, degrees.field)
+    powers = [np.vander(x, n + 1, increasing=True).T for x, n in zip((s, t, f), highest, strict=True)]
+    base = np.stack([powers[0][b] * powers[1][c] * powers[2][a] for b, c, a in own])
+    depth = np.vander(d, degrees.depth + 1, increasing=True).T
+    basis = (depth[:, None] * base).reshape(-1, len(s)).T
+    orthogonal, triangle = np.linalg.qr(basis)
+    solution = np.linalg.solve(triangle, orthogonal.T @ values.T).T.reshape(len(values), len(depth), len(own))
+    coefficients = np.zeros((len(values), len(depth), degrees.field // 2 + 1, len(degrees.pairs)))
+    number = {pair: k for k, pair in enumerate(degrees.pairs)}
+    for k, (b, c, a) in enumerate(own):
+        coefficients[:, :, a, number[b, c]] = solution[:, :, k]
+    return [Polynomial(scales, degrees, part) for part in coefficients]
+
+
+@dataclass(frozen=True)
+class PupilPolynomial:
+    """A polynomial over the pupil of one point, or of one point a lane.
+
+    Attributes
+    ----------
+    scales, degrees
+        As of `Polynomial`.
+    coefficients, field
+        As of `Polynomial.over_pupil`.
+    """
+
+    scales: Scales
+    degrees: Degrees
+    coefficients: list[Any]
+    field: Place
+
+    def value(self, pupil: Place) -> Any:
+        """Return its values at places on the pupil, (x, y) in millimetres."""
+        s, t = self._invariants(pupil)
+        total: Any = 0.0
+        row: Any = 0.0
+        rows: list[Any] = []
+        for (b, _), term in zip(self.degrees.pairs, self.coefficients, strict=True):
+            row = row * s + term
+            if b == 0:
+                rows.append(row)
+                row = 0.0
+        for row in reversed(rows):
+            total = total * t + row
+        return total
+
+    def gradient(self, pupil: Place) -> tuple[Any, Any, Any]:
+        """Return its values and its derivatives along x and y."""
+        s, t = self._invariants(pupil)
+        value, along_s, along_t = self._sum(s, t)
+        along_s, along_t = along_s * (4 / self.scales.radius**2), along_t * self.scales.mixed
+        x, y = (P * along_s + u * along_t for P, u in zip(pupil, self.field, strict=True))
+        return value, x, y
+
+    def _invariants(self, pupil: Place) -> tuple[Any, Any]:
+        (x, y), (u, v) = pupil, self.field
+        return self.scales.of_pupil(x * x + y * y), (x * u + y * v) * self.scales.mixed
+
+    def _sum(self, s: Any, t: Any) -> tuple[Any, Any, Any]:
+        """Return value and derivatives along both invariants, by Horner's rule for each power of the mixed one."""
+        rows: list[tuple[Any, Any]] = []
+        value, slope = 0.0 * s, 0.0 * s
+        for (b, _), term in zip(self.degrees.pairs, self.coefficients, strict=True):
+            value, slope = value * s + term, slope * s + value
+            if b == 0:
+                rows.append((value, slope))
+                value, slope = 0.0 * s, 0.0 * s
+        value, along_s, along_t = 0.0 * s, 0.0 * s, 0.0 * s
+        for row, slope in reversed(rows):
+            along_t = along_t * t + value
+            value, along_s = value * t + row, along_s * t + slope
+        return value, along_s, along_t
+
+
+@dataclass(frozen=True)
+class LensLight:
+    """The light of one scene point for each row of NumPy's arrays, or for each lane of Dr.Jit's.
+
+    Attributes
+    ----------
+    pupil_distance : float
+        Distance from the exit pupil to the MLA in millimetres.
+    slope : (array, array)
+        Of the ray from the middle of the exit pupil to the paraxial image.
+    convergence : array
+        Reciprocal of that image's distance from the exit pupil.
+    aberration, brightness : PupilPolynomial
+        Path beyond that of a sphere around the paraxial image, in millimetres, and amplitude.
+    stops : list of PupilPolynomial
+        Squares of the distances from the axis, over those of the edges, for each surface that cuts beams.
+    """
+
+    pupil_distance: float
+    slope: Place
+    convergence: Any
+    aberration: PupilPolynomial
+    brightness: PupilPolynomial
+    stops: list[PupilPolynomial]
+
+    def length(self, pupil: Place) -> Any:
+        """Return the path to a place on the exit pupil, less that of one place, in millimetres."""
+        (x, y), (sx, sy), w = pupil, self.slope, self.convergence
+        sphere = 2 * (x * sx + y * sy) - (x * x + y * y) * w
+        return sphere / (self._secant(pupil) + _sqrt(sx * sx + sy * sy + 1)) + self.aberration.value(pupil)
+
+    def path(self, pupil: Place, point: Any, wavelength: float) -> Any:
+        """Return the path in waves, as `Light.path` does; the point must be the light's own.
+
+        Parameters
+        ----------
+        pupil : (array, array)
+            Place on the exit pupil in millimetres.
+        point : tuple of arrays
+            The scene point.
+        wavelength : float
+            Wavelength in nanometres, of which the lens has been fitted.
+        """
+        return self.length(pupil) * (1 / in_millimetres(wavelength))
+
+    def amplitude(self, pupil: Place, point: Any) -> Any:
+        """Return the amplitude, as `Light.amplitude` does; the point must be the light's own."""
+        return self.brightness.value(pupil)
+
+    def inside(self, pupil: Place) -> Any:
+        """Return how far within the edges of all surfaces a place lies, negative outside; right near the edges."""
+        least: Any = None
+        for stop in self.stops:
+            square, along_x, along_y = stop.gradient(pupil)
+            # (1 - r) / |grad r| with r the root; the middle of the stop has no gradient
+            root = _sqrt(square)
+            away = (1 - root) * 2 * root / _sqrt(along_x * along_x + along_y * along_y)
+            least = away if least is None else _minimum(least, away)
+        return least
+
+    def is_open(self, pupil: Place) -> Any:
+        """Return whether light comes to a place, as `Light.is_open` does."""
+        result: Any = True
+        for stop in self.stops:
+            result = (stop.value(pupil) <= 1) & result
+        return result
+
+    def cosines(self, pupil: Place, point: Any) -> Place:
+        """Return the direction cosines in which the light leaves the exit pupil, as `Light.cosines` does."""
+        secant = self._secant(pupil)
+        _, *change = self.aberration.gradient(pupil)
+        cx, cy = (
+            (s - P * self.convergence) / secant + more for s, P, more in zip(self.slope, pupil, change, strict=True)
+        )
+        return cx, cy
+
+    def land(self, pupil: Place, point: Any) -> Place:
+        """Return where on the MLA the rays through places of the exit pupil come, as `Light.land` does."""
+        cosines = self.cosines(pupil, point)
+        along = self.pupil_distance / _sqrt(1 - cosines[0] * cosines[0] - cosines[1] * cosines[1])
+        x, y = (P + along * c for P, c in zip(pupil, cosines, strict=True))
+        return x, y
+
+    def _secant(self, pupil: Place) -> Any:
+        x, y = (P * self.convergence - s for P, s in zip(pupil, self.slope, strict=True))
+        return _sqrt(x * x + y * y + 1)
+
+
+def _sqrt(value: Any) -> Any:
+    return dr.sqrt(dr.maximum(value, 1e-20)) if dr.is_array_v(value) else np.sqrt(np.maximum(value, 1e-20))
+
+
+def _minimum(a: Any, b: Any) -> Any:
+    return dr.minimum(a, b) if dr.is_array_v(a) else np.minimum(a, b)

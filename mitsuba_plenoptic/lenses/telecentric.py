@@ -1,0 +1,227 @@
+r"""A microscope's objective and tube lens, as rays and waves see them: telecentric, by Abbe's sine condition.
+
+The camera frame's origin is the native object plane, and a point (X, Y, d) with d > 0 lies beyond it, farther from the
+objective. Its light that passes the stop at P, in the back focal plane, has left it at the angle :math:`\theta` to the
+axis with :math:`n \sin\theta = |P| / f`: the sine condition. Beside the light of the origin its path to the stop is
+longer by
+
+.. math:: \Phi(P) = n d (\cos\theta - 1) - \frac{X P_x + Y P_y}{f}, \qquad
+          n \cos\theta = n \sqrt{1 - (|P| / n f)^2}
+
+without :math:`n d`, which is the same for all P. A source that radiates evenly in all directions sends the power
+:math:`d\Omega = d^2P / (f^2 n^2 \cos\theta)` through the stop, hence the amplitude :math:`\cos^{-1/2}\theta` there;
+over angles, whose measure is :math:`\sin\theta \cos\theta d\theta`, this is the apodisation :math:`\cos^{1/2}\theta` of
+an aplanatic lens (Gu, "Advanced Optical Imaging Theory", section 6.1; Broxton et al. 2013, "Wave optics theory and
+3-D deconvolution for the light field microscope", equation 2).
+
+Behind the tube lens light from P comes to the native image plane in the direction with the cosines
+:math:`s = -P / f_T`, from all points of the object alike. A further lens turns these directions into places
+:math:`f_F s` on the image of the stop.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ..objective import Objective
+from ..optics.phase import in_millimetres
+
+_Pair = tuple[Any, Any]
+
+_ROUNDING = 1e-9
+"""How far outside the stop, over its radius, a point counts as on its edge."""
+
+
+@dataclass(frozen=True)
+class TelecentricLens:
+    """An objective before a microlens array; `MainLens` says what its methods do.
+
+    Parameters
+    ----------
+    objective : Objective
+        The objective, its tube lens, and the arrangement of the array.
+    """
+
+    objective: Objective
+
+    @property
+    def is_round(self) -> bool:
+        """It is."""
+        return True
+
+    @property
+    def pupil_radius(self) -> float:
+        """Radius of the stop."""
+        return self.objective.stop_radius
+
+    @property
+    def pupil_distance(self) -> float:
+        """Focal length of the tube lens: places on the stop over it are directions in the native image plane."""
+        return self.objective.tube_focal_length
+
+    def _sines(self, pupil: _Pair) -> _Pair:
+        """Return the sines of the angles at which light to a point of the stop has left the object, times n."""
+        return pupil[0] * (1 / self.objective.focal_length), pupil[1] * (1 / self.objective.focal_length)
+
+    def _cosine(self, pupil: _Pair) -> Any:
+        """Return the cosine of that angle; beyond the stop it goes on as it is at an angle of 90 degrees."""
+        x, y = self._sines(pupil)
+        square = 1 - (x * x + y * y) * (1 / self.objective.immersion**2)
+        return dr.sqrt(dr.maximum(square, 1e-6)) if dr.is_array_v(square) else np.sqrt(np.maximum(square, 1e-6))
+
+    def vergence(self, distance: Any) -> Any:
+        r"""Return the reciprocal of the distance behind the tube lens at which light of this depth converges.
+
+        Of a parabolic wave that differs from the one in focus as much at the edge of the stop.
+
+        Parameters
+        ----------
+        distance : array
+            Depth d beyond the native object plane.
+        """
+        lens = self.objective
+        drop = 2 * math.sin(lens.half_angle / 2) ** 2
+        return 1 / self.pupil_distance + 2 * lens.immersion * drop * distance / self.pupil_radius**2
+
+    def convergence(self, distance: Any) -> Any:
+        """Return `vergence`."""
+        return self.vergence(distance)
+
+    def bind(self, points: NDArray[np.float64], which: Any = None) -> TelecentricLens:
+        """Return the lens, which is the same for all points."""
+        return self
+
+    def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the places of the chief rays of points in the native image plane, (n, 2)."""
+        return -self.objective.magnification * points[:, :2]
+
+    def nearness(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the depths of scene points, in which wavefronts are even; (n,)."""
+        return points[:, 2]
+
+    def points(self, images: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the scene points (n, 3) that have these `images` and this `nearness`."""
+        return np.column_stack([images * (-1 / self.objective.magnification), nearness])
+
+    def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
+        """Return 0: wavefronts of all points of a plane differ by their tilts alone.
+
+        Parameters
+        ----------
+        radius, step : array
+            Distance of the images from the axis, and from each other.
+        wavelength : float
+            Wavelength in nanometres.
+        """
+        return 0 * radius
+
+    def path(self, pupil: _Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
+        """Return the path from a scene point to a point of the stop, less that to its centre, in waves.
+
+        Parameters
+        ----------
+        pupil : (array, array)
+            Point of the stop in millimetres.
+        point : (array, array, array)
+            Scene point in the camera frame in millimetres.
+        wavelength : float
+            Wavelength in vacuum in nanometres.
+        """
+        (x, y), (X, Y, d), n = self._sines(pupil), point, self.objective.immersion
+        # cos - 1 without cancellation
+        drop = -(x * x + y * y) / (n * (1 + self._cosine(pupil)))
+        return (d * drop - (X * x + Y * y)) * (1 / in_millimetres(wavelength))
+
+    def amplitude(self, pupil: _Pair, point: tuple[Any, Any, Any]) -> Any:
+        r"""Return :math:`\cos^{-1/2}\theta`, the same for all points of the object."""
+        cosine = self._cosine(pupil)
+        return dr.rsqrt(cosine) if dr.is_array_v(cosine) else 1 / np.sqrt(cosine)
+
+    @property
+    def front(self) -> float:
+        """Place z in the camera frame of the plane where rays start: the objective's front principal plane."""
+        return -self.objective.immersion * self.objective.focal_length
+
+    def trace(self, place: _Pair, slope: _Pair) -> tuple[tuple[Any, Any, Any], _Pair, Any]:
+        """Follow a ray from a place on the array to the scene; the image side is paraxial."""
+        if self.objective.is_fourier:
+            f = self.objective.last_focal_length
+            place, slope = (f * slope[0], f * slope[1]), (-place[0] / f, -place[1] / f)
+        pupil = slope[0] * self.pupil_distance, slope[1] * self.pupil_distance
+        return self.ray(pupil, place)
+
+    def ray(self, pupil: _Pair, place: _Pair) -> tuple[tuple[Any, Any, Any], _Pair, Any]:
+        """Return the ray that comes from a place in the native image plane through a point of the stop."""
+        behind = self.aim(pupil, place)
+        x, y = (t * self.front - m / self.objective.magnification for m, t in zip(place, behind, strict=True))
+        return (x, y, self.front), behind, self.is_open(pupil)
+
+    def aim(self, pupil: _Pair, place: _Pair) -> _Pair:
+        """Return the slopes in the scene of the ray through a point of the stop, the same from all places."""
+        x, y = self._sines(pupil)
+        scale = -1 / (self.objective.immersion * self._cosine(pupil))
+        return x * scale, y * scale
+
+    @property
+    def passed_power(self) -> float:
+        r"""Integral of the squared amplitude over the stop: :math:`2 \pi f^2 n^2 (1 - \cos\alpha)`."""
+        lens = self.objective
+        return 4 * math.pi * (lens.focal_length * lens.immersion * math.sin(lens.half_angle / 2)) ** 2
+
+    def inside(self, pupil: _Pair) -> Any:
+        """Return how far within the edge of the stop a point lies."""
+        square = pupil[0] * pupil[0] + pupil[1] * pupil[1]
+        return self.pupil_radius - (dr.sqrt(square) if dr.is_array_v(square) else np.sqrt(square))
+
+    def is_open(self, pupil: _Pair) -> Any:
+        """Return whether a point lies within the stop, or but for rounding on its edge."""
+        return self.inside(pupil) >= -_ROUNDING * self.pupil_radius
+
+    def cone(self, distances: Any) -> float:
+        """Return NA / M, whatever the depth."""
+        return self.objective.image_aperture
+
+    def from_array(self, cosine: _Pair, image: _Pair) -> tuple[_Pair, Any, Any]:
+        """Return the same points of the stop for all places, the tube lens's focal length, and the waves' tilt."""
+        (sx, sy), (x, y), f = cosine, image, self.pupil_distance
+        return (-f * sx, -f * sy), f + 0 * sx, sx * x + sy * y
+
+    def to_array(self, pupil: NDArray[np.float64], image: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the direction cosines in the native image plane, the same at all places."""
+        return np.asarray(-pupil / self.pupil_distance + 0 * image)
+
+    def chief_slope(self, image: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return 0: chief rays are parallel to the axis."""
+        return np.zeros_like(image)
+
+    def curvature(self, square: Any) -> Any:
+        """Return 0: light of one point of the stop is a plane wave at the array."""
+        return 0 * square
+
+    def cosines(self, pupil: _Pair, point: tuple[Any, Any, Any]) -> _Pair:
+        """Return the direction cosines at the array of light that has passed a point of the stop."""
+        if self.objective.is_fourier:
+            x, y = self._image(pupil, point)
+            return -x / self.objective.last_focal_length, -y / self.objective.last_focal_length
+        return -pupil[0] / self.pupil_distance, -pupil[1] / self.pupil_distance
+
+    def land(self, pupil: _Pair, point: tuple[Any, Any, Any]) -> _Pair:
+        """Return the place on the array of the light from a scene point through a point of the stop."""
+        if self.objective.is_fourier:
+            growth = -self.objective.last_focal_length / self.pupil_distance
+            # Adding 0 gives it the shape of the points.
+            return pupil[0] * growth + 0 * point[0], pupil[1] * growth + 0 * point[0]
+        return self._image(pupil, point)
+
+    def _image(self, pupil: _Pair, point: tuple[Any, Any, Any]) -> _Pair:
+        r"""Return the place in the native image plane, :math:`-M (X + d \tan\theta)`: the gradient of the path."""
+        scale = 1 / (self.objective.immersion * self._cosine(pupil))
+        x, y = self._sines(pupil)
+        M, (X, Y, d) = self.objective.magnification, point
+        return -M * (X + d * x * scale), -M * (Y + d * y * scale)

@@ -1,0 +1,207 @@
+"""A thin main lens, with aberrations, and for rays with distortion; `MainLens` says what its methods are for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ..optics import rays
+from ..optics.phase import in_millimetres, parabola
+from ..thin_lens import vergence
+from .distortion import undistort
+from .finite_pupil import FinitePupil
+from .wavefront import Wavefront
+
+_ROUNDING = 1e-9
+"""How far outside a round pupil, over its radius, a point counts as on its edge."""
+
+
+@dataclass(frozen=True)
+class ThinLens(FinitePupil):
+    r"""A thin lens with a round pupil.
+
+    Parameters
+    ----------
+    focal_length : float or Dr.Jit array
+        Focal length :math:`f_1`.
+    pupil_radius : float or Dr.Jit array
+        Radius :math:`D_1 / 2`.
+    pupil_distance : float or Dr.Jit array
+        Distance b to the MLA.
+    model : {"ideal", "parabolic"}
+        How rays refract: by slopes, stigmatically, or by direction cosines, as the parabolic phase element that waves
+        always pass.
+    aberrations : floats or Dr.Jit numbers
+        Coefficients of Zernike polynomials, see `wavefront`.
+    """
+
+    focal_length: Any
+    pupil_radius: Any
+    pupil_distance: Any
+    model: str = "ideal"
+    aberrations: Any = ()
+    _wavefront: Wavefront = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        # At once: what is first made where Dr.Jit suspends gradients would carry none later.
+        object.__setattr__(self, "_wavefront", Wavefront(self.aberrations, self.pupil_radius))
+
+    @property
+    def is_round(self) -> bool:
+        """Without aberrations it is."""
+        return len(self.aberrations) == 0
+
+    def vergence(self, distance: Any) -> Any:
+        r"""Return :math:`1/g' = 1/f_1 - 1/g`; zero or negative where there is no real image."""
+        return vergence(self.focal_length, distance)
+
+    def trace(
+        self, place: tuple[Any, Any], slope: tuple[Any, Any]
+    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+        """Follow a ray from a place on the MLA to the scene."""
+        Px, Py = (rays.pupil_point(m, t, self.pupil_distance) for m, t in zip(place, slope, strict=True))
+        if self.model == "ideal":
+            behind = self._refract(slope, (Px, Py))
+        else:
+            behind = rays.cosines_to_slopes(*self._refract(rays.slopes_to_cosines(*slope), (Px, Py)))
+        return (Px, Py, 0.0), behind, Px * Px + Py * Py <= self.pupil_radius * self.pupil_radius
+
+    def _refract(self, direction: tuple[Any, Any], pupil: tuple[Any, Any]) -> tuple[Any, Any]:
+        tx, ty = (rays.main_lens_slope(t, P, self.focal_length) for t, P in zip(direction, pupil, strict=True))
+        if not self.is_round:
+            sx, sy = self._wavefront.slope(*pupil)
+            tx, ty = tx + sx, ty + sy
+        return tx, ty
+
+    def convergence(self, distance: Any) -> Any:
+        """Return `vergence`: the lens is its own pupil."""
+        return self.vergence(distance)
+
+    def ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+        """Return the ray to the conjugate of a place on the MLA; its own aberrations are not followed."""
+        tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, place, strict=True))
+        return (*pupil, 0.0), self._refract((tx, ty), pupil), True
+
+    def bind(self, points: NDArray[np.float64], which: Any = None) -> ThinLens:
+        """Return the lens, which is the same for all points."""
+        return self
+
+    def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where on the MLA the rays from scene points (n, 3) through the pupil's middle come; (n, 2)."""
+        return np.asarray(rays.conjugate_coordinate(points[:, :2], points[:, 2:], self.pupil_distance))
+
+    def nearness(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the reciprocals of the distances of scene points; (n,)."""
+        return np.asarray(1 / points[:, 2])
+
+    def points(self, images: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the scene points (n, 3) that have these `images` and this `nearness`."""
+        distance = 1 / nearness[:, None]
+        return np.hstack([images * (-distance / self.pupil_distance), distance])
+
+    def land(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+        """Return the place on the MLA of the ray from a scene point through a pupil point, without aberrations."""
+        b, f1, g = self.pupil_distance, self.focal_length, point[2]
+        x, y = (rays.mla_point(X, P, g, b, f1) for X, P in zip(point[:2], pupil, strict=True))
+        if not self.is_round:
+            sx, sy = self._wavefront.slope(*pupil)
+            x, y = x + b * sx, y + b * sy
+        return x, y
+
+    def path(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any], wavelength: float) -> Any:
+        r"""Return :math:`(|P - X| - |X| - P^2 / 2 f_1 + W(P)) / \lambda`, the paths' difference without cancellation.
+
+        The lens is a thin parabolic phase element (Goodman, "Introduction to Fourier Optics", section 5.1) with the
+        aberrations W.
+
+        Parameters
+        ----------
+        pupil : (array, array)
+            Point on the exit pupil in millimetres.
+        point : (array, array, array)
+            Scene point in the camera frame in millimetres.
+        wavelength : float
+            Wavelength in nanometres.
+        """
+        (Px, Py), (X, Y, g) = pupil, point
+        square = Px * Px + Py * Py
+        axis = _signed(_sqrt(X * X + Y * Y + g * g), g)
+        difference = (square - 2 * (Px * X + Py * Y)) / (_distance(pupil, point) + axis)
+        waves = difference * (1 / in_millimetres(wavelength)) + parabola(square, self.focal_length, wavelength)
+        return waves if self.is_round else waves + self._wavefront.path(Px, Py) * (1 / in_millimetres(wavelength))
+
+    def amplitude(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
+        r"""Return :math:`|g| / |P - X|^2`: the first Rayleigh-Sommerfeld solution (Goodman, section 3.5)."""
+        length = _distance(pupil, point)
+        return abs(point[2]) / (length * length)
+
+    def inside(self, pupil: tuple[Any, Any]) -> Any:
+        """Return how far within the edge of the pupil a point lies."""
+        return self.pupil_radius - _sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
+
+    def is_open(self, pupil: tuple[Any, Any]) -> Any:
+        """Return whether a point lies within the edge of the pupil, or but for rounding on it."""
+        return self.inside(pupil) >= -_ROUNDING * self.pupil_radius
+
+    def cosines(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+        r"""Return :math:`(P - X) / |P - X| - P / f_1` along x and y, and the slope of the aberrations."""
+        length = _distance(pupil, point)
+        sx, sy = ((P - X) / length - P / self.focal_length for P, X in zip(pupil, point[:2], strict=True))
+        if not self.is_round:
+            x, y = self._wavefront.slope(*pupil)
+            sx, sy = sx + x, sy + y
+        return sx, sy
+
+    def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
+        r"""Return :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda`, of the third order (a: pupil's radius, d: step).
+
+        Parameters
+        ----------
+        radius : array
+            Distance of the images from the axis in millimetres.
+        step : array
+            Distance between the images in millimetres.
+        wavelength : float
+            Wavelength in nanometres.
+        """
+        a, b = self.pupil_radius, self.pupil_distance
+        return a * (a * a + 3 * radius * radius) * step / (2 * b**3 * in_millimetres(wavelength))
+
+
+def _distance(pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
+    """Return the distance |P - X|, negative for light that converges to a point behind the lens."""
+    dx, dy, g = pupil[0] - point[0], pupil[1] - point[1], point[2]
+    return _signed(_sqrt(dx * dx + dy * dy + g * g), g)
+
+
+def _signed(length: Any, g: Any) -> Any:
+    return dr.copysign(length, g) if dr.is_array_v(length) else np.copysign(length, g)
+
+
+def _sqrt(value: Any) -> Any:
+    return dr.sqrt(value) if dr.is_array_v(value) else np.sqrt(value)
+
+
+@dataclass(frozen=True)
+class DistortedLens(ThinLens):
+    """A thin lens whose rays go on as if they came from another point of the MLA's plane; for rays only.
+
+    Parameters
+    ----------
+    distortion : five floats
+        See `mitsuba_plenoptic.lenses.distortion`.
+    """
+
+    distortion: tuple[float, ...] = (0.0,) * 5
+
+    def trace(
+        self, place: tuple[Any, Any], slope: tuple[Any, Any]
+    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+        """Follow a ray from a place on the MLA to the scene: through the same point of the pupil."""
+        source = undistort(*place, self.distortion)
+        moved = (t + (m - u) / self.pupil_distance for t, m, u in zip(slope, place, source, strict=True))
+        return super().trace(source, (next(moved), next(moved)))

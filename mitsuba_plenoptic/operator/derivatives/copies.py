@@ -1,0 +1,200 @@
+r"""How a copy of a point spread changes beside the spread that it is a copy of.
+
+A copy is :math:`\delta` away on the microlens array, a whole number of lenses, and on the detector
+:math:`\kappa \delta` away, :math:`\kappa = (b + z) / b`. As the camera changes, its lenses move by more than those of
+the spread, and so does the image of its point, which stays where it is in the scene. What a spread shows of a lattice
+that is moved by o, relative to the point and the detector, is its change by ``mla_offset``; what it shows of a point
+whose image moves is this and a shift. So a copy's change has two terms more,
+
+.. math:: dI_\delta = dI + (A \delta) \cdot \partial_o I + (B \delta) \cdot \nabla I,
+
+with these matrices A and B, in the frame of the lattice:
+
+- a pitch :math:`D_2` stretches the lattice: :math:`A = dD_2 / D_2` along its axis;
+- a change of b moves all images: :math:`A = B = -db / b`; of z all micro-images: :math:`B = -dz / b`;
+- where the lattice turns by :math:`\theta`, the scene turns the other way in its frame, images turn with it but not the
+  copies: A is the turn by a right angle times :math:`d\theta`, and B is :math:`\kappa A`;
+- with the wavelength the grid grows about the axis: :math:`B = \kappa \, d\lambda / \lambda`.
+
+Nothing else tells a copy from its spread.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...runtime.backend import backend
+from ...runtime.batches import Box
+from ..patch import PatchBatch
+from ..tile import Cells
+
+MOVED_LENSES = ("mla_pitch", "mla_distance", "mla_rotation")
+"""Numbers by which the lattice moves against the points: A is not zero."""
+
+SHIFTED_COPIES = ("mla_distance", "mla_rotation", "detector_distance", "wavelength")
+"""Numbers by which copies shift: B is not zero."""
+
+MOVED_COPIES = ("mla_pitch", *SHIFTED_COPIES)
+"""Numbers by which copies change otherwise than their spreads."""
+
+
+def copy_slopes(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[np.float64]:
+    """Return A and B for a change by 1 of each component of a number of `MOVED_COPIES`.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        In nanometres.
+
+    Returns
+    -------
+    float64 array (components, 2, 2, 2)
+        For each component A and B, each as (x and y of the move, x and y of the copy's place). Degrees and nanometres
+        are the units of ``mla_rotation`` and ``wavelength``.
+    """
+    one, none = np.eye(2), np.zeros((2, 2))
+    growth, b = camera.micro_image_pitch / camera.mla_pitch, camera.mla_distance
+    if name == "mla_pitch":
+        along = [np.diag(one[axis]) / camera.mla_pitches[axis] for axis in (0, 1)]
+        return np.array([[moved, none] for moved in along])
+    if name == "mla_distance":
+        return np.array([[-one / b, -one / b]])
+    if name == "detector_distance":
+        return np.array([[none, -one / b]])
+    if name == "mla_rotation":
+        turn = math.pi / 180 * np.array([[0.0, -1.0], [1.0, 0.0]])
+        return np.array([[turn, growth * turn]])
+    return np.array([[none, growth / wavelength * one]])
+
+
+Window = tuple[slice, slice]
+"""Rows and columns of a box of the grid."""
+
+_BLOCK = 2**18
+"""Samples that are gathered at a time: so many stay in a core's own cache."""
+
+
+@dataclass(frozen=True)
+class SpreadCopies:
+    """Where and how strongly a point spread is recorded.
+
+    Attributes
+    ----------
+    shifts : int64 array (copies, 2)
+        Samples of the patch along x and y by which each copy is moved.
+    places : float64 array (copies, 2)
+        The same on the microlens array, in millimetres.
+    weights : float32 array (copies, channels)
+        Factors on the intensity.
+    moving : bool
+        Whether what they show of a lattice that moves against their points is counted.
+    """
+
+    shifts: NDArray[np.int64]
+    places: NDArray[np.float64]
+    weights: NDArray[np.float32]
+    moving: bool
+
+    def summed(self, sums: int) -> SpreadCopies:
+        """Return them with the weights as often as sums are asked for: for three, those times the places come next."""
+        factors = [np.ones(len(self.places)), *self.places.T][:sums]
+        weights = np.hstack([self.weights * factor[:, None].astype(np.float32) for factor in factors])
+        return replace(self, weights=weights)
+
+    def windows(self, corner: NDArray[np.int64], samples: int, box: Box, finer: int) -> list[Window]:
+        """Return what each copy of a patch takes of a box of the grid, which is finer than the patches."""
+        start = finer * (corner + self.shifts) - np.array([box.left, box.top])
+        size = finer * samples
+        return [(slice(y, y + size), slice(x, x + size)) for x, y in start.tolist()]
+
+
+def covered(corner: NDArray[np.int64], samples: int, copies: list[SpreadCopies], finer: int) -> Box:
+    """Return what patches and their copies reach of the grid that is finer than they are."""
+    corners = np.concatenate([place + copy.shifts for place, copy in zip(corner, copies, strict=True)])
+    return Box.between(finer * corners.min(0), finer * (corners.max(0) + samples))
+
+
+def gathered(tile: Any, windows: list[Window], copies: SpreadCopies, moments: bool, arrays: Any) -> list[Any]:
+    """Add up, over the copies, what a tile has in their windows, with their weights.
+
+    Parameters
+    ----------
+    tile : float32 array (channels, rows, columns)
+        On the box of the windows.
+    moments : bool
+        Whether to add it up, too, with the weights times the copies' places along x, and along y.
+
+    Returns
+    -------
+    list of float32 arrays (rows, columns)
+        One, or three.
+    """
+    along = [np.ones(len(windows)), *copies.places.T] if moments else [np.ones(len(windows))]
+    which, channels = np.nonzero(copies.weights)
+    factors = arrays.asarray((np.array(along)[:, which] * copies.weights[which, channels]).astype(np.float32))
+    rows, columns = (part.stop - part.start for part in windows[0])
+    result = arrays.empty((len(along), rows, columns), np.float32)
+    block = max(1, _BLOCK // max(1, len(which) * columns))
+    for first in range(0, rows, block):
+        last = min(rows, first + block)
+        held = arrays.empty((len(which), last - first, columns), np.float32)
+        for part, copy, channel in zip(held, which.tolist(), channels.tolist(), strict=True):
+            window_rows, window_columns = windows[copy]
+            part[...] = tile[channel, window_rows.start + first : window_rows.start + last, window_columns]
+        result[:, first:last] = (factors @ held.reshape(len(which), -1)).reshape(len(along), last - first, columns)
+    return list(result)
+
+
+class SpreadSum:
+    """A sum of the copies of point spreads, with their weights.
+
+    Parameters
+    ----------
+    box : Box
+        What it covers of the grid.
+    batch : PatchBatch
+        What the spreads are made of.
+    copies : list of SpreadCopies
+        Of each.
+    finer : int
+        Samples of the grid for one of a patch, along each axis.
+    """
+
+    def __init__(self, box: Box, batch: PatchBatch, copies: list[SpreadCopies], finer: int) -> None:
+        size, channels = np.array([box.rows, box.columns]), copies[0].weights.shape[1]
+        self._copies, self._samples = copies, finer * batch.samples
+        # Rows come first.
+        self._places = [
+            (finer * (corner + copy.shifts) - np.array([box.left, box.top]))[:, ::-1]
+            for corner, copy in zip(batch.corner, copies, strict=True)
+        ]
+        cells = Cells.of([finer * copy.shifts[:, ::-1] for copy in copies], self._samples)
+        self._cells = None if cells is None else cells.sum(size, channels, 1)
+        self._sums: Any = None
+        if cells is None:
+            self._sums = backend().arrays.zeros((channels, box.rows, box.columns), np.float32)
+
+    def add(self, spread: int, intensity: Any) -> None:
+        """Add the copies of one of the spreads."""
+        places, weights = self._places[spread], self._copies[spread].weights
+        if self._cells is not None:
+            if not self._cells.free:
+                self._cells.add()
+            self._cells.plane(spread, places, weights)[: self._samples, : self._samples] = intensity
+            return
+        for copy, (y, x) in enumerate(places.tolist()):
+            for channel in np.flatnonzero(weights[copy]).tolist():
+                part = self._sums[channel, y : y + self._samples, x : x + self._samples]
+                part += weights[copy, channel] * intensity
+
+    def total(self) -> Any:
+        """Return the sum, (channels, rows, columns)."""
+        return self._sums if self._cells is None else self._cells.total()

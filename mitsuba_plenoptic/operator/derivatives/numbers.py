@@ -1,0 +1,233 @@
+"""The numbers of a camera with respect to which captures are differentiated, as Dr.Jit numbers that carry gradients."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import partial
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...errors import InputError, did_you_mean, require_number, shown
+from ...lattice import make_lattice, turn
+from ...lenses.fitted_lens import FittedLens, lens_of_waves
+from ...lenses.lens_changes import LENS_NUMBERS, VaryingLens, open_area_slopes
+from ...lenses.main_lens import MainLens
+from ...lenses.thin import ThinLens
+from ...runtime.backend import array_module
+from ...system.microlens_derivatives import VaryingMicrolenses
+from ..grid import Grid
+from ..patch_factors import Elements
+from ..units import brightness
+from .aberrations import varying_path
+
+ABERRATIONS = 36
+"""Zernike polynomials whose coefficients have a gradient, if the camera does not name more."""
+
+NUMBERS = (
+    "focal_length",
+    "aperture_radius",
+    "mla_distance",
+    "mla_focal_length",
+    "mla_pitch",
+    "mla_rotation",
+    "mla_offset",
+    "mla_fill",
+    "detector_distance",
+    "detector_width",
+    "wavelength",
+    "wavefront",
+)
+"""Numbers of a camera, and the wavelength, by which captures can be differentiated."""
+
+MOVES = ("detector_width", "mla_rotation", "wavelength")
+"""Those that move the pixels against the samples of the light."""
+
+
+def values_of(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[np.float64]:
+    """Return the present value of a number, as an array: two pitches, each focal length, 36 aberrations or more."""
+    if name == "wavelength":
+        return np.array([wavelength])
+    if name == "wavefront":
+        return np.pad(np.array(camera.wavefront, np.float64), (0, max(0, ABERRATIONS - len(camera.wavefront))))
+    fields = {"mla_focal_length": "mla_focal_lengths", "mla_pitch": "mla_pitches"}
+    return np.array(np.ravel(getattr(camera, fields.get(name, name))), np.float64)
+
+
+def check_names(names: Iterable[str] | None) -> tuple[str, ...]:
+    """Return names of numbers, all for None.
+
+    Raises
+    ------
+    InputError
+        If there is no number of some name.
+    """
+    names = NUMBERS if names is None else (names,) if isinstance(names, str) else tuple(names)
+    for name in names:
+        if name not in NUMBERS:
+            raise InputError(
+                f"{shown(name)}: it is none of the numbers with a derivative: {', '.join(NUMBERS)}"
+                f"{did_you_mean(name, NUMBERS)}"
+            )
+    return tuple(names)
+
+
+def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, NDArray[np.float64]]:
+    """Return changes of numbers by name, each as an array of what `values_of` returns.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, or a change has another size than its number or is not finite.
+    """
+    if not isinstance(changes, dict):
+        raise InputError(f"changes = {shown(changes)}: they must be numbers by name")
+    check_names(changes)
+    checked = {}
+    for name, change in changes.items():
+        size = len(values_of(camera, 1.0, name))
+        numbers = [require_number(name, number) for number in np.ravel(np.asarray(change, object)).tolist()]
+        if name == "wavefront" and len(numbers) <= size:
+            numbers += [0.0] * (size - len(numbers))
+        if len(numbers) == 1 and name in ("mla_pitch", "mla_focal_length"):
+            numbers *= size
+        if len(numbers) != size:
+            raise InputError(f"{name} = {shown(change)}: its change must be {size} number{'s' * (size > 1)}")
+        checked[name] = np.array(numbers)
+    return checked
+
+
+def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str, NDArray[np.float64]]:
+    """Return the derivatives, by each number, of the logarithm of what `units.brightness` returns.
+
+    The pupil is taken to grow as the opening does; see `light_slopes` for what real main lenses do.
+    """
+    numbers = VaryingNumbers(camera, 1.0, names)
+    value = dr.log(numbers.brightness(camera))
+    if dr.grad_enabled(value):
+        dr.backward(value)
+    return numbers.gradients()
+
+
+def light_slopes(
+    camera: PlenopticCamera, names: Iterable[str], points: NDArray[np.float64], wavelength: float
+) -> dict[str, NDArray[np.float64]]:
+    """Return the derivatives, by each number, of the logarithm of what `units.brightness_at` returns.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    names : iterable of str
+        The numbers.
+    points : float64 array (n, 3)
+        Scene points in the camera frame.
+    wavelength : float
+        In nanometres.
+
+    Returns
+    -------
+    dict
+        By name float64 arrays (parts, n).
+    """
+    slopes = {name: np.tile(slope[:, None], len(points)) for name, slope in brightness_slopes(camera, names).items()}
+    lens = lens_of_waves(camera, points, wavelength)
+    if isinstance(lens, FittedLens):
+        # How large the pupil is, the lens tells.
+        slopes |= {name: open_area_slopes(lens, name, points)[None] for name in LENS_NUMBERS if name in slopes}
+    return slopes
+
+
+class VaryingNumbers:
+    """The numbers of a camera as Dr.Jit numbers, of which some carry gradients.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        In nanometres.
+    names : iterable of str
+        The numbers that vary.
+    """
+
+    def __init__(self, camera: PlenopticCamera, wavelength: float, names: Iterable[str]) -> None:
+        self.types = array_module().ad
+        self._numbers: dict[str, list[Any]] = {}
+        self._varies = set(names)
+        for name in NUMBERS:
+            values = values_of(camera, wavelength, name)
+            if name == "wavefront" and name not in self._varies:
+                values = values[: len(camera.wavefront)]
+            self._numbers[name] = [dr.opaque(self.types.Float64, value) for value in values.tolist()]
+            if name in self._varies:
+                dr.enable_grad(self._numbers[name])
+
+    def elements(self, grid: Grid, cosine: float, lanes: int) -> Elements:
+        """Return the elements of the camera in the frame of a grid, with microlenses up to a direction cosine.
+
+        Each number that varies is there once for each of some lanes: so the gradients of all of them are scattered by
+        one kernel, where each single number would end a kernel of its own, which computes all anew.
+        """
+        camera = grid.camera
+        get = {name: [self._over(name, part, lanes) for part in self._numbers[name]] for name in NUMBERS}
+        aberration = None
+        if "wavefront" in self._varies:
+            aberration = partial(varying_path, dr.concat(self._numbers["wavefront"]), camera.pupil_radius)
+        # The array stays where it is in the frame of the grid, and the scene turns.
+        turned: Any = get["mla_rotation"][0] - grid.rotation if "mla_rotation" in self._varies else 0.0
+        lens = self._lens(get, grid, turned)
+        angle = get["mla_rotation"][0] if "mla_rotation" in self._varies else grid.rotation
+        lattice = self._lattice(get, camera, turn(get["mla_offset"][0], get["mla_offset"][1], -angle))
+        wavelength = get["wavelength"][0]
+        microlenses = VaryingMicrolenses(camera, grid.wavelength, cosine, lattice, get["mla_focal_length"], wavelength)
+        growth: Any = wavelength / grid.wavelength if "wavelength" in self._varies else 1.0
+        return Elements(lens, microlenses, wavelength, get["detector_distance"][0], turned, growth, aberration)
+
+    def _over(self, name: str, number: Any, lanes: int) -> Any:
+        """Return a number for each lane, if it varies."""
+        if name not in self._varies or name == "wavefront":
+            return number
+        return dr.gather(self.types.Float64, number, dr.zeros(self.types.UInt32, lanes))
+
+    def _lens(self, get: dict[str, list[Any]], grid: Grid, turned: Any) -> MainLens | VaryingLens:
+        """Return the main lens, before which the scene may turn."""
+        camera = grid.camera
+        if isinstance(grid.lens, FittedLens):
+            varying = {name: get[name][0] for name in LENS_NUMBERS if name in self._varies}
+            return VaryingLens(grid.lens, get["mla_distance"][0], varying, turned)
+        return ThinLens(
+            get["focal_length"][0],
+            get["aperture_radius"][0],
+            get["mla_distance"][0],
+            camera.lens_model,
+            [dr.detach(coefficient) for coefficient in get["wavefront"][: len(camera.wavefront)]],
+        )
+
+    def brightness(self, camera: PlenopticCamera) -> Any:
+        """Return what `units.brightness` does."""
+        get = self._numbers
+        lattice = self._lattice(get, camera, (0.0, 0.0))
+        pixel = get["detector_width"][0] / camera.resolution[0]
+        return brightness(lattice, get["aperture_radius"][0], get["detector_distance"][0], pixel)
+
+    def _lattice(self, get: dict[str, list[Any]], camera: PlenopticCamera, offset: Any) -> Any:
+        """Return the upright lattice with an offset."""
+        pitches, fill = tuple(get["mla_pitch"]), get["mla_fill"][0]
+        return make_lattice(camera.mla_lattice, pitches, offset=offset, aperture=camera.mla_aperture, fill=fill)
+
+    def set_tangents(self, changes: dict[str, NDArray[np.float64]]) -> None:
+        """Set in which direction the numbers change."""
+        for name, change in changes.items():
+            for number, part in zip(self._numbers[name], change.tolist(), strict=True):
+                dr.set_grad(number, part)
+
+    def gradients(self) -> dict[str, NDArray[np.float64]]:
+        """Return the gradients that have been gathered."""
+        return {
+            name: np.array([float(dr.grad(number)[0]) for number in self._numbers[name]])
+            for name in sorted(self._varies)
+        }

@@ -1,0 +1,261 @@
+"""The derivatives of a sum of point spreads at one wavelength, forward and in reverse."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...lattice import turn
+from ...runtime.backend import backend
+from ...runtime.batches import BatchMap, PartialSum, add
+from ...runtime.jobs import Job
+from ...runtime.limits import largest_fitting, memory_limit
+from ...system.sampling import MEMORY_LIMIT
+from ..accuracy import derivative_band_for, derivatives_share
+from ..patch_plan import PatchPlan
+from ..pupil_weights import PupilWeights
+from ..recorder import STEPS, Recorder
+from ..tile import Fields
+from .batches import Pull, Push, varying_factors
+from .copies import MOVED_COPIES, MOVED_LENSES, SHIFTED_COPIES, SpreadCopies, copy_slopes, covered
+from .numbers import MOVES, VaryingNumbers
+
+Direction = dict[str, NDArray[np.float64]]
+"""Changes of numbers, by name."""
+
+_LEFT_OUT = 0.1
+"""Share of what copies show of a moved lattice that is left out, over the accuracy."""
+
+
+class DerivativePlan(PatchPlan):
+    """Point spreads and their copies, with what tells the changes of these from those of the spreads.
+
+    For sums of many, points share spreads as they do for images; else each has a spread of its own, whose intensity
+    is sampled twice as finely as its field: its square has twice its frequencies, and those that would fold change
+    fastest. In sums of many they average out.
+
+    Parameters
+    ----------
+    camera, points, pupil_weights, wavelength, accuracy
+        As of `PatchPlan`.
+    """
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        points: NDArray[np.float64],
+        pupil_weights: PupilWeights | None,
+        wavelength: float,
+        accuracy: float,
+    ) -> None:
+        # The images of copies behind a real lens move in ways of their own.
+        shared = camera.prescription is None and derivatives_share(accuracy, len(points))
+        band = derivative_band_for(accuracy, len(points))
+        super().__init__(camera, points, pupil_weights, wavelength, accuracy, band=band, shared=shared)
+        self._wavelength, self._accuracy, self._finer = wavelength, accuracy, 1 if shared else 2
+        low, size = self._finer * self._placement.corner, self._finer * self._placement.samples[:, None]
+        reached = self._finer * self._shifts
+        pattern = np.repeat(np.arange(len(self._first)), self._last - self._first)
+        low, size = low[pattern] + reached, size[pattern]
+        fine = replace(self._grid, pitch=self._grid.pitch / self._finer)
+        self._recorder = Recorder(camera, fine, low, low + size)
+        # From samples of the patch between copies to the distance of their lenses.
+        self._per_sample = self._grid.pitch * camera.mla_pitch / camera.micro_image_pitch
+
+    def push(self, weights: NDArray[np.float64], directions: list[Direction]) -> PushSum:
+        """Return the changes of the sum with these weights, (n, channels), in some directions, yet to be computed."""
+        return PushSum(self, weights, directions)
+
+    def pull(
+        self,
+        weights: NDArray[np.float64],
+        image: NDArray[np.float32],
+        names: tuple[str, ...],
+        job: Job,
+        done: int,
+        total: int,
+    ) -> dict[str, NDArray[np.float64]]:
+        """Return the gradients of numbers from that of the image, (rows, columns, channels).
+
+        Parameters
+        ----------
+        weights : float64 array (n, channels)
+            Of the points.
+        names : tuple of str
+            The numbers.
+        job : Job
+            Who computes, and who is told of the progress.
+        done, total : int
+            The points that are done before, and those of the whole job.
+        """
+        numbers = VaryingNumbers(self._camera, self._wavelength, names)
+        moves, copied = ([name for name in some if name in names] for some in (MOVES, MOVED_COPIES))
+        shifted = self._shifted(names)
+        summed = 3 if shifted else bool(moves)
+        samples = self._recorder.spread(image)
+        chunks, items = self.lit_chunks(weights)
+        moving = self.moving(weights)
+        offset = self.offset_for(names)
+        varies = varying_factors(self._fields(chunks[0][:1]), numbers) if chunks else ()
+        batches = (self._pull(chunk, weights, moving, offset, samples, summed, varies) for chunk in chunks)
+        waiting: list[Pull] = []
+
+        def kept() -> Iterator[Pull]:
+            for batch in batches:
+                waiting.append(batch)
+                yield batch
+
+        products, box = np.zeros((2, 2, 2)), self._recorder.box
+        sums: Any = backend().arrays.zeros((summed * image.shape[2], box.rows, box.columns), np.float32)
+        for pulled in job.each(kept(), items.tolist(), done + self._count - int(items.sum()), total):
+            waiting.pop(0).gather(pulled, numbers)
+            products[0] += pulled.products
+            if pulled.spreads is not None:
+                add(pulled.spreads, box, sums)
+        plain, *placed = np.split(sums, summed) if summed else [sums]
+        if placed:
+            stepped = [self._recorder.spread(image, move) for move in STEPS]
+            for axis, part in enumerate(placed):
+                products[1, :, axis] = self._unturned([float((step * part).sum(dtype=np.float64)) for step in stepped])
+        gradients = numbers.gradients()
+        for name in copied:
+            slopes = copy_slopes(self._camera, self._wavelength, name)
+            gradients[name] = gradients[name] + np.einsum("cijk,ijk->c", slopes, products)
+        for name in moves:
+            gradients[name] = gradients[name] + self._along(plain, image, name)
+        return gradients
+
+    def _along(self, sums: Any, image: NDArray[np.float32], move: str) -> float:
+        """Multiply an image with the change of that of some sums where the pixels move."""
+        return float(np.einsum("ijk,ijk->", self._recorder.record(sums, move), image, dtype=np.float64))
+
+    def _unturned(self, vector: list[float]) -> NDArray[np.float64]:
+        """Turn a vector of the camera's frame into one of the lattice's."""
+        return np.array(turn(vector[0], vector[1], -self._grid.rotation))
+
+    def _shifted(self, names: Iterable[str]) -> bool:
+        """Tell whether copies shift with some numbers."""
+        return bool(self._shifts.any()) and any(name in SHIFTED_COPIES for name in names)
+
+    def offset_for(self, names: Iterable[str]) -> VaryingNumbers | None:
+        """Return the numbers of which ``mla_offset`` varies, if the copies' changes by some numbers ask for it."""
+        if not self._shifts.any() or not any(name in MOVED_LENSES for name in names):
+            return None
+        return VaryingNumbers(self._camera, self._wavelength, ["mla_offset"])
+
+    def moving(self, weights: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell of which spreads the copies show how the lattice moves against their points.
+
+        They show it in proportion to their weights and distances. Spreads that have few copies, or near ones, take as
+        long as others: the least of them are left out, which together are a small share of all.
+        """
+        distances = np.abs(self._shifts * self._per_sample).sum(1) * np.abs(weights[self._order]).sum(1)
+        amounts = np.add.reduceat(distances, self._first) if len(self._first) else distances
+        order = np.argsort(amounts, kind="stable")
+        counted = np.zeros(len(amounts), bool)
+        counted[order] = np.cumsum(amounts[order]) > _LEFT_OUT * self._accuracy * amounts.sum()
+        return counted
+
+    def lit(
+        self, chunk: NDArray[np.int64], weights: NDArray[np.float64], moving: NDArray[np.bool_]
+    ) -> tuple[Fields, list[SpreadCopies]]:
+        """Describe those spreads of a chunk that have any weight, and their copies; `moving` is as from there."""
+        kept, copies = [], []
+        for pattern, shifts, factors in self._lit_copies(chunk, weights):
+            kept.append(pattern)
+            places = shifts * self._per_sample
+            copies.append(SpreadCopies(shifts, places, factors.astype(np.float32), bool(moving[pattern])))
+        return self._fields(np.array(kept, np.int64)), copies
+
+    def _pull(
+        self,
+        chunk: NDArray[np.int64],
+        weights: NDArray[np.float64],
+        moving: NDArray[np.bool_],
+        offset: VaryingNumbers | None,
+        samples: Any,
+        summed: int,
+        varies: tuple[bool, ...],
+    ) -> Pull:
+        """Describe a batch, with the samples that it reaches; what lies beyond the recorded ones is zero."""
+        fields, copies = self.lit(chunk, weights, moving)
+        placement = fields.placement
+        box = covered(placement.corner, int(placement.samples[0]), copies, self._finer)
+        low = np.array([box.left, box.top])
+        tile = self._tile(samples, low, low + np.array([box.columns, box.rows]))
+        return Pull(fields, copies, self._finer, offset, tile, summed, varies)
+
+    def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
+        """Return the bytes that derivatives take, of all channels in all directions, or refuse them."""
+        return super().check_memory(batch_map, self._kept(channels))
+
+    def together(self, batch_map: BatchMap, channels: int, directions: int) -> int:
+        """Return in how many of some directions sums of so many channels are differentiated at once: 1 at least."""
+
+        def memory(count: int) -> float:
+            return self.memory(batch_map, self._kept(count * channels))
+
+        return max(1, largest_fitting(memory, min(MEMORY_LIMIT, memory_limit()), directions))
+
+    def _kept(self, channels: int) -> int:
+        """Return how many images are kept for the derivatives of so many channels."""
+        return channels + 3 if self._finer == 1 else 4 * channels
+
+
+class PushSum:
+    """Changes of a sum in several directions, batch by batch; what it must offer is said in `runtime.jobs.LongSum`."""
+
+    def __init__(self, plan: DerivativePlan, weights: NDArray[np.float64], directions: list[Direction]) -> None:
+        self._plan, self._weights, self._directions = plan, weights, directions
+        self._chunks, self.items = plan.lit_chunks(weights)
+        self.arrays: Any = backend().arrays
+        self._placed = plan._shifted(name for changes in directions for name in changes)
+        self.box = plan._recorder.box
+        self.channels = (len(directions) + (3 if self._placed else 1)) * weights.shape[1]
+        self._slopes = [
+            sum(
+                (
+                    np.tensordot(change, copy_slopes(plan._camera, plan._wavelength, name), 1)
+                    for name, change in changes.items()
+                    if name in MOVED_COPIES
+                ),
+                start=np.zeros((2, 2, 2)),
+            )
+            for changes in directions
+        ]
+
+    def batches(self, first: int) -> Iterator[Push]:
+        """Yield the batches from one on, in their order."""
+        plan, slopes = self._plan, tuple(lattice for lattice, _ in self._slopes)
+        offset = plan.offset_for(name for changes in self._directions for name in changes)
+        moving = plan.moving(self._weights)
+        for chunk in self._chunks[first:]:
+            numbers = tuple(VaryingNumbers(plan._camera, plan._wavelength, changes) for changes in self._directions)
+            for varying, changes in zip(numbers, self._directions, strict=True):
+                varying.set_tangents(changes)
+            fields, copies = plan.lit(chunk, self._weights, moving)
+            yield Push(fields, copies, plan._finer, numbers, slopes, offset, self._placed)
+
+    def image(self, total: PartialSum) -> NDArray[np.float32]:
+        """Integrate over the recorded pixels, and add what their own moves change."""
+        recorder, channels = self._plan._recorder, self._weights.shape[1]
+        count = len(self._directions) * channels
+        image, plain = recorder.record(total.sums[:count]), total.sums[count : count + channels]
+        for first, (changes, (_, shifts)) in enumerate(zip(self._directions, self._slopes, strict=True)):
+            own = image[..., first * channels : (first + 1) * channels]
+            for name in MOVES:
+                change = changes.get(name, np.zeros(1))
+                if change.any():
+                    own += float(change[0]) * recorder.record(plain, name)
+            if self._placed and shifts.any():
+                placed = np.split(total.sums[count + channels :], 2)
+                turned = np.array(turn(shifts[0], shifts[1], self._plan._grid.rotation))
+                for move, factors in zip(STEPS, turned, strict=True):
+                    along_x, along_y = (float(factor) * part for factor, part in zip(factors, placed, strict=True))
+                    own += recorder.record(along_x + along_y, move)
+        return image

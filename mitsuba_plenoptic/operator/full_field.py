@@ -1,0 +1,319 @@
+r"""The field of one scene point through the whole camera, without shortcuts: the reference of the other routes.
+
+Behind the main lens, at the pupil point P, a point source at X has the field
+
+.. math:: U(P) = \frac{g}{|P - X|^2} \exp\left(i k \left(|P - X| - \frac{P^2}{2 f_1}\right)\right)
+
+(the first Rayleigh-Sommerfeld solution of a point source and a thin parabolic lens: Goodman, "Introduction to
+Fourier Optics", sections 3.5 and 5.1). It goes to the MLA by its angular spectrum, through the microlenses by
+:math:`\exp(-i \pi |m - c|^2 / \lambda f_2)` in each cell, and to the detector by its angular spectrum.
+
+Sampling: while the half widths of pupil and destination together fit the window, no band limit but the
+evanescent one is needed (Matsushima and Shimobaba 2009, "Band-limited angular spectrum method"). The pitch holds
+the steepest rays. The intensity has twice the field's bandwidth, so the grid is doubled before squaring; a
+pixel's integral is the intensity's spectrum times the sinc of the pixel.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..lenses.telecentric import TelecentricLens
+from ..optics import guards
+from ..optics.free_space import advance
+from ..optics.phase import in_millimetres
+from ..optics.power import power
+from ..runtime.backend import backend
+from ..runtime.batches import BatchMap, Box, Part, PartialSum
+from ..runtime.fft import Field, as_field, fft2, irfft, pack, resting_drjit, rfft, rows_and_columns
+from ..runtime.jobs import Job
+from ..system.microlens_orders import axis_transmission, open_fraction, plane_transmission
+from ..system.microlenses import is_separable
+from ..system.sampling import check_memory
+from .arrival import SampledField, at_mla, blocks, interpolate, pupil_field, telecentric_arrival
+from .full_field_grids import FieldGrids, field_grids
+from .patch_plan import Cost
+from .pupil_weights import PupilWeights
+
+
+@dataclass(frozen=True)
+class PointFields:
+    """Fields of one scene point in the planes of the camera: behind the pupil, before the MLA, on the detector."""
+
+    pupil: SampledField
+    mla: SampledField
+    detector: SampledField
+
+
+def full_field(
+    camera: PlenopticCamera,
+    position: NDArray[np.float64],
+    wavelength: float,
+    *,
+    pupil_weights: PupilWeights | None = None,
+    microlenses: bool = True,
+    refinement: float = 1.0,
+    growth: float = 1.0,
+    grids: FieldGrids | None = None,
+) -> NDArray[np.float32]:
+    """Integrate one scene point's intensity over the recorded pixels.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    position : float64 array (3,)
+        Scene point (X, Y, g) in the camera frame, checked.
+    wavelength : float
+        Wavelength in nanometres, checked.
+    pupil_weights : PupilWeights, optional
+        Relative power over the pupil, of this one point.
+    microlenses : bool
+        Whether the microlenses are there.
+    refinement, growth : float
+        Factors on the sampling density and on the window's margins, to test convergence.
+    grids : FieldGrids, optional
+        Those of a camera that hardly differs, by which differences between the two are free of their grids'.
+
+    Returns
+    -------
+    float32 array (rows, columns)
+        Fractions of the power through the pupil.
+
+    Raises
+    ------
+    InputError
+        If the grids would need too much memory.
+    """
+    grids = grids or field_grids(camera, position, wavelength, refinement, growth)
+    _, mla = _arrival(camera, position, wavelength, grids, pupil_weights)
+    spectrum = _detector_spectrum(camera, wavelength, grids, mla.samples, microlenses)
+    del mla
+    dr.flush_malloc_cache()
+    return backend().to_host(_pixel_integrals(camera, spectrum, grids))
+
+
+def point_fields(
+    camera: PlenopticCamera, position: NDArray[np.float64], wavelength: float, *, microlenses: bool = True
+) -> PointFields:
+    """Propagate one scene point's field, as `full_field` does, and keep it at every plane.
+
+    Raises
+    ------
+    InputError
+        If the grids would need too much memory.
+    """
+    grids = field_grids(camera, position, wavelength, 1.0, 1.0)
+    pupil, mla = _arrival(camera, position, wavelength, grids)
+    spectrum = _detector_spectrum(camera, wavelength, grids, mla.samples.copy(), microlenses)
+    with resting_drjit():
+        detector = fft2(spectrum, inverse=True)
+    planes = (pupil, mla, SampledField(detector, mla.origin, mla.pitch))
+    return PointFields(*(SampledField(backend().to_host(p.samples), p.origin, p.pitch) for p in planes))
+
+
+def _arrival(
+    camera: PlenopticCamera,
+    position: NDArray[np.float64],
+    wavelength: float,
+    grids: FieldGrids,
+    weights: PupilWeights | None = None,
+) -> tuple[SampledField, SampledField]:
+    """Return the field behind the pupil, and that before the MLA."""
+    if camera.objective is not None:
+        return telecentric_arrival(TelecentricLens(camera.objective), position, wavelength, grids, weights)
+    pupil = pupil_field(camera, position, wavelength, grids, weights)
+    return pupil, at_mla(camera, wavelength, grids, pupil)
+
+
+def _detector_spectrum(
+    camera: PlenopticCamera, wavelength: float, grids: FieldGrids, samples: Field, microlenses: bool
+) -> Field:
+    """Spectrum on the detector of the field that reaches the MLA, whose memory is used."""
+    if microlenses:
+        before = _passed_power(camera, wavelength, grids, samples)
+        if is_separable(camera):
+            along_x, along_y = _microlens_factors(camera, wavelength, grids)
+            samples *= along_x[None, :]
+            samples *= along_y[:, None]
+        else:
+            _apply_plane(camera, wavelength, grids, samples)
+        if before > 0:
+            guards.judge(guards.MICROLENS, 1 - power(samples) / before)
+    with resting_drjit():
+        spectrum = fft2(samples)
+    return advance(spectrum, grids.pitch, camera.detector_distance, wavelength)
+
+
+def _microlens_factors(camera: PlenopticCamera, wavelength: float, grids: FieldGrids) -> list[Field]:
+    """Return the transmission of the microlenses along x and along y; the whole is their product."""
+    types, lenses = backend().types, axis_transmission(camera, wavelength, grids.bend)
+    factors = []
+    for axis, (start, offset, count) in enumerate(zip(grids.wide_origin, grids.offset, grids.count, strict=True)):
+        place = types.Float64(dr.arange(types.UInt32, count)) * grids.pitch + (start + offset * grids.pitch)
+        factors.append(as_field(pack(lenses.along(place, axis)), (count,)))
+    return factors
+
+
+def _apply_plane(camera: PlenopticCamera, wavelength: float, grids: FieldGrids, samples: Field) -> None:
+    """Multiply a field by the transmission of microlenses that are no product of two axes."""
+    lenses = plane_transmission(camera, wavelength, grids.bend)
+    for block, x, y in _places(grids):
+        samples[block] *= as_field(pack(lenses.at(x, y)), samples[block].shape)
+
+
+def _passed_power(camera: PlenopticCamera, wavelength: float, grids: FieldGrids, samples: Field) -> float:
+    """Return the power, in units of a sample, of the part of a field that is within the microlenses' apertures."""
+    if camera.lattice.fills:
+        return power(samples)
+    total, cosine = 0.0, in_millimetres(wavelength) / (2 * grids.pitch)
+    for block, x, y in _places(grids):
+        passed = backend().from_drjit(open_fraction(camera, wavelength, cosine, x, y))
+        intensity = backend().arrays.abs(samples[block]).reshape(-1) ** 2
+        total += float((intensity * passed).sum(dtype=np.float64))
+    return total
+
+
+def _places(grids: FieldGrids) -> Iterator[tuple[slice, Any, Any]]:
+    """Yield blocks of rows of the detector's window, with x and y of their samples."""
+    types = backend().types
+    left, top = (start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
+    columns = grids.count[0]
+    for block in blocks(grids.count[1]):
+        row, column = rows_and_columns(types, block.stop - block.start, columns)
+        x = types.Float64(column) * grids.pitch + dr.opaque(types.Float64, left)
+        y = types.Float64(row) * grids.pitch + dr.opaque(types.Float64, top + block.start * grids.pitch)
+        yield block, x, y
+
+
+def _pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: FieldGrids) -> NDArray[np.float32]:
+    """Integrate the intensity over the recorded pixels, exactly for the band-limited field."""
+    arrays = backend().arrays
+    height, width = camera.shape
+    with resting_drjit():
+        partial = interpolate(spectrum, 2 * spectrum.shape[0], axis=0)
+        rows = arrays.empty((partial.shape[0], width), np.float32)
+        for block in blocks(partial.shape[0]):
+            parts = interpolate(partial[block], 2 * partial.shape[1], axis=1).view(np.float32)
+            arrays.multiply(parts, parts, out=parts)
+            rows[block] = _along_pixels(parts[:, 0::2] + parts[:, 1::2], grids, width)
+        del partial
+        psf = arrays.empty((height, width), np.float32)
+        for block in blocks(width):
+            psf[:, block] = _along_pixels(arrays.ascontiguousarray(rows[:, block].T), grids, height).T
+    return psf
+
+
+def _along_pixels(intensity: NDArray[np.float32], grids: FieldGrids, count: int) -> NDArray[np.float32]:
+    """Integrate rows of the doubled grid over the recorded pixels, by their spectrum times the pixel's sinc."""
+    size, per_pixel = intensity.shape[1], 2 * grids.per_pixel
+    spectrum = rfft(intensity, axis=1)
+    pixel = np.sinc(np.fft.rfftfreq(size) * per_pixel) * per_pixel * grids.pitch / 2
+    spectrum *= backend().arrays.asarray(pixel.astype(np.float32))
+    integrals = irfft(spectrum, size, axis=1)
+    first = grids.margin * per_pixel + grids.per_pixel
+    return integrals[:, first::per_pixel][:, :count]
+
+
+@dataclass(frozen=True)
+class _FullField:
+    """One point: a batch."""
+
+    camera: PlenopticCamera
+    position: NDArray[np.float64]
+    factors: NDArray[np.float32]  # of the channels
+    wavelength: float
+    pupil_weights: PupilWeights | None
+
+    @property
+    def samples(self) -> int:
+        """Samples on the detector."""
+        return math.prod(self.camera.shape)
+
+    def prepare(self) -> Callable[[], Part]:
+        """Do all of it."""
+        psf = full_field(self.camera, self.position, self.wavelength, pupil_weights=self.pupil_weights)
+        part = Part(_pixels(self.camera), self.factors[:, None, None] * psf)
+        return lambda: part
+
+
+def _pixels(camera: PlenopticCamera) -> Box:
+    return Box(*camera.crop_offset, *camera.crop_size)
+
+
+class FullFieldPlan:
+    """The operator by full fields; parameters as of `PatchPlan`, of which `accuracy` is of no use here."""
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        points: NDArray[np.float64],
+        pupil_weights: PupilWeights | None,
+        wavelength: float,
+        accuracy: float,
+    ) -> None:
+        self._camera, self._points, self._wavelength = camera, points, wavelength
+        self._pupil_weights = pupil_weights
+
+    def sum(self, weights: NDArray[np.float64]) -> FullFieldSum:
+        """Return the sum of the point spreads with these weights, (n, channels), yet to be computed."""
+        return FullFieldSum(self, weights)
+
+    def batch(self, point: int, factors: NDArray[np.float32]) -> _FullField:
+        """Describe the point spread of one point."""
+        weights = self._pupil_weights and self._pupil_weights.take(np.array([point]))
+        return _FullField(self._camera, self._points[point], factors, self._wavelength, weights)
+
+    @property
+    def box(self) -> Box:
+        """The recorded pixels."""
+        return _pixels(self._camera)
+
+    def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
+        """Return for every point the image weighted by its point spread; see `PatchPlan.gather`."""
+        one, count = np.ones(1, np.float32), len(self._points)
+        batches = (self.batch(point, one) for point in range(count))
+        spreads = (part.sums[0] for part in job.each(batches, [1] * count, done, total))
+        return np.array([np.tensordot(psf, image, 2) for psf in spreads], np.float64).reshape(-1, image.shape[2])
+
+    def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
+        """Return the bytes of the image, or refuse them; those of the fields are judged point by point."""
+        memory = 8.0 * channels * math.prod(self._camera.shape)
+        check_memory(memory, f"image of {self._camera.shape[1]} x {self._camera.shape[0]} pixels")
+        return memory
+
+    def cost(self, batch_map: BatchMap) -> Cost:
+        """Estimate what a sum takes from its first point."""
+        count, memory = len(self._points), self.check_memory(batch_map)
+        start = time.perf_counter()
+        if count:
+            self.batch(0, np.ones(1, np.float32)).prepare()()
+        return Cost(count, count, (time.perf_counter() - start) * count, memory)
+
+
+class FullFieldSum:
+    """A sum of full fields; what it must offer is said in `runtime.jobs.LongSum`."""
+
+    def __init__(self, plan: FullFieldPlan, weights: NDArray[np.float64]) -> None:
+        self._plan, self._weights = plan, weights.astype(np.float32)
+        self._lit = np.flatnonzero(weights.any(1))
+        self.arrays: Any = np
+        self.box, self.channels = plan.box, weights.shape[1]
+        self.items = np.ones(len(self._lit), np.int64)
+
+    def batches(self, first: int) -> Iterator[_FullField]:
+        """Yield one batch a point."""
+        return (self._plan.batch(int(point), self._weights[point]) for point in self._lit[first:])
+
+    def image(self, total: PartialSum) -> NDArray[np.float32]:
+        """Put the channels last; what a full field loses is judged where it is computed."""
+        return np.ascontiguousarray(total.sums.transpose(1, 2, 0))

@@ -1,0 +1,463 @@
+"""The wave camera as a linear operator: from weights of incoherent points to the detector's image, and back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict
+from typing import Any, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bounds import require_wavelength
+from ..camera import PlenopticCamera
+from ..errors import InputError, require_choice, require_flag, suggest_keywords
+from ..io.checkpoints import digest
+from ..lenses.wave_cameras import require_ideal, require_no_glass
+from ..objective import Objective
+from ..optics import guards
+from ..optics.spectrum import Spectrum
+from ..runtime.backend import one_at_a_time
+from ..runtime.batches import BatchMap
+from ..runtime.jobs import Job, LongSum, Task
+from ..system.sampling import check_positions
+from .accuracy import DEFAULT_ACCURACY, check_accuracy
+from .derivatives import Differentials, check_changes, check_names
+from .full_field import FullFieldPlan
+from .mixing import SpectralSum, mix, spectral_sums
+from .patch_plan import Cost, PatchPlan
+from .pupil_weights import PupilWeights
+
+
+class Plan(Protocol):
+    """The operator at one wavelength, planned for its points."""
+
+    def sum(self, weights: NDArray[np.float64]) -> LongSum:
+        """Return the sum of the point spreads with these weights, (n, channels), yet to be computed."""
+
+    def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
+        """Return for every point the image, (rows, columns, channels), weighted by its point spread."""
+
+    def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
+        """Return the bytes that a sum takes, or refuse them."""
+
+    def cost(self, batch_map: BatchMap) -> Cost:
+        """Estimate what a sum takes."""
+
+
+PLANS: dict[str, type] = {"patch": PatchPlan, "full_field": FullFieldPlan}
+"""Ways to compute point spreads, by name."""
+
+METHODS = tuple(PLANS)
+
+_LEFT_OUT, _ROUNDING = 0.1, 1e-6
+"""Part of the accuracy that spectra may be simplified for, and relative error that single precision makes anyway."""
+
+
+class CaptureOperator:
+    r"""The image that a camera's detector records of incoherent point sources: linear in their weights.
+
+    .. math:: I = A w, \qquad I_p = \sum_r w_r \, \mathrm{psf}_r(p)
+
+    where psf is the fraction of the power through the visible pupil that lands in the pixel p. Everything that does not
+    depend on the weights is planned when it is first needed, and kept.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera; its recorded window may be a crop.
+    points : array (n, 3)
+        Scene points (X, Y, g) in the camera frame, in millimetres, in front of the main lens.
+    wavelength : float, optional
+        Wavelength in nanometres, the same for all channels of the weights; or give `spectrum`.
+    spectrum : Spectrum, optional
+        Wavelengths, and the channels that record them. Weights then have a value for each wavelength, and so have point
+        spreads, or for each of the spectrum's nodes.
+    method : {"patch", "full_field"}
+        Way to compute point spreads: on the part of the array that each lights, or without shortcuts.
+    accuracy : float
+        Relative error (L2, over the image) that is allowed for speed, below 1. By method "patch" points of nearly the
+        same wavefront at neighbouring lenses then share a point spread. 0: every point has a spread of its own, and the
+        most of the diffracted light is kept.
+    pupil_weights : array (n, m, m), optional
+        For each point its relative power over the square around the pupil, cut into m x m cells: rows along y, columns
+        along x of the camera frame; booleans for what is visible. What passes is normalised anew, so that each point
+        spread still sums to its weight.
+    virtual : bool
+        Whether points with g < 0 are allowed: images behind the main lens to which light converges in front of it, as
+        after a lens of the scene.
+
+    Raises
+    ------
+    InputError
+        If an input has a wrong shape or value.
+    """
+
+    @suggest_keywords
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        points: Any,
+        *,
+        wavelength: float | None = None,
+        spectrum: Spectrum | None = None,
+        method: str = "patch",
+        accuracy: float = DEFAULT_ACCURACY,
+        pupil_weights: Any = None,
+        virtual: bool = False,
+    ) -> None:
+        if (wavelength is None) == (spectrum is None):
+            raise InputError("wavelength, spectrum: give one of the two")
+        require_ideal(camera)
+        if camera.prescription is not None and method == "full_field" and pupil_weights is not None:
+            raise InputError(f"pupil_weights: method {method} takes none behind a main_lens; use patch")
+        self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
+        self._wavelength = None if wavelength is None else require_wavelength(wavelength)
+        self._spectrum = spectrum
+        require_choice("method", method, METHODS)
+        if camera.objective is not None:
+            _require_followed(camera.objective, method)
+        self._method, self._accuracy = method, check_accuracy(accuracy)
+        self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
+        self._plans: dict[float, Plan] = {}
+        self._differentials: Differentials | None = None
+
+    @one_at_a_time
+    def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[np.float32]:
+        """Add the point spreads of all points, each with a weight.
+
+        The bits of the result depend neither on the number of threads or workers nor on whether the sum was continued.
+
+        Parameters
+        ----------
+        weights : array (n,) or (n, channels)
+            Factors on the point spreads, of any sign. With a spectrum of several wavelengths one column for each of
+            them, or one for all.
+        job : Job, optional
+            Who computes, who is told of the progress, where the work is kept. Default: threads of this process.
+
+        Returns
+        -------
+        float32 array (rows, columns) or (rows, columns, channels)
+            Integrals over the recorded pixels.
+
+        Raises
+        ------
+        InputError
+            If the weights have a wrong shape or value, or the work would need too much memory.
+        PhysicsError
+            If too much of the light is lost (see `optics.guards`).
+        """
+        factors = self._check(weights)
+        _, matrix = self._mixing(factors.shape[1])
+        job = job or Job()
+        with guards.watch():
+            shape, items = (*self.camera.shape, len(matrix)), self._items
+            image = job.run(self.tasks(factors, job), shape, items, lambda: self._facts(factors))
+        return image[..., 0] if np.ndim(weights) == 1 and len(matrix) == 1 else image
+
+    @one_at_a_time
+    def adjoint(self, image: Any, *, job: Job | None = None) -> NDArray[np.float64]:
+        """Apply the transpose of `forward`: weigh an image by the point spread of every point.
+
+        Parameters
+        ----------
+        image : array (rows, columns) or (rows, columns, channels)
+            Of the recorded pixels.
+        job : Job, optional
+            Who computes, and who is told of the progress.
+
+        Returns
+        -------
+        float64 array (n,) or (n, channels)
+            With a spectrum of several wavelengths one column for each of them.
+
+        Raises
+        ------
+        InputError
+            If the image has another shape or is not finite, or the work would need too much memory.
+        """
+        channels = self._check_image(image)
+        wavelengths, _ = self._mixing(channels.shape[2])
+        job = job or Job()
+        result = np.zeros((len(self.points), len(wavelengths)))
+        with guards.watch():
+            done = 0
+            for part in self._sums(channels.shape[2]):
+                given = mix(channels, part.after.T)
+                plan = self._planned(part.wavelength, job, given.shape[2])
+                result += plan.gather(given, job, done, self._items) @ part.before.T
+                done += len(self.points)
+        return result[:, 0] if np.ndim(image) == 2 and len(wavelengths) == 1 else result
+
+    @one_at_a_time
+    def derivative(self, weights: Any, changes: dict[str, Any], *, job: Job | None = None) -> NDArray[np.float32]:
+        """Differentiate `forward` in the direction of changes of the camera's numbers.
+
+        Points, weights and the relative power over each pupil are held, and so is that of all light through the pupil.
+        Behind a real main lens, for up to 512 points, or at accuracies below 0.004, each has a spread of its own; more
+        share them as `forward` does, each copy with what its own lenses change. By method "patch" only, and not for
+        cameras behind an objective.
+
+        Parameters
+        ----------
+        weights : array (n,) or (n, channels)
+            As for `forward`.
+        changes : dict
+            Change of each number that changes, by name: ``focal_length``, ``aperture_radius``, ``mla_distance``,
+            ``mla_focal_length`` (one, or each of three), ``mla_pitch`` (of both, or of each), ``mla_rotation`` (in
+            degrees), ``mla_offset`` (two), ``mla_fill``, ``detector_distance``, ``detector_width``, ``wavelength`` (in
+            nanometres, of all) and ``wavefront`` (the first of its coefficients, or all; behind a real main lens over
+            the ``pupil_radius`` of its exit pupil).
+        job : Job, optional
+            Who is told of the progress; the work is done by threads of this process.
+
+        Returns
+        -------
+        float32 array
+            Of the shape of the image.
+
+        Raises
+        ------
+        InputError
+            If an input has a wrong shape or value, the method has no derivatives, or the work would need too much
+            memory.
+        """
+        return np.asarray(self.jacobian(weights, [changes], job=job)[0])
+
+    @one_at_a_time
+    def jacobian(
+        self, weights: Any, directions: Sequence[dict[str, Any]], *, job: Job | None = None
+    ) -> NDArray[np.float32]:
+        """Differentiate `forward` in several directions at once, for which the fields are computed once.
+
+        Parameters
+        ----------
+        weights, job
+            As of `derivative`.
+        directions : sequence of dict
+            Each the changes of the camera's numbers, as of `derivative`.
+
+        Returns
+        -------
+        float32 array (directions, ...)
+            The derivatives, each of the shape of the image.
+
+        Raises
+        ------
+        InputError
+            As of `derivative`, or if there is no direction.
+        """
+        factors, checked = self._check(weights), [check_changes(self.camera, changes) for changes in directions]
+        if not checked:
+            raise InputError("directions: give at least one")
+        wavelengths, matrix = self._mixing(factors.shape[1])
+        image = self._for_derivatives().push(factors, checked, wavelengths, matrix, job or Job())
+        made = np.moveaxis(image.reshape(*self.camera.shape, len(checked), len(matrix)), 2, 0)
+        flat = np.ndim(weights) == 1 and len(matrix) == 1
+        return np.ascontiguousarray(made[..., 0] if flat else made)
+
+    @one_at_a_time
+    def gradient(
+        self, weights: Any, image_gradient: Any, names: Iterable[str] | None = None, *, job: Job | None = None
+    ) -> dict[str, NDArray[np.float64]]:
+        """Apply the transpose of `derivative`: take the gradient of a figure back from the image to the camera.
+
+        One pass back through all point spreads, whatever the count of numbers.
+
+        Parameters
+        ----------
+        weights : array (n,) or (n, channels)
+            As for `forward`.
+        image_gradient : array
+            Derivatives of the figure with respect to the pixels, of the shape of the image.
+        names : iterable of str, optional
+            The numbers. Default: all.
+        job : Job, optional
+            Who is told of the progress; the work is done by threads of this process.
+
+        Returns
+        -------
+        dict
+            By name the derivatives of the figure, float64 arrays: two of ``mla_pitch`` (along the rows and across
+            them; where they are one number, add the two) and of ``mla_offset``, of ``mla_focal_length`` as many as
+            there are, of ``wavefront`` 36 or more, of all others one. `adjoint` gives those of the weights.
+
+        Raises
+        ------
+        InputError
+            As of `derivative`.
+        """
+        factors, channels, chosen = self._check(weights), self._check_image(image_gradient), check_names(names)
+        wavelengths, matrix = self._mixing(factors.shape[1])
+        if channels.shape[2] != len(matrix):
+            raise InputError(f"image of shape {np.shape(image_gradient)}: the weights make {len(matrix)} channels")
+        return self._for_derivatives().pull(factors, channels, chosen, wavelengths, matrix, job or Job())
+
+    def _for_derivatives(self) -> Differentials:
+        """Return the derivatives of the sums, or refuse methods that have none."""
+        if self._method != "patch":
+            raise InputError(f"method = {self._method}: it has no derivatives; use patch")
+        self.camera.require_no_objective("derivatives by waves are found")
+        require_no_glass(self.camera, "there are no derivatives of cameras that disperse light;")
+        if self._spectrum is not None and self._spectrum.nodes:
+            raise InputError(
+                f"spectrum: nodes = {self._spectrum.nodes}: there are no derivatives between nodes; leave them out"
+            )
+        if self._differentials is None:
+            self._differentials = Differentials(self.camera, self.points, self._pupil_weights, self._accuracy)
+        return self._differentials
+
+    def estimate(self, job: Job | None = None) -> Cost:
+        """Estimate what `forward` takes, by doing a little of it at the middle one of the wavelengths.
+
+        Parameters
+        ----------
+        job : Job, optional
+            Who would compute.
+
+        Raises
+        ------
+        InputError
+            If the work would need too much memory.
+        PhysicsError
+            If too much of the light would be lost.
+        """
+        wavelengths, workers = sorted(each.wavelength for each in self._sums(1)), (job or Job()).workers
+        wavelength = wavelengths[len(wavelengths) // 2]
+        cost = self._plan(wavelength).cost(workers)
+        return Cost(self.sums * cost.points, self.sums * cost.patterns, self.sums * cost.seconds, cost.memory)
+
+    def as_linear_operator(self) -> Any:
+        """Return the operator of one channel for SciPy's solvers, between flat arrays.
+
+        Returns
+        -------
+        scipy.sparse.linalg.LinearOperator
+            Of shape (pixels, n), in single precision.
+
+        Raises
+        ------
+        InputError
+            If there is more than one wavelength or channel.
+        """
+        from scipy.sparse.linalg import LinearOperator
+
+        if self._spectrum is not None and (len(self._spectrum.wavelengths), self._spectrum.channels) != (1, 1):
+            raise InputError(
+                f"spectrum of {len(self._spectrum.wavelengths)} wavelengths and {self._spectrum.channels} channels: a "
+                "linear operator between flat arrays has one of each"
+            )
+        return LinearOperator(
+            (math.prod(self.camera.shape), len(self.points)),
+            matvec=lambda weights: self.forward(np.ravel(weights)).ravel(),
+            rmatvec=lambda pixels: self.adjoint(np.reshape(pixels, self.camera.shape)),
+            dtype=np.float32,
+        )
+
+    @property
+    def sums(self) -> int:
+        """Sums of point spreads that make an image: one for each distinct wavelength, or node."""
+        return 1 if self._spectrum is None else len(self._spectrum.nodes or set(self._spectrum.wavelengths))
+
+    def tasks(self, weights: NDArray[np.float64], job: Job) -> Iterator[Task]:
+        """Yield the sum at each distinct wavelength, for weights (n, channels or wavelengths)."""
+        for part in self._sums(weights.shape[1]):
+            if self._spectrum is not None and self._spectrum.nodes:
+                part = part.reduced(weights, self._left_out(weights))
+
+            def plan(part: SpectralSum = part) -> LongSum:
+                given = weights @ part.before
+                return self._planned(part.wavelength, job, given.shape[1]).sum(given)
+
+            def combine(sums: NDArray[np.float32], after: NDArray[np.float32] = part.after) -> NDArray[np.float32]:
+                return mix(sums, after)
+
+            yield Task(len(self.points), plan, combine)
+
+    def _left_out(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return by how much, root sum square, the weights in each channel may be wrong at a node."""
+        _, matrix = self._mixing(weights.shape[1])
+        whole = np.sqrt(np.square(weights @ matrix.T.astype(np.float64)).sum(0))
+        return np.asarray(max(_LEFT_OUT * self._accuracy, _ROUNDING) / self.sums * whole)
+
+    def _sums(self, columns: int) -> Iterator[SpectralSum]:
+        """Yield the sums that make an image of so many columns of weights, or channels where there is no spectrum."""
+        return spectral_sums(*self._mixing(columns), self._spectrum)
+
+    @property
+    def _items(self) -> int:
+        """Point spreads of all sums."""
+        return self.sums * len(self.points)
+
+    def _plan(self, wavelength: float) -> Plan:
+        """Return the plan of a wavelength, made when it is first asked for."""
+        if wavelength not in self._plans:
+            make, camera = PLANS[self._method], self.camera.at_wavelength(wavelength)
+            self._plans[wavelength] = make(camera, self.points, self._pupil_weights, wavelength, self._accuracy)
+        return self._plans[wavelength]
+
+    def _planned(self, wavelength: float, job: Job, channels: int) -> Plan:
+        """Return the plan of a wavelength, or refuse what it takes."""
+        plan = self._plan(wavelength)
+        plan.check_memory(job.workers, channels)
+        return plan
+
+    def _mixing(self, columns: int) -> tuple[tuple[float, ...], NDArray[np.float32]]:
+        """Return the wavelength of each column of the weights, and the matrix (channels, columns) to the image's."""
+        if self._spectrum is None:
+            return (cast(float, self._wavelength),) * columns, np.eye(columns, dtype=np.float32)
+        return self._spectrum.wavelengths, self._spectrum.matrix()
+
+    def _facts(self, factors: NDArray[np.float64]) -> dict[str, Any]:
+        """Return by what a sum is known as the same."""
+        pupils = self._pupil_weights
+        arrays = [None] * 3 if pupils is None else [pupils.table, pupils.index, pupils.slant]
+        return {
+            "camera": self.camera.to_dict(),
+            "spectrum": self._wavelength if self._spectrum is None else asdict(self._spectrum),
+            "method": self._method,
+            "accuracy": self._accuracy,
+            "points_digest": digest(self.points, factors, *arrays),
+        }
+
+    def _check_image(self, image: Any) -> NDArray[np.float32]:
+        """Return an image as (rows, columns, channels)."""
+        try:
+            pixels = np.asarray(image, np.float32)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError("image: it must be numbers, (rows, columns) or (rows, columns, channels)") from None
+        rows, columns = self.camera.shape
+        if pixels.ndim not in (2, 3) or pixels.shape[:2] != (rows, columns) or not np.isfinite(pixels).all():
+            raise InputError(
+                f"image of shape {pixels.shape}: it must be finite and have {rows} rows, {columns} columns"
+            )
+        channels = pixels.reshape(rows, columns, -1)
+        if self._spectrum is not None and channels.shape[2] != self._spectrum.channels:
+            raise InputError(f"image of shape {pixels.shape}: the spectrum has {self._spectrum.channels} channels")
+        return channels
+
+    def _check(self, weights: Any) -> NDArray[np.float64]:
+        """Return weights as (n, channels)."""
+        count = len(self.points)
+        try:
+            factors = np.asarray(weights, np.float64)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError(f"weights: they must be numbers, ({count},) or ({count}, channels)") from None
+        if factors.ndim not in (1, 2) or len(factors) != count or (factors.ndim == 2 and factors.shape[1] == 0):
+            raise InputError(f"weights of shape {factors.shape}: it must be ({count},) or ({count}, channels)")
+        if not np.isfinite(factors).all():
+            raise InputError("weights: they must be finite")
+        wavelengths = 1 if self._spectrum is None else len(self._spectrum.wavelengths)
+        if factors.ndim == 1:
+            return np.repeat(factors[:, None], wavelengths, axis=1)
+        if self._spectrum is not None and factors.shape[1] != wavelengths:
+            raise InputError(f"weights of shape {factors.shape}: the spectrum has {wavelengths} wavelengths")
+        return factors
+
+
+def _require_followed(objective: Objective, method: str) -> None:
+    """Refuse the method that does not know a microscope whose array stands in the image of the stop."""
+    if method == "patch" and objective.is_fourier:
+        raise InputError("method = patch: arrangement = fourier lights all of the stop's image; use full_field")

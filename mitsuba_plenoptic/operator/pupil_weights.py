@@ -1,0 +1,205 @@
+"""Cubic B-splines, by which values at regular places are spread and joined (Unser 1999, "Splines")."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+
+
+def spline_parts(place: Any) -> tuple[Any, Any, Any, Any]:
+    """Return the cubic B-splines of the four nearest knots, one apart, at places between the middle two.
+
+    Parameters
+    ----------
+    place : float, NumPy or Dr.Jit array
+        Distance from the second knot, 0 to 1.
+    """
+    left = 1 - place
+    return left**3 / 6, 2 / 3 - place**2 + place**3 / 2, 2 / 3 - left**2 + left**3 / 2, place**3 / 6
+
+
+STEEPEST = 0.98
+"""Largest slant: of surfaces seen more slantwise the pupil sees both sides, and what it sees of one is hidden."""
+
+
+@dataclass(frozen=True)
+class PupilWeights:
+    """Relative power over the pupil, for many points of which most have the same.
+
+    The pupil's bounding square is cut into m x m cells, rows along y and columns along x of the camera frame.
+
+    Attributes
+    ----------
+    table : float32 array (k, m, m)
+        Distinct weights, not negative.
+    index : int64 array (n,)
+        Which of them each point has.
+    slant : float64 array (n, 2)
+        By how much the power grows besides from the pupil's centre to its rim, along x and along y of the camera frame.
+    sampled : bool
+        Whether the weights are those of points in the middle of the cells, between which the power changes smoothly;
+        if not, each holds for the whole of its cell.
+    """
+
+    table: NDArray[np.float32]
+    index: NDArray[np.int64]
+    slant: NDArray[np.float64]
+    sampled: bool = False
+
+    @classmethod
+    def of(cls, weights: Any, count: int) -> PupilWeights | None:
+        """Gather the weights of some points.
+
+        Parameters
+        ----------
+        weights : array (n, m, m), PupilWeights or None
+            Relative power, or booleans for what is visible; None if it is the same over all of the pupil.
+        count : int
+            The points.
+
+        Raises
+        ------
+        InputError
+            If the array has another shape, or a weight is negative or not finite.
+        """
+        if weights is None:
+            return None
+        if isinstance(weights, PupilWeights):
+            shape: tuple[int, ...] = (len(weights.index), *weights.table.shape[1:])
+        else:
+            shape = np.shape(weights)
+        if len(shape) != 3 or shape != (count, shape[1], shape[1]) or shape[1] == 0:
+            raise InputError(f"pupil_weights of shape {shape}: it must be ({count}, m, m)")
+        if isinstance(weights, PupilWeights):
+            return weights
+        values = np.asarray(weights)
+        if values.dtype.kind not in "biuf" or not np.isfinite(values).all() or (values < 0).any():
+            raise InputError("pupil_weights: they must be finite and not negative")
+        if values.dtype == np.bool_:
+            return cls.from_bits(np.packbits(values.reshape(count, -1), axis=1), shape[1])
+        table, index = np.unique(values.astype(np.float32).reshape(count, -1), axis=0, return_inverse=True)
+        return cls(table.reshape(-1, *shape[1:]), index.reshape(-1), np.zeros((count, 2)))
+
+    @classmethod
+    def from_bits(cls, bits: NDArray[np.uint8], cells: int) -> PupilWeights:
+        """Gather masks of cells x cells booleans, each packed into a row of bits."""
+        rows, index = np.unique(bits, axis=0, return_inverse=True)
+        table = np.unpackbits(rows, axis=1, count=cells * cells).astype(np.float32)
+        return cls(table.reshape(-1, cells, cells), index.reshape(-1), np.zeros((len(bits), 2)))
+
+    def take(self, which: NDArray[Any] | slice) -> PupilWeights:
+        """Return those of some points."""
+        kept, index = np.unique(self.index[which], return_inverse=True)
+        return replace(self, table=self.table[kept], index=index.reshape(-1), slant=self.slant[which])
+
+    def lit(self) -> NDArray[np.bool_]:
+        """Whether any light of each point passes."""
+        return np.asarray(self.table.reshape(len(self.table), -1).max(axis=1) > 0)[self.index]
+
+    def at(self, point: Any, Px: Any, Py: Any, radius: Any, sample: Any) -> tuple[Any, Any]:
+        """Average the weights, and their square roots, over samples of the pupil.
+
+        A hard border of a cell would fold its steep spectrum back into the band of the samples. Samples wider than a
+        cell are taken as wide as one.
+
+        Parameters
+        ----------
+        point : UInt32 array of Dr.Jit
+            Number of the point.
+        Px, Py : float64 arrays of Dr.Jit
+            Points of the pupil in the camera frame.
+        radius : float
+            Half the width of the square.
+        sample : float or float64 array of Dr.Jit
+            Width of the samples.
+
+        Returns
+        -------
+        power, amplitude : Float arrays of Dr.Jit
+        """
+        UInt32 = type(point)
+        Float = dr.float32_array_t(UInt32)
+        cells = self.table.shape[1]
+        first = dr.gather(UInt32, UInt32(self.index.astype(np.uint32)), point) * (cells * cells)
+        half = dr.minimum(sample * (cells / (4 * radius)), 0.5)
+        sides = []
+        for P in (Px, Py):
+            place = (P + radius) * (cells / (2 * radius))
+            near = _splines(place) if self.sampled else _border(place, half, cells)
+            sides.append([(UInt32(dr.clip(cell, 0, cells - 1)), Float(part)) for cell, part in near])
+        table = Float(self.table.reshape(-1))
+        power, amplitude = dr.zeros(Float), dr.zeros(Float)
+        for (column, across), (row, down) in itertools.product(*sides):
+            weight = dr.gather(Float, table, first + row * cells + column)
+            power += across * down * weight
+            amplitude += across * down * dr.sqrt(weight)
+        if self.sampled:
+            amplitude = dr.sqrt(power)
+        slant = [dr.gather(Float, Float(np.ascontiguousarray(part)), point) for part in self.slant.T]
+        cosine = dr.maximum(1 + (slant[0] * Float(Px) + slant[1] * Float(Py)) / radius, 0)
+        return power * cosine, amplitude * dr.sqrt(cosine)
+
+    def means(self, points: int) -> NDArray[np.float64]:
+        """Return the mean of each point's weights over the pupil; (n,).
+
+        Parameters
+        ----------
+        points : int
+            Across a cell, for how much of it lies in the pupil.
+        """
+        cells = self.table.shape[1]
+        place = (np.arange(cells * points) + 0.5) / points
+        near = _splines(place) if self.sampled else [(np.floor(place), 1.0)]
+        share = np.zeros((len(place), cells))
+        for cell, part in near:
+            np.add.at(share, (np.arange(len(place)), np.clip(cell, 0, cells - 1).astype(int)), part)
+        place = place * (2 / cells) - 1
+        inside = np.hypot(place, place[:, None]) < 1
+        flat, along_x, along_y = (
+            np.tensordot(self.table.astype(np.float64), share.T @ part @ share / inside.sum(), 2)[self.index]
+            for part in (inside * 1.0, inside * place, inside * place[:, None])
+        )
+        return np.asarray(flat + self.slant[:, 0] * along_x + self.slant[:, 1] * along_y)
+
+
+def _border(place: Any, half: Any, cells: int) -> list[tuple[Any, Any]]:
+    """Return the two cells that a sample of some half width lies on, and what part of it is on each."""
+    low, high = (dr.floor(dr.clip(place + side * half, 0, cells - 1)) for side in (-1, 1))
+    # The part of the sample beyond the border between the two cells.
+    beyond = dr.clip((place + half - high) / (2 * half), 0, 1)
+    return [(low, 1 - beyond), (high, beyond)]
+
+
+def _splines(place: Any) -> list[tuple[Any, Any]]:
+    """Return the four cells around a place, and the cubic B-splines of their middles there."""
+    before = np.floor(place - 0.5) if isinstance(place, np.ndarray) else dr.floor(place - 0.5)
+    parts = spline_parts(place - 0.5 - before)
+    return [(before + step, part) for step, part in zip(range(-1, 3), parts, strict=True)]
+
+
+def slants(normals: NDArray[np.floating[Any]], positions: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
+    """Return the slants of surfaces.
+
+    Parameters
+    ----------
+    normals : array (n, 3)
+        Normals in the camera frame; zero where there is no surface.
+    positions : float64 array (n, 3)
+        Points on them.
+    radius : float
+        Of the pupil.
+
+    Returns
+    -------
+    float64 array (n, 2)
+    """
+    height = (normals * positions).sum(1)
+    slant = -radius * normals[:, :2] / np.where(height == 0, np.inf, height)[:, None]
+    return slant / np.maximum(1, np.hypot(*slant.T) / STEEPEST)[:, None]

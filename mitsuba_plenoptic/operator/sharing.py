@@ -1,0 +1,191 @@
+r"""Points that share one pattern by the symmetry of the microlens lattice.
+
+Move a scene point so that its image on the MLA moves by one lens: the pattern on the detector stays the same but
+for the aberrations of a thin lens far from the axis, and moves by one micro-image, :math:`D_2 (b + z) / b`. So
+points of the same wavefront at the same place of their lenses need one propagation for a zone of lenses.
+
+"The same" is a matter of what one microlens sees. Out of focus it sees a part of the pupil only, one of
+:math:`n = 2 a |\Delta b| / b D_2` across, and of a changed wavefront the changed tilt of this part, which moves its
+spot: for a change by :math:`\delta` waves at the pupil's edge :math:`4 \delta / n` waves across a lens, for an image
+that moves by :math:`\mu` :math:`\mu D_1 / \lambda b n`. So the farther from focus, the wider the steps of place and
+distance within which points share.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..lenses.main_lens import MainLens
+from ..optics.phase import in_millimetres
+from .pupil_weights import PupilWeights
+
+ZONES = (2, 3, 4, 6, 8, 12, 16)
+"""Lenses along an axis over which patterns may be shared, beside one."""
+
+_LENS_PER_WAVE = 2.5
+"""Largest step of place, in lens pitches, over the allowed step of the wavefront in waves: the blur has an edge."""
+
+_ZONE_PER_WAVE = 0.6
+"""Width of a zone in steps of the wavefront from lens to lens, over the allowed one."""
+
+_SLANT_PER_WAVE = 1.5
+"""Range of slants of which the mean is taken, over the allowed step of the wavefront in waves."""
+
+_FARTHEST = 1e12
+"""Distance, in millimetres, from which on light counts as collimated."""
+
+_OFF_LATTICE = 0.38196601
+"""Fraction of a step by which the bounds between steps are moved off the places that regular samples take."""
+
+
+@dataclass(frozen=True)
+class Patterns:
+    """Patterns, and which point takes which.
+
+    Attributes
+    ----------
+    positions : float64 array (patterns, 3)
+        The scene point that each is computed for.
+    slant : float64 array (patterns, 2), or None
+        Mean of the points' slants (see `PupilWeights`).
+    pattern : int array (n,)
+        For each point its pattern.
+    shift : int array (n, 2)
+        For each point the lenses, along x and y, from the pattern's place to its own.
+    """
+
+    positions: NDArray[np.float64]
+    slant: NDArray[np.float64] | None
+    pattern: NDArray[np.int64]
+    shift: NDArray[np.int64]
+
+
+def find_patterns(
+    camera: PlenopticCamera,
+    lens: MainLens,
+    positions: NDArray[np.float64],
+    pupil_weights: PupilWeights | None,
+    wavelength: float,
+    step: float,
+) -> Patterns:
+    """Find points that share patterns.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera in the frame of its lattice.
+    lens : MainLens
+        Its main lens.
+    positions : float64 array (n, 3)
+        Scene points in that frame.
+    pupil_weights : PupilWeights, optional
+        Power over the pupil; only those share whose power is equal but for a little slant.
+    wavelength : float
+        Wavelength in nanometres.
+    step : float
+        By how much wavefronts that count as the same may differ across a microlens, in waves; 0: nothing is shared.
+
+    Returns
+    -------
+    Patterns
+    """
+    if step == 0:
+        alone = np.zeros((len(positions), 2), np.int64)
+        slant = None if pupil_weights is None else pupil_weights.slant
+        return Patterns(positions, slant, np.arange(len(positions)), alone)
+    image = _lattice_steps(camera, lens.images(positions))
+    depth, parts = _depth_steps(camera, lens, positions[:, 2], wavelength, step)
+    fine = np.floor(image * parts[:, None] + _OFF_LATTICE).astype(np.int64)
+    cell = fine // parts[:, None]
+    zone, size = _zones(camera, lens, cell, wavelength, step)
+    keys = [zone, size[:, None], depth[:, None], fine - cell * parts[:, None]]
+    types = len(camera.mla_focal_lengths)
+    if types > 1:
+        lens_type = camera.lattice.lens_type(*cell.T).astype(np.int64)
+        keys.append(lens_type[:, None])
+    if pupil_weights is not None:
+        slants = np.floor(pupil_weights.slant / (_SLANT_PER_WAVE * step) + 0.5).astype(np.int64)
+        keys += [pupil_weights.index[:, None], slants]
+    _, first, pattern = np.unique(np.hstack(keys), axis=0, return_index=True, return_inverse=True)
+    pattern = pattern.reshape(-1)
+    # A pattern is computed for the mean of its points, in the middle lens of those that have it.
+    low, high = np.full((2, len(first), 2), np.iinfo(np.int64).max)
+    high = -high
+    np.minimum.at(low, pattern, cell)
+    np.maximum.at(high, pattern, cell)
+    middle = (low + high) // 2
+    if types > 1:
+        # the nearest lens of the same lens_type
+        off = lens_type[first] - camera.lattice.lens_type(*middle.T).astype(np.int64)
+        middle[:, 0] += (off + 1) % types - 1
+    count = np.bincount(pattern)
+    place = np.column_stack([np.bincount(pattern, part) for part in (image - cell).T]) / count[:, None] + middle
+    mean = np.bincount(pattern, lens.nearness(positions)) / count
+    slant = None
+    if pupil_weights is not None:
+        slant = np.column_stack([np.bincount(pattern, part) for part in pupil_weights.slant.T]) / count[:, None]
+    # Light that diverges and light that converges may share a pattern, and their mean be collimated.
+    nearness = np.where(np.abs(mean) > 1 / _FARTHEST, mean, 1 / _FARTHEST)
+    found = lens.points(_in_pitches(camera, place) * camera.mla_pitch, nearness)
+    return Patterns(found, slant, pattern, cell - middle[pattern])
+
+
+def _lattice_steps(camera: PlenopticCamera, place: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Express places on the MLA, (n, 2), in steps along the lattice vectors, the first of which is along x."""
+    (width, _), (aside, height) = camera.lattice.basis
+    x, y = (place - np.array(camera.mla_offset)).T
+    j = y / height
+    return np.stack([(x - j * aside) / width, j], axis=-1)
+
+
+def _in_pitches(camera: PlenopticCamera, steps: NDArray[Any]) -> NDArray[np.float64]:
+    """Express steps along the lattice vectors, (n, 2), as places on the MLA in pitches."""
+    basis, offset = np.array(camera.lattice.basis), np.array(camera.mla_offset)
+    return np.asarray(steps @ (basis / camera.mla_pitch) + offset / camera.mla_pitch)
+
+
+def _depth_steps(
+    camera: PlenopticCamera, lens: MainLens, g: NDArray[np.float64], wavelength: float, step: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the number of each distance's step, and into how many parts a lens is cut along an axis there."""
+    lam = in_millimetres(wavelength)
+    a, b = lens.pupil_radius, lens.pupil_distance
+    defocus = a * a / (2 * lam) * (lens.convergence(g) - 1 / b)
+    pitch = max(camera.mla_pitches)
+    lenses_per_wave = 4 * b * lam / (a * pitch)
+    lenses = np.maximum(1, lenses_per_wave * np.abs(defocus))
+    # even where the blur is below one lens, logarithmic beyond
+    scale = np.where(lenses > 1, np.sign(defocus) * (1 + np.log(lenses)) / lenses_per_wave, defocus)
+    depth = np.floor(4 * scale / step + _OFF_LATTICE)
+    middle = np.abs(depth + 0.5 - _OFF_LATTICE) * step / 4 * lenses_per_wave
+    lenses = np.exp(np.maximum(0, middle - 1))
+    width = np.minimum(step * lam * b / (2 * a) * lenses / pitch, _LENS_PER_WAVE * step)
+    return depth.astype(np.int64), np.ceil(1 / width).astype(np.int64)
+
+
+def _zones(
+    camera: PlenopticCamera, lens: MainLens, cell: NDArray[np.int64], wavelength: float, step: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return first lens and size of each lens's zone, of as many steps along both lattice vectors.
+
+    In it the wavefront changes little enough.
+    """
+    pitch = max(camera.mla_pitches)
+    size = np.ones(len(cell), np.int64)
+    for width in ZONES:
+        first = cell // width * width
+        square = np.max(
+            [
+                ((_in_pitches(camera, first + np.array(corner) * width) * camera.mla_pitch) ** 2).sum(1)
+                for corner in ((0, 0), (0, 1), (1, 0), (1, 1))
+            ],
+            axis=0,
+        )
+        waves = lens.path_change(np.sqrt(square), pitch, wavelength)
+        size[width * waves <= _ZONE_PER_WAVE * step] = width
+    return cell // size[:, None] * size[:, None], size

@@ -1,0 +1,382 @@
+"""Many copies of patterns, each moved by whole lenses, added at once: a product with a sparse matrix.
+
+Where all copies are moved by multiples of some width, patterns and what they are added to are cut into cells of that
+width. Each copy then adds whole cells, so that for all samples of a cell the same weights of the same cells are summed:
+a sparse matrix, of which each row is a cell of the sum, times the cells of the patterns.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ..optics.phase import in_millimetres
+from ..runtime.backend import array_module, backend
+from ..runtime.batches import Box, Part
+from ..runtime.fft import fft2, resting_drjit
+from ..system.microlens_orders import open_fraction
+from .grid import Grid, Placement
+from .patch import PatchBatch, Workspace
+from .pupil_weights import PupilWeights
+
+_FEWEST_COPIES = 3
+"""Copies of a pattern, in the mean, from which on cutting it pays."""
+
+_SMALLEST_CELL = 64
+"""Samples of a cell below which the matrix would be as large as the patterns."""
+
+_MOST_PADDING = 4
+"""Samples of a pattern's cells over its own, at most: small patterns are added one by one."""
+
+_TOGETHER = 2**20
+"""Samples of the patterns that are multiplied together, which a core's caches hold."""
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Patterns of one size, and their sum, cut into cells.
+
+    Attributes
+    ----------
+    width : int array (2,)
+        Samples of a cell along x and y.
+    count : int array (2,)
+        Cells that a pattern reaches, wherever it begins.
+    """
+
+    width: NDArray[np.int64]
+    count: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, shifts: list[NDArray[np.int64]], samples: int) -> Cells | None:
+        """Choose cells for patterns of `samples` x `samples` and the shifts of their copies; None if it does not pay.
+
+        Parameters
+        ----------
+        shifts : list of int arrays (copies, 2)
+            For each pattern, along x and y.
+        samples : int
+            Width of the patterns.
+        """
+        every = np.concatenate([shift - shift[0] for shift in shifts])
+        width = np.gcd.reduce(every, axis=0)
+        # Along an axis that no copy is moved along, one cell holds the pattern.
+        width = np.where(width > 0, width, samples).astype(np.int64)
+        count = (samples + 2 * width - 2) // width
+        pays = len(every) >= _FEWEST_COPIES * len(shifts) and width.prod() >= _SMALLEST_CELL
+        return cls(width, count) if pays and (count * width).prod() <= _MOST_PADDING * samples**2 else None
+
+    def sum(self, size: NDArray[np.int64], channels: int, patterns: int) -> CellSum:
+        """Return an empty sum of so many samples along x and y, which holds so many patterns at a time or more."""
+        return CellSum(self, size, channels, patterns)
+
+    def cut(self, planes: Any) -> Any:
+        """Cut planes (n, x, y), of whole cells, into (cells of all planes, samples)."""
+        shape = np.array(planes.shape[1:]) // self.width
+        cut = planes.reshape(len(planes), shape[0], self.width[0], shape[1], self.width[1])
+        return cut.transpose(0, 1, 3, 2, 4).reshape(-1, int(self.width.prod()))
+
+    def join(self, cells: Any, planes: int, shape: NDArray[np.int64]) -> Any:
+        """Undo `cut` of so many planes, of `shape` cells each."""
+        cells = cells.reshape(planes, *shape.tolist(), *self.width.tolist()).transpose(0, 1, 3, 2, 4)
+        return cells.reshape(planes, *(shape * self.width).tolist())
+
+
+class CellSum:
+    """A sum of copies of patterns; they are collected, and multiplied some at a time."""
+
+    def __init__(self, cells: Cells, size: NDArray[np.int64], channels: int, patterns: int) -> None:
+        self._cells, self._size, self._channels = cells, size, channels
+        self._shape = size // cells.width + 1 + cells.count
+        self._arrays = backend().arrays
+        self._sums = self._arrays.zeros((channels * int(self._shape.prod()), int(cells.width.prod())), np.float32)
+        planes = max(patterns, _TOGETHER // int((cells.count * cells.width).prod()))
+        self._planes = self._arrays.zeros((planes, *(cells.count * cells.width).tolist()), np.float32)
+        self._held: dict[int, int] = {}
+        self._entries: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]] = []
+
+    def plane(self, pattern: int, places: NDArray[np.int64], weights: NDArray[np.float32]) -> Any:
+        """Return where the intensity of a pattern is to be written, (samples along x, along y) and some beyond.
+
+        Parameters
+        ----------
+        pattern : int
+            Its number, by which it is known when the next part of it is written.
+        places : int array (copies, 2)
+            First sample of each copy along x and y.
+        weights : float32 array (copies, channels)
+            Factors on the copies.
+        """
+        if pattern not in self._held:
+            self._held[pattern] = len(self._held)
+            self._enter(self._held[pattern], places // self._cells.width, weights)
+        x, y = (places[0] % self._cells.width).tolist()
+        return self._planes[self._held[pattern], x:, y:]
+
+    def _enter(self, number: int, places: NDArray[np.int64], weights: NDArray[np.float32]) -> None:
+        """Enter the copies of a plane into the matrix."""
+        inner = np.indices(self._cells.count.tolist()).reshape(2, -1)
+        x, y = places.T[..., None] + inner[:, None]
+        copy, channel = np.nonzero(weights)
+        # One channel after the other of the same cell: what is added to them stays in the processor's cache.
+        rows = (x[copy] * self._shape[1] + y[copy]) * self._channels + channel[:, None]
+        columns = np.broadcast_to(number * inner.shape[1] + np.arange(inner.shape[1]), rows.shape)
+        values = np.broadcast_to(weights[copy, channel][:, None], rows.shape)
+        self._entries.append((rows.ravel(), columns.ravel(), values.ravel()))
+
+    @property
+    def free(self) -> int:
+        """How many more patterns can be written before the next `add`."""
+        return len(self._planes) - len(self._held)
+
+    def add(self) -> None:
+        """Add what has been written."""
+        if not self._held:
+            return
+        rows, columns, values = (np.concatenate(entries) for entries in zip(*self._entries, strict=True))
+        held = len(self._held)
+        shape = len(self._sums), held * int(self._cells.count.prod())
+        matrix: Any = scipy.sparse.csr_array((values, (rows, columns)), shape=shape)
+        libraries = backend()
+        if libraries.is_cuda:
+            matrix = libraries.sparse.csr_matrix(matrix)
+        self._sums += matrix @ self._cells.cut(self._planes[:held])
+        self._planes[:held] = 0
+        self._held, self._entries = {}, []
+
+    def total(self) -> Any:
+        """Return the sum, (channels, samples along x, along y)."""
+        self.add()
+        x, y = self._size.tolist()
+        sums = self._sums.reshape(*self._shape.tolist(), self._channels, *self._cells.width.tolist())
+        return self._cells.join(sums.transpose(2, 0, 1, 3, 4), self._channels, self._shape)[:, :x, :y]
+
+
+@dataclass(frozen=True)
+class Copies:
+    """Where and how strongly the intensity of one point spread is added: at its own place, and at copies of it.
+
+    Attributes
+    ----------
+    shifts : int array (copies, 2)
+        Samples along x and y by which each copy is moved.
+    weights : float32 array (copies, channels)
+        Factors on the intensity.
+    """
+
+    shifts: NDArray[np.int64]
+    weights: NDArray[np.float32]
+
+
+class Tile:
+    """The part of the grid that the point spreads of one batch reach.
+
+    Parameters
+    ----------
+    batch : PatchBatch
+        Whose patches it covers.
+    copies : list of Copies
+        For each point of the batch.
+    """
+
+    def __init__(self, batch: PatchBatch, copies: list[Copies]) -> None:
+        self._batch, self._copies = batch, copies
+        self.corner, self.size = tile_extent(batch.corner, batch.samples, copies)
+        self._places = [corner + copy.shifts - self.corner for corner, copy in zip(batch.corner, copies, strict=True)]
+        self._arrays = backend().arrays
+        self._block = min(batch.sizes.block, batch.samples**2)
+        self._scratch = self._arrays.empty((2, self._block), np.float32)
+        self._squares = self._arrays.empty(2 * self._block, np.float32)
+
+    def sum(self) -> NDArray[np.float32]:
+        """Add the weighted intensities of all copies.
+
+        Returns
+        -------
+        float32 array (channels, rows, columns)
+        """
+        cells = Cells.of([copy.shifts for copy in self._copies], self._batch.samples)
+        sums = self._sum_one_by_one() if cells is None else self._sum_together(cells)
+        return sums.transpose(0, 2, 1)
+
+    def _sum_one_by_one(self) -> Any:
+        """Add copy by copy, (channels, samples along x, along y)."""
+        sums = self._arrays.zeros((self._channels, int(self.size[0]), int(self.size[1])), np.float32)
+        targets = [
+            [
+                (int(place[0]), int(place[1]), int(channel), weights[channel])
+                for place, weights in zip(places, copy.weights, strict=True)
+                for channel in np.flatnonzero(weights)
+            ]
+            for places, copy in zip(self._places, self._copies, strict=True)
+        ]
+        for point, along_x, along_y, intensity, weighted in self._intensities():
+            for x, y, channel, weight in targets[point]:
+                target = sums[channel, x + along_x.start : x + along_x.stop, y + along_y.start : y + along_y.stop]
+                if weight == 1:
+                    target += intensity
+                else:
+                    target += self._arrays.multiply(intensity, weight, out=weighted)
+        return sums
+
+    def _sum_together(self, cells: Cells) -> Any:
+        """Add by cells, (channels, samples along x, along y)."""
+        sums, last = cells.sum(self.size, self._channels, self._batch.together), 0
+        for point, along_x, along_y, intensity, _ in self._intensities():
+            # Those that are transformed together come in turns.
+            if point // self._batch.together != last and sums.free < self._batch.together:
+                sums.add()
+            last = point // self._batch.together
+            plane = sums.plane(point, self._places[point], self._copies[point].weights)
+            plane[along_x, along_y] = intensity
+        return sums.total()
+
+    @property
+    def _channels(self) -> int:
+        return int(self._copies[0].weights.shape[1])
+
+    def products(self, samples: NDArray[np.float32]) -> list[NDArray[np.float64]]:
+        """Multiply the intensity of every copy with the samples of the tile, and sum the products.
+
+        Parameters
+        ----------
+        samples : float32 array (channels, rows, columns)
+            As large as the tile.
+
+        Returns
+        -------
+        list of float64 arrays (copies, channels)
+            For each point.
+        """
+        turned = self._arrays.ascontiguousarray(self._arrays.asarray(samples).transpose(0, 2, 1))
+        products = [np.zeros((len(places), len(turned))) for places in self._places]
+        for point, along_x, along_y, intensity, _ in self._intensities():
+            for copy, (x, y) in enumerate(self._places[point].tolist()):
+                part = turned[:, x + along_x.start : x + along_x.stop, y + along_y.start : y + along_y.stop]
+                # Row by row in single precision, so that few numbers are added in it.
+                rows = self._arrays.einsum("cij,ij->ci", part, intensity).sum(1, dtype=np.float64)
+                products[point][copy] += self._batch.libraries.to_host(rows)
+        return products
+
+    def _intensities(self) -> Iterator[tuple[int, slice, slice, Any, Any]]:
+        """Yield the intensities of all points in parts, (along x, along y), and as much memory for work."""
+        batch, arrays = self._batch, self._arrays
+        work = Workspace(batch)
+        for first in range(0, len(self._copies), batch.together):
+            stop = min(len(self._copies), first + batch.together)
+            for point, along_y, field in batch.to_detector(first, stop, work):
+                rows = max(1, self._block // field.shape[1])
+                for start, end in itertools.pairwise([*range(0, len(field), rows), len(field)]):
+                    part = field[start:end]
+                    intensity, weighted = self._scratch[:, : part.size].reshape(2, *part.shape)
+                    squares = self._squares[: 2 * part.size].reshape(len(part), -1)
+                    arrays.copyto(squares.view(np.complex64), part)
+                    arrays.multiply(squares, squares, out=squares)
+                    arrays.add(squares[:, ::2], squares[:, 1::2], out=intensity)
+                    yield point, slice(start, end), along_y, intensity, weighted
+
+
+def tile_extent(
+    corner: NDArray[np.int64], samples: int, copies: list[Copies]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return first sample and size, along x and y, of what square patches and their copies reach."""
+    corners = [place + copy.shifts for place, copy in zip(corner, copies, strict=True)]
+    low = np.min([place.min(0) for place in corners], axis=0)
+    return low, np.max([place.max(0) for place in corners], axis=0) + samples - low
+
+
+@dataclass(frozen=True)
+class Fields:
+    """What the fields of a batch are made of; attributes as of `PatchBatch`."""
+
+    grid: Grid
+    placement: Placement
+    positions: NDArray[np.float64]
+    pupil_weights: PupilWeights | None
+
+    @property
+    def samples(self) -> int:
+        """Samples of all patches."""
+        return int((self.placement.samples**2).sum())
+
+    def make(self, amplitudes: NDArray[np.float64]) -> PatchBatch:
+        """Make them, each times a factor."""
+        return PatchBatch(self.grid, self.placement, self.positions, amplitudes, self.pupil_weights)
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Point spreads to be added, each with factors on its field and on its copies."""
+
+    fields: Fields
+    amplitudes: NDArray[np.float64]
+    copies: list[Copies]
+
+    @property
+    def samples(self) -> int:
+        """Samples of all patches."""
+        return self.fields.samples
+
+    def prepare(self) -> Callable[[], Part]:
+        """Make the fields, and return the function that adds their intensities."""
+        return partial(_sum, self.fields.make(self.amplitudes), self.copies)
+
+
+def _sum(batch: PatchBatch, copies: list[Copies]) -> Part:
+    tile = Tile(batch, copies)
+    sums = tile.sum()
+    return Part(Box(int(tile.corner[0]), int(tile.corner[1]), sums.shape[2], sums.shape[1]), sums)
+
+
+@dataclass(frozen=True)
+class Gather:
+    """Point spreads to be multiplied with the samples of the tile that they reach."""
+
+    fields: Fields
+    copies: list[Copies]
+    tile: NDArray[np.float32]
+
+    @property
+    def samples(self) -> int:
+        """Samples of all patches."""
+        return self.fields.samples
+
+    def prepare(self) -> Callable[[], list[NDArray[np.float64]]]:
+        """Make the fields, and return the function that multiplies their intensities with the tile."""
+        return partial(_products, self.fields.make(np.ones(len(self.copies))), self.copies, self.tile)
+
+
+def _products(batch: PatchBatch, copies: list[Copies], tile: NDArray[np.float32]) -> list[NDArray[np.float64]]:
+    return Tile(batch, copies).products(tile)
+
+
+def aperture_power(fields: Fields) -> NDArray[np.float64]:
+    """Return the fraction of each point's power on the microlens array that is within apertures; (n,).
+
+    The intensity before the array is band-limited, so that its integral over apertures of any shape is exact.
+    """
+    batch, grid = fields.make(np.ones(len(fields.positions))), fields.grid
+    arrays, types = batch.libraries.arrays, array_module()
+    count, directions = batch.mla_samples, batch.pupil.shape[1]
+    pitch = batch.samples * grid.pitch / count
+    cosine = in_millimetres(grid.wavelength) / (2 * float(pitch.min()))
+    row, column = np.indices((count, count)).reshape(2, -1)
+    result = np.empty(len(batch.pupil))
+    for point, pupil in enumerate(batch.pupil):
+        field = arrays.zeros((count, count), np.complex64)
+        field[:directions, :directions] = pupil
+        with resting_drjit():
+            intensity: Any = arrays.abs(fft2(field, inverse=True)) ** 2
+        x0, y0 = grid.origin + batch.corner[point] * grid.pitch
+        x, y = types.Float64(x0 + column * pitch[0]), types.Float64(y0 + row * pitch[1])
+        passed = batch.libraries.from_drjit(open_fraction(grid.camera, grid.wavelength, cosine, x, y))
+        passed = intensity * passed.reshape(count, count)
+        result[point] = float(passed.sum(dtype=np.float64) / intensity.sum(dtype=np.float64))
+    return result

@@ -1,0 +1,201 @@
+r"""Arrays as they are made: lenses that stand and bend light a little off, each by numbers of its own.
+
+A lens with the indices (i, j) is displaced along x and along y, and its focal length multiplied by 1 plus a number, by
+normal deviates that follow from its indices and a seed alone, so that one lens is the same wherever it is looked at.
+Deviates are cut at three standard deviations.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import InputError
+from ..optics.phase import in_millimetres
+
+MOST_DEVIATIONS = 3.0
+"""Standard deviations that no lens leaves."""
+
+
+def irregularities(camera: PlenopticCamera, i: Any, j: Any) -> tuple[Any, Any, Any]:
+    """Return by how much lenses are displaced along x and y, in millimetres, and the factors on their focal lengths.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera, whose `mla_jitter` and `mla_seed` count.
+    i, j : int array or Dr.Jit float array
+        Indices of the lenses in the lattice.
+    """
+    place, focal = camera.mla_jitter
+    x, y, f = (_deviate(_words(i), _words(j), camera.mla_seed, number) for number in range(3))
+    return place * x, place * y, 1 + focal * f
+
+
+def _words(index: Any) -> Any:
+    """Return indices as whole numbers of 32 bits, modulo 2^32."""
+    if not dr.is_array_v(index):
+        return np.asarray(index, np.int64).astype(np.uint32)
+    return dr.uint32_array_t(type(index))(dr.int32_array_t(type(index))(index))
+
+
+def _deviate(i: Any, j: Any, seed: int, number: int) -> Any:
+    """Return a normal deviate, by the method of Box and Muller (1958), cut at `MOST_DEVIATIONS`."""
+    first, second = (_uniform(i, j, 2 * number + part, seed) for part in (0, 1))
+    if dr.is_array_v(first):
+        value = dr.sqrt(-2 * dr.log(first)) * dr.cos(2 * math.pi * second)
+        return dr.clip(value, -MOST_DEVIATIONS, MOST_DEVIATIONS)
+    return np.clip(np.sqrt(-2 * np.log(first)) * np.cos(2 * math.pi * second), -MOST_DEVIATIONS, MOST_DEVIATIONS)
+
+
+def _uniform(i: Any, j: Any, number: int, seed: int) -> Any:
+    """Return numbers evenly spread between 0 and 1, neither included."""
+    bits = _mix(_mix(_mix(i ^ _mix_int(seed)) ^ j) ^ (0x9E3779B9 * (number + 1) & 0xFFFFFFFF)) >> 9
+    if dr.is_array_v(bits):
+        return (dr.float32_array_t(type(bits))(bits) + 0.5) * 2.0**-23
+    return (bits.astype(np.float64) + 0.5) * 2.0**-23
+
+
+def _mix(word: Any) -> Any:
+    """Return a word of which every bit depends on all of the given (Wellons 2018, "Prospecting for hash functions")."""
+    word = word ^ (word >> 16)
+    word = word * type(word)(0x7FEB352D) if dr.is_array_v(word) else word * np.uint32(0x7FEB352D)
+    word = word ^ (word >> 15)
+    word = word * type(word)(0x846CA68B) if dr.is_array_v(word) else word * np.uint32(0x846CA68B)
+    return word ^ (word >> 16)
+
+
+def _mix_int(word: int) -> int:
+    """Return `_mix` of one number."""
+    return int(_mix(np.array([word], np.uint32))[0])
+
+
+Pair = tuple[Any, Any]
+
+_STEP = 0.4
+"""Radians, at a lens's edge, by which the waves of neighbouring steps differ at most; lenses differ by half of it."""
+
+_SHORTEST = 400.0
+"""Wavelength in nanometres for which that holds."""
+
+_MOST = 32
+"""Kinds at most: each has images of its own."""
+
+
+class Kind(NamedTuple):
+    """Microlenses that are alike.
+
+    Attributes
+    ----------
+    lens_type : int
+        Which of the focal lengths the array's design gives them.
+    focal_length, detector_distance : float
+        Their own, in millimetres.
+    """
+
+    lens_type: int
+    focal_length: float
+    detector_distance: float
+
+
+@dataclass(frozen=True)
+class LensKinds:
+    """The kinds of a camera's microlenses, the same for all wavelengths, and where the lenses stand.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+
+    Raises
+    ------
+    InputError
+        If there are too many.
+    """
+
+    camera: PlenopticCamera
+
+    def __post_init__(self) -> None:
+        count = len(self._ratios) * len(self._heights) * len(self.camera.mla_focal_lengths)
+        if count > _MOST:
+            # Named is what makes more of them.
+            name = "mla_jitter" if len(self._ratios) > len(self._heights) else "mla_tilt"
+            raise InputError(
+                f"{name} = {getattr(self.camera, name)}: a wave capture would need {count} kinds of microlenses, and "
+                f"takes {_MOST} at most; make it smaller"
+            )
+
+    @cached_property
+    def every(self) -> list[Kind]:
+        """All kinds: of each step of the heights, each step of the focal lengths, and each type."""
+        camera = self.camera
+        return [
+            Kind(kind, f2 * ratio, camera.detector_distance + height)
+            for height, ratio, (kind, f2) in itertools.product(
+                self._heights, self._ratios, enumerate(camera.mla_focal_lengths)
+            )
+        ]
+
+    def place(self, i: Any, j: Any) -> tuple[Pair, Any]:
+        """Return the centres of lenses, and by how much they stand nearer to the main lens than the one on the axis."""
+        x, y = self.camera.lattice.centre(i, j)
+        if self.camera.mla_jitter[0]:
+            right, up, _ = irregularities(self.camera, i, j)
+            x, y = x + right, y + up
+        return (x, y), self.height(x, y)
+
+    def height(self, x: Any, y: Any) -> Any:
+        """Return by how much an array that is tilted stands nearer to the main lens at a place than on the axis."""
+        across, up = (math.tan(math.radians(angle)) for angle in self.camera.mla_tilt)
+        return x * across + y * up if across or up else 0.0
+
+    def number(self, i: Any, j: Any, height: Any) -> Any:
+        """Return which of the kinds lenses are."""
+        camera = self.camera
+        kind = mi.UInt32(camera.lattice.lens_type(i, j)) if len(camera.mla_focal_lengths) > 1 else mi.UInt32(0)
+        if len(self._ratios) > 1:
+            kind += len(camera.mla_focal_lengths) * _nearest(irregularities(camera, i, j)[2], self._ratios)
+        if len(self._heights) > 1:
+            kind += len(camera.mla_focal_lengths) * len(self._ratios) * _nearest(height, self._heights)
+        return kind
+
+    @property
+    def _phase(self) -> float:
+        """Radians at a lens's edge for a difference of one over a millimetre of the waves' curvature."""
+        return math.pi * float(self.camera.lattice.aperture_reach) ** 2 / in_millimetres(_SHORTEST)
+
+    @cached_property
+    def _ratios(self) -> NDArray[np.float64]:
+        """Factors on the focal lengths."""
+        most = MOST_DEVIATIONS * self.camera.mla_jitter[1]
+        # The detector's distance stands for focal lengths, which differ by wavelength: the kinds must not.
+        return 1 + _steps(most, _STEP / self._phase * self.camera.detector_distance)
+
+    @cached_property
+    def _heights(self) -> NDArray[np.float64]:
+        """Heights of a tilted array."""
+        camera = self.camera
+        most = abs(self.height(camera.detector_width / 2, 0.0)) + abs(self.height(0.0, camera.detector_height / 2))
+        return _steps(most, _STEP / self._phase * (camera.detector_distance - most) ** 2)
+
+
+def _steps(most: float, widest: float) -> NDArray[np.float64]:
+    """Return the middles of steps, not wider than so much, from minus the most to the most."""
+    count = max(1, math.ceil(2 * most / widest)) if most else 1
+    return most * ((2 * np.arange(count) + 1) / count - 1)
+
+
+def _nearest(value: Any, steps: Sequence[float] | NDArray[np.float64]) -> Any:
+    """Return the number of the step that values are in."""
+    width = float(steps[1] - steps[0])
+    return mi.UInt32(dr.clip(dr.floor((value - float(steps[0])) / width + 0.5), 0, len(steps) - 1))

@@ -1,0 +1,135 @@
+r"""The microlens array as a thin element: apertures, and a parabolic phase in each.
+
+.. math:: t(m) = \exp\left(-i \pi \frac{|m - c|^2}{\lambda f_2}\right)
+
+in the aperture of the lens with centre c, and 0 between apertures (Goodman, "Introduction to Fourier Optics", section
+5.1). On a grid that cannot hold the steep orders of its edges it is built from its orders: see `microlens_orders`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..lattice import turn
+from ..optics.phase import in_millimetres, parabola, phasor
+from ..runtime.fft import array_types
+
+_HARD_EDGES = 1.4
+"""Directions that are kept of light from apertures with a dark surround, over those where phases join."""
+
+_JOINED = 1 / 2
+"""Orders to keep where the phases of neighbouring lenses join, over those of apertures with a dark surround."""
+
+_STEEPEST = 0.7
+"""Largest direction cosine that is kept for the diffraction of an aperture: scalar thin elements end there."""
+
+
+def is_separable(camera: PlenopticCamera) -> bool:
+    """Whether the transmission is a function of x times one of y."""
+    return camera.lattice.separable and len(camera.mla_focal_lengths) == 1
+
+
+def upright(camera: PlenopticCamera) -> PlenopticCamera:
+    """Return the camera as it is in the frame that is turned with its lattice about the axis."""
+    if camera.mla_rotation == 0:
+        return camera
+    return camera.replace(mla_rotation=0.0, mla_offset=turn(*camera.mla_offset, -camera.mla_rotation))
+
+
+def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> Any:
+    """Return the transmission of the microlenses, with all of its orders.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    x, y : float64 arrays of Dr.Jit
+        Places in the camera's frame, in millimetres.
+
+    Returns
+    -------
+    Complex2f of Dr.Jit
+    """
+    dx, dy, which = from_centre(camera, x, y)
+    types = array_types(x)
+    focal_length = dr.gather(types.Float64, types.Float64(camera.mla_focal_lengths), which)
+    phase = phasor(parabola(dx * dx + dy * dy, focal_length, wavelength))
+    return dr.select(camera.lattice.in_aperture(dx, dy), phase, 0)
+
+
+def from_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any, Any]:
+    """Return the offset of places, float64 arrays of Dr.Jit, from their lenses' centres, and the types of these."""
+    types, lattice = array_types(x), camera.lattice
+    i, j = lattice.cell(x, y)
+    cx, cy = lattice.centre(i, j)
+    several = len(camera.mla_focal_lengths) > 1
+    return x - cx, y - cy, types.UInt32(lattice.lens_type(i, j)) if several else types.UInt32(0)
+
+
+def transmission_along(
+    camera: PlenopticCamera, wavelength: float, coordinate: NDArray[np.float64], axis: int
+) -> NDArray[np.complex64]:
+    """Return the factor of a separable transmission along one axis (0: x, 1: y), with all of its orders.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera; `is_separable` holds.
+    wavelength : float
+        Wavelength in nanometres.
+    coordinate : float64 array
+        Coordinates along the axis, in millimetres.
+    axis : int
+        The axis.
+
+    Returns
+    -------
+    complex64 array
+    """
+    lattice = camera.lattice
+    offset = coordinate - lattice.axis_centre(lattice.axis_cell(coordinate, axis), axis)
+    phase = phasor(parabola(offset * offset, camera.mla_focal_length, wavelength))
+    return phase if lattice.fills else np.where(np.abs(offset) <= lattice.aperture_widths[axis] / 2, phase, 0)
+
+
+def bend(camera: PlenopticCamera) -> float:
+    """Return the largest change of a direction cosine by a microlens, along an axis: :math:`D_2 / 2 f_2`."""
+    lattice = camera.lattice
+    half = lattice.aperture_width / 2 if lattice.separable else lattice.aperture_reach
+    return float(half) / min(camera.mla_focal_lengths)
+
+
+def scattering(camera: PlenopticCamera) -> float:
+    """Return the change of a direction cosine by a wide microlens beyond which little light goes.
+
+    The edges of opaque gaps scatter more than the joints of lenses.
+    """
+    return bend(camera) * (1 if camera.lattice.fills else _HARD_EDGES)
+
+
+def diffraction(camera: PlenopticCamera, wavelength: float, orders: float) -> float:
+    r"""Return the direction cosine of a high order of the diffraction by a microlens's aperture.
+
+    The minima of an aperture of width w lie at multiples of :math:`\lambda / w`, and beyond the m-th of them
+    :math:`1 / \pi^2 m` of the light, for each axis (Goodman, "Introduction to Fourier Optics", section 4.4.1). The
+    joints of lenses without gaps scatter less than the edges of apertures: half of the orders counts for them.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    orders : float
+        Multiple of :math:`\lambda / w`.
+    """
+    lattice = camera.lattice
+    cosine = orders * in_millimetres(wavelength) / min(lattice.aperture_widths)
+    return float(min(_STEEPEST, cosine * (_JOINED if lattice.fills else 1)))

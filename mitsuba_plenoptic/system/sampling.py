@@ -1,0 +1,239 @@
+"""Where the light of a scene point goes in a camera, and how finely and widely its field must be sampled.
+
+Directions are direction cosines, as the angular spectrum has them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ..bounds import SHORTEST
+from ..camera import PlenopticCamera
+from ..errors import InputError
+from ..lenses.main_lens import Light, MainLens
+from ..lenses.telecentric import TelecentricLens
+from ..runtime.limits import memory_limit, require_memory
+
+MEMORY_LIMIT = 4 * 2**30
+"""Bytes that one propagation may take."""
+
+_LONGEST = 2**31
+"""Samples of a field along an axis."""
+
+_FARTHEST = 1e16
+"""Coordinates of a scene point at most, in millimetres; beyond the longest focal length this is infinity."""
+
+_WIDEST = 1000
+"""Microlenses, across, that the light of a point within the focal length covers at most."""
+
+_RIM_ANGLES = 32
+_RIM_RADII = (0.0, 0.4, 0.7, 1.0)
+
+_BISECTIONS = 6
+"""Steps by which the edges of beams are found."""
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """Geometric images of scene points on the MLA, and the directions in which their light arrives there.
+
+    Every array has shape (n, 2): x and y.
+    """
+
+    centre: NDArray[np.float64]
+    half_width: NDArray[np.float64]
+    cosine: NDArray[np.float64]
+    half_cosine: NDArray[np.float64]
+
+
+def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
+    """Trace rays from each scene point through the pupil to the MLA.
+
+    Parameters
+    ----------
+    lens : MainLens
+        The main lens.
+    positions : float64 array (n, 3)
+        Scene points in the camera frame, or in one that is turned about the axis if the lens is round.
+
+    Returns
+    -------
+    Footprint
+        Bounding boxes of the places and of the direction cosines, by their centres and half widths.
+
+    Raises
+    ------
+    InputError
+        If a ray leaves the main lens at a right angle or steeper, so that it never reaches the MLA, or no light of a
+        point passes the lens.
+    """
+    angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
+    circle = np.stack([np.cos(angle), np.sin(angle)], -1)
+    P = lens.pupil_radius * np.concatenate([radius * circle for radius in _RIM_RADII])
+    point, light = (positions[:, None, 0], positions[:, None, 1], positions[:, None, 2]), lens.bind(positions)
+    is_open = np.broadcast_to(light.is_open((P[:, 0], P[:, 1])), (len(positions), len(P)))
+    pupil = np.broadcast_to(P.T[:, None], (2, len(positions), len(P)))
+    if not is_open.all():
+        drawn = _drawn_in(light, np.broadcast_to(P, (len(positions), *P.shape)), is_open)
+        pupil = np.moveaxis(drawn, -1, 0)
+    cosine = np.stack(np.broadcast_arrays(*light.cosines((pupil[0], pupil[1]), point)))
+    square = (cosine**2).sum(0)
+    if np.any(square >= 1):
+        worst = positions[np.argmax(square.max(1))]
+        raise InputError(f"position = {tuple(worst.tolist())}: its light leaves the main lens too steeply")
+    if isinstance(lens, TelecentricLens):
+        # It has no pupil at a finite distance from which to go on.
+        landed = np.stack(np.broadcast_arrays(*lens.land((pupil[0], pupil[1]), point)))
+        return _bounds(landed, np.broadcast_to(cosine, pupil.shape))
+    return bundle_footprint(pupil, cosine, lens.pupil_distance)
+
+
+def _drawn_in(light: Light, P: NDArray[np.float64], is_open: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Move places (n, m, 2) of the rim, the last ones, inwards to the edges of beams, and what else is cut off there.
+
+    Inwards is towards the middle of the places that are open.
+    """
+    if not is_open.any(1).all():
+        # A beam so narrow that no place of these is in it.
+        raise InputError("position: hardly any light of one of the scene points passes the main_lens")
+    middle = (P * is_open[..., None]).sum(1, keepdims=True) / is_open.sum(1)[:, None, None]
+    away = P[:, -_RIM_ANGLES:] - middle
+    low, high = np.zeros((2, *away.shape[:2]))
+    high += 1
+    for _ in range(_BISECTIONS):
+        half = (low + high) / 2
+        x, y = np.moveaxis(middle + half[..., None] * away, -1, 0)
+        within = light.is_open((x, y))
+        low, high = np.where(within, half, low), np.where(within, high, half)
+    # From the edge outwards, so that the bounds hold all of the beam.
+    edge = middle + high[..., None] * away
+    return np.concatenate([np.where(is_open[..., None], P, middle)[:, :-_RIM_ANGLES], edge], axis=1)
+
+
+def bundle_footprint(pupil: NDArray[np.float64], cosine: NDArray[np.float64], distance: float) -> Footprint:
+    """Return where rays that leave the exit pupil come to the MLA.
+
+    Parameters
+    ----------
+    pupil, cosine : float64 array (2, n, rays)
+        Places on the exit pupil and direction cosines along x and y, for each scene point.
+    distance : float
+        Distance from the pupil to the MLA.
+    """
+    place = pupil + distance * cosine / np.sqrt(1 - (cosine**2).sum(0))
+    return _bounds(place, cosine)
+
+
+def _bounds(place: NDArray[np.float64], cosine: NDArray[np.float64]) -> Footprint:
+    """Return the boxes around places and direction cosines, (2, n, rays)."""
+    low, high, first, last = place.min(-1).T, place.max(-1).T, cosine.min(-1).T, cosine.max(-1).T
+    return Footprint((low + high) / 2, (high - low) / 2, (first + last) / 2, (last - first) / 2)
+
+
+def fast_length(minimum: float, multiple: int = 1) -> int:
+    """Smallest length that an FFT does quickly, at least `minimum` and a multiple of `multiple`.
+
+    Raises
+    ------
+    InputError
+        If it is longer than any memory holds.
+    """
+    check_samples(minimum, "along an axis")
+    return multiple * int(scipy.fft.next_fast_len(max(1, math.ceil(minimum / multiple)), real=True))
+
+
+def check_samples(count: float, where: str) -> None:
+    """Refuse a field of more samples in a row than any memory holds, before they are counted in integers.
+
+    Raises
+    ------
+    InputError
+        With the number.
+    """
+    # Written so that NaN is refused.
+    if not count <= _LONGEST:
+        raise InputError(f"a field of {count:.3g} samples {where}: at most {_LONGEST} can be computed")
+
+
+def check_positions(
+    positions: Any, camera: PlenopticCamera | None = None, *, virtual: bool = False
+) -> NDArray[np.float64]:
+    """Return scene points as a float64 array (n, 3).
+
+    Parameters
+    ----------
+    positions : array (n, 3)
+        Scene points.
+    camera : PlenopticCamera, optional
+        The camera; default: one with a main lens in the plane g = 0, in which no point may lie.
+    virtual : bool
+        Whether points may lie behind the main lens, as images to which light in front of it converges.
+
+    Raises
+    ------
+    InputError
+        If the shape is another, a coordinate is not finite or too large, or a point lies in the main lens or behind
+        it, or so near to it that it must be in another unit, or not before the objective.
+    """
+    try:
+        points = np.asarray(positions, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError("position: it must be numbers (X, Y, g)") from None
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"positions of shape {points.shape}: it must be (n, 3), for X, Y and g")
+    for bad, rule in ((~np.isfinite(points).all(1), "its coordinates must be finite"),):
+        if bad.any():
+            raise InputError(f"position = {_format(points[bad][0])}: {rule}")
+    objective = None if camera is None else camera.objective
+    if objective is not None:
+        front = objective.immersion * objective.focal_length
+        behind = (np.abs(points) > _FARTHEST).any(1) | (points[:, 2] <= -front)
+        if behind.any():
+            raise InputError(
+                f"position = {_format(points[behind][0])}: its coordinates must be {_FARTHEST:g} at most, and g more "
+                f"than {-front:.6g}: before the objective"
+            )
+        return points
+    g = np.abs(points[:, 2]) if virtual else points[:, 2]
+    beyond = (np.abs(points) > _FARTHEST).any(1) | (g < SHORTEST)
+    if beyond.any():
+        raise InputError(
+            f"position = {_format(points[beyond][0])}: its coordinates must be {_FARTHEST:g} at most, and g at least "
+            f"{SHORTEST:g}: in front of the main lens"
+        )
+    if camera is not None and len(points):
+        _require_millimetres(points[np.abs(points[:, 2]).argmin()], camera)
+    return points
+
+
+def _require_millimetres(nearest: NDArray[np.float64], camera: PlenopticCamera) -> None:
+    """Refuse a point so far within the focal length, as one in metres is, that no memory holds where its light goes."""
+    g, pitch = float(nearest[2]), min(camera.mla_pitches)
+    blur = 2 * camera.aperture_radius * abs(1 + camera.mla_distance * (1 / g - 1 / camera.focal_length))
+    if abs(g) < camera.focal_length and blur > _WIDEST * pitch:
+        raise InputError(
+            f"position = {_format(nearest)}: its light would cover {blur / pitch:.3g} microlenses across, as it is "
+            f"within the focal length of {camera.focal_length:g} mm: lengths are millimetres; are the points in metres?"
+        )
+
+
+def check_memory(bytes_needed: float, what: str, fits: Callable[[float], str | None] | None = None) -> None:
+    """Refuse work that needs more than `MEMORY_LIMIT`, or than `memory_limit`; see `require_memory`.
+
+    Raises
+    ------
+    InputError
+        With the estimate.
+    """
+    require_memory(bytes_needed, what, fits, limit=min(MEMORY_LIMIT, memory_limit()))
+
+
+def _format(point: NDArray[np.float64]) -> str:
+    return "(" + ", ".join(f"{coordinate:g}" for coordinate in point) + ")"

@@ -1,0 +1,76 @@
+"""The exit pupil of a real main lens: its path against traced directions, its edge against rays that get through."""
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, point_spread_function
+from mitsuba_plenoptic.lenses.exit_pupil import ExitPupil
+from mitsuba_plenoptic.lenses.lens_system import LensSystem
+
+POINT, WAVELENGTH = (20.0, -60.0, 300.0), 633.0
+
+
+def camera_with(name, **numbers):
+    return PlenopticCamera(main_lens=name, focal_length=80, aperture_radius=7, **numbers)
+
+
+@pytest.fixture(scope="module", params=["double_gauss", "cooke_triplet", "tessar", "singlet"])
+def lens(request):
+    return LensSystem.of(camera_with(request.param), WAVELENGTH)
+
+
+def test_the_gradient_of_the_path_is_the_rays_direction(lens):
+    pupil = ExitPupil(lens, POINT)
+    assert pupil.error < 0.01
+    places, cosines = (values[::7].T for values in pupil.bundle)
+    step = 1e-3
+    for axis in (0, 1):
+        low, high = ([p + sign * step * (k == axis) for k, p in enumerate(places)] for sign in (-1, 1))
+        change = pupil.path(high, POINT, WAVELENGTH) - pupil.path(low, POINT, WAVELENGTH)
+        assert np.allclose(change * WAVELENGTH * 1e-6 / (2 * step), cosines[axis], atol=2e-7)
+
+
+def test_light_ends_where_surfaces_end_it(lens):
+    """Rays from the array through places of the pupil to the scene are let through inside the edge only."""
+    pupil = ExitPupil(lens, POINT)
+    places = pupil.bundle[0].T
+    assert pupil.inside(tuple(places)).min() > -0.02
+    # Along a line through the middle the way back through the lens tells the same edge.
+    middle = places.mean(1)
+    for angle in np.linspace(0, np.pi, 5):
+        away = np.linspace(0, 9, 181)
+        line = [m + away * t for m, t in zip(middle, (np.cos(angle), np.sin(angle)), strict=True)]
+        step = 1e-3
+        slope = []
+        for axis in (0, 1):
+            low, high = ([p + sign * step * (k == axis) for k, p in enumerate(line)] for sign in (-1, 1))
+            change = pupil.path(high, POINT, WAVELENGTH) - pupil.path(low, POINT, WAVELENGTH)
+            slope.append(change * WAVELENGTH * 1e-6 / (2 * step))
+        with np.errstate(invalid="ignore"):
+            # Far beyond the edge the polynomials mean nothing.
+            scale = 1 / np.sqrt(1 - slope[0] ** 2 - slope[1] ** 2)
+            slope = [s * scale for s in slope]
+            place = tuple(p + lens.pupil_distance * t for p, t in zip(line, slope, strict=True))
+            # The camera looks the other way along the same line.
+            _, _, is_open = lens.trace(place, tuple(-t for t in slope))
+        edge = away[np.argmin(is_open)]
+        assert away[np.argmin(pupil.inside(tuple(line)) > 0)] == pytest.approx(edge, abs=0.051)
+
+
+def test_a_point_needs_to_lie_before_the_lens_and_to_be_seen():
+    lens = LensSystem.of(camera_with("double_gauss"), WAVELENGTH)
+    with pytest.raises(InputError, match="g = 40: it must lie before the main_lens, beyond 56"):
+        ExitPupil(lens, (0.0, 0.0, 40.0))
+    with pytest.raises(InputError, match="no light of it passes the main_lens"):
+        ExitPupil(lens, (600.0, 0.0, 240.0))
+
+
+@pytest.mark.slow
+def test_a_full_field_goes_through_it():
+    camera = camera_with("double_gauss", detector_width=0.256, resolution=(128, 128))
+    spread = point_spread_function(camera, (0.0, 0.0, 240.0), wavelength=WAVELENGTH, method="full_field")
+    assert 0.97 < spread.sum() <= 1
+    # It is as symmetric as lens and lattice are.
+    assert np.allclose(spread, spread[::-1], atol=1e-3 * spread.max())
+    patch = point_spread_function(camera, (0.0, 0.0, 240.0), wavelength=WAVELENGTH)
+    assert np.linalg.norm(patch - spread) < 0.005 * np.linalg.norm(spread)

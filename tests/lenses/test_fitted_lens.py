@@ -1,0 +1,111 @@
+"""A real main lens fitted over pupil, field and distance: against single points, traced rays and the thin lens."""
+
+from dataclasses import replace
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from wave_cases import thin_as_real
+
+from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic.lenses.exit_pupil import ExitPupil
+from mitsuba_plenoptic.lenses.fitted_lens import lens_of_waves
+from mitsuba_plenoptic.lenses.lens_system import LensSystem
+from mitsuba_plenoptic.lenses.thin import ThinLens
+from mitsuba_plenoptic.operator.accuracy import band_for
+from mitsuba_plenoptic.operator.grid import Grid, place
+from mitsuba_plenoptic.operator.patch import PatchBatch
+from mitsuba_plenoptic.operator.tile import Copies, Tile
+
+WAVELENGTH = 633.0
+
+
+def points_before(count=12, seed=1):
+    """Points from 200 to 300 mm whose images fill the paper's detector and a little more."""
+    rng = np.random.default_rng(seed)
+    return np.column_stack([*rng.uniform(-11, 11, (2, count)), rng.uniform(200, 300, count)])
+
+
+@pytest.fixture(scope="module", params=[("double_gauss", 5), ("double_gauss", 10), ("cooke_triplet", 7)])
+def camera(request):
+    name, radius = request.param
+    return PlenopticCamera(main_lens=name, focal_length=80, aperture_radius=radius, focus_distance=240)
+
+
+def test_its_light_is_that_which_is_fitted_to_one_point(camera):
+    """Path to a hundredth of a wave and much better, amplitude, and the edges near them."""
+    points = points_before()
+    lens = lens_of_waves(camera, points, WAVELENGTH)
+    assert 0 < lens.fitted.error < 0.01
+    for point in points[:4]:
+        one = ExitPupil(LensSystem.of(camera, WAVELENGTH), tuple(point))
+        pupil = one.bundle[0].T[:, ::5]
+        light, own = lens.bind(point[None]), tuple(P[None] for P in pupil)
+        path = light.path(own, None, WAVELENGTH)[0] - one.path(tuple(pupil), None, WAVELENGTH)
+        assert np.std(path) < 2e-3
+        amplitude = light.amplitude(own, None)[0] / one.amplitude(tuple(pupil), None)
+        assert np.std(amplitude) / np.mean(amplitude) < 1e-5
+        theirs = one.inside(tuple(pupil))
+        near = np.abs(theirs) < 0.5
+        assert near.any()
+        assert np.allclose(light.inside(own)[0][near], theirs[near], atol=1e-3)
+
+
+def test_light_lands_where_rays_come_from_and_ends_where_they_are_stopped(camera):
+    """Rays from the array through places anywhere in the pupil's circle lead back, or are stopped by an edge."""
+    points, rng = points_before(), np.random.default_rng(2)
+    lens = lens_of_waves(camera, points, WAVELENGTH)
+    light, P = lens.bind(points), lens.pupil_radius * rng.uniform(-1, 1, (2, len(points), 400))
+    point, slope, is_open = lens.ray((P[0], P[1]), light.land((P[0], P[1]), None))
+    inside = light.inside((P[0], P[1]))
+    assert ((inside > 0) == light.is_open((P[0], P[1]))).all()
+    wrong = is_open != (inside > 0)
+    assert np.abs(inside[wrong]).max(initial=0) < 1e-3
+    for axis in (0, 1):
+        met = point[axis] + (points[:, 2:] - point[2]) * slope[axis]
+        assert np.abs(met - points[:, axis, None])[is_open].max() < 3e-4
+
+
+def test_points_are_found_from_their_images(camera):
+    points = points_before()
+    lens = lens_of_waves(camera, points, WAVELENGTH)
+    assert np.allclose(lens.points(lens.images(points), lens.nearness(points)), points, atol=1e-9)
+
+
+def test_points_it_cannot_see_are_refused(camera):
+    with pytest.raises(InputError, match=r"g = 10: it must lie before the main_lens, beyond"):
+        lens_of_waves(camera, np.array([(0.0, 0.0, 10.0)]), WAVELENGTH)
+    with pytest.raises(InputError, match=r"position = \(900, 0, 240\): no light of it passes the main_lens"):
+        lens_of_waves(camera, np.array([(0.0, 0.0, 240.0), (900.0, 0.0, 240.0)]), WAVELENGTH)
+
+
+THIN = ThinLens(80.0, 5.0, 120.0)
+
+
+@pytest.fixture(scope="module")
+def fitted_thin_lens():
+    return thin_as_real(PlenopticCamera(), 0.06, (1 / 290, 1 / 205))
+
+
+def test_the_thin_lens_by_the_way_of_real_ones_is_the_thin_lens(fitted_thin_lens):
+    """Point spreads, in and out of focus and off the axis, to 1e-6."""
+    mi.set_variant("llvm_ad_mono")
+    camera = PlenopticCamera()
+    points = np.array([(0.3, -0.2, 240.0), (5.6, -5.5, 210.0), (-8.0, 3.0, 280.0)])
+    for point in points:
+        grid = Grid.of(camera, WAVELENGTH, band_for(0.01, 1), point[None])
+        placement = place(grid, point[None])
+        copies = [Copies(np.zeros((1, 2), np.int64), np.ones((1, 1), np.float32))]
+        own, other = (
+            Tile(PatchBatch(g, placement, point[None], np.ones(1), None), copies).sum().astype(np.float64)
+            for g in (grid, replace(grid, lens=fitted_thin_lens))
+        )
+        assert np.linalg.norm(other - own) < 1e-6 * np.linalg.norm(own)
+
+
+def test_wavefronts_change_over_the_field_as_the_thin_lens_tells(fitted_thin_lens):
+    """Its closed form is of the third order, and that of images in focus: the bounds of sharing go by it."""
+    radius = np.array([0.0, 2.0, 5.0])
+    found = fitted_thin_lens.path_change(radius, 0.064, WAVELENGTH)
+    assert np.all(found < 1.6 * THIN.path_change(radius, 0.064, WAVELENGTH))
+    assert np.all(found > 0.5 * THIN.path_change(radius, 0.064, WAVELENGTH))

@@ -1,0 +1,185 @@
+"""Rays through surfaces: against stigmatic lenses, their own way back, Optiland, and differences."""
+
+import json
+from pathlib import Path
+
+import drjit as dr
+import lens_accuracy
+import numpy as np
+import pytest
+from drjit.llvm.ad import Float, Float64
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.camera import PlenopticCamera
+from mitsuba_plenoptic.lenses import sequential
+from mitsuba_plenoptic.lenses.lens_system import LensSystem
+from mitsuba_plenoptic.prescription import BUNDLED, Prescription, bundled_prescription, paraxial
+from mitsuba_plenoptic.report.lens_drawing import field_figures
+
+RECORDS = Path(__file__).parents[1] / "optiland_records"
+OPTILAND = json.loads((RECORDS / "results.json").read_text())["lenses"]
+"""What `tools/record_optiland.py` wrote."""
+
+
+def camera_with(lens, **numbers):
+    return PlenopticCamera(**({"main_lens": lens, "focal_length": 80, "aperture_radius": 5} | numbers))
+
+
+def bundle(lens, count=300, seed=0):
+    """Places on the array within 4 mm, and slopes to within the exit pupil."""
+    random = np.random.default_rng(seed)
+    place, pupil = random.uniform(-4, 4, (2, 2, count))
+    return tuple(place), tuple((0.6 * pupil - place) / lens.pupil_distance)
+
+
+def test_a_hyperboloid_makes_one_point_of_parallel_light():
+    """A plano-convex lens with k = -n^2 is stigmatic at any aperture, with equal paths (Born and Wolf, 4.2.3)."""
+    n, R = 1.5, -50.0
+    surfaces = [
+        {"thickness": 20, "glass": n, "semi_aperture": 30, "stop": True},
+        {"radius": R, "conic": -(n**2), "semi_aperture": 30},
+    ]
+    lens = Prescription.from_plain({"surfaces": surfaces})
+    y = np.linspace(-25, 25, 11)
+    point, direction, is_open, path = sequential.follow(
+        sequential.elements(lens, 587.0), (0 * y, y, -5.0 + 0 * y), (0 * y, 0 * y, 1 + 0 * y)
+    )
+    left = (paraxial(lens).back_focal - point[2]) / direction[2]
+    assert np.all(is_open)
+    assert np.allclose(point[1] + left * direction[1], 0, atol=1e-10)
+    assert np.ptp(path + left) < 1e-10
+
+
+def test_an_asphere_can_be_a_sphere():
+    """A paraboloid with the sphere's further terms."""
+    c = 1 / 40.0
+    terms = [c**3 / 8, c**5 / 16, 5 * c**7 / 128, 7 * c**9 / 256, 21 * c**11 / 1024, 33 * c**13 / 2048]
+
+    def through(**form):
+        first = {"radius": 40, "thickness": 6, "glass": 1.6, "semi_aperture": 10, "stop": True} | form
+        lens = Prescription.from_plain({"surfaces": [first, {"semi_aperture": 12}]})
+        y = np.linspace(-9, 9, 7)
+        tilt = np.hypot(1, 0.1)
+        start, direction = (0 * y, y, -3 + 0 * y), (0.1 / tilt + 0 * y, 0 * y, 1 / tilt + 0 * y)
+        (x, y, _), (L, M, _), _, path = sequential.follow(sequential.elements(lens, 587.0), start, direction)
+        return np.array([x, y, L, M, path])
+
+    assert np.allclose(through(conic=-1, asphere=terms), through(), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", BUNDLED)
+def test_rays_go_back_the_way_they_came(name):
+    lens = LensSystem.of(camera_with(name))
+    place, slope = bundle(lens)
+    point, there, is_open = lens.trace(place, slope)
+    ahead = tuple(p + 50 * t for p, t in zip(point[:2], there, strict=True))
+    back, again, open_too, _ = lens.through((*ahead, point[2] + 50), there)
+    assert is_open.any()
+    assert np.array_equal(is_open, open_too)
+    assert np.allclose(back, place, atol=1e-9) and np.allclose(again, slope, atol=1e-11)
+
+
+@pytest.mark.parametrize("name", BUNDLED)
+def test_near_the_axis_it_is_the_thin_lens_of_its_principal_planes(name):
+    lens = LensSystem.of(camera_with(name))
+    for m, P in ((1e-3, 2e-3), (-1e-3, 1e-3)):
+        slope = (P - m) / lens.pupil_distance
+        point, there, _ = lens.trace((0.0, m), (0.0, slope))
+        height = m + 120 * slope
+        assert point[1] + (240 - point[2]) * there[1] == pytest.approx(-2 * m, abs=1e-8)
+        assert there[1] == pytest.approx(slope - height / 80, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", BUNDLED)
+def test_single_precision_keeps_a_ten_thousandth_of_a_millimetre(name):
+    lens = LensSystem.of(camera_with(name))
+    place, slope = bundle(lens)
+
+    def object_points(array):
+        point, there, is_open = lens.trace(tuple(map(array, place)), tuple(map(array, slope)))
+        return np.array([p + (240 - point[2]) * t for p, t in zip(point[:2], there, strict=True)]), np.array(is_open)
+
+    (single, open_), (double, _) = object_points(Float), object_points(np.asarray)
+    assert np.abs(single - double)[:, open_].max() < 1e-4
+    assert np.abs(object_points(Float64)[0] - double).max() < 1e-11
+
+
+@pytest.mark.parametrize("name, index", [("focal_length", 0), ("mla_distance", 2)])
+def test_gradients_are_differences(name, index):
+    numbers = [80.0, 5.0, 120.0]
+    number = Float64(numbers[index])
+    dr.enable_grad(number)
+
+    def landed(value):
+        given = [*numbers[:index], value, *numbers[index + 1 :]]
+        point, there, _ = LensSystem(bundled_prescription("double_gauss"), *given).trace((0.5, 2.0), (0.01, -0.03))
+        return point[1] + (240 - point[2]) * there[1]
+
+    found = landed(number)
+    dr.forward(number)
+    expected = (landed(numbers[index] + 1e-4) - landed(numbers[index] - 1e-4)) / 2e-4
+    assert dr.grad(found)[0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_ray_beside_another_is_found_by_paraxial_optics():
+    lens = LensSystem.of(camera_with("double_gauss"))
+    change = (2e-5, -1e-5)
+    point, slope, _ = lens.trace((1.0, -0.5), (0.005, 0.01))
+    there, turned, _ = lens.trace((1.0, -0.5), (0.005 + change[0], 0.01 + change[1]))
+    beside, estimate = lens.beside(point, slope, change)
+    for axis in (0, 1):
+        moved = there[axis] + (240 - there[2]) * turned[axis] - point[axis] - (240 - point[2]) * slope[axis]
+        said = beside[axis] + (240 - beside[2]) * estimate[axis] - point[axis] - (240 - point[2]) * slope[axis]
+        # In focus a change of direction moves the object point only by the aberrations.
+        assert abs(moved) < 1e-5 and abs(said) < 1e-7
+        assert estimate[axis] - slope[axis] == pytest.approx(turned[axis] - slope[axis], rel=0.05)
+
+
+def test_a_chief_ray_passes_the_middle_of_the_stop():
+    """Stopped down to next to nothing, the lens lets through it alone."""
+    open_lens = LensSystem.of(camera_with("cooke_triplet", focal_length=30, mla_distance=35, aperture_radius=2))
+    pinhole = LensSystem.of(camera_with("cooke_triplet", focal_length=30, mla_distance=35, aperture_radius=1e-4))
+    heights = np.array([0.0, 2.0, 5.0])
+    slope = open_lens.chief_slope(heights)
+    _, _, is_open = pinhole.trace((0 * heights, heights), (0 * heights, slope))
+    _, _, beside = pinhole.trace((0 * heights, heights), (0 * heights, slope + 1e-5))
+    assert is_open.all() and not beside.any()
+
+
+def test_figures_of_a_lens_without_faults_are_none():
+    """A thin stop at a slow lens: no vignetting, hardly a spot, no distortion on the axis."""
+    camera = camera_with("double_gauss", aperture_radius=0.5)
+    axis, edge = field_figures(camera, (0.0, 4.0))
+    assert axis.light == pytest.approx(1) and edge.light == pytest.approx(1, abs=0.02)
+    assert axis.spot < 1e-4 and axis.distortion == 0 and abs(edge.distortion) < 2e-3
+
+
+def test_distortion_is_that_of_a_grid_of_chief_rays():
+    """Of the object point that a chief ray meets, against its paraxial image."""
+    camera = camera_with("singlet", aperture_radius=2)
+    lens, height = LensSystem.of(camera), 4.0
+    point, slope, _ = lens.trace((0.0, height), (0.0, float(lens.chief_slope(height))))
+    object_height = point[1] + (240 - point[2]) * slope[1]
+    assert field_figures(camera, (height,))[0].distortion == pytest.approx(height / (-object_height / 2) - 1, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["double_gauss", "cooke_triplet", "tessar"])
+def test_rays_and_paths_are_optilands(name):
+    lens, peer = bundled_prescription(name), OPTILAND[name]
+    for row in lens_accuracy.intercepts_and_paths(lens, peer) + lens_accuracy.intercepts_and_paths(lens, peer, Float64):
+        assert row["millimetres"] < 1e-6 and row["waves"] < 2e-3
+    for row in lens_accuracy.paraxial_numbers(lens, peer):
+        assert row["ours"] == pytest.approx(row["optiland"], rel=1e-7)
+
+
+@pytest.mark.parametrize("name", ["cooke_triplet.zmx", "double_gauss.seq", "asphere.zmx"])
+def test_lens_files_are_read_as_optiland_reads_them(name):
+    """Surfaces, glasses and units; the last file is in inches."""
+    lens, peer = mp.read_prescription(RECORDS / name), OPTILAND[name]
+    assert (len(lens.surfaces), lens.wavelength) == (peer["surfaces"], pytest.approx(peer["wavelength"]))
+    for wavelength, indices in peer["indices"].items():
+        assert lens.indices(float(wavelength)) == pytest.approx(indices, abs=1e-9)
+    for row in lens_accuracy.intercepts_and_paths(lens, peer):
+        assert row["millimetres"] < 1e-6 and row["waves"] < 2e-3
+    for row in lens_accuracy.paraxial_numbers(lens, peer):
+        assert row["ours"] == pytest.approx(row["optiland"], rel=1e-7)

@@ -1,0 +1,118 @@
+"""The thin lens: its rays against the ray formulas, its path against the direct formula and its own derivative."""
+
+import numpy as np
+import pytest
+from drjit.llvm import Float64
+
+from mitsuba_plenoptic.camera import PlenopticCamera
+from mitsuba_plenoptic.lenses.main_lens import main_lens
+from mitsuba_plenoptic.lenses.thin import ThinLens
+from mitsuba_plenoptic.optics import rays
+from mitsuba_plenoptic.system.sampling import footprint
+
+WAVELENGTH, LAMBDA = 633.0, 633e-6
+LENS = ThinLens(80.0, 5.0, 120.0)
+
+
+def pupil_and_points(count=500, seed=0):
+    """Points anywhere in the pupil, and before it from 5 mm to what counts as infinity."""
+    rng = np.random.default_rng(seed)
+    radius, angle = 5 * np.sqrt(rng.random(count)), rng.uniform(0, 2 * np.pi, count)
+    g = 10 ** rng.uniform(2, 6, count)
+    slopes = rng.uniform(-0.05, 0.05, (2, count))
+    return (radius * np.cos(angle), radius * np.sin(angle)), (*(slopes * g), g)
+
+
+def test_a_camera_has_one():
+    camera = PlenopticCamera(focal_length=50, aperture_radius=4, mla_distance=70, lens_model="parabolic")
+    assert main_lens(camera) == ThinLens(50, 4, 70, "parabolic")
+
+
+@pytest.mark.parametrize("array", [np.asarray, Float64], ids=["NumPy", "Dr.Jit"])
+@pytest.mark.parametrize("model", ["ideal", "parabolic"])
+def test_a_traced_ray_obeys_the_ray_formulas(array, model):
+    place, slope = (0.4, -0.3), (0.02, -0.041)
+    found, found_slope, is_open = ThinLens(80.0, 5.0, 120.0, model).trace(
+        tuple(array([value]) for value in place), tuple(array([value]) for value in slope)
+    )
+    P = [m + 120 * t for m, t in zip(place, slope, strict=True)]
+    assert np.allclose(np.ravel([np.array(p) for p in found[:2]]), P, atol=1e-12)
+    assert found[2] == 0
+    assert np.array(is_open).tolist() == [np.hypot(*P) <= 5.0]
+    if model == "parabolic":
+        cosines = [s - p / 80 for s, p in zip(np.array(slope) / np.sqrt(1 + np.dot(slope, slope)), P, strict=True)]
+        expected = np.array(cosines) / np.sqrt(1 - np.dot(cosines, cosines))
+    else:
+        expected = [rays.main_lens_slope(t, p, 80) for t, p in zip(slope, P, strict=True)]
+    assert np.allclose(np.ravel([np.array(t) for t in found_slope]), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("radius, is_open", [(4.99, True), (5.01, False)])
+def test_the_pupil_ends_at_its_edge(radius, is_open):
+    assert LENS.trace((0.0, 0.0), (0.6 * radius / 120, 0.8 * radius / 120))[2] == is_open
+    assert LENS.inside((0.6 * radius, 0.8 * radius)) == pytest.approx(5 - radius)
+
+
+def test_ideal_rays_of_a_plane_meet_in_its_image():
+    """And `vergence` tells where."""
+    place = 120 / 240 * 0.3
+    for slope in (-0.03, 0.0, 0.02):
+        point, after, _ = LENS.trace((place, 0.0), (slope, 0.0))
+        assert point[0] + 240 * after[0] == pytest.approx(-0.3)
+    assert 1 / LENS.vergence(240.0) == pytest.approx(120)
+    assert 1 / LENS.vergence(np.inf) == pytest.approx(80)
+    assert LENS.vergence(80.0) == 0
+
+
+def test_ray_and_land_are_inverse():
+    pupil, point = pupil_and_points()
+    place = LENS.land(pupil, point)
+    _, slope, _ = LENS.ray(pupil, place)
+    for P, t, X in zip(pupil, slope, point[:2], strict=True):
+        assert np.allclose(P + t * point[2], X, rtol=1e-9, atol=1e-9)
+    again = LENS.land(pupil, (*(P + 300 * t for P, t in zip(pupil, slope, strict=True)), 300.0))
+    assert np.allclose(again, place, atol=1e-9)
+
+
+def test_the_path_is_that_of_the_direct_formula():
+    """(|P - X| - |X| - P^2 / 2 f1) / lambda, which loses digits as the lengths' difference does."""
+    (Px, Py), (X, Y, g) = pupil, point = pupil_and_points()
+    far = np.sqrt(X**2 + Y**2 + g**2)
+    expected = (np.sqrt((Px - X) ** 2 + (Py - Y) ** 2 + g**2) - far - (Px**2 + Py**2) / 160) / LAMBDA
+    lost = 4 * np.finfo(float).eps * far / LAMBDA
+    assert (np.abs(LENS.path(pupil, point, WAVELENGTH) - expected) < lost + 1e-9).all()
+    of_drjit = LENS.path(tuple(map(Float64, pupil)), tuple(map(Float64, point)), WAVELENGTH)
+    assert np.allclose(np.array(of_drjit), LENS.path(pupil, point, WAVELENGTH), rtol=0, atol=1e-8)
+
+
+def test_the_gradient_of_the_path_are_the_cosines():
+    (Px, Py), point = pupil_and_points()
+    step = 1e-3
+    gradient = [
+        (LENS.path((Px + dx, Py + dy), point, WAVELENGTH) - LENS.path((Px - dx, Py - dy), point, WAVELENGTH))
+        * (LAMBDA / (2 * step))
+        for dx, dy in ((step, 0), (0, step))
+    ]
+    assert np.allclose(gradient, LENS.cosines((Px, Py), point), atol=1e-9)
+
+
+def test_path_change_is_the_third_order():
+    """Two points in focus whose images lie a step apart: their wavefronts differ by a tilt, and by this at the rim."""
+    r, step, g = 3.0, 0.064, 240.0
+    rim = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    pupil = 5 * np.cos(rim), 5 * np.sin(rim)
+    near, far = (LENS.path(pupil, (-2 * x, 0.0, g), WAVELENGTH) for x in (r, r + step))
+    tilt = np.stack([np.ones(64), *pupil])
+    left = (far - near) - tilt.T @ np.linalg.lstsq(tilt.T, far - near, rcond=None)[0]
+    assert 0.1 < np.abs(left).max() / LENS.path_change(r, step, WAVELENGTH) < 1
+
+
+def test_footprints_are_where_rays_land():
+    """The parabolic lens's aberrations are in them: small for a narrow pupil."""
+    camera = PlenopticCamera(aperture_radius=1.0)
+    lens = main_lens(camera)
+    found = footprint(lens, np.array([(0.3, -0.2, 225.0)]))
+    for axis, X in enumerate((0.3, -0.2)):
+        rim = [lens.land((P, P), (X, X, 225.0))[0] for P in (-1.0, 1.0)]
+        assert found.centre[0, axis] == pytest.approx(np.mean(rim), abs=1e-4)
+        assert found.half_width[0, axis] == pytest.approx(abs(rim[1] - rim[0]) / 2, rel=1e-2)
