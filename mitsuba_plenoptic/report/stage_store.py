@@ -155,8 +155,8 @@ def scene_fingerprint(scene: str | Path, parameters: Mapping[str, str]) -> str:
 @cache
 def software() -> dict[str, str]:
     """Return the versions that stages depend on, our own by the source text."""
-    reference = hashlib.sha256(Path(__file__).with_name("reference.py").read_bytes())
-    return {**versions(), "reference": reference.hexdigest()[:16]}
+    experiment = hashlib.sha256(Path(__file__).with_name("experiment.py").read_bytes())
+    return {**versions(), "experiment": experiment.hexdigest()[:16]}
 
 
 def time_summary(seconds: dict[str, float]) -> str:

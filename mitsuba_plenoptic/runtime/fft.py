@@ -19,7 +19,7 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-import scipy.fft
+import scipy
 from numpy.typing import NDArray
 
 from .backend import backend_of
