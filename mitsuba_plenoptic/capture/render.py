@@ -139,13 +139,7 @@ def render_capture(
 
 
 def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
-    """Return a scene's sensor by its number, or the one that is given; refuse a scene of another variant.
-
-    Raises
-    ------
-    InputError
-        If the scene is not of the active variant, or has no such sensor.
-    """
+    """Return a scene's sensor by its number, or the one that is given; refuse a scene of another variant."""
     if not isinstance(scene, mi.Scene):
         raise InputError(
             f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant {mi.variant()}, "
@@ -185,13 +179,7 @@ def sample_count(sensor: Any, spp: int | None) -> int:
 
 
 def chosen_integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
-    """Return the scene's integrator, wrapped into a wave integrator or taken out of one.
-
-    Raises
-    ------
-    InputError
-        If there is none, a parameter is wrong, or it has extra outputs.
-    """
+    """Return the scene's integrator, wrapped into a wave integrator or taken out of one."""
     integrator = _integrator(scene, model, wave)
     if integrator.aov_names():
         raise InputError(

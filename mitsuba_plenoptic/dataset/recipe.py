@@ -38,120 +38,63 @@ _WAVE = ("spp", "wavelength", "method", "accuracy")
 
 @dataclass(frozen=True)
 class Source:
-    """One kind of scenes.
-
-    Attributes
-    ----------
-    generator : str, optional
-        Name of a generator.
-    scene : str, optional
-        Instead of it, the path of a scene file or the name of a built-in scene.
-    share : float
-        How often it is chosen, in proportion to those of the others.
-    values : dict
-        The generator's settings or the scene's parameters, parsed by `draws.parse`.
-    """
+    """One kind of scenes."""
 
     generator: str | None
+    # Instead of it, the path of a scene file or the name of a built-in scene.
     scene: str | None
+    # How often it is chosen, in proportion to those of the others.
     share: float
+    # The generator's settings or the scene's parameters, parsed by `draws.parse`.
     values: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is drawn for one sample.
-
-    Attributes
-    ----------
-    index : int
-        Number of the sample.
-    source : int
-        Which of the recipe's scenes.
-    camera : PlenopticCamera
-        The camera.
-    light : Light
-        Of generated scenes.
-    maker : SceneGenerator, optional
-        Of a generated scene.
-    parameters : dict
-        Of a scene file.
-    detector, photons
-        As for `expose`; None without noise.
-    options : dict
-        Of each model, as for `render_capture`.
-    draws : dict
-        All drawn values by section, in plain JSON values.
-    """
+    """What is drawn for one sample."""
 
     index: int
+    # Which of the recipe's scenes.
     source: int
     camera: PlenopticCamera
     light: Light
     maker: SceneGenerator | None
     parameters: Mapping[str, str]
+    # As for `expose`; None without noise.
     detector: Detector | None
     photons: float | None
+    # Of each model, as for `render_capture`.
     options: Mapping[str, Mapping[str, Any]]
+    # All drawn values by section, in plain JSON values.
     draws: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """A data set that can be made again, bit for bit.
-
-    Attributes
-    ----------
-    name : str
-        Title.
-    count : int
-        Number of samples.
-    seed : int
-        All randomness of sample k follows from the seed and k.
-    models : tuple of str
-        ``ray``, ``wave`` or both, of the same scene.
-    variant : str
-        Mitsuba variant.
-    camera, light, noise, ray, wave : dict
-        Sections, parsed by `draws.parse`. No noise: None.
-    scenes : tuple of Source
-        Where scenes come from.
-    truth : tuple of str
-        Quantities of ground truth.
-    samples_per_shard : int
-        Samples in one file.
-    content : dict
-        The recipe as it was given.
-    """
+    """A data set that can be made again, bit for bit."""
 
     name: str
     count: int
+    # All randomness of sample k follows from the seed and k.
     seed: int
+    # ``ray``, ``wave`` or both, of the same scene.
     models: tuple[str, ...]
     variant: str
+    # Sections, parsed by `draws.parse`. No noise: None.
     camera: Mapping[str, Any]
     scenes: tuple[Source, ...]
     light: Mapping[str, Any]
     noise: Mapping[str, Any] | None
     ray: Mapping[str, Any]
     wave: Mapping[str, Any]
+    # Quantities of ground truth.
     truth: tuple[str, ...]
     samples_per_shard: int
+    # The recipe as it was given.
     content: Mapping[str, Any]
 
     def plan(self, index: int) -> Plan:
-        """Draw what varies for a sample.
-
-        Parameters
-        ----------
-        index : int
-            Number of the sample.
-
-        Raises
-        ------
-        InputError
-            If a value is out of range for what it is of.
-        """
+        """Draw what varies for a sample."""
         shares = np.cumsum([source.share for source in self.scenes])
         chosen = int(
             np.searchsorted(shares, generator(self.seed, index, "scenes").uniform(0, shares[-1]), side="right")
@@ -194,18 +137,7 @@ class Recipe:
 
 
 def read_recipe(path: str | Path) -> Recipe:
-    """Read a recipe from a YAML or JSON file; scenes that it names lie beside it.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-
-    Raises
-    ------
-    InputError
-        If it is no recipe: one line with the name that is wrong and the rule.
-    """
+    """Read a recipe from a YAML or JSON file; scenes that it names lie beside it."""
     path = Path(path)
     content = read_yaml(path)
     if not isinstance(content, dict):
@@ -217,20 +149,7 @@ def read_recipe(path: str | Path) -> Recipe:
 
 
 def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
-    """Make a recipe of plain values; scene files that it names lie in the folder.
-
-    Parameters
-    ----------
-    content : mapping
-        What a recipe's file holds.
-    folder : path
-        Where scene files are looked for.
-
-    Raises
-    ------
-    InputError
-        If it is no recipe.
-    """
+    """Make a recipe of plain values; scene files that it names lie in the folder."""
     _require_names("recipe", content, _KEYS, needed=("count", "camera", "scenes"))
     models = content.get("models", list(MODELS))
     if not isinstance(models, list) or not models or len(set(map(str, models))) < len(models):
