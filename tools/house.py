@@ -99,10 +99,11 @@ def shown(root: Path) -> set[str]:
     """Return the modules whose members the pages of the reference list, and the names that the package offers."""
     pages = "\n".join(page.read_text() for page in (root / "docs" / "reference" / "python").glob("*.rst"))
     names = set(re.findall(r"^\.\. auto(?:module|class|function):: (\S+)", pages, flags=re.MULTILINE))
-    text = (root / PACKAGE / "__init__.py").read_text()
-    listed = set(re.findall(r'^    "(\w+)",$', text, flags=re.MULTILINE))
+    listed: set[str] = set()
     for package in (root / PACKAGE).rglob("__init__.py"):
-        listed |= set(re.findall(r'^    "(\w+)",$', package.read_text(), flags=re.MULTILINE))
+        for node in ast.parse(package.read_text()).body:
+            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
+                listed |= set(ast.literal_eval(node.value))
     return names | listed
 
 

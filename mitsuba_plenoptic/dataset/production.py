@@ -53,6 +53,27 @@ def make_dataset(
     goes on when it is started again, and ends with the bytes of one that was not. A data set of the same recipe with a
     smaller count grows. Samples that are there are compared with their digests first; damaged ones are named in the log
     and rendered again. One process at a time makes a data set.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        What `read_recipe` returned.
+    folder : path
+        Where it is to lie; made if it is not there.
+    batch_map : callable, optional
+        Who renders, for example `Cluster`; workers must see folder and scene files under the same names. Default: this
+        process.
+    progress : callable, optional
+        Called with the samples that are done and their number.
+
+    Returns
+    -------
+    DataSet
+
+    Raises
+    ------
+    InputError
+        If the folder holds something else, another process is making it, or a sample cannot be rendered.
     """
     folder = Path(folder).absolute()
     set_variant(recipe.variant)

@@ -18,15 +18,21 @@ class DataSet:
     """A data set in its folder: ``dataset[17]`` is a `Sample`.
 
     Samples are read when they are asked for. It may be pickled and used in forked processes; each opens the files anew.
+
+    Parameters
+    ----------
+    folder : path
+        What `make_dataset` or ``mitsuba-plenoptic dataset`` wrote.
+    fields : collection of str, optional
+        Names of the arrays to read. Default: all.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no data set, or one whose shards are not all there.
     """
 
-    def __init__(
-        self,
-        # What `make_dataset` or ``mitsuba-plenoptic dataset`` wrote.
-        folder: str | Path,
-        # Names of the arrays to read. Default: all.
-        fields: Collection[str] | None = None,
-    ) -> None:
+    def __init__(self, folder: str | Path, fields: Collection[str] | None = None) -> None:
         self.folder = Path(folder)
         self.manifest = read_manifest(self.folder)
         self.fields = None if fields is None else tuple(fields)
@@ -56,7 +62,13 @@ class DataSet:
         return {**self.__dict__, "_files": {}}
 
     def damaged(self) -> list[str]:
-        """Compare all files with their checksums, and return the names of those that differ or are missing."""
+        """Compare all files with their checksums, and return the names of those that differ or are missing.
+
+        Raises
+        ------
+        InputError
+            If there are no checksums.
+        """
         lines = read_text(self.folder / CHECKSUMS, LARGEST_LIST).splitlines()
         found = []
         for expected, _, name in (line.partition("  ") for line in lines):

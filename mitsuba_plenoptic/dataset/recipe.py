@@ -71,30 +71,60 @@ class Plan:
 
 @dataclass(frozen=True)
 class Recipe:
-    """A data set that can be made again, bit for bit."""
+    """A data set that can be made again, bit for bit.
+
+    Attributes
+    ----------
+    name : str
+        Title.
+    count : int
+        Number of samples.
+    seed : int
+        All randomness of sample k follows from the seed and k.
+    models : tuple of str
+        ``ray``, ``wave`` or both, of the same scene.
+    variant : str
+        Mitsuba variant.
+    camera, light, noise, ray, wave : dict
+        Sections, parsed by `draws.parse`. No noise: None.
+    scenes : tuple of Source
+        Where scenes come from.
+    truth : tuple of str
+        Quantities of ground truth.
+    samples_per_shard : int
+        Samples in one file.
+    content : dict
+        The recipe as it was given.
+    """
 
     name: str
     count: int
-    # All randomness of sample k follows from the seed and k.
     seed: int
-    # ``ray``, ``wave`` or both, of the same scene.
     models: tuple[str, ...]
     variant: str
-    # Sections, parsed by `draws.parse`. No noise: None.
     camera: Mapping[str, Any]
     scenes: tuple[Source, ...]
     light: Mapping[str, Any]
     noise: Mapping[str, Any] | None
     ray: Mapping[str, Any]
     wave: Mapping[str, Any]
-    # Quantities of ground truth.
     truth: tuple[str, ...]
     samples_per_shard: int
-    # The recipe as it was given.
     content: Mapping[str, Any]
 
     def plan(self, index: int) -> Plan:
-        """Draw what varies for a sample."""
+        """Draw what varies for a sample.
+
+        Parameters
+        ----------
+        index : int
+            Number of the sample.
+
+        Raises
+        ------
+        InputError
+            If a value is out of range for what it is of.
+        """
         shares = np.cumsum([source.share for source in self.scenes])
         chosen = int(
             np.searchsorted(shares, generator(self.seed, index, "scenes").uniform(0, shares[-1]), side="right")
@@ -137,7 +167,18 @@ class Recipe:
 
 
 def read_recipe(path: str | Path) -> Recipe:
-    """Read a recipe from a YAML or JSON file; scenes that it names lie beside it."""
+    """Read a recipe from a YAML or JSON file; scenes that it names lie beside it.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If it is no recipe: one line with the name that is wrong and the rule.
+    """
     path = Path(path)
     content = read_yaml(path)
     if not isinstance(content, dict):
@@ -149,7 +190,20 @@ def read_recipe(path: str | Path) -> Recipe:
 
 
 def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
-    """Make a recipe of plain values; scene files that it names lie in the folder."""
+    """Make a recipe of plain values; scene files that it names lie in the folder.
+
+    Parameters
+    ----------
+    content : mapping
+        What a recipe's file holds.
+    folder : path
+        Where scene files are looked for.
+
+    Raises
+    ------
+    InputError
+        If it is no recipe.
+    """
     _require_names("recipe", content, _KEYS, needed=("count", "camera", "scenes"))
     models = content.get("models", list(MODELS))
     if not isinstance(models, list) or not models or len(set(map(str, models))) < len(models):

@@ -27,16 +27,23 @@ EXPOSED = "_exposed"
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One sample."""
+    """One sample.
 
-    # Its number in the data set.
+    Attributes
+    ----------
+    index : int
+        Its number in the data set.
+    arrays : dict
+        Float32 arrays by name: captures (rows, columns[, 3]) ``ray``, ``wave``, ``ray_exposed``, ``wave_exposed``;
+        ground truth of the pixels such as ``depth`` and ``normal`` (rows, columns[, 3]); and of the decoded views such
+        as ``views_depth`` (v, u, t, s[, 3]), as `GroundTruth` has them.
+    facts : dict
+        Plain JSON values: ``camera``, ``to_world``, ``shapes``, ``scene``, ``draws``, and in ``captures`` the metadata
+        and the wavelength of each.
+    """
+
     index: int
-    # Float32 arrays by name: captures (rows, columns[, 3]) ``ray``, ``wave``, ``ray_exposed``, ``wave_exposed``; ground
-    # truth of the pixels such as ``depth`` and ``normal`` (rows, columns[, 3]); and of the decoded views such as
-    # ``views_depth`` (v, u, t, s[, 3]), as `GroundTruth` has them.
     arrays: dict[str, np.ndarray]
-    # Plain JSON values: ``camera``, ``to_world``, ``shapes``, ``scene``, ``draws``, and in ``captures`` the metadata
-    # and the wavelength of each.
     facts: dict[str, Any]
 
     @property
@@ -45,7 +52,15 @@ class Sample:
         return PlenopticCamera.from_dict(self.facts["camera"])
 
     def capture(self, model: str, *, exposed: bool = False) -> Capture:
-        """Return a capture, for `decode`, `reconstruct` and all else."""
+        """Return a capture, for `decode`, `reconstruct` and all else.
+
+        Parameters
+        ----------
+        model : {"ray", "wave"}
+            Which one.
+        exposed : bool
+            Whether with the noise of a detector.
+        """
         about = self.facts["captures"][model + EXPOSED * exposed]
         return Capture(
             self.arrays[model + EXPOSED * exposed], self.camera, about["wavelength"], model, about["metadata"]
@@ -78,7 +93,20 @@ def open_sample(recipe: Recipe, plan: Plan) -> Any:
 
 
 def make_sample(recipe: Recipe, index: int) -> Sample:
-    """Render a sample; its bits depend on the recipe and its number alone."""
+    """Render a sample; its bits depend on the recipe and its number alone.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        The recipe.
+    index : int
+        Number of the sample.
+
+    Raises
+    ------
+    InputError
+        If the recipe asks for what cannot be rendered.
+    """
     plan = recipe.plan(index)
     scene = open_sample(recipe, plan)
     arrays: dict[str, np.ndarray] = {}

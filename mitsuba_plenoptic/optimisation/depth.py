@@ -39,18 +39,30 @@ class DepthInformation:
     processing: estimation theory", 1993, chapter 3). The figure is the mean of :math:`-\ln \sigma_g` over the points:
     0.69 more halves all deviations. Derivatives by the place are central differences, sideways and along the chief ray,
     there of the vergence 1/g, to both sides by a hundredth of a wave of path at the rim of the pupil.
+
+    Parameters
+    ----------
+    points : array (n, 3)
+        Scene points (X, Y, g) in the camera frame, in millimetres.
+    photons : float
+        Of each point that pass the pupil.
+    background : float
+        Variance of each pixel without light, in photons; it must not be zero, or dark pixels would tell all.
+    wavelength, accuracy, method
+        As of `CaptureOperator`.
+
+    Raises
+    ------
+    InputError
+        If an input has a wrong value.
     """
 
     def __init__(
         self,
-        # Scene points (X, Y, g) in the camera frame, in millimetres; (n, 3).
         points: Any,
-        # Of each point that pass the pupil.
         photons: float,
         *,
-        # Variance of each pixel without light, in photons; it must not be zero, or dark pixels would tell all.
         background: float = 1.0,
-        # As of `CaptureOperator`.
         wavelength: float = 633.0,
         accuracy: float = DESIGN_ACCURACY,
         method: str = "patch",

@@ -30,16 +30,26 @@ class Figure(Protocol):
 
 @dataclass(frozen=True)
 class Design:
-    """What a search found."""
+    """What a search found.
 
-    # The best of all cameras that were tried.
+    Attributes
+    ----------
+    camera : PlenopticCamera
+        The best of all cameras that were tried.
+    figure : float
+        Its figure.
+    values : dict
+        By name the numbers that varied.
+    tried : int
+        Cameras that were tried.
+    reason : str
+        Why the search ended, in SciPy's words.
+    """
+
     camera: PlenopticCamera
     figure: float
-    # By name the numbers that varied.
     values: dict[str, float]
-    # Cameras that were tried.
     tried: int
-    # Why the search ended, in SciPy's words.
     reason: str
 
 
@@ -55,6 +65,27 @@ def maximise(
 
     By SciPy's L-BFGS-B with the figure's own gradient: a local search, of which several starts tell whether there are
     other optima.
+
+    Parameters
+    ----------
+    figure : Figure
+        What is maximised, such as `RefocusedContrast` or `DepthInformation`.
+    camera : PlenopticCamera
+        Where to start; the numbers that are not named are held.
+    bounds : mapping
+        By name the lowest and the highest value of what varies: names of `CaptureOperator.derivative`, with what place
+        a number has where there are several, from 1, as ``wavefront.11``; the name alone means all of them, of a
+        wavefront all but the piston.
+    steps : int
+        Steps of the search at most; each takes one or two gradients.
+    progress : callable, optional
+        Called with how many cameras have been tried, the last one's figure, and the best camera so far: a search that
+        is stopped goes on when it starts there.
+
+    Raises
+    ------
+    InputError
+        If a name or a bound is wrong, the camera lies outside them, or the figure is not finite at some camera.
     """
     from scipy.optimize import minimize
 

@@ -24,22 +24,37 @@ class RefocusedContrast:
 
     with the bins b of each point r, refocused to its own distance, and frequencies :math:`\nu` along x and along y.
     Refocusing is that of one camera, and held.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera whose refocusing is used. Others may differ from it in ``mla_focal_length``, ``mla_fill`` and
+        ``wavefront``.
+    points : array (n, 3)
+        Scene points (X, Y, g) in the camera frame, in millimetres.
+    frequencies : sequence of float
+        In line pairs per bin of one lens, at most half of `oversample`.
+    wavelength : float
+        In nanometres.
+    oversample : int
+        Bins per lens along each axis.
+    accuracy, method
+        As of `CaptureOperator`.
+
+    Raises
+    ------
+    InputError
+        If an input has a wrong value.
     """
 
     def __init__(
         self,
-        # The camera whose refocusing is used. Others may differ from it in ``mla_focal_length``, ``mla_fill`` and
-        # ``wavefront``.
         camera: PlenopticCamera,
-        # Scene points (X, Y, g) in the camera frame, in millimetres; (n, 3).
         points: Any,
-        # In line pairs per bin of one lens, at most half of `oversample`.
         frequencies: Sequence[float],
         *,
         wavelength: float = 633.0,
-        # Bins per lens along each axis.
         oversample: int = 4,
-        # As of `CaptureOperator`.
         accuracy: float = DESIGN_ACCURACY,
         method: str = "patch",
     ) -> None:
@@ -60,7 +75,20 @@ class RefocusedContrast:
         return self._contrast(self._images(camera))[0]
 
     def gradient(self, camera: PlenopticCamera, names: Iterable[str]) -> tuple[float, Gradient]:
-        """Return the mean contrast, and its derivatives by numbers of the camera, by name."""
+        """Return the mean contrast, and its derivatives by numbers of the camera, by name.
+
+        Parameters
+        ----------
+        camera : PlenopticCamera
+            The camera.
+        names : iterable of str
+            The numbers.
+
+        Raises
+        ------
+        InputError
+            If refocusing depends on a number.
+        """
         names = tuple(names)
         for name in names:
             if name not in VARYING:

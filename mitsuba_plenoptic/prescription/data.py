@@ -35,19 +35,30 @@ _NAMES = {"radius", "thickness", "glass", "semi_aperture", "conic", "asphere", "
 
 @dataclass(frozen=True)
 class Surface:
-    r"""A surface of a lens, of the height :math:`c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2}) + \sum a_i r^{2 i}`."""
+    r"""A surface of a lens, of the height :math:`c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2}) + \sum a_i r^{2 i}`.
 
-    # Radius of curvature :math:`1/c` in millimetres, positive where the centre is on the array's side; infinite for a
-    # plane.
+    Parameters
+    ----------
+    radius : float
+        Radius of curvature :math:`1/c` in millimetres, positive where the centre is on the array's side; infinite for
+        a plane.
+    thickness : float
+        Distance along the axis to the next surface in millimetres; 0 for the last.
+    glass : Glass or None
+        What follows up to the next surface; None for air.
+    semi_aperture : float
+        Distance from the axis up to which light passes, in millimetres.
+    conic : float
+        Conic constant k.
+    asphere : tuple of float
+        Coefficients of the fourth, sixth, ... power of r.
+    """
+
     radius: float
-    # Distance along the axis to the next surface in millimetres; 0 for the last.
     thickness: float
-    # What follows up to the next surface; None for air.
     glass: Glass | None
-    # Distance from the axis up to which light passes, in millimetres.
     semi_aperture: float
     conic: float = 0.0
-    # Coefficients of the fourth, sixth, ... power of r.
     asphere: tuple[float, ...] = ()
 
     @property
@@ -71,7 +82,21 @@ class Surface:
 
     @classmethod
     def from_plain(cls, value: Any, where: str) -> Surface:
-        """Take a surface from plain data."""
+        """Take a surface from plain data.
+
+        Parameters
+        ----------
+        value : dict
+            Any of ``radius`` (a plane without it), ``thickness``, ``glass``, ``conic``, ``asphere``, ``stop``, and
+            ``semi_aperture``.
+        where : str
+            What messages call it.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, a value out of range, or the surface ends within its semi-aperture.
+        """
         if not isinstance(value, dict):
             raise InputError(f"{where} = {shown(value)}: it must be numbers by name, such as radius")
         require_known(f"{where}: ", value, sorted(_NAMES))
@@ -235,7 +260,18 @@ BUNDLED = ("cooke_triplet", "double_gauss", "singlet", "tessar")
 
 @functools.cache
 def bundled_prescription(name: str) -> Prescription:
-    """Return a bundled lens."""
+    """Return a bundled lens.
+
+    Parameters
+    ----------
+    name : str
+        One of `BUNDLED`; ``.yaml`` may follow it.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name; the message lists those there are.
+    """
     stem = name.removesuffix(".yaml")
     if stem not in BUNDLED:
         raise InputError(

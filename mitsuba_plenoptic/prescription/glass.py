@@ -28,18 +28,30 @@ _CATALOGUE = np.arange(380.0, 1001.0, 10.0)
 
 @dataclass(frozen=True)
 class Glass:
-    r"""A glass between two surfaces."""
+    r"""A glass between two surfaces.
 
-    # What the numbers are. ``index``: one index for all wavelengths. ``abbe``: :math:`n_d` and :math:`V_d = (n_d - 1) /
-    # (n_F - n_C)`, with :math:`n = A + B / \lambda^2` between. ``sellmeier``: B1, B2, B3, C1, C2, C3 of :math:`n^2 = 1
-    # + \sum B_i \lambda^2 / (\lambda^2 - C_i)`, :math:`\lambda` in micrometres, as in today's catalogues. ``schott``:
-    # a0 to a5 of :math:`n^2 = a_0 + a_1 \lambda^2 + a_2 \lambda^{-2} + a_3 \lambda^{-4} + a_4 \lambda^{-6} + a_5
-    # \lambda^{-8}`, as in older ones. ``table``: pairs of wavelength in nanometres and index, between which :math:`n(1
-    # / \lambda^2)` is a cubic spline.
+    Parameters
+    ----------
+    form : {"index", "abbe", "sellmeier", "schott", "table"}
+        What the numbers are. ``index``: one index for all wavelengths. ``abbe``: :math:`n_d` and
+        :math:`V_d = (n_d - 1) / (n_F - n_C)`, with :math:`n = A + B / \lambda^2` between. ``sellmeier``: B1, B2, B3,
+        C1, C2, C3 of :math:`n^2 = 1 + \sum B_i \lambda^2 / (\lambda^2 - C_i)`, :math:`\lambda` in micrometres, as in
+        today's catalogues. ``schott``: a0 to a5 of :math:`n^2 = a_0 + a_1 \lambda^2 + a_2 \lambda^{-2} + a_3
+        \lambda^{-4} + a_4 \lambda^{-6} + a_5 \lambda^{-8}`, as in older ones. ``table``: pairs of wavelength in
+        nanometres and index, between which :math:`n(1 / \lambda^2)` is a cubic spline.
+    numbers : tuple of float
+        The numbers; a table's wavelengths and indices in turn.
+    name : str
+        Name in a catalogue, for the reader.
+
+    Raises
+    ------
+    InputError
+        If there are not as many numbers as the form needs, or an index would not be from 1 to 5.
+    """
+
     form: str
-    # The numbers; a table's wavelengths and indices in turn.
     numbers: tuple[float, ...]
-    # Name in a catalogue, for the reader.
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -62,7 +74,18 @@ class Glass:
         return (self.numbers[0], self.numbers[-2]) if self.form == "table" else (0.0, np.inf)
 
     def at(self, wavelength: float) -> float:
-        """Return the index at a wavelength."""
+        """Return the index at a wavelength.
+
+        Parameters
+        ----------
+        wavelength : float
+            Wavelength in nanometres.
+
+        Raises
+        ------
+        InputError
+            If the formula gives no index from 1 to 5 there, or the table does not reach so far.
+        """
         index = self._at(require_wavelength(wavelength))
         if not _LOWEST <= index <= _HIGHEST:
             raise InputError(
@@ -107,6 +130,16 @@ class Glass:
 
         :math:`f(\lambda) / f_d = (n_d - 1) / (n(\lambda) - 1)`, the lensmaker's equation (Born and Wolf, "Principles of
         Optics", section 4.7).
+
+        Parameters
+        ----------
+        wavelength : float
+            Wavelength in nanometres.
+
+        Raises
+        ------
+        InputError
+            If it has no index there or at the line d, or bends no light.
         """
         bends = self.at(LINE_D) - 1, self.at(wavelength) - 1
         if min(bends) <= 0:
@@ -126,7 +159,21 @@ class Glass:
 
     @classmethod
     def from_plain(cls, value: Any, where: str = "glass") -> Glass:
-        """Take a glass from plain data."""
+        """Take a glass from plain data.
+
+        Parameters
+        ----------
+        value : float, str or dict
+            An index; a name in a catalogue, for which the extra ``lenses`` must be installed; or a dictionary with
+            ``index``, with ``index`` and ``abbe``, or with one of ``sellmeier``, ``schott``, ``table``, and ``name``.
+        where : str
+            What messages call it.
+
+        Raises
+        ------
+        InputError
+            If it is none of these, a number is out of range, or no catalogue has the name.
+        """
         if isinstance(value, str):
             return catalogue_glass(value, where)
         if not isinstance(value, dict):

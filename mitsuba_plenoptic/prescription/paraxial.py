@@ -19,27 +19,51 @@ from .data import Prescription
 
 @dataclass(frozen=True)
 class Paraxial:
-    """Numbers of paraxial optics, in millimetres; places are counted along the axis towards the array."""
+    """Numbers of paraxial optics, in millimetres; places are counted along the axis towards the array.
+
+    Parameters
+    ----------
+    focal_length : float
+        Effective focal length.
+    front_principal, entrance_pupil : float
+        Places of the front principal plane and of the entrance pupil behind the first vertex.
+    rear_principal, exit_pupil : float
+        Places of the rear principal plane and of the exit pupil behind the last vertex.
+    back_focal : float
+        Place of the rear focal point behind the last vertex.
+    length : float
+        Distance of the last vertex from the first.
+    entrance_radius, exit_radius : float
+        Radii of the pupils with the stop fully open.
+    """
 
     focal_length: float
-    # Places of the front principal plane and of the entrance pupil behind the first vertex.
     front_principal: float
-    # Places of the rear principal plane and of the exit pupil behind the last vertex.
     rear_principal: float
-    # Place of the rear focal point behind the last vertex.
     back_focal: float
-    # Distance of the last vertex from the first.
     length: float
     entrance_pupil: float
     exit_pupil: float
-    # Radii of the pupils with the stop fully open.
     entrance_radius: float
     exit_radius: float
 
 
 @functools.lru_cache(maxsize=256)
 def paraxial(prescription: Prescription, wavelength: float | None = None) -> Paraxial:
-    """Return the paraxial numbers of a lens."""
+    """Return the paraxial numbers of a lens.
+
+    Parameters
+    ----------
+    prescription : Prescription
+        The lens.
+    wavelength : float, optional
+        Wavelength in nanometres. Default: the prescription's own.
+
+    Raises
+    ------
+    InputError
+        If the lens does not converge, or a pupil is at infinity.
+    """
     indices = [1.0, *prescription.indices(prescription.wavelength if wavelength is None else wavelength)]
     whole, before, after = np.eye(2), np.eye(2), np.eye(2)
     length = 0.0

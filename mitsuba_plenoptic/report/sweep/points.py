@@ -96,13 +96,24 @@ def _number(name: str, value: Any) -> float:
 
 @dataclass(frozen=True)
 class SweepSettings:
-    """What all points of a sweep have in common."""
+    """What all points of a sweep have in common.
 
-    # A scene file or a built-in name.
+    Attributes
+    ----------
+    scene : str
+        A scene file or a built-in name.
+    parameters : mapping
+        Values for the scene's ``$name`` parameters that do not vary.
+    model, spp, seed
+        As for `render_capture`; by model "wave" captures are made from signed rays.
+    method : str
+        Of the reconstructions.
+    variant : str
+        Mitsuba variant.
+    """
+
     scene: str
-    # Values for the scene's ``$name`` parameters that do not vary.
     parameters: Mapping[str, str] = field(default_factory=dict)
-    # As for `render_capture`; by model "wave" captures are made from signed rays.
     model: str | None = None
     spp: int | None = None
     seed: int = 0
