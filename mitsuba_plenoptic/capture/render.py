@@ -20,7 +20,7 @@ from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job
 from ..runtime.limits import largest_fitting, require_memory
 from .noise import PARTS, PassSpread, require_samples
-from .scene import KNOWN_PARAMETERS, mitsuba_sentence
+from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence
 
 # Rays traced at once: their random states take 16 bytes each, so that the paper's 4096 x 4096 pixels with one
 # sample each stay at 0.25 GiB beside the film.
@@ -35,7 +35,7 @@ _PIXEL_BYTES = 4 * 4 * 4
 _RAY_BYTES = 16
 
 
-@functools.partial(suggest_keywords, others=KNOWN_PARAMETERS["plenoptic_wave"])
+@functools.partial(suggest_keywords, others=(*KNOWN_PARAMETERS["plenoptic_wave"], *GONE_PARAMETERS))
 @one_at_a_time
 def render_capture(
     scene: Any,

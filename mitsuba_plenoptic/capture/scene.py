@@ -198,6 +198,9 @@ KNOWN_PARAMETERS = {
 }
 """Parameters of this package's plugins, for the suggestions of messages; it is Mitsuba that finds the unknown ones."""
 
+GONE_PARAMETERS = ("radiators_per_lens", "passes", "occlusion")
+"""Parameters of ``plenoptic_wave`` up to 0.2, for captures by radiators, which signed rays have replaced."""
+
 
 def scene_names() -> list[str]:
     """Return the names of the scenes that come with the package."""
