@@ -98,11 +98,11 @@ def operator_tasks(camera: mp.PlenopticCamera, full: bool) -> Iterator[tuple[str
         yield f"{method} forward", lambda sums=sums: sums.forward(weights)
         image = rng.random((camera.resolution[1], camera.resolution[0]), np.float32)
         yield f"{method} adjoint", lambda sums=sums, image=image: sums.adjoint(image)
+    if not full:
+        return
     sums = mp.CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0.0)
     image = rng.random((camera.resolution[1], camera.resolution[0]), np.float32)
-    for change in ({"mla_focal_length": 1.0}, {"detector_distance": 1.0}, {"mla_distance": 1.0}):
-        name = next(iter(change))
-        yield f"jvp {name}", lambda change=change: sums.derivative(weights, change)
+    yield "jvp", lambda: sums.derivative(weights, {"mla_focal_length": 1.0, "detector_distance": 0.5})
     yield "vjp", lambda: sums.gradient(weights, image)
 
 
