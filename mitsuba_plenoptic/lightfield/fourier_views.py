@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..lenses.telecentric import TelecentricLens
+from ..lenses.factory import main_lens
 from ..objective import Objective
 from ..runtime.limits import require_memory
 from .geometry import CHANNELS, DIMS
@@ -127,7 +127,7 @@ def _in_stop(
     camera: PlenopticCamera, lens: Objective, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float32]:
     """Return for lenses at some places the light that their apertures get, over that of an even stop."""
-    lattice, stop = camera.lattice, TelecentricLens(lens)
+    lattice, stop = camera.lattice, main_lens(camera)
     reach = lattice.cell_reach
     step = 2 * reach / _PLACES
     offset = (np.arange(_PLACES) + 0.5) * step - reach
