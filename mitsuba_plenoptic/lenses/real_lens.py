@@ -6,6 +6,7 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,9 +194,8 @@ def _checked(lens: FittedLens) -> FittedLens:
 def real_lens(numbers: LensNumbers) -> RealLens:
     """Return the main lens of a camera that has a prescription."""
     camera = numbers.camera
-    assert isinstance(camera.main_lens, Prescription)
     return RealLens(
-        camera.main_lens,
+        cast(Prescription, camera.main_lens),
         numbers.focal_length,
         numbers.aperture_radius,
         numbers.mla_distance,

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import drjit as dr
 import numpy as np
@@ -257,5 +257,4 @@ class TelecentricLens(UniformLens):
 @builds(Objective)
 def telecentric_lens(numbers: LensNumbers) -> TelecentricLens:
     """Return the main lens of a camera behind an objective."""
-    assert isinstance(numbers.camera.main_lens, Objective)
-    return TelecentricLens(numbers.camera.main_lens)
+    return TelecentricLens(cast(Objective, numbers.camera.main_lens))

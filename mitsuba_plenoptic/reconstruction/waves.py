@@ -134,7 +134,7 @@ def _of_amplitudes(
     """Return the power in bins of pixels that are not negative."""
     camera, oversample = task.camera, task.oversample
     conjugates, seen, distances = None, camera, task.distances
-    if camera.prescription is not None:
+    if camera.lens_data.traced_surfaces:
         conjugates = RealConjugates.of(OpticalSystem(camera, wavelength), list(distances), oversample)
         seen, distances = conjugates.camera, [conjugates.distance(distance) for distance in distances]
     fine = fine_bins(camera, wavelength, oversample)
@@ -165,7 +165,7 @@ def _of_amplitudes(
 
 def fine_bins(camera: PlenopticCamera, wavelength: float, oversample: int) -> int:
     """Return how many fine bins across a bin power is summed in, before it is spread over lenses."""
-    if camera.prescription is not None:
+    if camera.lens_data.traced_surfaces:
         camera = behind_thin_lens(OpticalSystem(camera, wavelength))
     elif camera.lenses_are_bins:
         return 1
