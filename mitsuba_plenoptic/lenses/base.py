@@ -15,7 +15,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
 import drjit as dr
 import numpy as np
@@ -23,6 +23,9 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..optics import rays
+
+if TYPE_CHECKING:
+    from .round_pupil import RoundMap
 
 Pair = tuple[Any, Any]
 """x and y in the camera frame, of places or of slopes."""
@@ -111,6 +114,10 @@ class MainLens(Protocol):
     @property
     def entrance(self) -> Entrance:
         """The scene's side of it."""
+
+    @property
+    def round_map(self) -> RoundMap:
+        """Unless the pupil is open evenly, a map from it, seen off the axis, onto the round one near the axis."""
 
     def start_bounds(self, field: float) -> tuple[float, tuple[float, ...]]:
         """Return a radius and the z between which all rays start that reach the MLA up to a distance from the axis."""
@@ -357,6 +364,11 @@ class UniformLens:
 
     is_open_evenly = True
     changes_evenly = True
+
+    @property
+    def round_map(self) -> RoundMap:
+        """The pupil is round from everywhere."""
+        raise NotImplementedError
 
     @property
     def reach(self) -> Any:

@@ -20,6 +20,7 @@ from .exit_pupil import ExitPupil
 from .fitted_lens import WITHIN, FittedLens
 from .lens_system import LensSystem
 from .pupil_fit import Pupils, covered, fit_pupil, trace
+from .round_pupil import RoundMap, round_map
 
 _FIELD_STEP, _NEARNESS_STEP = 1.1, 0.02
 """Steps of the fitted range: of fields, by factors, and of nearnesses, over the power of the lens. Fits are kept."""
@@ -105,6 +106,11 @@ class RealLens(LensSystem):
         return heights, np.array(
             [np.mean(lens.ray((Px, Py), (np.zeros_like(Px), np.full_like(Py, height)))[2]) for height in heights]
         )
+
+    @functools.cached_property
+    def round_map(self) -> RoundMap:
+        """The map from its exit pupil, as places off the axis see it, onto the round one near the axis."""
+        return round_map(self, self.reach, self.corner)
 
     # -- waves ---------------------------------------------------------------------------------------
 

@@ -42,6 +42,7 @@ from ..lattice import Lattice
 from ..optics.phase import in_millimetres
 from ..runtime.limits import single_threaded_blas
 from .lens_kinds import Kind, LensKinds
+from .optical_system import OpticalSystem
 
 _TRANSFER_SAMPLES = 64
 """Samples of a lens for its transfer functions: the phase between neighbours turns by a fifth of a period."""
@@ -176,6 +177,11 @@ class PhaseSpace:
         powers = [1 / f2 - own for f2 in camera.mla_focal_lengths]
         near, far = 1 / (min(powers) + aside), 1 / max(max(powers) - aside, 1e-9)
         return f"from {near:.4g} to {far:.4g} mm" if near <= far else "which several focal lengths do not allow"
+
+    @cached_property
+    def system(self) -> OpticalSystem:
+        """The camera, bound to the wavelength."""
+        return OpticalSystem(self.camera, self.wavelength)
 
     # -- sizes ---------------------------------------------------------------------------------------
 
