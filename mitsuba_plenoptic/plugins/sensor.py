@@ -13,7 +13,6 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..lenses.factory import main_lens
-from ..lenses.real_lens import RealLens
 from ..optics.rays import angular_response
 from .camera_rays import CameraRays, Pair, Traced
 from .properties import FIXED, NUMBERS, POSITIVE, SEVERAL, WORDS, read_camera
@@ -352,7 +351,7 @@ def make_class() -> type:
             if differential:
                 width = self.detector_width / self.film().size()[0]
                 for name, dx, dy in (("x", width, 0), ("y", 0, width)):
-                    if isinstance(self._rays.lens, RealLens):
+                    if self.camera.lens_data.traced_surfaces:
                         # Surface by surface it would cost three times as much.
                         z = self.detector_distance
                         beside, turned = self._rays.lens.beside(point, slope, (-dx / z, -dy / z))
