@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Any
+from typing import Any, cast
 
 import drjit as dr
 import mitsuba as mi
@@ -13,6 +13,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..lenses.factory import main_lens
+from ..lenses.real_lens import RealLens
 from ..optics.rays import angular_response
 from .camera_rays import CameraRays, Pair, Traced
 from .properties import FIXED, NUMBERS, POSITIVE, SEVERAL, WORDS, read_camera
@@ -354,7 +355,7 @@ def make_class() -> type:
                     if self.camera.lens_data.traced_surfaces:
                         # Surface by surface it would cost three times as much.
                         z = self.detector_distance
-                        beside, turned = self._rays.lens.beside(point, slope, (-dx / z, -dy / z))
+                        beside, turned = cast(RealLens, self._rays.lens).beside(point, slope, (-dx / z, -dy / z))
                     else:
                         beside, turned, _ = self._rays.trace((px + dx, py + dy), passage, light)
                     setattr(ray, f"o_{name}", to_world @ mi.Point3f(*beside))
