@@ -68,7 +68,7 @@ BUILDERS: dict[type, Callable[[LensNumbers], MainLens]] = {}
 
 
 def builds(description: type) -> Callable[[Builder], Builder]:
-    """Mark the function that makes the main lens of cameras whose `main_lens` is of some type."""
+    """Mark the function that makes the main lens of cameras whose `main_lens` is of some type; None's is a thin one."""
 
     def mark(function: Builder) -> Builder:
         BUILDERS[description] = function
@@ -80,7 +80,7 @@ def builds(description: type) -> Callable[[Builder], Builder]:
 class MainLens(Protocol):
     """What the camera asks of its main lens. Lengths are millimetres, wavelengths nanometres.
 
-    `waves_of` returns the lens that has the methods from `cone` on for some points, and all others.
+    What is about waves is asked of the lens that `waves_of` returns, which serves the points that it was given.
     """
 
     @property
@@ -116,8 +116,8 @@ class MainLens(Protocol):
         """The scene's side of it."""
 
     @property
-    def round_map(self) -> RoundMap:
-        """Unless the pupil is open evenly, a map from it, seen off the axis, onto the round one near the axis."""
+    def round_map(self) -> RoundMap | None:
+        """A map from the pupil, seen off the axis, onto the round one near the axis; None where both are the same."""
 
     def start_bounds(self, field: float) -> tuple[float, tuple[float, ...]]:
         """Return a radius and the z between which all rays start that reach the MLA up to a distance from the axis."""
@@ -365,10 +365,7 @@ class UniformLens:
     is_open_evenly = True
     changes_evenly = True
 
-    @property
-    def round_map(self) -> RoundMap:
-        """The pupil is round from everywhere."""
-        raise NotImplementedError
+    round_map = None
 
     @property
     def reach(self) -> Any:

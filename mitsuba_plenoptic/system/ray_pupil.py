@@ -66,13 +66,13 @@ class RayPupil:
 
     def inner(self, pupil: Pair, centre: Pair) -> Pair:
         """Return the points of the round pupil that stand for points of it, seen from lenses; others stand for none."""
-        if self.system.lens.is_open_evenly:
+        found = self.system.lens.round_map
+        if found is None:
             return pupil
         (x, y), (cx, cy) = pupil, centre
         field = dr.sqrt(cx * cx + cy * cy)
         # The map is that of fields along x.
         c, s = dr.select(field > 0, cx / field, 1), dr.select(field > 0, cy / field, 0)
-        found = self.system.lens.round_map
         fields, across, _, _ = found.points.shape
         u, v = x * c + y * s, y * c - x * s
         at = [(value / found.half + 1) * ((across - 1) / (2 * across)) + 0.5 / across for value in (u, v)]
