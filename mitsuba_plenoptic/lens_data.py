@@ -8,6 +8,9 @@ from typing import Any, ClassVar, Self
 from .errors import InputError, shown
 from .thin_lens import conjugate_distance, image_distance
 
+SINGLE = 1e-6
+"""What rounding to single precision changes, at most: files and scenes may hold numbers like that."""
+
 _THIN_LENS = (80.0, 5.0)
 """Focal length and radius of a thin lens, in millimetres, where they are not given."""
 
@@ -66,7 +69,7 @@ class LensData:
     @property
     def label(self) -> str:
         """What messages call it."""
-        return self.name or "prescription"
+        return self.name or type(self).__name__.lower()
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
         """Return the focal length and the radius of the open entrance pupil, scaled to what focal length is given."""
@@ -157,7 +160,3 @@ def require_alone(camera: Any) -> None:
             raise InputError(f"{name} = {values}: a main_lens brings its own; leave it out")
     if camera.glass is not None:
         raise InputError(f"glass = {shown(camera.glass.to_plain())}: a main_lens brings its own; leave it out")
-
-
-SINGLE = 1e-6
-"""What rounding to single precision changes, at most: files and scenes may hold numbers like that."""

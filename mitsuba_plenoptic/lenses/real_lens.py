@@ -61,10 +61,7 @@ class RealLens(LensSystem):
     @property
     def refraction(self) -> float:
         """The wavelength, where the glasses disperse light."""
-        disperses = any(
-            surface.glass is not None and surface.glass.form != "index" for surface in self.prescription.surfaces
-        )
-        return self._light if disperses else float(self.focal_length)
+        return self._light if self.prescription.disperses else float(self.focal_length)
 
     @functools.cached_property
     def reach(self) -> float:
