@@ -81,9 +81,11 @@ class RayPupil:
 
     @functools.cached_property
     def _map(self) -> Any:
-        # Beyond its border the map goes on as there, outside of the pupil.
+        found = self.system.lens.round_map
+        assert found is not None
+        # Beyond its border the map continues as there, outside of the pupil.
         return mi.Texture3f(
-            mi.TensorXf(self.system.lens.round_map.points),
+            mi.TensorXf(found.points),
             filter_mode=dr.FilterMode.Linear,
             wrap_mode=dr.WrapMode.Clamp,
         )
