@@ -17,7 +17,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..design.microscope import objective_of
 from ..errors import InputError
 from ..lenses.factory import main_lens
 from ..objective import Objective
@@ -89,7 +88,7 @@ class LensViews:
 
 
 def decode_views(
-    image: NDArray[np.float32], camera: PlenopticCamera, white: NDArray[np.float32] | None
+    image: NDArray[np.float32], camera: PlenopticCamera, lens: Objective, white: NDArray[np.float32] | None
 ) -> xr.DataArray:
     """Turn a capture of a Fourier microscope into a light field; see `decode`.
 
@@ -99,6 +98,8 @@ def decode_views(
         The capture.
     camera : PlenopticCamera
         The microscope.
+    lens : Objective
+        Its objective.
     white : float32 array (rows, columns, 1), optional
         What it records of something white. Default: the part of each lens within the image of the stop.
 
@@ -107,7 +108,6 @@ def decode_views(
     xarray.DataArray
         Dimensions ``v, u, t, s[, c]``: u and v on the stop, s and t in the native object plane, in millimetres.
     """
-    lens = objective_of(camera)
     views = LensViews.of(camera, lens)
     rows, columns = 2 * views.half[1] + 1, 2 * views.half[0] + 1
     shape = (*views.fraction.shape, rows, columns)
