@@ -123,6 +123,8 @@ class CaptureOperator:
             raise InputError("method = patch: arrangement = fourier lights all of the stop's image; use full_field")
         self._method, self._accuracy = method, check_accuracy(accuracy)
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
+        if system is not None:
+            _require_bound(system, camera, wavelength)
         self._plans: dict[float, Plan] = {}
         self._systems: dict[float, OpticalSystem] = {} if system is None else {system.wavelength: system}
         self._differentials: Differentials | None = None
@@ -467,3 +469,10 @@ class CaptureOperator:
         if self._spectrum is not None and factors.shape[1] != wavelengths:
             raise InputError(f"weights of shape {factors.shape}: the spectrum has {wavelengths} wavelengths")
         return factors
+
+
+def _require_bound(system: OpticalSystem, camera: PlenopticCamera, wavelength: float | None) -> None:
+    """Refuse a system of another camera or wavelength."""
+    bound = system.wavelength
+    if bound != wavelength or system.camera != camera.at_wavelength(bound):
+        raise InputError(f"system: it is bound to another camera, or to {bound:g} nm, not {wavelength}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import InputError, Objective, PlenopticCamera
+from mitsuba_plenoptic import CaptureOperator, InputError, Objective, PlenopticCamera
 from mitsuba_plenoptic.lens_data import LensData
 from mitsuba_plenoptic.lenses.factory import main_lens
 from mitsuba_plenoptic.lenses.telecentric import TelecentricLens
@@ -52,6 +52,17 @@ def test_a_system_holds_its_fits_and_no_other_does():
     assert system.waves_of(POINTS) is lens
     assert system.waves_of_one(POINTS[0]) is system.waves_of_one(POINTS[0])
     assert OpticalSystem(REAL, WAVELENGTH).lens is not system.lens
+
+
+def test_sums_share_the_system_of_their_own_camera_only():
+    system = OpticalSystem(REAL, WAVELENGTH)
+    first, second = (
+        CaptureOperator(REAL, [point], wavelength=WAVELENGTH, system=system) for point in POINTS[:1].repeat(2, 0)
+    )
+    assert first._system_at(WAVELENGTH) is second._system_at(WAVELENGTH)
+    for camera, wavelength in ((THIN, WAVELENGTH), (REAL, 633.0)):
+        with pytest.raises(InputError, match="bound to another camera"):
+            CaptureOperator(camera, POINTS, wavelength=wavelength, system=system)
 
 
 @pytest.mark.parametrize("camera", [THIN, REAL, MICROSCOPE], ids=["thin", "real", "microscope"])
