@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,14 +10,15 @@ from ..errors import InputError
 from ..lattice import Lattice, make_lattice
 from ..objective import Objective
 from ..prescription import Prescription
-from ..thin_lens import conjugate_distance, defocus_factor, vergence
+from ..thin_lens import defocus_factor, vergence
+from .entry import record
 from .given_lens import exit_pupil
-from .numbers import CameraNumbers
+from .parameters import CameraParameters
 
 
-@dataclass(frozen=True, init=False, repr=False)
-class CameraGeometry(CameraNumbers):
-    """A camera's numbers with those that follow from them."""
+@record
+class CameraGeometry(CameraParameters):
+    """A camera's parameters with what follows from them."""
 
     # -- main lens -----------------------------------------------------------------------------------
 
@@ -55,17 +55,6 @@ class CameraGeometry(CameraNumbers):
     def f_number(self) -> float:
         """Focal length of the main lens over its diameter."""
         return self.focal_length / self.aperture_diameter
-
-    @property
-    def focus_distance(self) -> float:
-        """Distance of the object plane that is in focus on the MLA.
-
-        Infinite if the MLA stands in the focal plane, negative (no real plane) if it stands before that. An
-        objective's is its native object plane, at 0.
-        """
-        if isinstance(self.main_lens, Objective):
-            return 0.0
-        return conjugate_distance(self.focal_length, self.mla_distance)
 
     def defocus(self, distance: float) -> float:
         """Diameter of the cone from an on-axis point on the MLA over that on the main lens, with its sign.

@@ -27,6 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..camera.entry import Gradient
+from ..camera.parameters import with_gradient
+from ..camera.vector import Parts, shortest_parts, with_parts
 from ..errors import InputError
 from ..optics import rays
 from ..system.phase_space import PhaseSpace
@@ -36,15 +39,7 @@ from .signed_colours import Lanes, mixed
 from .signed_draws import Cells, Drawn, Lot, Pair, jitter
 from .signed_rays import REACH, SignedRaySum
 
-PARAMETERS = (
-    "focal_length",
-    "mla_distance",
-    "mla_focal_length",
-    "mla_pitch",
-    "mla_offset",
-    "detector_distance",
-    "detector_width",
-)
+PARAMETERS = with_gradient(Gradient.SCENES)
 """Parameters of a camera by which captures by signed rays have derivatives."""
 
 _OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distance", "detector_width")
@@ -58,8 +53,6 @@ _KERNEL_STEP, _TABLE_STEP = 1e-3, 2e-2
 
 _REACHED, _SHAPE = 16, 8.0
 """Samples that slopes are taken from on either side, and the shape of their weights, of Kaiser."""
-
-Values = dict[str, NDArray[np.float64]]
 
 
 class Held(NamedTuple):
@@ -83,11 +76,9 @@ class Held(NamedTuple):
     density: Any
 
 
-def parameters_of(camera: PlenopticCamera) -> Values:
+def parameters_of(camera: PlenopticCamera) -> Parts:
     """Return the values of all `PARAMETERS`, each as an array of its parts."""
-    given = {name: getattr(camera, name) for name in PARAMETERS if name != "mla_focal_length"}
-    given["mla_focal_length"] = camera.mla_focal_lengths
-    return {name: np.array(np.ravel(given[name]), np.float64) for name in PARAMETERS}
+    return {name: shortest_parts(camera, name) for name in PARAMETERS}
 
 
 def require_parameters(camera: PlenopticCamera, names: Iterable[str], by_points: bool) -> None:
@@ -125,7 +116,7 @@ class CameraTangents(SignedRaySum):
 
     _sets = 4
 
-    def __init__(self, *arguments: Any, changes: Values, **options: Any) -> None:
+    def __init__(self, *arguments: Any, changes: Parts, **options: Any) -> None:
         self._changes = changes
         super().__init__(*arguments, **options)
 
@@ -221,12 +212,7 @@ class CameraAdjoint(SignedRaySum):
     def _of_kernels(self) -> list[tuple[str, int]]:
         """Those parts of parameters that kernels depend on."""
         start = parameters_of(self._camera)
-        return [
-            (name, i)
-            for name in self._names
-            if name in _OF_KERNELS
-            for i in range(1 if name == "mla_pitch" else len(start[name]))
-        ]
+        return [(name, i) for name in self._names if name in _OF_KERNELS for i in range(len(start[name]))]
 
     def _kernels_of(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
         own = np.array(super()._kernels_of(plan, kind))
@@ -237,14 +223,14 @@ class CameraAdjoint(SignedRaySum):
     def _by_width(self) -> list[RayCoefficients]:
         return [width_slopes(node.plan) for node in self._nodes]
 
-    def backward(self, gradient: Sequence[NDArray[np.float32]]) -> Values:
+    def backward(self, gradient: Sequence[NDArray[np.float32]]) -> Parts:
         """Return the gradient by each part of the parameters from that of the sum, by channel (rows, columns)."""
         total = {name: np.zeros(len(value)) for name, value in parameters_of(self._camera).items()}
         for lot, felt in self._back(gradient):
             self._pull(lot, felt, total)
         return {name: total[name] for name in self._names}
 
-    def _pull(self, lot: Lot, felt: list[list[Any]], total: Values) -> None:
+    def _pull(self, lot: Lot, felt: list[list[Any]], total: Parts) -> None:
         """Add the gradients from rays of a lot; see `_back`."""
         key, count = dr.opaque(mi.UInt32, lot.seed & ~15), dr.width(lot.some)
         drawn, own = self._drawn_rays(lot.cells, key)
@@ -363,7 +349,7 @@ def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn
     )
 
 
-def width_change(camera: PlenopticCamera, changes: Values) -> float:
+def width_change(camera: PlenopticCamera, changes: Parts) -> float:
     """Return the relative change of the width of the pupil's diffraction over the pitch."""
     parts = (
         sign * float(changes[name][0]) / value
@@ -397,19 +383,17 @@ def kernel_slopes(plan: PhaseSpace, name: str, step: float, kind: int) -> list[N
     if name not in _OF_KERNELS:
         return [np.zeros(1)] * len(start)
     slopes = []
-    # All parts of the pitch are one.
-    for part in range(1 if name == "mla_pitch" else len(start)):
+    for part in range(len(start)):
         sides = []
         for side in (_KERNEL_STEP, -_KERNEL_STEP):
             if name == "detector_width":
                 sides.append(plan.sampled_kernels(step * (1 + side), samples, kind))
                 continue
             changed = start.copy()
-            changed[slice(None) if name == "mla_pitch" else part] *= 1 + side
-            value = changed.tolist() if len(changed) > 1 else float(changed[0])
-            sides.append(plan.moved(camera.replace(**{name: value})).sampled_kernels(step, samples, kind))
+            changed[part] *= 1 + side
+            sides.append(plan.moved(with_parts(camera, {name: changed})).sampled_kernels(step, samples, kind))
         slopes.append((sides[0] - sides[1]) / (2 * _KERNEL_STEP * start[part]))
-    return slopes + [np.zeros(1)] * (len(start) - len(slopes))
+    return slopes
 
 
 def displaced(kernels: NDArray[np.float64]) -> list[NDArray[np.float64]]:

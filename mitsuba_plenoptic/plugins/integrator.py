@@ -20,7 +20,7 @@ from ..capture.signed_gradients import SignedGradients
 from ..errors import InputError
 from ..lenses.wave_cameras import require_ideal
 from ..operator.accuracy import DEFAULT_ACCURACY, check_accuracy
-from ..operator.derivatives import NUMBERS, values_of
+from ..operator.derivatives import NUMBERS
 from ..operator.patch_plan import Cost
 from ..optics import guards
 from ..optics.spectrum import Spectrum
@@ -62,25 +62,14 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
 
 
 def tangent(sensor: Any, name: str) -> NDArray[np.float64]:
-    """Return in which direction a number of the camera changes, as `derivatives.values_of` has its parts."""
-    given = np.ravel(np.array(dr.grad(getattr(sensor, name)), np.float64))
-    size = _parts(sensor, name)
-    return np.repeat(given, 2) if name == "mla_pitch" and given.size == 1 else np.pad(given, (0, size - given.size))
+    """Return the direction in which a parameter of the camera changes."""
+    return np.ravel(np.array(dr.grad(getattr(sensor, name)), np.float64))
 
 
 def accumulate(sensor: Any, name: str, gradient: NDArray[np.float64]) -> None:
-    """Add to the gradient of a number of the camera."""
+    """Add to the gradient of a parameter of the camera."""
     value = getattr(sensor, name)
-    if name == "mla_pitch" and dr.width(value) == 1:
-        gradient = gradient.sum(keepdims=True)
-    if name == "wavefront":
-        gradient = gradient[: dr.width(value)]
     dr.accum_grad(value, type(value)(gradient.tolist()))
-
-
-def _parts(sensor: Any, name: str) -> int:
-    """Return of how many parts `derivatives.values_of` takes a number to be."""
-    return values_of(sensor.camera, 1.0, name).size
 
 
 _GONE = ("radiators_per_lens", "passes", "occlusion")
