@@ -129,12 +129,8 @@ def predict_centres(
 ) -> tuple[np.ndarray, np.ndarray]:
     r"""Predict the centres of micro-images, where the chief ray of each lens meets the detector.
 
-    :math:`c + (z + h) c / (b - h)`, for the ray through the centres of pupil and lens.
-
-    Returns
-    -------
-    pixel : (n, 2) array
-    by_numbers : (n, 2, 17) array
+    :math:`c + (z + h) c / (b - h)`, for the ray through the centres of pupil and lens. Pixels are (n, 2), and their
+    derivatives by the camera's numbers (n, 2, 17).
     """
     c, h, c_by, h_by = _lenses(numbers, lens, row_ratio)
     b, z = numbers[1:3]
@@ -149,28 +145,11 @@ def predict_centres(
 def predict(
     numbers: np.ndarray, poses: np.ndarray, seen: Observations, *, pixel_size: float, row_ratio: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Predict where corners are seen, and how that changes.
+    """Predict the pixels in which corners are seen, (n, 2), and their derivatives.
 
-    Parameters
-    ----------
-    numbers : (17,) array
-        The camera, as `NAMES` lists.
-    poses : (poses, 6) array
-        Of each board: rotation vector (radians) and place of its first corner, from the board's to the camera frame.
-    seen : Observations
-        Lenses and corners.
-    pixel_size : float
-        Width of a pixel in mm.
-    row_ratio : float
-        Distance of the lattice's rows over the pitch across them.
-
-    Returns
-    -------
-    pixel : (n, 2) array
-    by_numbers : (n, 2, 17) array
-        Derivatives with respect to the camera's numbers.
-    by_pose : (n, 2, 6) array
-        With respect to the numbers of the observation's own pose.
+    Those by the camera's numbers, which `NAMES` lists, are (n, 2, 17). Those by the observation's own pose are
+    (n, 2, 6): a rotation vector in radians and the position of the board's first corner, from the board's to the camera
+    frame. The ratio of rows is the distance of the lattice's rows over the pitch across them.
     """
     f, b, z = numbers[:3]
     n = len(seen)

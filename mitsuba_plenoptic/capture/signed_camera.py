@@ -56,24 +56,12 @@ _REACHED, _SHAPE = 16, 8.0
 
 
 class Held(NamedTuple):
-    """How rays that are held in the scene meet a changed camera.
+    """Rays that are held in the scene, as they meet a changed camera."""
 
-    Attributes
-    ----------
-    point : (Float, Float)
-        Where they meet the array, from the lens's centre, in the lattice's frame; it grows with the pitch.
-    cell : (Float, Float)
-        Where they land, in cells of the grid from the axis.
-    measure : Float
-        Logarithm of what a ray counts.
-    density : Float
-        Logarithm of how densely rays land whose directions fill the lens.
-    """
-
-    point: Pair
-    cell: Pair
-    measure: Any
-    density: Any
+    point: Pair  # on the array, from the lens's centre, in the lattice's frame, in which lengths grow with the pitch
+    cell: Pair  # on the detector, in cells of the grid from the axis
+    measure: Any  # logarithm of the weight of a ray
+    density: Any  # logarithm of the density on the detector of rays whose directions fill the lens
 
 
 def parameters_of(camera: PlenopticCamera) -> Parts:
@@ -82,13 +70,7 @@ def parameters_of(camera: PlenopticCamera) -> Parts:
 
 
 def require_parameters(camera: PlenopticCamera, names: Iterable[str], by_points: bool) -> None:
-    """Refuse parameters by which captures by signed rays, or those of rays that land by their own points, have none.
-
-    Raises
-    ------
-    InputError
-        Naming the parameter.
-    """
+    """Refuse parameters by which captures by signed rays, or those of rays that land by their own points, have none."""
     for name in names:
         if name not in PARAMETERS:
             raise InputError(f"{name}: captures by signed rays have derivatives by {', '.join(PARAMETERS)} alone")
@@ -106,13 +88,7 @@ def require_parameters(camera: PlenopticCamera, names: Iterable[str], by_points:
 
 
 class CameraTangents(SignedRaySum):
-    """The change of a capture with parameters of its camera.
-
-    Parameters
-    ----------
-    changes : dict
-        By name, of each part of some `PARAMETERS`.
-    """
+    """The change of a capture with parts of some `PARAMETERS` of its camera."""
 
     _sets = 4
 
@@ -195,13 +171,7 @@ class CameraTangents(SignedRaySum):
 
 
 class CameraAdjoint(SignedRaySum):
-    """The way back through a capture to the parameters of its camera.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Some `PARAMETERS`.
-    """
+    """The gradient of a figure of a capture by some `PARAMETERS` of its camera."""
 
     def __init__(self, *arguments: Any, names: Sequence[str], **options: Any) -> None:
         self._names = names
@@ -307,20 +277,9 @@ def varying_parameters(camera: PlenopticCamera) -> dict[str, list[Any]]:
 
 
 def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn, direction: Pair, step: float) -> Held:
-    """Follow rays that are held in the scene into a camera whose parameters are Dr.Jit's.
+    """Follow rays that a camera has drawn, by their slopes in the scene, into one whose `PARAMETERS` are Dr.Jit's.
 
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera that has drawn them.
-    varying : dict
-        The parts of all `PARAMETERS`.
-    drawn : Drawn
-        The rays.
-    direction : (Float, Float)
-        Their slopes in the scene.
-    step : float
-        Width of a cell of the detector's grid.
+    The step is the width of a cell of the detector's grid.
     """
     ((f1,), (b,), (z,), (width,)) = (
         varying[name] for name in ("focal_length", "mla_distance", "detector_distance", "detector_width")

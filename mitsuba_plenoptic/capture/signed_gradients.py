@@ -113,30 +113,17 @@ class SignedRayAdjoint(SignedRaySum):
 
 @dataclass(frozen=True)
 class SignedGradients:
-    """The derivatives of a capture by signed rays, with the same rays as its `compute` draws.
-
-    Attributes
-    ----------
-    capture : SignedCapture
-        The capture.
-    light : LightDerivatives, optional
-        The derivatives of its light; None: the light is held.
-    seed, spp
-        As of its `compute`.
-    """
+    """The derivatives of a capture by signed rays, with the same rays as its `compute` draws with that seed and spp."""
 
     capture: SignedCapture
-    light: LightDerivatives | None
+    light: LightDerivatives | None  # None: the light is held
     seed: int
     spp: int
 
     def forward(self, changes: Parts) -> NDArray[np.float32]:
-        """Return the change of the capture, (rows, columns, channels).
+        """Return the change of the capture, (rows, columns, channels), with changes of the camera's parameters by name.
 
-        Parameters
-        ----------
-        changes : dict
-            Of the camera's parameters, by name. The tangents of the scene's parameters are Dr.Jit's.
+        The tangents of the scene's parameters are Dr.Jit's.
         """
         with dr.suspend_grad():
             change = np.zeros((*self.capture.camera.shape, self.capture.colours.spectrum.channels), np.float32)
@@ -149,14 +136,9 @@ class SignedGradients:
         return change
 
     def backward(self, gradient: NDArray[np.float32], names: Sequence[str]) -> Parts:
-        """Return the gradients by the camera's parameters; those by the scene's are added to Dr.Jit's.
+        """Return the gradients by the camera's parameters from that by the capture, (rows, columns, channels).
 
-        Parameters
-        ----------
-        gradient : float32 array (rows, columns, channels)
-            Of a figure with respect to the capture.
-        names : sequence of str
-            Of the camera's parameters.
+        Those by the scene's parameters are added to Dr.Jit's.
         """
         with dr.suspend_grad():
             linear = list(np.moveaxis(gradient, -1, 0))

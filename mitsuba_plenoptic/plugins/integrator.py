@@ -30,19 +30,9 @@ from .properties import read_choice, read_plain
 
 
 def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]:
-    """Return which numbers of the camera carry gradients, and whether parameters of the scene do.
+    """Return the names of the camera's parameters that carry gradients, and whether any of the scene's does.
 
-    Parameters
-    ----------
-    params : mitsuba.SceneParameters, or None
-        As `mi.render` has been given them.
-    sensor : mitsuba.Sensor
-        The camera.
-
-    Raises
-    ------
-    InputError
-        If there is one by which captures have no derivative.
+    Those by which captures have no derivative are refused.
     """
     names, others = [], False
     for key, (_, _, node, _) in {} if params is None else params.properties.items():

@@ -121,8 +121,11 @@ def make_class() -> type:
                 line = _BOX if has_film else f'<film type="hdrfilm"> {_BOX} </film>'
                 raise InputError(f"{NAME}: {fault if has_film else 'it has no film'}; add the line {line}")
             camera = self._given = read_camera(props, NAME, film)
-            for name, value in self._own(camera).items():
-                setattr(self, name, _as_drjit(PARAMETERS[name], value) if self._exposes(name) else value)
+            own = _parameters_of(camera)
+            # A parameter of no numbers is not exposed.
+            self._numbers = [name for name, value in own.items() if PARAMETERS[name].is_exposed and value != ()]
+            for name, value in own.items():
+                setattr(self, name, _as_drjit(PARAMETERS[name], value) if name in self._numbers else value)
             self.m_needs_sample_3 = True
             self._update()
 
@@ -152,25 +155,10 @@ def make_class() -> type:
             self._candidates = [mi.Float(steps) for steps in self._rays.neighbours().T]
             dr.make_opaque(*self._candidates)
 
-        @staticmethod
-        def _own(camera: PlenopticCamera) -> dict[str, Any]:
-            """Return the parameters of a camera that are not its film's."""
-            return {name: value for name, value in camera.arguments().items() if PARAMETERS[name].form is not Form.FILM}
-
-        def _exposes(self, name: str) -> bool:
-            """Whether a parameter is exposed: one of no numbers is not."""
-            entry = PARAMETERS[name]
-            return entry.is_exposed and getattr(self._given, entry.attribute) != ()
-
-        @property
-        def _numbers(self) -> list[str]:
-            """Names of the parameters that are exposed."""
-            return [name for name in PARAMETERS if self._exposes(name)]
-
         @property
         def camera(self) -> PlenopticCamera:
             """The camera's present numbers."""
-            given = self._own(self._given)
+            given = _parameters_of(self._given)
             values = {name: getattr(self, name) for name in given}
             for name in self._numbers:
                 numbers = _plain(values[name], given[name])
@@ -307,6 +295,11 @@ def make_class() -> type:
             return "\n".join(["PlenopticSensor[", *lines, f"  film = {self.film().class_name()}", "]"])
 
     return PlenopticSensor
+
+
+def _parameters_of(camera: PlenopticCamera) -> dict[str, Any]:
+    """Return the parameters of a camera that are not its film's."""
+    return {name: value for name, value in camera.arguments().items() if PARAMETERS[name].form is not Form.FILM}
 
 
 def _as_drjit(entry: Parameter, value: Any) -> Any:

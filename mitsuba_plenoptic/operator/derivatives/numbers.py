@@ -1,4 +1,4 @@
-"""The numbers of a camera with respect to which captures are differentiated, as Dr.Jit numbers that carry gradients."""
+"""The parameters of a camera by which captures are differentiated, as Dr.Jit numbers that carry gradients."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ MOVES = ("detector_width", "mla_rotation", "wavelength")
 
 
 def values_of(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[np.float64]:
-    """Return the present value of a number, as an array: two pitches, each focal length, 36 aberrations or more."""
+    """Return the present parts of a parameter: two pitches, each focal length, 36 aberrations or more."""
     if name == WAVELENGTH:
         return np.array([wavelength])
     parts = parts_of(camera, name)
@@ -46,13 +46,7 @@ def values_of(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[
 
 
 def check_names(names: Iterable[str] | None) -> tuple[str, ...]:
-    """Return names of numbers, all for None.
-
-    Raises
-    ------
-    InputError
-        If there is no number of some name.
-    """
+    """Return names of parameters with derivatives, all for None; others are refused."""
     names = NUMBERS if names is None else (names,) if isinstance(names, str) else tuple(names)
     for name in names:
         if name not in NUMBERS:
@@ -64,13 +58,7 @@ def check_names(names: Iterable[str] | None) -> tuple[str, ...]:
 
 
 def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, NDArray[np.float64]]:
-    """Return changes of numbers by name, each as an array of what `values_of` returns.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown, or a change has another size than its number or is not finite.
-    """
+    """Return changes of parameters by name, each of all parts that `values_of` returns; others are refused."""
     if not isinstance(changes, dict):
         raise InputError(f"changes = {shown(changes)}: they must be numbers by name")
     check_names(changes)
@@ -85,7 +73,7 @@ def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, NDArray[np
 
 
 def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str, NDArray[np.float64]]:
-    """Return the derivatives, by each number, of the logarithm of what `units.brightness` returns.
+    """Return the derivatives, by all parts of each parameter, of the logarithm of what `units.brightness` returns.
 
     The pupil is taken to grow as the opening does; see `light_slopes` for what real main lenses do.
     """
@@ -99,44 +87,17 @@ def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str
 def light_slopes(
     camera: PlenopticCamera, names: Iterable[str], points: NDArray[np.float64], wavelength: float
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the derivatives, by each number, of the logarithm of what `units.brightness_at` returns.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    names : iterable of str
-        The numbers.
-    points : float64 array (n, 3)
-        Scene points in the camera frame.
-    wavelength : float
-        In nanometres.
-
-    Returns
-    -------
-    dict
-        By name float64 arrays (parts, n).
-    """
+    """Return the derivatives of the logarithm of `units.brightness_at`, by name as arrays (parts, points)."""
     slopes = {name: np.tile(slope[:, None], len(points)) for name, slope in brightness_slopes(camera, names).items()}
     lens = lens_of_waves(camera, points, wavelength)
     if isinstance(lens, FittedLens):
-        # How large the pupil is, the lens tells.
+        # Of a real lens the pupil does not grow as the opening does.
         slopes |= {name: open_area_slopes(lens, name, points)[None] for name in LENS_NUMBERS if name in slopes}
     return slopes
 
 
 class VaryingNumbers:
-    """The numbers of a camera as Dr.Jit numbers, of which some carry gradients.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        In nanometres.
-    names : iterable of str
-        The numbers that vary.
-    """
+    """The parameters of a camera, and the wavelength, as Dr.Jit numbers; those of some names carry gradients."""
 
     def __init__(self, camera: PlenopticCamera, wavelength: float, names: Iterable[str]) -> None:
         self.types = array_module().ad
