@@ -56,12 +56,16 @@ _NEWTON_STEPS = 2
 
 @dataclass(frozen=True)
 class Observations:
-    """The data of a fit: all arrays have one row for each observation."""
+    """What a fit compares with: all arrays have one row for each observation."""
 
-    lens: np.ndarray  # position of the lens in the unit frame of its lattice: pitches along rows, rows across
-    pixel: np.ndarray  # column and row; the centre of the first pixel is 0
-    board: np.ndarray  # position of the corner on its board in mm
-    pose: np.ndarray  # index of the pose of the board, from 0
+    # Place of the lens in the unit frame of its lattice, in pitches along the rows and rows across them; (n, 2).
+    lens: np.ndarray
+    # Column and row; the centre of the first pixel is 0; (n, 2).
+    pixel: np.ndarray
+    # Place of the corner on its board in mm; (n, 2).
+    board: np.ndarray
+    # Which pose of the board it is, from 0; (n,).
+    pose: np.ndarray
 
     def __len__(self) -> int:
         return len(self.pixel)
@@ -129,8 +133,9 @@ def predict_centres(
 ) -> tuple[np.ndarray, np.ndarray]:
     r"""Predict the centres of micro-images, where the chief ray of each lens meets the detector.
 
-    :math:`c + (z + h) c / (b - h)`, for the ray through the centres of pupil and lens. Pixels are (n, 2), and their
-    derivatives by the camera's numbers (n, 2, 17).
+    :math:`c + (z + h) c / (b - h)`, for the ray through the centres of pupil and lens.
+
+    The result has the shape (n, 2), (n, 2, 17).
     """
     c, h, c_by, h_by = _lenses(numbers, lens, row_ratio)
     b, z = numbers[1:3]
@@ -145,11 +150,9 @@ def predict_centres(
 def predict(
     numbers: np.ndarray, poses: np.ndarray, seen: Observations, *, pixel_size: float, row_ratio: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Predict the pixels in which corners are seen, (n, 2), and their derivatives.
+    """Predict where corners are seen, and how that changes.
 
-    Those by the camera's numbers, which `NAMES` lists, are (n, 2, 17). Those by the observation's own pose are
-    (n, 2, 6): a rotation vector in radians and the position of the board's first corner, from the board's to the camera
-    frame. The ratio of rows is the distance of the lattice's rows over the pitch across them.
+    Shapes: `numbers` (17,), `poses` (poses, 6); the result (n, 2), (n, 2, 17), (n, 2, 6).
     """
     f, b, z = numbers[:3]
     n = len(seen)

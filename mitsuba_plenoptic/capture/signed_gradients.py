@@ -113,18 +113,16 @@ class SignedRayAdjoint(SignedRaySum):
 
 @dataclass(frozen=True)
 class SignedGradients:
-    """The derivatives of a capture by signed rays, with the same rays as its `compute` draws with that seed and spp."""
+    """The derivatives of a capture by signed rays, with the same rays as its `compute` draws."""
 
     capture: SignedCapture
-    light: LightDerivatives | None  # None: the light is held
+    # The derivatives of its light; None: the light is held.
+    light: LightDerivatives | None
     seed: int
     spp: int
 
     def forward(self, changes: Parts) -> NDArray[np.float32]:
-        """Return the change of the capture, (rows, columns, channels), with changes of the camera's parameters by name.
-
-        The tangents of the scene's parameters are Dr.Jit's.
-        """
+        """Return the change of the capture, (rows, columns, channels)."""
         with dr.suspend_grad():
             change = np.zeros((*self.capture.camera.shape, self.capture.colours.spectrum.channels), np.float32)
             if self.light is not None:
@@ -136,9 +134,9 @@ class SignedGradients:
         return change
 
     def backward(self, gradient: NDArray[np.float32], names: Sequence[str]) -> Parts:
-        """Return the gradients by the camera's parameters from that by the capture, (rows, columns, channels).
+        """Return the gradients by the camera's parameters; those by the scene's are added to Dr.Jit's.
 
-        Those by the scene's parameters are added to Dr.Jit's.
+        Shapes: `gradient` (rows, columns, channels).
         """
         with dr.suspend_grad():
             linear = list(np.moveaxis(gradient, -1, 0))

@@ -31,7 +31,19 @@ def vector_of(camera: PlenopticCamera, names: Iterable[str] | str) -> CameraVect
 
 
 class Model:
-    """The wave captures of some views that are expected of a camera."""
+    """What a camera is expected to record of some views by waves.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    views : list of View
+        The light.
+    wavelength : float
+        In nanometres.
+    accuracy : float
+        As of `CaptureOperator`.
+    """
 
     def __init__(self, camera: PlenopticCamera, views: list[View], wavelength: float, accuracy: float) -> None:
         self._camera, self._views, self._wavelength = camera, views, wavelength
@@ -55,10 +67,10 @@ class Model:
 
     def derivatives(self, vector: CameraVector, images: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the derivatives of `images` by numbers, (numbers, views, rows, columns)."""
-        directions = vector.of(self._camera).directions()
+        names, directions = vector.names, vector.of(self._camera).directions()
         rows = []
         for view, operator, weights, image in zip(self._views, self._operators, self._weights, images, strict=True):
-            slopes = light_slopes(self._camera, vector.names, view.points, self._wavelength)
+            slopes = light_slopes(self._camera, names, view.points, self._wavelength)
             growth = [change @ slopes[name] for direction in directions for name, change in direction.items()]
             grown = [
                 # All the light together, or each point's by itself.

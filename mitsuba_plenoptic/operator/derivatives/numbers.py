@@ -87,11 +87,28 @@ def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str
 def light_slopes(
     camera: PlenopticCamera, names: Iterable[str], points: NDArray[np.float64], wavelength: float
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the derivatives of the logarithm of `units.brightness_at`, by name as arrays (parts, points)."""
+    """Return the derivatives, by each number, of the logarithm of what `units.brightness_at` returns.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    names : iterable of str
+        The numbers.
+    points : float64 array (n, 3)
+        Scene points in the camera frame.
+    wavelength : float
+        In nanometres.
+
+    Returns
+    -------
+    dict
+        By name float64 arrays (parts, n).
+    """
     slopes = {name: np.tile(slope[:, None], len(points)) for name, slope in brightness_slopes(camera, names).items()}
     lens = lens_of_waves(camera, points, wavelength)
     if isinstance(lens, FittedLens):
-        # Of a real lens the pupil does not grow as the opening does.
+        # How large the pupil is, the lens tells.
         slopes |= {name: open_area_slopes(lens, name, points)[None] for name in LENS_NUMBERS if name in slopes}
     return slopes
 
