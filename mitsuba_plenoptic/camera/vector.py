@@ -15,7 +15,7 @@ from .parameters import PARAMETERS
 from .plenoptic_camera import PlenopticCamera
 
 Array = NDArray[np.float64]
-Parts = dict[str, Array]
+Values = dict[str, Array]
 """Numbers by parameter: one for each of its parts."""
 
 _FARTHEST = 50.0
@@ -146,12 +146,12 @@ class CameraVector:
 
     def at(self, values: Array) -> PlenopticCamera:
         """Return the camera with other values of the numbers."""
-        parts: Parts = {}
+        parts: Values = {}
         for each, value in zip(self.components, values.tolist(), strict=True):
             parts.setdefault(each.name, parts_of(self.camera, each.name))[list(each.parts)] = value
         return with_parts(self.camera, parts)
 
-    def directions(self) -> list[Parts]:
+    def directions(self) -> list[Values]:
         """Return the change of parameters with each number, by 1."""
         changes = []
         for each in self.components:

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..camera.entry import Gradient
 from ..camera.parameters import with_gradient
-from ..camera.vector import Parts, shortest_parts, with_parts
+from ..camera.vector import Values, shortest_parts, with_parts
 from ..errors import InputError
 from ..optics import rays
 from ..system.phase_space import PhaseSpace
@@ -64,7 +64,7 @@ class Held(NamedTuple):
     density: Any  # logarithm of the density on the detector of rays whose directions fill the lens
 
 
-def parameters_of(camera: PlenopticCamera) -> Parts:
+def parameters_of(camera: PlenopticCamera) -> Values:
     """Return the values of all `PARAMETERS`, each as an array of its parts."""
     return {name: shortest_parts(camera, name) for name in PARAMETERS}
 
@@ -92,7 +92,7 @@ class CameraTangents(SignedRaySum):
 
     _sets = 4
 
-    def __init__(self, *arguments: Any, changes: Parts, **options: Any) -> None:
+    def __init__(self, *arguments: Any, changes: Values, **options: Any) -> None:
         self._changes = changes
         super().__init__(*arguments, **options)
 
@@ -193,14 +193,14 @@ class CameraAdjoint(SignedRaySum):
     def _by_width(self) -> list[RayCoefficients]:
         return [width_slopes(node.plan) for node in self._nodes]
 
-    def backward(self, gradient: Sequence[NDArray[np.float32]]) -> Parts:
+    def backward(self, gradient: Sequence[NDArray[np.float32]]) -> Values:
         """Return the gradient by each part of the parameters from that of the sum, by channel (rows, columns)."""
         total = {name: np.zeros(len(value)) for name, value in parameters_of(self._camera).items()}
         for lot, felt in self._back(gradient):
             self._pull(lot, felt, total)
         return {name: total[name] for name in self._names}
 
-    def _pull(self, lot: Lot, felt: list[list[Any]], total: Parts) -> None:
+    def _pull(self, lot: Lot, felt: list[list[Any]], total: Values) -> None:
         """Add the gradients from rays of a lot; see `_back`."""
         key, count = dr.opaque(mi.UInt32, lot.seed & ~15), dr.width(lot.some)
         drawn, own = self._drawn_rays(lot.cells, key)
@@ -308,7 +308,7 @@ def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn
     )
 
 
-def width_change(camera: PlenopticCamera, changes: Parts) -> float:
+def width_change(camera: PlenopticCamera, changes: Values) -> float:
     """Return the relative change of the width of the pupil's diffraction over the pitch."""
     parts = (
         sign * float(changes[name][0]) / value

@@ -23,7 +23,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera.vector import Parts
+from ..camera.vector import Values
 from ..runtime.jobs import Job, Task
 from .scene_light import LightDerivatives
 from .signed_camera import CameraAdjoint, CameraTangents
@@ -121,7 +121,7 @@ class SignedGradients:
     seed: int
     spp: int
 
-    def forward(self, changes: Parts) -> NDArray[np.float32]:
+    def forward(self, changes: Values) -> NDArray[np.float32]:
         """Return the change of the capture, (rows, columns, channels)."""
         with dr.suspend_grad():
             change = np.zeros((*self.capture.camera.shape, self.capture.colours.spectrum.channels), np.float32)
@@ -133,7 +133,7 @@ class SignedGradients:
                 change[..., channel] = mended.forward(change[..., channel])
         return change
 
-    def backward(self, gradient: NDArray[np.float32], names: Sequence[str]) -> Parts:
+    def backward(self, gradient: NDArray[np.float32], names: Sequence[str]) -> Values:
         """Return the gradients by the camera's parameters; those by the scene's are added to Dr.Jit's.
 
         Shapes: `gradient` (rows, columns, channels).
