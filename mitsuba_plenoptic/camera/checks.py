@@ -13,6 +13,7 @@ from ..lattice import LATTICES
 from ..objective import Objective
 from ..prescription import Prescription
 from ..thin_lens import conjugate_distance, image_distance
+from .entry import Captures
 from .geometry import CameraGeometry
 from .given_lens import nearest_array, own_numbers
 from .parameters import PARAMETERS
@@ -144,3 +145,11 @@ def _require_room(camera: CameraGeometry, lens: Prescription) -> None:
             f"mla_distance = {camera.mla_distance:g}: the array would stand within the main_lens or its exit pupil; "
             f"it must be more than {nearest:.4g}"
         )
+
+
+def require_known_to(camera: CameraGeometry, captures: Captures, what: str, instead: str = "") -> None:
+    """Refuse a camera with a parameter that captures of a kind would ignore; `what` begins the rule."""
+    for name, entry in PARAMETERS.items():
+        value = getattr(camera, entry.attribute)
+        if captures not in entry.known_to and value != entry.default:
+            raise InputError(f"{name} = {value}: {what} through cameras without it only; {instead}leave it out")

@@ -8,13 +8,13 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-from .entry import Form, Gradient, Parameter
+from .entry import Captures, Form, Parameter
 from .parameters import PARAMETERS
 
 _WIDTH = 116
 """Columns to which docstrings are filled."""
 
-_FLAGS = {Gradient.RAYS: "|differentiable|", Gradient.EDGES: "|discontinuous|"}
+_FLAGS = {Captures.RAYS: "|differentiable|", Captures.EDGES: "|discontinuous|"}
 """Flags of Mitsuba's manual for gradients of ray captures."""
 
 

@@ -26,17 +26,18 @@ class Form(Enum):
     GLASS = "Glass, str, float or dict", "|string| or |float|"
 
 
-class Gradient(Flag):
-    """Which captures have a derivative by a parameter."""
+class Captures(Flag):
+    """Kinds of captures, which depend on a parameter, or have a derivative by it."""
 
     NONE = 0
     RAYS = auto()
-    """Ray captures, but for what edges of the light bring that move with it if `EDGES` is among these, too."""
+    """Ray captures."""
     EDGES = auto()
+    """Among the derivatives: edges of the light in ray captures move with the parameter, whose part is missing."""
     SCENES = auto()
     """Wave captures of scenes."""
     POINTS = auto()
-    """Wave captures of points, `CaptureOperator`, and with them fits and searches."""
+    """Captures of points, by `CaptureOperator` and by rays, and with them fits, searches and wave reconstructions."""
     ALL = RAYS | EDGES | SCENES | POINTS
 
 
@@ -55,9 +56,13 @@ class Parameter(Generic[Given, Kept]):
     otherwise: str = ""  # the default in words, where it is None or needs them
     unit: str | tuple[str, ...] = ""  # of all its parts, or of each
     parts: tuple[str, ...] = ()  # what a calibration calls them
-    gradients: Gradient = Gradient.NONE  # a parameter with any is exposed by `mi.traverse`
+    known_to: Captures = Captures.RAYS  # captures of other kinds refuse cameras with a value that is not the default
+    gradients: Captures = (
+        Captures.NONE
+    )  # captures with a derivative by it; a parameter with any is exposed by `mi.traverse`
     scale: Callable[[Any], float] | None = None  # change of a camera's value that is a step of a fit; None: a hundredth
     highest: float | None = None  # where fits may go without bounds, if that is not near where they start
+    unseen: int = 0  # first parts, which no capture depends on: fits leave them out
     room: int = 0  # parts by which there are derivatives, of a parameter of which a camera may have fewer
     shortest: Callable[[Kept], Any] | None = None  # the form in files, where it is not what is kept
     instead_of: str = ""  # the parameter that is found from this one and is in files

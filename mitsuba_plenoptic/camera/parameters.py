@@ -30,7 +30,7 @@ from ..errors import require_choice, require_count, require_number
 from ..lattice import APERTURES, LATTICES
 from ..objective import Objective
 from ..prescription import Glass, Prescription
-from .entry import Form, Gradient, Parameter, record
+from .entry import Captures, Form, Parameter, record
 from .given_lens import known_glass, known_lens
 
 LENS_MODELS = ("ideal", "parabolic")
@@ -66,7 +66,8 @@ class CameraParameters:
         words="Focal length :math:`f_1` of the main lens.",
         otherwise="80, or that of `main_lens`, which is scaled to what is given",
         unit="mm",
-        gradients=Gradient.ALL & ~Gradient.EDGES,
+        known_to=Captures.ALL,
+        gradients=Captures.ALL & ~Captures.EDGES,
         in_first_files=True,
     )
     aperture_radius: Parameter[float | None, float] = Parameter(
@@ -79,7 +80,8 @@ class CameraParameters:
         ),
         otherwise="5, or `main_lens` fully open",
         unit="mm",
-        gradients=Gradient.POINTS,
+        known_to=Captures.ALL,
+        gradients=Captures.POINTS,
         in_first_files=True,
     )
     mla_distance: Parameter[float | None, float] = Parameter(
@@ -91,7 +93,8 @@ class CameraParameters:
         ),
         otherwise="120, unless `focus_distance` is given",
         unit="mm",
-        gradients=Gradient.ALL,
+        known_to=Captures.ALL,
+        gradients=Captures.ALL,
         in_first_files=True,
     )
     focus_distance: Parameter[float | None, float] = Parameter(
@@ -106,6 +109,7 @@ class CameraParameters:
         otherwise="what follows from `mla_distance`",
         unit="mm",
         instead_of="mla_distance",
+        known_to=Captures.ALL,
     )
     mla_focal_lengths: Parameter[float | Sequence[float], tuple[float, ...]] = Parameter(
         default=0.512,
@@ -118,7 +122,8 @@ class CameraParameters:
         form=Form.SEVERAL,
         takes="float or three floats",
         unit="mm",
-        gradients=Gradient.ALL,
+        known_to=Captures.ALL,
+        gradients=Captures.ALL,
         shortest=_one_if_single,
         in_first_files=True,
         alias="mla_focal_length",
@@ -134,7 +139,8 @@ class CameraParameters:
         takes="float or two floats",
         unit="mm",
         parts=("pitch_along", "pitch_across"),
-        gradients=Gradient.ALL,
+        known_to=Captures.ALL,
+        gradients=Captures.ALL,
         shortest=_one_if_equal,
         in_first_files=True,
         alias="mla_pitch",
@@ -149,6 +155,7 @@ class CameraParameters:
         ),
         form=Form.WORD,
         takes='{"square", "hexagonal"}',
+        known_to=Captures.ALL,
     )
     mla_rotation: Parameter[float, float] = Parameter(
         default=0.0,
@@ -158,7 +165,8 @@ class CameraParameters:
             "to up and clockwise as one looks at the capture."
         ),
         unit="degrees",
-        gradients=Gradient.ALL & ~Gradient.SCENES,
+        known_to=Captures.ALL,
+        gradients=Captures.ALL & ~Captures.SCENES,
         scale=_one,
     )
     mla_offset: Parameter[tuple[float, float], tuple[float, float]] = Parameter(
@@ -168,7 +176,8 @@ class CameraParameters:
         form=Form.PLACE,
         unit="mm",
         parts=("offset_x", "offset_y"),
-        gradients=Gradient.ALL,
+        known_to=Captures.ALL,
+        gradients=Captures.ALL,
         scale=lambda camera: min(camera.mla_pitches),
     )
     mla_tilt: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
@@ -181,6 +190,7 @@ class CameraParameters:
         form=Form.PLACE,
         unit="degrees",
         parts=("tilt_x", "tilt_y"),
+        known_to=Captures.RAYS | Captures.SCENES,
     )
     mla_aperture: Parameter[str, str] = Parameter(
         default="cell",
@@ -191,12 +201,14 @@ class CameraParameters:
         ),
         form=Form.WORD,
         takes='{"cell", "circle"}',
+        known_to=Captures.ALL,
     )
     mla_fill: Parameter[float, float] = Parameter(
         default=1.0,
         check=partial(require_number, positive=True, minimum=LEAST_FILL, maximum=1),
         words="Width of a lens's aperture over the pitch, at most 1; of a disc's over the shorter pitch.",
-        gradients=Gradient.ALL & ~Gradient.SCENES,
+        known_to=Captures.ALL,
+        gradients=Captures.ALL & ~Captures.SCENES,
         highest=1.0,
     )
     detector_distance: Parameter[float | None, float] = Parameter(
@@ -205,7 +217,8 @@ class CameraParameters:
         words="Distance :math:`z` from the MLA to the detector.",
         otherwise="`mla_focal_length`, the first of three",
         unit="mm",
-        gradients=Gradient.ALL,
+        known_to=Captures.ALL,
+        gradients=Captures.ALL,
         in_first_files=True,
     )
     detector_width: Parameter[float, float] = Parameter(
@@ -213,7 +226,8 @@ class CameraParameters:
         check=require_length,
         words="Width :math:`W` that the columns of the full detector span, cropped or not; pixels are square.",
         unit="mm",
-        gradients=Gradient.ALL,
+        known_to=Captures.ALL,
+        gradients=Captures.ALL,
         in_first_files=True,
     )
     resolution: Parameter[tuple[int, int], tuple[int, int]] = Parameter(
@@ -222,6 +236,7 @@ class CameraParameters:
         words="Columns and rows of the full detector.",
         form=Form.FILM,
         in_first_files=True,
+        known_to=Captures.ALL,
     )
     crop_offset: Parameter[tuple[int, int], tuple[int, int]] = Parameter(
         default=(0, 0),
@@ -229,6 +244,7 @@ class CameraParameters:
         words="Column and row of the first recorded pixel.",
         form=Form.FILM,
         in_first_files=True,
+        known_to=Captures.ALL,
     )
     crop_size: Parameter[tuple[int, int] | None, tuple[int, int]] = Parameter(
         default=None,
@@ -237,6 +253,7 @@ class CameraParameters:
         form=Form.FILM,
         otherwise="all from `crop_offset` on",
         in_first_files=True,
+        known_to=Captures.ALL,
     )
     lens_model: Parameter[str, str] = Parameter(
         default="ideal",
@@ -248,6 +265,7 @@ class CameraParameters:
         form=Form.WORD,
         takes='{"ideal", "parabolic"}',
         in_first_files=True,
+        known_to=Captures.ALL,
     )
     distortion: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
         default=(0.0,) * 5,
@@ -262,6 +280,7 @@ class CameraParameters:
         otherwise="none",
         unit=("mm^-2", "mm^-4", "mm^-6", "mm^-1", "mm^-1"),
         parts=("k1", "k2", "k3", "p1", "p2"),
+        known_to=Captures.RAYS | Captures.SCENES,
     )
     wavefront: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
         default=(),
@@ -273,8 +292,10 @@ class CameraParameters:
         ),
         form=Form.NUMBERS,
         otherwise="none",
-        gradients=Gradient.ALL & ~Gradient.SCENES,
+        known_to=Captures.ALL,
+        gradients=Captures.ALL & ~Captures.SCENES,
         scale=_one,
+        unseen=1,
         room=36,
     )
     mla_jitter: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
@@ -286,12 +307,14 @@ class CameraParameters:
             "0.1; see `mitsuba_plenoptic.system.lens_kinds`. Decoding and refocusing assume the regular array."
         ),
         form=Form.PLACE,
+        known_to=Captures.RAYS | Captures.SCENES,
     )
     mla_seed: Parameter[int, int] = Parameter(
         default=0,
         check=partial(require_count, minimum=0, maximum=MOST_SEED),
         words="Seed, up to 4294967295, that chooses one of all arrays with this `mla_jitter`.",
         form=Form.COUNT,
+        known_to=Captures.ALL,
     )
     pixel_response: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
         default=(),
@@ -302,6 +325,7 @@ class CameraParameters:
         ),
         form=Form.NUMBERS,
         otherwise="1 at all angles",
+        known_to=Captures.RAYS | Captures.SCENES,
     )
     main_lens: Parameter[_Lens | str | Path | dict[str, Any] | None, _Lens | None] = Parameter(
         default=None,
@@ -317,6 +341,7 @@ class CameraParameters:
         form=Form.LENS,
         otherwise="a thin lens",
         shortest=lambda lens: lens and lens.to_plain(),
+        known_to=Captures.ALL,
     )
     glass: Parameter[_Glass | None, Glass | None] = Parameter(
         default=None,
@@ -329,6 +354,7 @@ class CameraParameters:
         form=Form.GLASS,
         otherwise="the same focal length for all wavelengths",
         shortest=lambda glass: glass and glass.to_plain(),
+        known_to=Captures.ALL,
     )
     mla_glass: Parameter[_Glass | None, Glass | None] = Parameter(
         default=None,
@@ -337,6 +363,7 @@ class CameraParameters:
         form=Form.GLASS,
         otherwise="the same focal length for all wavelengths",
         shortest=lambda glass: glass and glass.to_plain(),
+        known_to=Captures.ALL,
     )
 
 
@@ -344,7 +371,7 @@ PARAMETERS = {entry.name: entry for entry in (cast(Parameter, each.default) for 
 """The entries of the table by the names of the constructor's arguments."""
 
 
-def with_gradient(kind: Gradient) -> tuple[str, ...]:
+def with_gradient(kind: Captures) -> tuple[str, ...]:
     """Return the names of the parameters by which captures of a kind have derivatives."""
     return tuple(name for name, entry in PARAMETERS.items() if kind in entry.gradients)
 

@@ -68,13 +68,13 @@ class Component:
 
 def _components(camera: PlenopticCamera, name: str) -> list[Component]:
     """Return the numbers that a parameter consists of, of aberrations all but the piston."""
-    count, form = len(parts_of(camera, name)), PARAMETERS[name].form
-    if form is Form.SEVERAL and len(shortest_parts(camera, name)) == 1:
+    count, entry = len(parts_of(camera, name)), PARAMETERS[name]
+    if entry.form is Form.SEVERAL and len(shortest_parts(camera, name)) == 1:
         return [Component(name, tuple(range(count)), name)]
-    if form is Form.NUMBERS and count < 2:
+    if count <= entry.unseen:
         raise InputError(f"{name}: the camera has no coefficients to start from; give it some, zeros too")
-    first = form is Form.NUMBERS
-    return [Component(name, (part,), f"{name}.{part + 1}" if count > 1 else name) for part in range(int(first), count)]
+    labels = [f"{name}.{part + 1}" for part in range(count)] if count > 1 else [name]
+    return [Component(name, (part,), labels[part]) for part in range(entry.unseen, count)]
 
 
 @dataclass(frozen=True)

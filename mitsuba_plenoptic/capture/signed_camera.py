@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..camera.entry import Gradient
+from ..camera.entry import Captures
 from ..camera.parameters import with_gradient
 from ..camera.vector import Values, shortest_parts, with_parts
 from ..errors import InputError
@@ -39,7 +39,7 @@ from .signed_colours import Lanes, mixed
 from .signed_draws import Cells, Drawn, Lot, Pair, jitter
 from .signed_rays import REACH, SignedRaySum
 
-PARAMETERS = with_gradient(Gradient.SCENES)
+PARAMETERS = with_gradient(Captures.SCENES)
 """Parameters of a camera by which captures by signed rays have derivatives."""
 
 _OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distance", "detector_width")

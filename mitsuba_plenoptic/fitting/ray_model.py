@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..camera.checks import require_known_to
+from ..camera.entry import Captures
 from ..camera.vector import CameraVector
 from ..errors import InputError
 from ..lattice import Lattice, make_lattice
@@ -114,9 +116,7 @@ class PointRays:
 
 def _require_known(camera: PlenopticCamera) -> None:
     """Refuse a camera through which points cannot be followed, as `PointRays` says."""
-    for name in ("mla_tilt", "distortion", "mla_jitter", "pixel_response"):
-        if any(getattr(camera, name)):
-            raise InputError(f"{name} = {getattr(camera, name)}: points are followed through cameras without it only")
+    require_known_to(camera, Captures.POINTS, "points are followed")
     require_no_glass(camera, "points are followed at one wavelength;")
     camera.require_no_objective("points are followed by rays")
     if not camera.lattice.fills:

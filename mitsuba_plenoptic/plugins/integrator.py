@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..camera.checks import require_known_to
+from ..camera.entry import Captures
 from ..capture import colour
 from ..capture.points_capture import PointsCapture
 from ..capture.scene_light import LightDerivatives, SceneLight
@@ -298,7 +300,9 @@ def make_class() -> type:
             if mi.is_spectral:
                 colour.require_spectra(scene, colours.spectrum.wavelengths, colours.spectrum.matrix())
             light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
-            return SignedCapture(PlenopticCamera.from_sensor(sensor), light, colours, self.accuracy)
+            camera = PlenopticCamera.from_sensor(sensor)
+            require_known_to(camera, Captures.SCENES, "signed rays are followed", "use ray captures, or ")
+            return SignedCapture(camera, light, colours, self.accuracy)
 
         def _by_points(self, scene: Any, sensor: Any) -> PointsCapture:
             camera = PlenopticCamera.from_sensor(sensor)

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..camera.documentation import with_sensor_parameters
-from ..camera.entry import Form, Gradient, Parameter
+from ..camera.entry import Captures, Form, Parameter
 from ..camera.parameters import PARAMETERS
 from ..errors import InputError
 from ..lenses.lens_system import LensSystem
@@ -309,10 +309,10 @@ def _as_drjit(entry: Parameter, value: Any) -> Any:
 
 def _flags(entry: Parameter) -> Any:
     """Return how ray captures may be differentiated by a parameter."""
-    if Gradient.RAYS not in entry.gradients:
+    if Captures.RAYS not in entry.gradients:
         return mi.ParamFlags.NonDifferentiable
     flags = mi.ParamFlags.Differentiable
-    return flags | mi.ParamFlags.Discontinuous if Gradient.EDGES in entry.gradients else flags
+    return flags | mi.ParamFlags.Discontinuous if Captures.EDGES in entry.gradients else flags
 
 
 def _plain(values: Any, given: float | tuple[float, ...]) -> list[float]:

@@ -141,6 +141,17 @@ try:
     Camera(temperature=200)
 except mp.InputError as error:
     assert str(error) == "temperature = 200: it must be at most 100"
+dark = {"type": "scene", "integrator": {"type": "path"}}
+for work in (
+    lambda: mp.CaptureOperator(camera, [(0, 0, 240)], wavelength=550),
+    lambda: mp.render_capture(mp.load_scene(dark | {"camera": camera.to_sensor()}), model="wave", spp=4),
+):
+    try:
+        work()
+    except mp.InputError as error:
+        assert "temperature = 35.0: " in str(error) and "through cameras without it only" in str(error), error
+    else:
+        raise AssertionError
 assert "temperature : float" in Camera.__doc__
 
 u = np.linspace(0, 1, 64, dtype=np.float32)

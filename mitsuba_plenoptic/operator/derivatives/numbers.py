@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...camera.entry import Gradient
+from ...camera.entry import Captures
 from ...camera.parameters import with_gradient
 from ...camera.vector import change_of, parts_of, size_of
 from ...errors import InputError, did_you_mean, require_number, shown
@@ -30,7 +30,7 @@ from .aberrations import varying_path
 WAVELENGTH = "wavelength"
 """By it captures can be differentiated like by the parameters of the camera."""
 
-NUMBERS = (*with_gradient(Gradient.POINTS), WAVELENGTH)
+NUMBERS = (*with_gradient(Captures.POINTS), WAVELENGTH)
 """Parameters of a camera, and the wavelength, by which captures can be differentiated."""
 
 MOVES = ("detector_width", "mla_rotation", "wavelength")
