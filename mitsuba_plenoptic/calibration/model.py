@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from ..camera.parameters import part_units
 from ..lenses.distortion import undistorted
 
-PARAMETERS = (
+CALIBRATED = (
     "focal_length",
     "mla_distance",
     "detector_distance",
@@ -37,7 +37,7 @@ PARAMETERS = (
 """Parameters that are calibrated, in the order of a vector, before the principal point and `distortion`."""
 
 UNITS = (
-    {part: unit for name in PARAMETERS for part, unit in part_units(name).items()}
+    {part: unit for name in CALIBRATED for part, unit in part_units(name).items()}
     | {"principal_u": "pixels", "principal_v": "pixels"}
     | part_units("distortion")
 )

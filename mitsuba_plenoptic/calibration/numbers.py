@@ -10,7 +10,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..camera.vector import parts_of, with_parts
-from .model import AT, PARAMETERS
+from .model import AT, CALIBRATED
 
 _PRINCIPAL = [AT["principal_u"], AT["principal_v"]]
 
@@ -28,9 +28,9 @@ def camera_of(numbers: np.ndarray, like: PlenopticCamera) -> PlenopticCamera:
     What they do not determine is as in `like`: recorded pixels and their size, f-number, lattice, apertures and focal
     lengths of the microlenses, and how rays refract.
     """
-    ends = np.cumsum([len(parts_of(like, name)) for name in PARAMETERS])
+    ends = np.cumsum([len(parts_of(like, name)) for name in CALIBRATED])
     *rest, beyond = np.split(numbers, ends)
-    parts, focal_length = dict(zip(PARAMETERS, rest, strict=True)), numbers[AT["focal_length"]]
+    parts, focal_length = dict(zip(CALIBRATED, rest, strict=True)), numbers[AT["focal_length"]]
     parts |= {"distortion": beyond[2:], "aperture_radius": np.array([focal_length / (2 * like.f_number)])}
     offset, parts["mla_offset"] = parts["mla_offset"], np.zeros(2)
     resolution, crop = [], []
@@ -52,6 +52,6 @@ def camera_of(numbers: np.ndarray, like: PlenopticCamera) -> PlenopticCamera:
 
 def numbers_of(camera: PlenopticCamera) -> np.ndarray:
     """Return a camera's numbers, in the order of `NAMES`."""
-    parts = {name: parts_of(camera, name) for name in PARAMETERS} | {"mla_offset": camera.lattice.centre(0.0, 0.0)}
+    parts = {name: parts_of(camera, name) for name in CALIBRATED} | {"mla_offset": camera.lattice.centre(0.0, 0.0)}
     principal = [(size - 1) / 2 - offset for size, offset in zip(camera.resolution, camera.crop_offset, strict=True)]
     return np.concatenate([*parts.values(), principal, camera.distortion])

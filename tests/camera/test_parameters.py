@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import os
 import re
 import shutil
@@ -10,7 +11,9 @@ import subprocess
 import sys
 from dataclasses import fields
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
+import mitsuba as mi
 import numpy as np
 import pytest
 
@@ -58,6 +61,58 @@ def test_the_record_its_signature_and_its_documentation_have_all_entries():
         assert entry.words.endswith(".")
         known = {*PARAMETERS, "read_prescription", "Prescription", "Objective", "at_wavelength"}
         assert set(re.findall(r"(?<![`:])`(\w+)`(?!`)", entry.words)) <= known
+
+
+OTHER = {
+    "focal_length": 70.3,
+    "aperture_radius": 4.1,
+    "mla_distance": 130.7,
+    "focus_distance": 300.9,
+    "mla_focal_length": 0.5123,
+    "mla_pitch": (0.0641, 0.0652),
+    "mla_lattice": "hexagonal",
+    "mla_rotation": -1.1,
+    "mla_offset": (0.011, -0.023),
+    "mla_tilt": (0.1, -0.2),
+    "mla_aperture": "circle",
+    "mla_fill": 0.83,
+    "detector_distance": 0.49,
+    "detector_width": 8.3,
+    "resolution": (4000, 3000),
+    "crop_offset": (5, 7),
+    "crop_size": (100, 90),
+    "lens_model": "parabolic",
+    "distortion": (1e-4, -1e-6, 1e-9, 2e-5, -3e-5),
+    "wavefront": (0.0, 0.1, -0.2),
+    "mla_jitter": (0.0011, 0.023),
+    "mla_seed": 4294967295,
+    "pixel_response": (0.0, 1.0, 20.0, 0.3),
+    "main_lens": "tessar",
+    "glass": {"index": 1.5168, "abbe": 64.2},
+    "mla_glass": 1.4585,
+}
+"""A value of each parameter that is not its default."""
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_every_parameter_survives_files_and_scene_files(name):
+    camera = PlenopticCamera(**{name: OTHER[name]})
+    assert camera != PlenopticCamera()
+    assert PlenopticCamera.from_json(camera.to_json()) == camera
+    assert PlenopticCamera.from_json(json.dumps({name: OTHER[name]})) == camera
+    written = mi.load_string(f'<scene version="3.0.0">{camera.to_xml()}</scene>')
+    assert PlenopticCamera.from_sensor(written.sensors()[0]) == camera
+    if name not in ("resolution", "crop_offset", "crop_size"):
+        entry, value = PARAMETERS[name], OTHER[name]
+        text = json.dumps(value) if isinstance(value, dict) else ", ".join(map(str, np.ravel(value).tolist()))
+        kind = {int: "integer", float: "float"}.get(type(value), "string")
+        film = '<film type="hdrfilm"><integer name="width" value="4096"/><integer name="height" value="4096"/>'
+        given = f"<{kind} name={quoteattr(name)} value={quoteattr(text)}/>"
+        sensor = f'<sensor type="plenoptic">{given}{film}<rfilter type="box"/></film></sensor>'
+        found = mi.load_string(f'<scene version="3.0.0">{sensor}</scene>').sensors()[0]
+        assert PlenopticCamera.from_sensor(found) == camera
+        exposed = {key.rsplit(".", 1)[-1] for key in mi.traverse(found).keys()}  # noqa: SIM118
+        assert (name in exposed) == bool(entry.gradients)
 
 
 @pytest.mark.parametrize("lens", [None, "tessar", {"magnification": 20, "numerical_aperture": 0.5}])
