@@ -190,7 +190,7 @@ class Objective(LensData):
                 f"{-self.focal_length:g}"
             )
 
-    def focus_distance(self, camera: Any) -> float:
+    def focus_distance(self, focal_length: float, mla_distance: float) -> float:
         """Return 0: the native object plane is in focus."""
         return 0.0
 
