@@ -172,8 +172,7 @@ class Objective(LensData):
     def require_focusable(self, focus_distance: Any) -> None:
         """Refuse any other plane than the native one."""
         raise InputError(
-            f"focus_distance = {focus_distance:g}: an objective is focused on its native object plane; "
-            "leave it out"
+            f"focus_distance = {focus_distance:g}: an objective is focused on its native object plane; leave it out"
         )
 
     def require_fit(self, camera: Any) -> None:
