@@ -36,7 +36,7 @@ from ..runtime.fft import busy_drjit
 from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
 from .scene_light import require_finite
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
-from .signed_draws import ORDER, Cells, Drawn, Draws, Lot, Pair, jitter
+from .signed_draws import ORDER, Cells, Drawn, Draws, Lot, Pair
 
 _BLOCK_BYTES = 2**29
 """Memory of the images of one block of the detector."""
@@ -351,13 +351,13 @@ class SignedRaySum:
         radiance, known = [radiance[i] for i in used], [known[i] for i in used]
 
         def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
-            drawn, chance, even = self._draws.draw(cells, k, key), jitter(cells.index, key ^ (k << 4)), (k & 1) == 0
+            drawn, even = self._draws.draw(cells, k, key), (k & 1) == 0
             others = [dr.select(even, pair[1], pair[0]) * self._known_part for pair in known]
             changes = [
                 dr.gather(mi.Float, light, first + k) - other for light, other in zip(radiance, others, strict=True)
             ]
             active = drawn.open & dr.any([change != 0 for change in changes], axis=0)
-            values = coefficients(drawn.point, drawn.inner, chance, active)
+            values = coefficients(drawn.point, drawn.inner, drawn.chance, active)
             result = []
             for row, before in zip(weights, brought, strict=True):
                 change = drawn.weight * mixed(row, changes)
