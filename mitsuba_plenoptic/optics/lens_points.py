@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from .phase_space import PhaseSpace
 from .ray_coefficients import TableNodes
 
-_CELLS = 32
+_CELLS = 64
 """Strips of a window, and cells of a strip."""
 
-_LEAST = 0.02
+_LEAST = 0.05
 """Part of the mean density that is added to it: light may have other coefficients where the first is 0."""
 
 
