@@ -64,7 +64,7 @@ class Drawn(NamedTuple):
     detector: Pair
     height: Any
     weight: Any
-    chance: Sequence[Any]
+    chance: tuple[Any, Any, Any, Any]
     open: Any
 
 
