@@ -36,7 +36,7 @@ from ..system.phase_space import PhaseSpace
 from ..system.ray_coefficients import RayCoefficients
 from .scene_light import require_finite
 from .signed_colours import Lanes, mixed
-from .signed_draws import Cells, Drawn, Lot, Pair, jitter
+from .signed_draws import Cells, Drawn, Lot, Pair
 from .signed_rays import REACH, SignedRaySum
 
 PARAMETERS = with_gradient(Captures.SCENES)
@@ -146,11 +146,11 @@ class CameraTangents(SignedRaySum):
         wider = dr.opaque(mi.Float, width_change(self._camera, self._changes))
 
         def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
-            drawn, chance, even = self._draws.draw(cells, k, key), jitter(cells.index, key ^ (k << 4)), (k & 1) == 0
+            drawn, even = self._draws.draw(cells, k, key), (k & 1) == 0
             du, dv, dx, dy, measure, density = (dr.gather(mi.Float, change, first + k) for change in changes)
             means = [dr.select(drawn.open, dr.select(even, pair[1], pair[0]), 0) for pair in known]
             lights = [dr.gather(mi.Float, light, first + k) for light in radiance]
-            nodes = drawn.point, drawn.inner, chance, drawn.open
+            nodes = drawn.point, drawn.inner, drawn.chance, drawn.open
             values, (by_u, by_v), by_width = table(*nodes), table.slopes(*nodes), width(*nodes)
             result = []
             for row, before in zip(weights, brought, strict=True):
@@ -217,8 +217,8 @@ class CameraAdjoint(SignedRaySum):
         drawn, own = self._drawn_rays(cells, key)
         _, direction = pupil.trace(drawn.place, drawn.pupil, drawn.height)
         sample = dr.arange(mi.UInt32, dr.width(own)) - own * spp
-        chance, even = jitter(dr.gather(mi.UInt32, cells.index, own), key ^ (sample << 4)), (sample & 1) == 0
-        points, own = (drawn.point, drawn.inner, chance, drawn.open), dr.gather(mi.UInt32, lit, own)
+        even = (sample & 1) == 0
+        points, own = (drawn.point, drawn.inner, drawn.chance, drawn.open), dr.gather(mi.UInt32, lit, own)
         lights = [dr.gather(mi.Float, light, own * spp + sample, drawn.open) for light in radiance]
         means = [
             dr.select(drawn.open, dr.select(even, *(dr.gather(mi.Float, half, own) for half in pair[::-1])), 0)

@@ -17,6 +17,7 @@ from ..camera import PlenopticCamera
 from ..optics.phase import in_millimetres
 from ..runtime.batches import Box
 from ..system.lens_kinds import MOST_DEVIATIONS, LensKinds
+from ..system.lens_points import LensPoints
 from ..system.phase_space import PhaseSpace
 from ..system.ray_pupil import RayPupil
 from .signed_colours import Lanes
@@ -25,15 +26,6 @@ Pair = tuple[Any, Any]
 
 _STEPS = 1.1673039782614187 ** -np.arange(1.0, 5.0)
 """Steps of an additive sequence that fills four dimensions evenly: powers of 1 over the root of x^5 = x + 1."""
-
-_FALL = 1.2
-"""Distance, from a lens, over which the density of drawn points begins to fall off, in lambda b / 4 h."""
-
-_TURNED = 1.0
-"""That distance over the width of a lens from which on points are drawn along the pupil's radius and across it."""
-
-_WIDEST = 4.0
-"""That distance over the width of a lens, at most."""
 
 _AIRY, _AIRY_REACH = 1024, 200.0
 """Steps of the energy of Airy's pattern, and how far it goes in units of lambda b / 2 pi R; 0.3 % lies beyond."""
@@ -58,6 +50,8 @@ class Drawn(NamedTuple):
         By how much the lens stands nearer to the main lens than the one on the axis.
     weight : Float
         One over the density of the points over the aperture.
+    chance : four Float
+        By which they take one of the table's nodes around them.
     open : Bool
         Whether the pupil lets them through.
     """
@@ -69,6 +63,7 @@ class Drawn(NamedTuple):
     detector: Pair
     height: Any
     weight: Any
+    chance: tuple[Any, Any, Any, Any]
     open: Any
 
 
@@ -160,10 +155,12 @@ class Draws:
         # Rays that land by their own points of a lens see the pupil from there.
         self.by_points = plans[0].by_points
         self._turns = mi.Float([plans[0].convergence(kind) * camera.pupil_distance for kind in plans[0].kinds])
-        self._wavelength = in_millimetres(max(plan.wavelength for plan in plans))
-        self._spread = _FALL * self._wavelength * camera.pupil_distance / 4
-        self._lens_area = float(camera.lattice.lens_area)
-        self._window = max(max(node.sides) / 2 for plan in plans for node in plan.nodes)
+        self._longest = max(plans, key=lambda plan: plan.wavelength)
+
+    @cached_property
+    def _points(self) -> LensPoints:
+        """Points about lenses, as light of the longest wavelength needs them, which is spread most."""
+        return LensPoints(self._longest)
 
     @property
     def widest(self) -> float:
@@ -218,6 +215,7 @@ class Draws:
         aims, lattice = self.aims(cells), self._camera.lattice
         half, index = sample & 1, mi.Float(sample >> 1)
         random = []
+        chance = _chance(cells.index, seed ^ (sample << 4))
         for axis, step in enumerate(_STEPS):
             value = index * step + mi.sample_tea_float32(cells.index, seed ^ (half * 8 + axis + 1))
             random.append(value - dr.floor(value))
@@ -231,11 +229,11 @@ class Draws:
             inner = self.pupil.inner(pupil, aims.centre)
         else:
             inner, aside = self.pupil.inner(pupil, aims.centre), (0.0, 0.0)
-            point, weight = self._about(inner, random[:2])
+            point, weight = self._points.draw(inner, chance, random[:2])
         is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self.pupil.radius**2
         place = tuple(c + m - x for c, m, x in zip(aims.centre, point, aside, strict=True))
         detector = x - aims.centre[0], y - aims.centre[1]
-        return Drawn(pupil, inner, point, place, detector, aims.height, weight, is_open)
+        return Drawn(pupil, inner, point, place, detector, aims.height, weight, chance, is_open)
 
     def _within(self, point: Pair) -> Pair:
         """Return the nearest places on a lens."""
@@ -267,43 +265,11 @@ class Draws:
         v = np.linspace(0, _AIRY_REACH, 1 << 14)
         energy = 1 - j0(v) ** 2 - j1(v) ** 2
         radius = np.interp(np.linspace(0, energy[-1], _AIRY), energy, v)
-        return mi.Float(radius * self._wavelength * camera.pupil_distance / (2 * math.pi * camera.pupil_radius))
-
-    def _about(self, pupil: Pair, random: list[Any]) -> tuple[Pair, Any]:
-        """Draw points about a lens, where the pupil spreads rays through it from; return their weights, too.
-
-        Along either of two directions they are even over the lens, and fall off by the square of the distance beyond.
-        The directions are those of the lattice, or near the pupil's rim its radius and across it.
-        """
-        lattice, radius = self._camera.lattice, self.pupil.radius
-        Pu, Pv = lattice.to_frame(*pupil)
-        widths = lattice.aperture_widths
-        distance = dr.sqrt(Pu * Pu + Pv * Pv)
-        turned = self._spread > _TURNED * (radius - distance) * max(widths)
-        cosine, sine = dr.select(turned, Pu / distance, 1), dr.select(turned, Pv / distance, 0)
-        # Half the widths of the overlap of the pupil with itself about P.
-        across = dr.sqrt(dr.maximum(radius * radius - distance * distance, 0))
-        halves = [
-            dr.select(turned, at_rim, dr.sqrt(dr.maximum(radius * radius - other * other, 0)) - dr.abs(own))
-            for at_rim, own, other in ((radius - distance, Pu, Pv), (across, Pv, Pu))
-        ]
-        extents = [0.5 * (widths[0] * dr.abs(c) + widths[1] * dr.abs(s)) for c, s in ((cosine, sine), (sine, cosine))]
-        places, weight = [], mi.Float(1 / self._lens_area)
-        for r, half, extent in zip(random, halves, extents, strict=True):
-            fall = dr.minimum(self._spread / dr.maximum(half, 1e-6 * radius), _WIDEST * max(widths))
-            # None are drawn beyond the window.
-            most = 1 - fall * fall / ((extent + fall) * (self._window - extent + fall))
-            side = (2 * r - 1) * most
-            # The root of the greatest density over that of the place; from 1 on it is beyond the lens.
-            less = fall / ((extent + fall) * dr.maximum(1 - dr.abs(side), 1e-7))
-            far = dr.copysign(extent + fall * (less - 1), side)
-            places.append(dr.select(less > 1, far, side * (extent + fall)))
-            weight *= 2 * most * (extent + fall) * dr.square(dr.maximum(less, 1))
-        point = lattice.from_frame(places[0] * cosine - places[1] * sine, places[0] * sine + places[1] * cosine)
-        return point, weight
+        wavelength = in_millimetres(self._longest.wavelength)
+        return mi.Float(radius * wavelength * camera.pupil_distance / (2 * math.pi * camera.pupil_radius))
 
 
-def jitter(lane: Any, key: Any) -> tuple[Any, Any, Any, Any]:
+def _chance(lane: Any, key: Any) -> tuple[Any, Any, Any, Any]:
     """Return four random numbers, of 16 bits each."""
     words = mi.sample_tea_32(lane, key)
     low = [mi.Float(word & 0xFFFF) * 2.0**-16 for word in words]

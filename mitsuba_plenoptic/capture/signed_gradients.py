@@ -29,7 +29,7 @@ from .scene_light import LightDerivatives
 from .signed_camera import CameraAdjoint, CameraTangents
 from .signed_capture import SignedCapture, Sum
 from .signed_colours import Lanes, mixed
-from .signed_draws import Lot, jitter
+from .signed_draws import Lot
 from .signed_rays import SignedRaySum
 
 
@@ -73,14 +73,13 @@ class SignedRayAdjoint(SignedRaySum):
         )
         drawn, own = self._drawn_rays(cells, key)
         sample = dr.arange(mi.UInt32, dr.width(own)) - own * spp
-        chance = jitter(dr.gather(mi.UInt32, cells.index, own), key ^ (sample << 4))
         # Of each value: by its own ray, and by what rays of the other half bring less where the mean of this one does.
         totals: dict[int, tuple[Any, Any]] = {}
         for number in nodes:
             node = self._nodes[number]
             first = dr.gather(mi.UInt32, lot.first(every, self._values_of(node)), met)
             place = dr.gather(mi.UInt32, first, own)
-            values = self._coefficients[number](drawn.point, drawn.inner, chance, drawn.open)
+            values = self._coefficients[number](drawn.point, drawn.inner, drawn.chance, drawn.open)
             direct, others = [], []
             for total in felt[number]:
                 parts = [dr.gather(mi.Float, total, place + every * n, drawn.open) for n in range(len(values))]

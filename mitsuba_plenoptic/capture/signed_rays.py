@@ -1,7 +1,7 @@
 r"""A scene's capture by waves from the rays of a capture by rays: signed coefficients a ray, and convolutions.
 
 Each cell of the detector's grid looks, through a lens that lights it, at points about that lens, and on through the
-pupil into the scene; `optics.phase_space` says how much light of each ray arrives, and how it is spread. Nothing need
+pupil into the scene; `system.phase_space` says how much light of each ray arrives, and how it is spread. Nothing need
 be known of the scene but the radiance along rays.
 
 Coefficients change sign and size within a lens, so that their plain sum is uneven even for a scene of one radiance.
@@ -36,7 +36,7 @@ from ..system.ray_pupil import RayPupil
 from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
 from .scene_light import require_finite
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
-from .signed_draws import ORDER, Cells, Drawn, Draws, Lot, Pair, jitter
+from .signed_draws import ORDER, Cells, Drawn, Draws, Lot, Pair
 
 _BLOCK_BYTES = 2**29
 """Memory of the images of one block of the detector."""
@@ -351,13 +351,13 @@ class SignedRaySum:
         radiance, known = [radiance[i] for i in used], [known[i] for i in used]
 
         def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
-            drawn, chance, even = self._draws.draw(cells, k, key), jitter(cells.index, key ^ (k << 4)), (k & 1) == 0
+            drawn, even = self._draws.draw(cells, k, key), (k & 1) == 0
             others = [dr.select(even, pair[1], pair[0]) * self._known_part for pair in known]
             changes = [
                 dr.gather(mi.Float, light, first + k) - other for light, other in zip(radiance, others, strict=True)
             ]
             active = drawn.open & dr.any([change != 0 for change in changes], axis=0)
-            values = coefficients(drawn.point, drawn.inner, chance, active)
+            values = coefficients(drawn.point, drawn.inner, drawn.chance, active)
             result = []
             for row, before in zip(weights, brought, strict=True):
                 change = drawn.weight * mixed(row, changes)

@@ -458,8 +458,10 @@ class PhaseSpace:
         if not self.by_points:
             # A quadratic phase shifts what lands, by the place on the lens.
             phase += self.convergence(kind) * (x * x + y * y) / (2 * wavelength)
-        T = np.where(lattice.in_aperture(x - cx, y - cy), np.exp(2j * np.pi * phase), 0).astype(np.complex64)
-        own = np.asarray((i == kind.lens_type) & (j == 0), np.float32)
+        inside = lattice.in_aperture(x - cx, y - cy)
+        T = np.where(inside, np.exp(2j * np.pi * phase), 0).astype(np.complex64)
+        # Beyond the aperture polynomials stand for nothing, and rays have no coefficients.
+        own = np.asarray((i == kind.lens_type) & (j == 0) & inside, np.float32)
         # Points on a border belong to both sides.
         weights = self.polynomials(*lattice.to_frame(x, y)) * ((own + own[::-1, ::-1]) / 2)[..., None]
         result = np.zeros((len(self.exponents), len(lags), len(lags)), np.complex64)

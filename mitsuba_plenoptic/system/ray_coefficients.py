@@ -19,6 +19,25 @@ def coefficients_of(plan: PhaseSpace) -> RayCoefficients | Polynomials:
     return Polynomials(plan) if plan.by_points else RayCoefficients(plan, plan.table)
 
 
+class TableNodes:
+    """The nodes of a plan's table, of which rays take one of those around their points of the pupil, by chance."""
+
+    def __init__(self, plan: PhaseSpace) -> None:
+        self._radial, self._radius = plan.radial, plan.camera.pupil_radius
+        self._angular = mi.Float([node.angular for node in plan.nodes])
+
+    def along(self, Pu: Any, Pv: Any, chance: Any) -> tuple[Any, Any]:
+        """Return how far points are from the middle of the pupil, over its radius, and a node of the radius."""
+        distance = dr.sqrt(Pu * Pu + Pv * Pv) / self._radius
+        place = (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * self._radial
+        return distance, mi.UInt(dr.minimum(dr.floor(place + chance), self._radial))
+
+    def around(self, Pu: Any, Pv: Any, radial: Any, chance: Any) -> Any:
+        """Return a node of the angle, at a node of the radius."""
+        turn = dr.atan2(dr.abs(Pv), dr.abs(Pu)) * (2 / math.pi) * dr.gather(mi.Float, self._angular, radial)
+        return mi.UInt(dr.floor(turn + chance))
+
+
 class RayCoefficients:
     """The table of a `PhaseSpace`, or one like it, on the device of the active variant."""
 
@@ -33,8 +52,7 @@ class RayCoefficients:
         sides, counts = np.array([n.sides for n in plan.nodes]), np.array([n.counts for n in plan.nodes])
         self._sides = [mi.Float(column) for column in sides.T]
         self._counts = [mi.Int(column.astype(np.int32)) for column in counts.T]
-        self._angular = mi.Float([node.angular for node in plan.nodes])
-        self._radius = plan.camera.pupil_radius
+        self._nodes = TableNodes(plan)
 
     def __call__(
         self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
@@ -58,15 +76,14 @@ class RayCoefficients:
         plan = self.plan
         lattice = plan.lattice
         (u, v), (Pu, Pv) = lattice.to_frame(*point), lattice.to_frame(*pupil)
-        distance, radial = self._along(Pu, Pv, jitter[0])
+        distance, radial = self._nodes.along(Pu, Pv, jitter[0])
         active = active & (distance <= 1)
         # A quarter of the pupil stands for all of it, mirrored as lenses are.
         mirrored = Pu < 0, Pv < 0
         u, v = (dr.select(turned, -place, place) for turned, place in zip(mirrored, (u, v), strict=True))
-        turn = dr.atan2(dr.abs(Pv), dr.abs(Pu)) * (2 / math.pi) * dr.gather(mi.Float, self._angular, radial)
         index = dr.gather(mi.Int, self._first, radial)
         sizes = [dr.gather(mi.Int, each, radial) for each in self._counts]
-        index += mi.Int(dr.floor(turn + jitter[1])) * (sizes[0] * sizes[1])
+        index += mi.Int(self._nodes.around(Pu, Pv, radial, jitter[1])) * (sizes[0] * sizes[1])
         for axis, place, chance, row in ((1, v, jitter[2], sizes[0]), (0, u, jitter[3], 1)):
             side, size = dr.gather(mi.Float, self._sides[axis], radial), sizes[axis]
             active &= dr.abs(place) <= side / 2
@@ -86,7 +103,7 @@ class RayCoefficients:
     ) -> tuple[list[Any], list[Any]]:
         """Return the derivatives of the coefficients by the point, along the lattice's axes; see `__call__`."""
         Pu, Pv = self.plan.lattice.to_frame(*pupil)
-        _, radial = self._along(Pu, Pv, jitter[0])
+        _, radial = self._nodes.along(Pu, Pv, jitter[0])
         result = []
         for axis, P in enumerate((Pu, Pv)):
             # From node to node linear interpolation has this slope.
@@ -100,12 +117,6 @@ class RayCoefficients:
             density = dr.select(P < 0, -density, density)
             result.append([(b - a) * density for a, b in zip(before, after, strict=True)])
         return result[0], result[1]
-
-    def _along(self, Pu: Any, Pv: Any, chance: Any) -> tuple[Any, Any]:
-        """Return how far points are from the middle of the pupil, over its radius, and a node of the table there."""
-        distance = dr.sqrt(Pu * Pu + Pv * Pv) / self._radius
-        along = (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * self.plan.radial
-        return distance, mi.UInt(dr.minimum(dr.floor(along + chance), self.plan.radial))
 
 
 class Polynomials:

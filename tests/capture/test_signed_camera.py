@@ -19,7 +19,7 @@ from mitsuba_plenoptic.capture.signed_camera import (
     varying_parameters,
 )
 from mitsuba_plenoptic.capture.signed_colours import Node
-from mitsuba_plenoptic.capture.signed_draws import Cells, jitter
+from mitsuba_plenoptic.capture.signed_draws import Cells
 from mitsuba_plenoptic.capture.signed_rays import REACH
 from mitsuba_plenoptic.runtime.batches import Box
 from mitsuba_plenoptic.runtime.jobs import Job, Task
@@ -97,10 +97,9 @@ class HeldRays(CameraTangents):
         )
         scale = self.other.mla_pitch / CAMERA.mla_pitch
         point = tuple(p * scale for p in there.point)
-        chance = jitter(index, key ^ (sample << 4))
         same = all(bool(dr.all(a == b)) for a, b in zip(here.point, there.point, strict=True))
         # Where points do not move, the same nodes of the table have the same noise.
-        values = self.table(point, drawn.pupil, chance, drawn.open) if same else self.interpolated(point, drawn, chance)
+        values = self.table(point, drawn.pupil, drawn.chance, drawn.open) if same else self.interpolated(point, drawn)
         values = [np.asarray(value, float) for value in values]
         count = np.asarray(strength * dr.exp(there.measure - here.measure), float)
         values = [value * count for value in values]
@@ -119,9 +118,9 @@ class HeldRays(CameraTangents):
             self.total += np.sum(value * scipy.ndimage.map_coordinates(felt, place, order=5)) / self._spp
         return super()._bring(cells, key, radiance, known, mi.Bool(False), number, lanes)
 
-    def interpolated(self, point, drawn, chance):
+    def interpolated(self, point, drawn):
         """Return coefficients that are interpolated linearly in the point."""
-        _, radial = self.table._along(*drawn.pupil, chance[0])
+        _, radial = self.table._nodes.along(*drawn.pupil, drawn.chance[0])
         shares = []
         for axis in (1, 0):
             count = mi.Float(dr.gather(mi.Int, self.table._counts[axis], radial))
@@ -131,7 +130,7 @@ class HeldRays(CameraTangents):
         total = [mi.Float(0)] * len(self._nodes[0].plan.exponents)
         for i, j in np.ndindex(2, 2):
             share = (shares[0] if i else 1 - shares[0]) * (shares[1] if j else 1 - shares[1])
-            ends = *chance[:2], mi.Float(i), mi.Float(j)
+            ends = *drawn.chance[:2], mi.Float(i), mi.Float(j)
             found = self.table(point, drawn.pupil, ends, drawn.open)
             total = [before + share * value for before, value in zip(total, found, strict=True)]
         return total
