@@ -46,7 +46,7 @@ class Band:
     bends : float
         Directions that are kept beside the pupil's cone, over those that a wide microlens scatters to, at least.
     orders : float
-        The same, in orders of the diffraction by a microlens's aperture (see `optics.microlenses.diffraction`).
+        The same, in orders of the diffraction by a microlens's aperture (see `system.microlenses.diffraction`).
     beyond : float
         Directions that are kept beyond the geometric cone, in the same orders, at most where lenses leave no gaps.
     edge : float
