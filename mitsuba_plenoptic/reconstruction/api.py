@@ -40,9 +40,9 @@ from .arguments import (
 from .deconvolution.variation import MOST as _MOST
 from .displacement import is_known
 from .methods import METHODS, Found, Task, require_taken
-from .ray_sums import white_pixels
 from .real_lens import require_upright
 from .result import Reconstruction
+from .white import white_pixels
 
 
 def reference_white(white: Any, capture: Capture, recorded: Any) -> np.ndarray:
@@ -311,7 +311,7 @@ def reconstruct(
     if chosen.waves:
         require_ideal(camera)
         camera.require_resolved()
-    if chosen.waves and not chosen.as_it_is:
+    if chosen.waves and not chosen.as_it_is and camera.wavefront:
         # Images are formed by the lens as it should be.
         camera = camera.replace(wavefront=())
     require_image_memory(camera, distances, oversample, image.shape, white is not None and is_known(camera))

@@ -19,7 +19,7 @@ Applications", section 3.1).
 
 from __future__ import annotations
 
-import functools
+import itertools
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -41,15 +41,7 @@ _LEAST_SAMPLES = 512
 
 
 class PupilCentroid:
-    """Where in the pupil the light has its centroid that a pixel gets by a microlens's diffraction.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        In nanometres.
-    """
+    """Where in the pupil the light has its centroid that a pixel gets by a microlens's diffraction."""
 
     def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
         window = _PLANE * camera.aperture_radius
@@ -78,12 +70,6 @@ class PupilCentroid:
             for along in (P, P[:, None])
         ]
 
-    @classmethod
-    @functools.lru_cache(maxsize=8)
-    def of(cls, camera: PlenopticCamera, wavelength: float) -> PupilCentroid:
-        """Return the one of a camera and a wavelength, made once."""
-        return cls(camera, wavelength)
-
     def __call__(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> list[NDArray[np.float64]]:
         """Return the places, along x and y, for pixels that see (x, y) through their lens's centre; in millimetres."""
         at = [np.asarray(axis) / self._pitch - self._first for axis in (y, x)]
@@ -108,45 +94,42 @@ def is_known(camera: PlenopticCamera) -> bool:
     return camera.main_lens is None and focus_type(camera) == "unfocused"
 
 
-def tilted_whites(
-    white: NDArray[np.float32], camera: PlenopticCamera, distance: float, wavelengths: Sequence[float] | None
-) -> Iterator[tuple[NDArray[np.float32], float]]:
-    """Make of a capture of white those of scenes whose radiance rises along the bins, to the right and downwards.
+def tilt(camera: PlenopticCamera, distance: float) -> tuple[float, float, float]:
+    """Return the relative rise of radiance per millimetre of the MLA plane, 1 on the axis, of scenes made of white.
 
-    Parameters
-    ----------
-    white : (rows, columns, channels) float32 array
-        The white capture.
-    camera : PlenopticCamera
-        The camera, for which `is_known`.
-    distance : float
-        Of the plane.
-    wavelengths : sequence of floats, or None
-        At which each channel was recorded by waves, in nanometres; None for a capture by rays.
-
-    Yields
-    ------
-    tilted : (rows, columns, channels) float32 array
-        The capture.
-    slope : float
-        Relative radiance per millimetre of the MLA plane, 1 on the axis.
+    Then the farthest place on the bins that counts, and how far a pixel's place there moves with its pupil point.
     """
     at_pupil, on_bins = rays.follow_back(1.0, 0.0, 0.0, distance, camera)
     of_pupil = on_bins / at_pupil
-    half = (max(camera.bin_count) / 2 + 1) * camera.mla_pitch
-    farthest = half + abs(of_pupil) * camera.lit_radius
-    slope = _SLOPE / farthest
-    lights = [None] * white.shape[2] if wavelengths is None else list(wavelengths)
-    for axis in (0, 1):
+    farthest = (max(camera.bin_count) / 2 + 1) * camera.mla_pitch + abs(of_pupil) * camera.lit_radius
+    return _SLOPE / farthest, farthest, of_pupil
+
+
+def tilted_whites(
+    white: NDArray[np.float32],
+    camera: PlenopticCamera,
+    distances: Sequence[float],
+    wavelengths: Sequence[float] | None,
+) -> Iterator[tuple[float, NDArray[np.float32]]]:
+    """Yield for each distance the captures of scenes whose radiance rises along the bins, to the right and downwards.
+
+    They are made of a white capture. The wavelengths in nanometres are those at which each channel was recorded by
+    waves; None for a ray capture.
+    """
+    recorded = [None] * white.shape[2] if wavelengths is None else list(wavelengths)
+    known = {light: PupilCentroid(camera, light) for light in recorded if light is not None}
+    centroids = [None if light is None else known[light] for light in recorded]
+    for distance, axis in itertools.product(distances, (0, 1)):
+        slope, farthest, of_pupil = tilt(camera, distance)
         tilted = np.empty_like(white)
-        for rows, places in _places(camera, distance, axis, lights, of_pupil):
+        for rows, places in _places(camera, distance, axis, centroids, of_pupil):
             for channel, u in enumerate(places):
                 tilted[rows, :, channel] = white[rows, :, channel] * (1 + slope * u.clip(-farthest, farthest))
-        yield tilted, slope
+        yield distance, tilted
 
 
 def _places(
-    camera: PlenopticCamera, distance: float, axis: int, lights: Sequence[float | None], of_pupil: float
+    camera: PlenopticCamera, distance: float, axis: int, lights: Sequence[PupilCentroid | None], of_pupil: float
 ) -> Iterator[tuple[slice, list[NDArray[np.float64]]]]:
     """Yield rows of pixels, and where along an axis of the bins the light of each channel comes from, on the MLA."""
     px, down = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
@@ -162,34 +145,17 @@ def _places(
         u = np.broadcast_to(found[axis][1], P[0].shape)
         places = []
         for light in lights:
-            moved = 0.0 if light is None else PupilCentroid.of(camera, light)(*P)[axis] - P[axis]
+            moved = 0.0 if light is None else light(*P)[axis] - P[axis]
             places.append(u + of_pupil * moved)
         yield slice(first, first + height), places
 
 
 def displacements(
-    tilted: Sequence[NDArray[np.float64]], slopes: Sequence[float], camera: PlenopticCamera, oversample: int
+    tilted: Sequence[NDArray[np.float64]], slope: float, camera: PlenopticCamera, oversample: int
 ) -> list[NDArray[np.float64]]:
-    """Return by how much the light of bins comes from beside them, along x and y.
-
-    Parameters
-    ----------
-    tilted : two (rows, columns, channels) arrays
-        What the bins read of scenes that rise to the right and downwards.
-    slopes : two floats
-        How steeply, per millimetre of the MLA plane.
-    camera : PlenopticCamera
-        The camera.
-    oversample : int
-        Bins per lens along each axis.
-
-    Returns
-    -------
-    two (rows, columns, channels) float64 arrays
-        In bins; 0 where nothing is read.
-    """
+    """Return by how much the light of bins comes from beside them, along x and y."""
     found = []
-    for axis, (image, slope) in enumerate(zip(tilted, slopes, strict=True)):
+    for axis, image in enumerate(tilted):
         count = image.shape[1 - axis]
         own = (np.arange(count) - (count - 1) / 2).reshape((1, -1, 1) if axis == 0 else (-1, 1, 1))
         place = (image - 1) / slope * (oversample / camera.mla_pitch)
@@ -201,23 +167,7 @@ def displacements(
 def brought_back(
     image: NDArray[np.float64], moved: Sequence[NDArray[np.float64]], weights: NDArray[np.float64], reach: int
 ) -> NDArray[np.float64]:
-    """Return what an image reads at its bins, of one that reads beside them.
-
-    Parameters
-    ----------
-    image : (rows, columns, channels) array
-        The image; NaN where it reads nothing.
-    moved : two (rows, columns, channels) arrays
-        From `displacements`.
-    weights : (rows, columns, channels) array
-        Of the bins in the fits: the light that they get of white.
-    reach : int
-        Bins on each side of one that are fitted.
-
-    Returns
-    -------
-    (rows, columns, channels) float64 array
-    """
+    """Return what an image reads at its bins, of one that reads beside them."""
     known = np.isfinite(image)
     values, light = np.where(known, image, 0.0), np.where(known, weights, 0.0)
     rows, columns = image.shape[:2]

@@ -16,6 +16,7 @@ from ..optics.phase import in_millimetres, phasor
 from ..runtime.backend import backend
 from ..runtime.fft import Field
 from ..system.sampling import fast_length
+from .conjugates import behind_thin_lens
 from .planning import GUARD, field_subsamples
 
 # Samples that are transformed together, on the processor and on a CUDA device.
@@ -54,21 +55,7 @@ def reconstruction_tile(
 
 @dataclass(frozen=True)
 class Tile:
-    """Sampling of one lens's light in the four planes.
-
-    Attributes
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
-    lenses : int
-        Width of the object patch in lenses, odd.
-    oversample : int
-        Bins per lens.
-    resolved : bool
-        Whether bins show all that the power holds, where there are several to a lens.
-    """
+    """Sampling of one lens's light in the four planes."""
 
     camera: PlenopticCamera
     wavelength: float
@@ -218,3 +205,12 @@ class Tile:
         """Lenses that are transformed together."""
         samples = _CUDA_BATCH_SAMPLES if backend().is_cuda else _BATCH_SAMPLES
         return max(1, samples // max(self.object_samples, self.padded) ** 2)
+
+
+def fine_bins(camera: PlenopticCamera, wavelength: float, oversample: int) -> int:
+    """Return the number of fine bins across a bin in which power is summed before it is spread over lenses."""
+    if camera.prescription is not None:
+        camera = behind_thin_lens(camera, wavelength)
+    elif camera.lenses_are_bins:
+        return 1
+    return Tile(camera, wavelength, 1, oversample).samples // oversample

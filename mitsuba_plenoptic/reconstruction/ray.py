@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from ..camera import PlenopticCamera
-from .methods import Progress, Task, method
-from .radiance import to_radiance
-from .ray_sums import ray_sums, white_sums
+from .methods import Task, method
+from .radiance import captures, to_radiance
+from .ray_sums import ray_sums
+from .white import white_sums
 
 
 @method("ray", options=("footprint",), waves=False)
@@ -32,16 +31,14 @@ def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
         Radiance.
     """
     radius = pupil_radius(task.camera)
-
-    def sums(image: np.ndarray, distances: Sequence[float], progress: Progress) -> list[np.ndarray]:
-        found = []
-        for done, distance in enumerate(distances):
-            found.append(ray_sums(image, task.camera, distance, radius, footprint, task.oversample))
-            progress((done + 1) / len(distances))
-        return found
-
-    whites = [white_sums(task.camera, g, radius, footprint, task.oversample) for g in task.distances]
-    return to_radiance(task, sums, model=lambda: whites, reach=whites)
+    reach = [white_sums(task.camera, g, radius, footprint, task.oversample) for g in task.distances]
+    sums: list[list[np.ndarray]] = []
+    for image, distances, progress in captures(task):
+        sums.append([])
+        for number, distance in enumerate(distances):
+            sums[-1].append(ray_sums(image, task.camera, distance, radius, footprint, task.oversample))
+            progress((number + 1) / len(distances))
+    return to_radiance(task, sums, reach, reach)
 
 
 def pupil_radius(camera: PlenopticCamera) -> float:

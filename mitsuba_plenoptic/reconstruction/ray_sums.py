@@ -1,20 +1,29 @@
-"""Sums over bins by one ray a pixel, of a capture and of white: what the ray method divides, and who reaches what."""
+"""Sums over bins by one ray a pixel, and their transpose, in Dr.Jit where pixels and bins are arranged alike.
+
+Where a pixel's light goes is separable in x and y, but whether it passes the pupil is not:
+
+    out[j, i] = sum_r sum_c  Wy[j, r] Wx[i, c] [Px[c]^2 + Py[r]^2 <= R^2] image[r, c]
+
+The sum over columns is done for each row in one pass over the image, every thread gathering the few columns of
+one bin; the sum over rows is then small. Nothing is scattered, so the result is the same bit for bit however many
+threads there are.
+"""
 
 from __future__ import annotations
 
-import functools
+from dataclasses import dataclass
+from typing import Any
 
+import drjit as dr
 import numpy as np
-import scipy.fft
 
 from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint, pixel_footprint
 from ..errors import InputError
-from ..lightfield.white import white_image
 from ..optics import rays
-from .binning import AxisBins, axis_bins, bin_image
-from .real_lens import traced_white
-from .splatting import Splat, splat
+from ..runtime.backend import array_module
+from ..runtime.limits import require_memory
+from .splatting import Splat
 
 # Dr.Jit counts in 32 bits.
 _MOST_VALUES = 2**32 - 1
@@ -27,30 +36,10 @@ def ray_sums(
 
     Where pixels and bins are arranged alike, on an upright square lattice without gaps of unfocused lenses behind a
     thin main lens, this is done one axis at a time.
-
-    Parameters
-    ----------
-    image : (rows, columns, channels) float32 array
-        The capture.
-    camera : PlenopticCamera
-        The camera.
-    distance : float
-        Object distance; may be infinite.
-    radius : float
-        Pupil radius: pixels whose ray misses it are left out.
-    footprint : {"lens", "point"}
-        Whether a pixel is spread over what its whole lens sees, or goes to one bin.
-    oversample : int
-        Bins per lens pitch.
-
-    Returns
-    -------
-    (rows, columns, channels) array
-        Sum of the pixels by bin.
     """
     axes = aligned_axes(camera, distance, radius, footprint, oversample)
     if axes is None:
-        return splat(image, camera, distance, radius, footprint=footprint, oversample=oversample)
+        return Splat.of(camera, distance, radius, footprint, oversample, image.shape[2]).forward(image)
     x, y = axes
     values = image.shape[2] * x.count * max(y.count, image.shape[0])
     if values > _MOST_VALUES:
@@ -68,19 +57,6 @@ def aligned_axes(
         return None
     x, y = (_axis(camera, distance, radius, axis, footprint, oversample) for axis in (0, 1))
     return x, y
-
-
-@functools.lru_cache(maxsize=32)
-def white_sums(camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int) -> np.ndarray:
-    """Return `ray_sums` of what the camera records of a scene of uniform radiance 1; (rows, columns) float64 array."""
-    white = white_pixels(camera)[..., None]
-    return ray_sums(white, camera, distance, radius, footprint, oversample)[..., 0].astype(np.float64)
-
-
-@functools.lru_cache(maxsize=1)
-def white_pixels(camera: PlenopticCamera) -> np.ndarray:
-    """Return the camera's white image; the last one is kept, for the next distance."""
-    return white_image(camera) if camera.main_lens is None else traced_white(camera)
 
 
 def _axis(
@@ -103,31 +79,18 @@ def _axis(
     return axis_bins(centre - half, centre + half, pupil, count, radius)
 
 
-def ray_sums_back(
+def ray_sums_vjp(
     bins: np.ndarray, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
 ) -> np.ndarray:
-    """Apply the transpose of `ray_sums`.
-
-    Parameters
-    ----------
-    bins : (rows, columns, channels) array
-        One value for each bin.
-    camera, distance, radius, footprint, oversample
-        As of `ray_sums`.
-
-    Returns
-    -------
-    (rows, columns, channels) float64 array
-        Of the pixels.
-    """
+    """Apply the transpose of `ray_sums`."""
     axes = aligned_axes(camera, distance, radius, footprint, oversample)
     if axes is not None:
-        return _from_axes(bins, *axes, radius)
-    return _from_splat(bins, Splat.of(camera, distance, radius, footprint, oversample, bins.shape[2]), camera.shape)
+        return _bin_image_vjp(bins, *axes, radius)
+    return Splat.of(camera, distance, radius, footprint, oversample, bins.shape[2]).vjp(bins, camera.shape)
 
 
-def _from_axes(bins: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.ndarray:
-    """Apply the transpose of `binning.bin_image`."""
+def _bin_image_vjp(bins: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.ndarray:
+    """Apply the transpose of `bin_image`."""
     given = np.asarray(bins, np.float64)
     pixels = np.einsum("jic,jr->ric", given, _matrix(y), optimize=True)
     pixels = np.einsum("ric,ip->rpc", pixels, _matrix(x), optimize=True)
@@ -144,34 +107,91 @@ def _matrix(axis: AxisBins) -> np.ndarray:
     return matrix
 
 
-def _from_splat(bins: np.ndarray, splat: Splat, shape: tuple[int, int]) -> np.ndarray:
-    """Apply the transpose of `splatting.splat`."""
-    margin = splat.margin
-    padded = np.pad(np.asarray(bins, np.float64), ((2 * margin,) * 2, (2 * margin,) * 2, (0, 0)))
-    result = np.zeros((shape[0] * shape[1], bins.shape[2]))
-    for mine, taps in splat.types():
-        reach = taps.shape[0] // 2
-        first = margin - reach
-        down, across = splat.size
-        for channel in range(bins.shape[2]):
-            window = padded[first : first + down + 2 * reach, first : first + across + 2 * reach, channel]
-            result[splat.pixel[mine], channel] = _gather(window, taps).reshape(-1)[splat.place[mine]]
-    return result.reshape(*shape, -1)
+@dataclass(frozen=True)
+class AxisBins:
+    """The sparse matrix W of one axis, rows of entries by bin, and the pupil coordinate of each pixel."""
+
+    count: int
+    start: np.ndarray
+    pixel: np.ndarray
+    weight: np.ndarray
+    pupil: np.ndarray
 
 
-def _gather(window: np.ndarray, footprint: np.ndarray) -> np.ndarray:
-    """Apply the transpose of `splatting.spread`: (rows + taps - 1, columns + taps - 1) to (rows, columns, fine**2)."""
-    taps = footprint.shape[0]
-    kernels = footprint.reshape(taps, taps, -1)
-    rows, columns = window.shape[0] - taps + 1, window.shape[1] - taps + 1
-    spectrum = scipy.fft.rfft2(window)
-    # A correlation of the window with each kernel; what wraps lies beyond the rows and columns that are kept.
-    return np.stack(
-        [
-            scipy.fft.irfft2(spectrum * scipy.fft.rfft2(kernels[..., fine], window.shape).conj(), window.shape)[
-                :rows, :columns
-            ]
-            for fine in range(kernels.shape[2])
-        ],
-        axis=-1,
+def axis_bins(low: np.ndarray, high: np.ndarray, pupil: np.ndarray, count: int, radius: float) -> AxisBins:
+    """Spread each pixel evenly over the interval from `low` to `high` of bin coordinates."""
+    pixels = np.flatnonzero(np.abs(pupil) <= radius)
+    low, high = np.minimum(low, high)[pixels], np.maximum(low, high)[pixels]
+    first = np.floor(low).astype(np.int64)
+    width = high - low
+    spread = width > 1e-9
+    reach = int(np.max(np.where(spread, np.ceil(high), first + 1) - first, initial=1))
+    # For every pixel of the axis and bin that it reaches: bin, overlap, fraction, weight and what is made of them.
+    require_memory(64.0 * pixels.size * reach, f"{pixels.size} pixels of an axis, each spread over {reach} bins")
+    bins = first[:, None] + np.arange(reach)
+    overlap = np.minimum(high[:, None], bins + 1) - np.maximum(low[:, None], bins)
+    fraction = overlap.clip(min=0) / np.where(spread, width, 1)[:, None]
+    weight = np.where(spread[:, None], fraction, bins == first[:, None])
+    keep = (weight > 1e-6) & (bins >= 0) & (bins < count)
+    order = np.argsort(bins[keep], kind="stable")
+    return AxisBins(
+        count=count,
+        start=np.searchsorted(bins[keep][order], np.arange(count + 1)).astype(np.uint32),
+        pixel=np.broadcast_to(pixels[:, None], bins.shape)[keep][order].astype(np.uint32),
+        weight=weight[keep][order].astype(np.float32),
+        pupil=pupil,
     )
+
+
+def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.ndarray:
+    """Sum an image over the bins of both axes within the pupil."""
+    types = array_module()
+    _, columns, channels = image.shape
+    if not (x.weight.size and y.weight.size):
+        # No pixel meets a bin.
+        return np.zeros((y.count, x.count, channels), np.float32)
+    values = types.Float(np.ascontiguousarray(image).reshape(-1))
+    by_row = _sum_columns(types, values, x, radius**2 - y.pupil**2, columns, channels)
+    sums = _sum_rows(types, by_row, y, x.count * channels)
+    return np.asarray(sums.numpy()).reshape(y.count, x.count, channels)
+
+
+def _sum_columns(backend: Any, values: Any, bins: AxisBins, limit: np.ndarray, columns: int, channels: int) -> Any:
+    """Sum the columns of each bin whose squared pupil coordinate is within the row's limit."""
+    Float, UInt32 = backend.Float, backend.UInt32
+    rows = limit.size
+    start, pixel, weight = UInt32(bins.start), UInt32(bins.pixel), Float(bins.weight)
+    square = Float((bins.pupil**2)[bins.pixel].astype(np.float32))
+    size = dr.opaque(UInt32, columns * channels)
+    thread = dr.arange(UInt32, rows * bins.count * channels)
+    row, rest = thread // (bins.count * channels), thread % (bins.count * channels)
+    column_bin, channel = rest // channels, rest % channels
+    bound = dr.gather(Float, Float(limit.astype(np.float32)), row)
+    base = row * size + channel
+    entry, end = dr.gather(UInt32, start, column_bin), dr.gather(UInt32, start, column_bin + 1)
+    # A row beyond the pupil's edge is dark whatever its columns.
+    end = dr.select(bound >= 0, end, entry)
+
+    def body(entry: Any, total: Any) -> tuple[Any, Any]:
+        inside = dr.gather(Float, square, entry) <= bound
+        value = dr.gather(Float, values, base + dr.gather(UInt32, pixel, entry) * channels, inside)
+        return entry + 1, dr.fma(value, dr.gather(Float, weight, entry), total)
+
+    _, total = dr.while_loop((entry, Float(0)), lambda entry, total: entry < end, body)
+    return total
+
+
+def _sum_rows(backend: Any, by_row: Any, bins: AxisBins, width: int) -> Any:
+    """Sum the rows of each bin."""
+    Float, UInt32 = backend.Float, backend.UInt32
+    start, pixel, weight = UInt32(bins.start), UInt32(bins.pixel), Float(bins.weight)
+    thread = dr.arange(UInt32, bins.count * width)
+    row_bin, offset = thread // width, thread % width
+    entry, end = dr.gather(UInt32, start, row_bin), dr.gather(UInt32, start, row_bin + 1)
+
+    def body(entry: Any, total: Any) -> tuple[Any, Any]:
+        value = dr.gather(Float, by_row, dr.gather(UInt32, pixel, entry) * width + offset)
+        return entry + 1, dr.fma(value, dr.gather(Float, weight, entry), total)
+
+    _, total = dr.while_loop((entry, Float(0)), lambda entry, total: entry < end, body)
+    return total

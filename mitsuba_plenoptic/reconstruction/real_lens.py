@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterator
 from typing import Any
 
@@ -29,13 +28,7 @@ _STEPS = (0.8566748838545029, 0.733891856627126, 0.6287067210378087, 0.538597257
 
 
 def require_upright(camera: PlenopticCamera) -> None:
-    """Refuse a tilted array behind a real main lens.
-
-    Raises
-    ------
-    InputError
-        If there is one.
-    """
+    """Refuse a tilted array behind a real main lens."""
     if camera.main_lens is not None and any(camera.mla_tilt):
         raise InputError(f"mla_tilt = {camera.mla_tilt}: captures through a main_lens are reconstructed with 0 only")
 
@@ -43,24 +36,7 @@ def require_upright(camera: PlenopticCamera) -> None:
 def traced_places(
     camera: PlenopticCamera, distance: float
 ) -> Iterator[tuple[slice, NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]]:
-    r"""Follow one ray a pixel, through the centre of its lens, back to an object plane.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    distance : float
-        Object distance; may be infinite.
-
-    Yields
-    ------
-    rows : slice
-        Of the recorded pixels.
-    x, y : float64 array (pixels,)
-        Place in the object plane as :math:`-X b / g`, in millimetres: the real lens's distortion is undone by it.
-    lit : bool array (pixels,)
-        Whether the lens lets the ray, or that from the middle of one of the pixel's edges, through.
-    """
+    r"""Follow one ray a pixel, through the centre of its lens, back to an object plane."""
     types, lens = array_module(), LensSystem.of(camera)
     half, b = camera.pixel_size / 2, camera.mla_distance
     for rows, px, py in _pixels(camera, types):
@@ -77,21 +53,11 @@ def traced_places(
         yield rows, x.numpy(), y.numpy(), lit.numpy()
 
 
-@functools.lru_cache(maxsize=1)
 def traced_white(camera: PlenopticCamera) -> NDArray[np.float32]:
     """Return what a camera with a real main lens records of a scene of uniform radiance 1, by rays.
 
     Every pixel has its own shift of one even set of rays: what few of them miss at the rims of micro-images averages
     out over the pixels of a bin.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-
-    Returns
-    -------
-    (rows, columns) float32 array
     """
     types, lens, lattice, p = array_module(), LensSystem.of(camera), camera.lattice, camera.pixel_size
     image = np.empty(camera.shape, np.float32)

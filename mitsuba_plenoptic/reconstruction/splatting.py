@@ -34,62 +34,9 @@ _MOST_TAPS = 9
 _BLOCK = 2**16
 
 
-def splat(
-    image: np.ndarray, camera: PlenopticCamera, distance: float, radius: float, *, footprint: str, oversample: int
-) -> np.ndarray:
-    """Follow one ray a pixel back to the object plane and sum the pixels that go to each bin.
-
-    Parameters
-    ----------
-    image : (rows, columns, channels) float32 array
-        The capture.
-    camera : PlenopticCamera
-        The camera.
-    distance : float
-        Object distance.
-    radius : float
-        Pupil radius: pixels whose ray misses it are left out.
-    footprint : {"lens", "point"}
-        Whether a pixel is spread over what its whole lens sees, or goes to one bin.
-    oversample : int
-        Bins per lens pitch.
-
-    Returns
-    -------
-    (rows, columns, channels) float64 array
-        Sum of the pixels by bin.
-    """
-    plan = Splat.of(camera, distance, radius, footprint, oversample, image.shape[2])
-    values = image.reshape(-1, image.shape[2])[plan.pixel]
-    (down, across), margin = plan.size, plan.margin
-    total = np.zeros((image.shape[2], down + 2 * margin, across + 2 * margin))
-    for mine, taps in plan.types():
-        first = margin - taps.shape[0] // 2
-        for out, weights in zip(total, values.T, strict=True):
-            samples = np.bincount(plan.place[mine], weights=weights[mine], minlength=down * across * plan.fine**2)
-            part = _spread(samples.reshape(down, across, plan.fine**2), taps)
-            out[first : first + part.shape[0], first : first + part.shape[1]] += part
-    total = total[:, 2 * margin : down, 2 * margin : across]
-    return np.moveaxis(total, 0, -1)
-
-
 @dataclass(frozen=True)
 class Splat:
-    """Where the pixels go, and what they cover there.
-
-    Attributes
-    ----------
-    fine : int
-        Fine samples across a bin.
-    footprints : list of (taps, taps, fine, fine) arrays
-        Of each type of lens.
-    margin : int
-        Bins beyond each border in which pixels are counted that reach across it.
-    size : (int, int)
-        Rows and columns of bins with these.
-    place, lens_type, pixel : int arrays
-        Of the pixels that land there: sample, counted bin by bin, type of lens, and flat index.
-    """
+    """Where the pixels go, and what they cover there."""
 
     fine: int
     footprints: list[np.ndarray]
@@ -122,27 +69,40 @@ class Splat:
         landing = _landing(camera, distance, radius, oversample, fine, (down, across))
         return cls(fine, footprints, margin, (down, across), *landing)
 
-    def types(self) -> Iterator[tuple[slice | np.ndarray, np.ndarray]]:
+    def forward(self, image: np.ndarray) -> np.ndarray:
+        """Sum the pixels of an image (rows, columns, channels) by bin; float64, like the image."""
+        values = image.reshape(-1, image.shape[2])[self.pixel]
+        (down, across), margin = self.size, self.margin
+        total = np.zeros((image.shape[2], down + 2 * margin, across + 2 * margin))
+        for mine, taps in self._types():
+            first = margin - taps.shape[0] // 2
+            for out, weights in zip(total, values.T, strict=True):
+                samples = np.bincount(self.place[mine], weights[mine], down * across * self.fine**2)
+                part = _spread(samples.reshape(down, across, self.fine**2), taps)
+                out[first : first + part.shape[0], first : first + part.shape[1]] += part
+        return np.moveaxis(total[:, 2 * margin : down, 2 * margin : across], 0, -1)
+
+    def vjp(self, bins: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+        """Apply the transpose of `forward`, to float64 pixels (rows, columns, channels)."""
+        margin, (down, across) = self.margin, self.size
+        padded = np.pad(np.asarray(bins, np.float64), ((2 * margin,) * 2, (2 * margin,) * 2, (0, 0)))
+        result = np.zeros((shape[0] * shape[1], bins.shape[2]))
+        for mine, taps in self._types():
+            reach = taps.shape[0] // 2
+            first = margin - reach
+            for channel in range(bins.shape[2]):
+                window = padded[first : first + down + 2 * reach, first : first + across + 2 * reach, channel]
+                result[self.pixel[mine], channel] = _gather(window, taps).reshape(-1)[self.place[mine]]
+        return result.reshape(*shape, -1)
+
+    def _types(self) -> Iterator[tuple[slice | np.ndarray, np.ndarray]]:
         """Yield for each type of lens which of the pixels are its, and its footprint."""
         for number, taps in enumerate(self.footprints):
             yield slice(None) if len(self.footprints) == 1 else np.flatnonzero(self.lens_type == number), taps
 
 
 def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:
-    """Spread the light of every fine sample over the bins around its own.
-
-    Parameters
-    ----------
-    samples : (rows, columns, fine**2) float64 array
-        Light in the fine samples of each bin.
-    footprint : (taps, taps, fine, fine) array
-        From `_in_bins`.
-
-    Returns
-    -------
-    (rows + taps - 1, columns + taps - 1) float64 array
-        Light of the bins, from `taps // 2` before the first.
-    """
+    """Spread the light of every fine sample over the bins around its own."""
     taps = footprint.shape[0]
     footprint = footprint.reshape(taps, taps, -1)
     rows, columns = samples.shape[0] + taps - 1, samples.shape[1] + taps - 1
@@ -159,6 +119,24 @@ def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:
     return scipy.fft.irfft2(spectrum, shape)[:rows, :columns]
 
 
+def _gather(window: np.ndarray, footprint: np.ndarray) -> np.ndarray:
+    """Apply the transpose of `_spread`: (rows + taps - 1, columns + taps - 1) to (rows, columns, fine**2)."""
+    taps = footprint.shape[0]
+    kernels = footprint.reshape(taps, taps, -1)
+    rows, columns = window.shape[0] - taps + 1, window.shape[1] - taps + 1
+    spectrum = scipy.fft.rfft2(window)
+    # A correlation of the window with each kernel; what wraps lies beyond the rows and columns that are kept.
+    return np.stack(
+        [
+            scipy.fft.irfft2(spectrum * scipy.fft.rfft2(kernels[..., fine], window.shape).conj(), window.shape)[
+                :rows, :columns
+            ]
+            for fine in range(kernels.shape[2])
+        ],
+        axis=-1,
+    )
+
+
 def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float, step: float) -> np.ndarray:
     """Draw what a pixel covers, its lens's view or its own square, whichever is wider: odd size, the sum is 1."""
     scale, pixel = lens_footprint(camera, distance, mla_focal_length), pixel_footprint(camera, distance)
@@ -173,20 +151,7 @@ def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float
 
 
 def _in_bins(blur: np.ndarray, fine: int) -> np.ndarray:
-    """Return what falls into each bin of a footprint that is centred in each of the fine samples of one of them.
-
-    Parameters
-    ----------
-    blur : (size, size) array
-        The footprint in fine samples, about its middle; the sum is 1.
-    fine : int
-        Fine samples across a bin.
-
-    Returns
-    -------
-    (taps, taps, fine, fine) array
-        For the bins from `taps // 2` before to as many after, and rows and columns of samples.
-    """
+    """Return what falls into each bin of a footprint that is centred in each of the fine samples of one of them."""
     half = blur.shape[0] // 2
     place = np.arange(fine) + np.arange(-half, half + 1)[:, None]
     reach = -(-half // fine)
@@ -199,22 +164,7 @@ def _in_bins(blur: np.ndarray, fine: int) -> np.ndarray:
 def _landing(
     camera: PlenopticCamera, distance: float, radius: float, oversample: int, fine: int, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find the pixels whose ray passes the pupil and lands on the bins.
-
-    Parameters
-    ----------
-    camera, distance, radius, oversample
-        As for `splat`.
-    fine : int
-        Fine samples across a bin.
-    shape : (int, int)
-        Rows and columns of bins; their middle is on the axis.
-
-    Returns
-    -------
-    place, lens_type, pixel : int arrays
-        Sample, counted bin by bin, type of lens, and flat index of each pixel.
-    """
+    """Find the pixels whose ray passes the pupil and lands on the bins."""
     if camera.main_lens is not None:
         return _traced_landing(camera, distance, oversample, fine, shape)
     lattice, columns = camera.lattice, camera.crop_size[0]

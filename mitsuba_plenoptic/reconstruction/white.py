@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import functools
 import math
+import weakref
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -11,18 +14,19 @@ from ..bounds import MOST_PIXELS
 from ..camera import PlenopticCamera
 from ..design import focus_type
 from ..errors import InputError
+from ..lightfield.white import white_image
 from ..optics import rays
 from ..optics.phase import soft_edge
 from ..runtime.backend import backend
 from ..runtime.fft import convolve
 from ..system.pupil import PupilFraction
 from ..system.sampling import check_memory
-from .conjugates import RealConjugates
-from .lens_by_lens import object_patches, on_bins, passing_power, pupil_fields
-from .lens_sets import AlignedLenses, LensSet, lens_set
-from .lens_tiles import Tile, tile_lenses
+from .conjugates import RealConjugates, ThinConjugates
+from .lens_by_lens import LensSet, object_patches, on_bins, passing_power, pupil_fields
+from .lens_tiles import Tile, fine_bins, tile_lenses
 from .radiance import lens_scale, over_lenses
-from .ray_sums import ray_sums, white_pixels, white_sums
+from .ray_sums import ray_sums
+from .real_lens import traced_white
 
 _THROUGHPUT_LENSES = 25
 
@@ -38,30 +42,47 @@ _RAY_BINS = 36
 _MOST_RAY_BINS = 2**26
 
 
+_MOST_RESULTS = 32
+"""Results of a camera that are remembered by each function."""
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+_results: weakref.WeakKeyDictionary[PlenopticCamera, dict[str, dict[Any, Any]]] = weakref.WeakKeyDictionary()
+
+
+def _once_a_camera(function: _F) -> _F:
+    """Remember what a function returns of a camera for as long as the camera lives."""
+
+    @functools.wraps(function)
+    def known(camera: PlenopticCamera, *given: Any) -> Any:
+        own = _results.setdefault(camera, {}).setdefault(function.__name__, {})
+        if given not in own:
+            if len(own) == _MOST_RESULTS:
+                del own[next(iter(own))]
+            own[given] = function(camera, *given)
+        return own[given]
+
+    return cast(_F, known)
+
+
+@_once_a_camera
+def white_sums(camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int) -> np.ndarray:
+    """Return `ray_sums` of what the camera records of a scene of uniform radiance 1; (rows, columns) float64 array."""
+    white = white_pixels(camera)[..., None]
+    return ray_sums(white, camera, distance, radius, footprint, oversample)[..., 0].astype(np.float64)
+
+
+@_once_a_camera
+def white_pixels(camera: PlenopticCamera) -> np.ndarray:
+    """Return the camera's white image."""
+    return white_image(camera) if camera.main_lens is None else traced_white(camera)
+
+
 def white_light(
-    camera: PlenopticCamera, wavelength: float, distance: float, oversample: int, *, fine: int, relay: bool
+    camera: PlenopticCamera, wavelength: float, distance: float, oversample: int, relay: bool
 ) -> np.ndarray:
-    """Return the power that comes to each bin from a white scene, in pixel values times pixels.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
-    distance : float
-        Object distance.
-    oversample : int
-        Bins per lens along each axis.
-    fine : int
-        Fine bins across a bin, in which power is summed before it is spread over lenses.
-    relay : bool
-        Whether the microlenses act in the MLA plane.
-
-    Returns
-    -------
-    (rows, columns) float64 array
-    """
+    """Return the power that comes to each bin from a white scene, in pixel values times pixels."""
+    fine = fine_bins(camera, wavelength, oversample)
     if camera.prescription is not None:
         places, throughput = _traced_throughput(camera, wavelength, distance, relay)
         x, y = (
@@ -71,11 +92,11 @@ def white_light(
         share = np.interp(np.hypot(x, y[:, None]), places, throughput)
         return _white_rays(camera, distance, oversample, fine) * share
     if camera.lenses_are_bins and focus_type(camera) != "unfocused":
-        return white_power(camera, wavelength, distance, relay=relay, oversample=oversample)
-    return _white_rays(camera, distance, oversample, fine) * white_throughput(camera, wavelength, relay=relay)
+        return white_power(camera, wavelength, distance, relay, oversample)
+    return _white_rays(camera, distance, oversample, fine) * white_throughput(camera, wavelength, relay)
 
 
-@functools.lru_cache(maxsize=32)
+@_once_a_camera
 def _white_rays(camera: PlenopticCamera, distance: float, oversample: int, fine: int) -> np.ndarray:
     """Return the pixels of white whose rays come to each bin, spread over lenses as the light of waves is.
 
@@ -91,16 +112,11 @@ def _white_rays(camera: PlenopticCamera, distance: float, oversample: int, fine:
     return over_lenses(counted, camera, oversample, fine, lens_scale(camera, distance))
 
 
-@functools.lru_cache(maxsize=16)
-def white_throughput(camera: PlenopticCamera, wavelength: float, *, relay: bool = True) -> float:
+@_once_a_camera
+def white_throughput(camera: PlenopticCamera, wavelength: float, relay: bool = True) -> float:
     """Return the fraction of a white micro-image's power that comes back through the main lens.
 
     Its edge is one of the pupil, where light diffracts out: 7 % for the paper's camera.
-
-    Raises
-    ------
-    InputError
-        If no light comes back, for micro-images so small that they miss the centres of all pixels.
     """
     back, sent = (_aligned_throughput if camera.lenses_are_bins else _mean_throughput)(camera, wavelength, relay)
     if not min(back, sent) > 0:
@@ -112,18 +128,18 @@ def white_throughput(camera: PlenopticCamera, wavelength: float, *, relay: bool 
     return back / sent
 
 
-@functools.lru_cache(maxsize=16)
+@_once_a_camera
 def _traced_throughput(
     camera: PlenopticCamera, wavelength: float, distance: float, relay: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return what `white_throughput` does, of some lenses behind a real main lens, by their distance from the axis.
+    """Return what `white_throughput` does of some lenses behind a real main lens, by their distance from the axis.
 
     Micro-images that the lens cuts have more edge for their area, and lose more.
     """
     conjugates = RealConjugates.of(camera, [distance], wavelength, 1)
     tile = Tile(conjugates.camera, wavelength, _THROUGHPUT_LENSES, 1)
     check_memory(tile.memory, "wave reconstruction of white micro-images")
-    white, lenses, libraries = white_pixels(camera), lens_set(tile), backend()
+    white, lenses, libraries = white_pixels(camera), LensSet(tile), backend()
     lit = lenses.lit(white)
     centres = np.concatenate([lenses.batch(part).centre for part in np.array_split(lit, -(-len(lit) // _TOGETHER))])
     order = np.argsort(np.hypot(*centres.T), kind="stable")
@@ -152,13 +168,13 @@ def _aligned_throughput(camera: PlenopticCamera, wavelength: float, relay: bool)
     image = soft_edge((camera.micro_image_diameter / 2 - np.hypot(px, py[:, None])) / camera.pixel_size)
     tile = Tile(camera, wavelength, _THROUGHPUT_LENSES, 1)
     check_memory(tile.memory, "wave reconstruction of a white micro-image")
-    return _power(image, lens_set(tile), (0, 0), relay), float(image.sum()) * camera.pixel_size**2
+    return _power(image, LensSet(tile), (0, 0), relay), float(image.sum()) * camera.pixel_size**2
 
 
 def _mean_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> tuple[float, float]:
     """Power that comes back, and power sent by pixels whose own ray passes the main lens, for a lens of every type."""
     camera = _around_axis(camera, 3)
-    lenses = lens_set(Tile(camera, wavelength, _THROUGHPUT_LENSES, 1))
+    lenses = LensSet(Tile(camera, wavelength, _THROUGHPUT_LENSES, 1))
     back = sent = 0.0
     px, py = (camera.pixel_coordinates(axis) for axis in (0, 1))
     types = len(camera.mla_focal_lengths)
@@ -180,7 +196,7 @@ def _mean_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) ->
 
 
 def white_power(
-    camera: PlenopticCamera, wavelength: float, distance: float, *, relay: bool = True, oversample: int = 1
+    camera: PlenopticCamera, wavelength: float, distance: float, relay: bool, oversample: int
 ) -> np.ndarray:
     """Return the power in each bin from a white scene, for an aligned lattice and if no two lenses interfere.
 
@@ -191,7 +207,7 @@ def white_power(
     part = _around_axis(camera, 2)
     count = tile_lenses(camera, [distance])
     tile = Tile(part, wavelength, count, oversample)
-    lenses = lens_set(tile)
+    lenses = LensSet(tile)
     centre = rays.chief_detector_point(camera.mla_pitch / 2, camera.mla_distance, camera.detector_distance)
     to_pupil = camera.mla_distance / camera.detector_distance
     Px, Py = ((centre - part.pixel_coordinates(axis)) * to_pupil for axis in (0, 1))
@@ -199,10 +215,12 @@ def white_power(
     batch = lenses.batch(np.array([lenses.find(0, 0)]))
     libraries = backend()
     fields = pupil_fields(libraries.arrays.asarray(np.sqrt(image)), tile, batch, relay=relay)
-    patch = libraries.to_host(object_patches(fields, tile, batch, distance)[0]).astype(np.float64)
-    everywhere = AlignedLenses(Tile(camera, wavelength, count, oversample))
+    patches = object_patches(fields, tile, batch, distance, ThinConjugates(part, wavelength))
+    patch = libraries.to_host(patches[0]).astype(np.float64)
+    everywhere = LensSet(Tile(camera, wavelength, count, oversample))
     comb = np.zeros([(count - 1) * oversample + 1 for count in everywhere.bins[::-1]])
-    comb[::oversample, ::oversample] = 1
+    column, row = everywhere.bin[everywhere.lit(np.ones(camera.shape, bool))].T
+    comb[row * oversample, column * oversample] = 1
     return on_bins(libraries.arrays.asarray(convolve(comb, patch)), everywhere)
 
 
