@@ -38,6 +38,7 @@ from ..runtime.fft import Field, as_field, fft2, irfft, pack, resting_drjit, rff
 from ..runtime.jobs import Job
 from ..system.microlens_orders import axis_transmission, open_fraction, plane_transmission
 from ..system.microlenses import is_separable
+from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
 from .arrival import SampledField, at_mla, blocks, interpolate, pupil_field, telecentric_arrival
 from .full_field_grids import FieldGrids, field_grids
@@ -55,9 +56,8 @@ class PointFields:
 
 
 def full_field(
-    camera: PlenopticCamera,
+    system: OpticalSystem,
     position: NDArray[np.float64],
-    wavelength: float,
     *,
     pupil_weights: PupilWeights | None = None,
     microlenses: bool = True,
@@ -69,12 +69,10 @@ def full_field(
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
+    system : OpticalSystem
+        The camera, at one wavelength.
     position : float64 array (3,)
         Scene point (X, Y, g) in the camera frame, checked.
-    wavelength : float
-        Wavelength in nanometres, checked.
     pupil_weights : PupilWeights, optional
         Relative power over the pupil, of this one point.
     microlenses : bool
@@ -94,17 +92,15 @@ def full_field(
     InputError
         If the grids would need too much memory.
     """
-    grids = grids or field_grids(camera, position, wavelength, refinement, growth)
-    _, mla = _arrival(camera, position, wavelength, grids, pupil_weights)
-    spectrum = _detector_spectrum(camera, wavelength, grids, mla.samples, microlenses)
+    grids = grids or field_grids(system, position, refinement, growth)
+    _, mla = _arrival(system, position, grids, pupil_weights)
+    spectrum = _detector_spectrum(system.camera, system.wavelength, grids, mla.samples, microlenses)
     del mla
     dr.flush_malloc_cache()
-    return backend().to_host(_pixel_integrals(camera, spectrum, grids))
+    return backend().to_host(_pixel_integrals(system.camera, spectrum, grids))
 
 
-def point_fields(
-    camera: PlenopticCamera, position: NDArray[np.float64], wavelength: float, *, microlenses: bool = True
-) -> PointFields:
+def point_fields(system: OpticalSystem, position: NDArray[np.float64], *, microlenses: bool = True) -> PointFields:
     """Propagate one scene point's field, as `full_field` does, and keep it at every plane.
 
     Raises
@@ -112,9 +108,9 @@ def point_fields(
     InputError
         If the grids would need too much memory.
     """
-    grids = field_grids(camera, position, wavelength, 1.0, 1.0)
-    pupil, mla = _arrival(camera, position, wavelength, grids)
-    spectrum = _detector_spectrum(camera, wavelength, grids, mla.samples.copy(), microlenses)
+    grids = field_grids(system, position, 1.0, 1.0)
+    pupil, mla = _arrival(system, position, grids)
+    spectrum = _detector_spectrum(system.camera, system.wavelength, grids, mla.samples.copy(), microlenses)
     with resting_drjit():
         detector = fft2(spectrum, inverse=True)
     planes = (pupil, mla, SampledField(detector, mla.origin, mla.pitch))
@@ -122,17 +118,16 @@ def point_fields(
 
 
 def _arrival(
-    camera: PlenopticCamera,
+    system: OpticalSystem,
     position: NDArray[np.float64],
-    wavelength: float,
     grids: FieldGrids,
     weights: PupilWeights | None = None,
 ) -> tuple[SampledField, SampledField]:
     """Return the field behind the pupil, and that before the MLA."""
-    if camera.objective is not None:
-        return telecentric_arrival(TelecentricLens(camera.objective), position, wavelength, grids, weights)
-    pupil = pupil_field(camera, position, wavelength, grids, weights)
-    return pupil, at_mla(camera, wavelength, grids, pupil)
+    if isinstance(system.lens, TelecentricLens):
+        return telecentric_arrival(system.lens, position, system.wavelength, grids, weights)
+    pupil = pupil_field(system, position, grids, weights)
+    return pupil, at_mla(system.camera, system.wavelength, grids, pupil)
 
 
 def _detector_spectrum(
@@ -228,21 +223,20 @@ def _along_pixels(intensity: NDArray[np.float32], grids: FieldGrids, count: int)
 class _FullField:
     """One point: a batch."""
 
-    camera: PlenopticCamera
+    system: OpticalSystem
     position: NDArray[np.float64]
     factors: NDArray[np.float32]  # of the channels
-    wavelength: float
     pupil_weights: PupilWeights | None
 
     @property
     def samples(self) -> int:
         """Samples on the detector."""
-        return math.prod(self.camera.shape)
+        return math.prod(self.system.camera.shape)
 
     def prepare(self) -> Callable[[], Part]:
         """Do all of it."""
-        psf = full_field(self.camera, self.position, self.wavelength, pupil_weights=self.pupil_weights)
-        part = Part(_pixels(self.camera), self.factors[:, None, None] * psf)
+        psf = full_field(self.system, self.position, pupil_weights=self.pupil_weights)
+        part = Part(_pixels(self.system.camera), self.factors[:, None, None] * psf)
         return lambda: part
 
 
@@ -255,14 +249,12 @@ class FullFieldPlan:
 
     def __init__(
         self,
-        camera: PlenopticCamera,
+        system: OpticalSystem,
         points: NDArray[np.float64],
         pupil_weights: PupilWeights | None,
-        wavelength: float,
         accuracy: float,
     ) -> None:
-        self._camera, self._points, self._wavelength = camera, points, wavelength
-        self._pupil_weights = pupil_weights
+        self._system, self._camera, self._points, self._pupil_weights = system, system.camera, points, pupil_weights
 
     def sum(self, weights: NDArray[np.float64]) -> FullFieldSum:
         """Return the sum of the point spreads with these weights, (n, channels), yet to be computed."""
@@ -271,7 +263,7 @@ class FullFieldPlan:
     def batch(self, point: int, factors: NDArray[np.float32]) -> _FullField:
         """Describe the point spread of one point."""
         weights = self._pupil_weights and self._pupil_weights.take(np.array([point]))
-        return _FullField(self._camera, self._points[point], factors, self._wavelength, weights)
+        return _FullField(self._system, self._points[point], factors, weights)
 
     @property
     def box(self) -> Box:

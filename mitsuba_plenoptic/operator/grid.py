@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..lattice import turn
-from ..lenses.fitted_lens import lens_of_waves
-from ..lenses.main_lens import MainLens
+from ..lenses.base import MainLens
 from ..optics.phase import in_millimetres
 from ..system.microlenses import diffraction, scattering, upright
+from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_samples, fast_length, footprint
 
 _PITCH_PER_PIXEL = 1.1
@@ -107,8 +107,7 @@ class Grid:
     @classmethod
     def of(
         cls,
-        camera: PlenopticCamera,
-        wavelength: float,
+        system: OpticalSystem,
         band: Band,
         positions: NDArray[np.float64],
     ) -> Grid:
@@ -117,8 +116,8 @@ class Grid:
         Its pitch holds the kept directions, and along both axes a whole number of samples lies between neighbouring
         micro-images.
         """
-        rotation, camera = camera.mla_rotation, upright(camera)
-        lens = lens_of_waves(camera, positions, wavelength)
+        rotation, camera, wavelength = system.camera.mla_rotation, upright(system.camera), system.wavelength
+        lens = system.waves_of(positions)
         cosine = lens.cone(positions[:, 2])
         bent = scattering(camera)
         beside = max(band.bends * bent, diffraction(camera, wavelength, band.orders))

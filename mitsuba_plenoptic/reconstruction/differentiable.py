@@ -16,6 +16,7 @@ from ..lenses.wave_cameras import require_ideal
 from ..optics import guards
 from ..runtime.backend import backend, one_at_a_time
 from ..runtime.fft import resting_drjit
+from ..system.optical_system import OpticalSystem
 from ..thin_lens import image_distance
 from .arguments import FOOTPRINTS
 from .bins import BinSums
@@ -186,7 +187,10 @@ class CoherentRefocus:
         require_feasible(grids)
         interleave = require_count("interleave", interleave)
         self._fields = BackwardFields(camera, wavelength, grids, interleave=interleave, with_vjp=True)
-        (self._step,), (self._zone,) = grids.to_objects, ThinConjugates(camera, wavelength).zones(distance)
+        (self._step,), (self._zone,) = (
+            grids.to_objects,
+            ThinConjugates(OpticalSystem(camera, wavelength)).zones(distance),
+        )
         rays = white_sums(camera, distance, camera.lit_radius, "lens", oversample)
         white = white_light(camera, wavelength, distance, oversample, True)
         divisor, reached = divisors(white, rays, distance, computed=True)

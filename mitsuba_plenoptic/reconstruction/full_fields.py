@@ -22,6 +22,7 @@ from ..runtime.backend import array_module, backend
 from ..runtime.fft import Field, resting_drjit
 from ..runtime.limits import require_memory
 from ..system.microlenses import is_separable, transmission
+from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
 from .bins import BinSums
 from .conjugates import Conjugates, ThinConjugates, Zone
@@ -47,7 +48,7 @@ def reconstruct_subsets(
 
     The period of a subset along each axis is `interleave`; 1 is one coherent field.
     """
-    conjugates = conjugates or ThinConjugates(camera, wavelength)
+    conjugates = conjugates or ThinConjugates(OpticalSystem(camera, wavelength))
     columns, rows = (count * oversample for count in camera.bin_count)
     check_memory(8.0 * rows * columns * (len(distances) + 1), f"wave reconstruction on {columns} x {rows} bins")
     totals = [np.zeros((rows, columns)) for _ in distances]

@@ -28,6 +28,7 @@ from ..optics.phase import in_millimetres, parabola, phasor, soft_edge
 from ..optics.power import fraction
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, split, unpack
+from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
 from .conjugates import Conjugates, ThinConjugates
 from .lens_tiles import Tile, reconstruction_tile
@@ -212,7 +213,7 @@ def reconstruct_lens_by_lens(
     """Propagate every lens alone and add the powers in bins: the limit of `reconstruct_subsets` for large periods."""
     tile = reconstruction_tile(camera, wavelength, distances, oversample)
     check_memory(tile.memory, "wave reconstruction lens by lens")
-    conjugates = conjugates or ThinConjugates(camera, wavelength)
+    conjugates = conjugates or ThinConjugates(OpticalSystem(camera, wavelength))
     lenses = LensSet(tile)
     lit = lenses.lit(image)
     arrays = backend().arrays

@@ -15,6 +15,7 @@ from ..optics.free_space import advance
 from ..optics.phase import in_millimetres, phasor
 from ..runtime.backend import backend
 from ..runtime.fft import Field
+from ..system.optical_system import OpticalSystem
 from ..system.sampling import fast_length
 from .conjugates import behind_thin_lens
 from .planning import GUARD, field_subsamples
@@ -210,7 +211,7 @@ class Tile:
 def fine_bins(camera: PlenopticCamera, wavelength: float, oversample: int) -> int:
     """Return the number of fine bins across a bin in which power is summed before it is spread over lenses."""
     if camera.prescription is not None:
-        camera = behind_thin_lens(camera, wavelength)
+        camera = behind_thin_lens(OpticalSystem(camera, wavelength))
     elif camera.lenses_are_bins:
         return 1
     return Tile(camera, wavelength, 1, oversample).samples // oversample

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..design import crosstalk_neighbours
 from ..errors import InputError
-from ..lenses.lens_system import LensSystem
+from ..lenses.base import MainLens
+from ..lenses.factory import main_lens
 from ..optics import rays
 from ..runtime.backend import array_module
 from ..runtime.fft import rows_and_columns
@@ -37,7 +38,7 @@ def traced_places(
     camera: PlenopticCamera, distance: float
 ) -> Iterator[tuple[slice, NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]]:
     r"""Follow one ray a pixel, through the centre of its lens, back to an object plane."""
-    types, lens = array_module(), LensSystem.of(camera)
+    types, lens = array_module(), main_lens(camera)
     half, b = camera.pixel_size / 2, camera.mla_distance
     for rows, px, py in _pixels(camera, types):
         cx, cy = camera.lattice.centre(*_cell(camera, px, py))
@@ -59,7 +60,7 @@ def traced_white(camera: PlenopticCamera) -> NDArray[np.float32]:
     Every pixel has its own shift of one even set of rays: what few of them miss at the rims of micro-images averages
     out over the pixels of a bin.
     """
-    types, lens, lattice, p = array_module(), LensSystem.of(camera), camera.lattice, camera.pixel_size
+    types, lens, lattice, p = array_module(), main_lens(camera), camera.lattice, camera.pixel_size
     image = np.empty(camera.shape, np.float32)
     around = crosstalk_neighbours(camera).tolist()
     several = len(camera.mla_focal_lengths) > 1
@@ -109,7 +110,7 @@ def _cell(camera: PlenopticCamera, px: Any, py: Any) -> tuple[Any, Any]:
 
 
 def _back(
-    camera: PlenopticCamera, lens: LensSystem, place: tuple[Any, Any], through: tuple[Any, Any], centre: Any, f2: Any
+    camera: PlenopticCamera, lens: MainLens, place: tuple[Any, Any], through: tuple[Any, Any], centre: Any, f2: Any
 ) -> Any:
     """Follow rays from the detector through points of lenses to the scene; through their centres if f2 is None."""
     z = camera.detector_distance

@@ -46,6 +46,7 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..system.optical_system import OpticalSystem
 from .conjugates import RealConjugates, undistorted
 from .full_fields import lit_window, reconstruct_subsets
 from .lens_by_lens import reconstruct_lens_by_lens
@@ -120,7 +121,7 @@ def _signed_power(
     """
     fine, conjugates, seen, planes = fine_bins(camera, wavelength, oversample), None, camera, list(distances)
     if camera.prescription is not None:
-        conjugates = RealConjugates.of(camera, planes, wavelength, oversample)
+        conjugates = RealConjugates.of(OpticalSystem(camera, wavelength), planes, oversample)
         seen, planes = conjugates.camera, [conjugates.distance(distance) for distance in distances]
     parts, found = signed_parts(image), [np.zeros(()) for _ in distances]
     for number, (sign, part) in enumerate(parts):

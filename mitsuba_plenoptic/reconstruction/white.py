@@ -19,6 +19,7 @@ from ..optics import rays
 from ..optics.phase import soft_edge
 from ..runtime.backend import backend
 from ..runtime.fft import convolve
+from ..system.optical_system import OpticalSystem
 from ..system.pupil import PupilFraction
 from ..system.sampling import check_memory
 from .conjugates import RealConjugates, ThinConjugates
@@ -136,7 +137,7 @@ def _traced_throughput(
 
     Micro-images that the lens cuts have more edge for their area, and lose more.
     """
-    conjugates = RealConjugates.of(camera, [distance], wavelength, 1)
+    conjugates = RealConjugates.of(OpticalSystem(camera, wavelength), [distance], 1)
     tile = Tile(conjugates.camera, wavelength, _THROUGHPUT_LENSES, 1)
     check_memory(tile.memory, "wave reconstruction of white micro-images")
     white, lenses, libraries = white_pixels(camera), LensSet(tile), backend()
@@ -215,7 +216,7 @@ def white_power(
     batch = lenses.batch(np.array([lenses.find(0, 0)]))
     libraries = backend()
     fields = pupil_fields(libraries.arrays.asarray(np.sqrt(image)), tile, batch, relay=relay)
-    patches = object_patches(fields, tile, batch, distance, ThinConjugates(part, wavelength))
+    patches = object_patches(fields, tile, batch, distance, ThinConjugates(OpticalSystem(part, wavelength)))
     patch = libraries.to_host(patches[0]).astype(np.float64)
     everywhere = LensSet(Tile(camera, wavelength, count, oversample))
     comb = np.zeros([(count - 1) * oversample + 1 for count in everywhere.bins[::-1]])
