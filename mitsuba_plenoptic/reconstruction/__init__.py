@@ -10,8 +10,7 @@ from .arguments import FOOTPRINTS, RESPONSES
 from .differentiable import RayRefocus
 from .differentiable import CoherentRefocus
 from .methods import METHODS
-from .result import Reconstruction, write_reconstruction
-from .volume import Volume, write_volume
+from .results import Reconstruction, Volume, write_reconstruction, write_volume
 
 __all__ = [
     "FOOTPRINTS",

@@ -41,33 +41,12 @@ from .deconvolution.variation import MOST as _MOST
 from .displacement import is_known
 from .methods import METHODS, Found, Task, require_taken
 from .real_lens import require_upright
-from .result import Reconstruction
+from .results import Reconstruction
 from .white import white_pixels
 
 
 def reference_white(white: Any, capture: Capture, recorded: Any) -> np.ndarray:
-    """Return a white capture as an array with the channels of the capture that it is to divide.
-
-    Parameters
-    ----------
-    white : Capture or array
-        What is given for it.
-    capture : Capture
-        The capture, with the camera by which it is refocused.
-    recorded : Capture or array
-        The same with the camera that it was recorded with, if it has one.
-
-    Returns
-    -------
-    (rows, columns, channels) float32 array
-        Scaled to a radiance of 1, see `lightfield.white.white_radiance`.
-
-    Raises
-    ------
-    InputError
-        If it has other pixels than the capture, or was recorded by another camera, by waves for a capture by rays, at
-        other wavelengths, or through a mosaic; or if it is saturated, or does not fill the view.
-    """
+    """Return a white capture as an array with the channels of the capture that it is to divide."""
     pixels = white.image if isinstance(white, Capture) else as_array("white", white)
     require_pixels("white", pixels)
     image = np.atleast_3d(capture.image)
@@ -201,7 +180,7 @@ def reconstruct(
     relay : bool, optional
         For ``coherent`` and ``partial``: whether the microlenses act a second time, in the MLA plane (default). Without
         it, which is the literal reading of the paper, planes out of focus stay blurred: see
-        `mitsuba_plenoptic.reconstruction.coherent`.
+        `mitsuba_plenoptic.reconstruction.waves`.
     oversample : int
         Bins per lens along each axis. A focused camera tells more than one apart:
         `mitsuba_plenoptic.design.suitable_oversample` and ``mitsuba-plenoptic info`` say how many.

@@ -47,7 +47,7 @@ Place = tuple[Any, Any]
 class Conjugate:
     """How the light of one place on the array, or of one for each lane, passes the exit pupil."""
 
-    light: Light
+    light: Any
     point: tuple[Any, Any, Any]
     wavelength: float
     tilt: tuple[float, float] = (0.0, 0.0)

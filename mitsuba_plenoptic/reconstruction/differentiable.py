@@ -187,10 +187,8 @@ class CoherentRefocus:
         require_feasible(grids)
         interleave = require_count("interleave", interleave)
         self._fields = BackwardFields(camera, wavelength, grids, interleave=interleave, with_vjp=True)
-        (self._step,), (self._zone,) = (
-            grids.to_objects,
-            ThinConjugates(OpticalSystem(camera, wavelength)).zones(distance),
-        )
+        (self._step,) = grids.to_objects
+        (self._zone,) = ThinConjugates(OpticalSystem(camera, wavelength)).zones(distance)
         rays = white_sums(camera, distance, camera.lit_radius, "lens", oversample)
         white = white_light(camera, wavelength, distance, oversample, True)
         divisor, reached = divisors(white, rays, distance, computed=True)

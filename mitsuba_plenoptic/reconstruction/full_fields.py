@@ -193,7 +193,7 @@ class BackwardFields:
         """Power that passes the pupil, in pixel values times pixels."""
         return power(field) * self._grids.main_lens.sample_area / self._camera.pixel_size**2
 
-    def _on_array(self, strip: Strip, amplitude: Field, subset: tuple[int, int] | None) -> Rows:
+    def _on_array(self, strip: Strip, amplitude: NDArray[np.float32], subset: tuple[int, int] | None) -> Rows:
         """Take the light of a strip to the MLA, that of all lenses or of a subset.
 
         What strays to a cell from another lens's pixels is bent aside by a micro-image and misses the main lens: so
@@ -208,7 +208,7 @@ class BackwardFields:
             return Element(step)
         return microlenses(step, self._camera, self._wavelength, self._interleave, subset)
 
-    def _samples(self, amplitude: Field) -> Rows:
+    def _samples(self, amplitude: NDArray[np.float32]) -> Iterator[tuple[slice, Any]]:
         """Repeat pixels sample by sample."""
         arrays, n = self._workspace.libraries.arrays, self._grids.subsamples
         together = max(1, self._workspace.block // n)

@@ -136,7 +136,7 @@ def propagate(
     workspace.
     """
     x, y, columns = step.x, step.y, workspace.columns(step)
-    pitches, shift = tuple(axis.window / axis.held for axis in (x, y)), (x.start - x.first, y.start - y.first)
+    pitches, shift = (x.window / x.held, y.window / y.held), (x.start - x.first, y.start - y.first)
     for mine, spectrum in to_directions(source, element, step, workspace):
         part = advance(spectrum, pitches, distance, wavelength, shift=shift, part=(mine.start, x.held))
         columns[mine, : y.wanted] = _from_lowest(part, y, workspace)

@@ -16,6 +16,7 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint, pixel_footprint
@@ -41,10 +42,11 @@ def ray_sums(
     if axes is None:
         return Splat.of(camera, distance, radius, footprint, oversample, image.shape[2]).forward(image)
     x, y = axes
-    values = image.shape[2] * x.count * max(y.count, image.shape[0])
+    columns, rows = x.weights.shape[0], y.weights.shape[0]
+    values = image.shape[2] * columns * max(rows, image.shape[0])
     if values > _MOST_VALUES:
         raise InputError(
-            f"images of {x.count} x {y.count} bins: {values} values are summed at once, at most {_MOST_VALUES} can be"
+            f"images of {columns} x {rows} bins: {values} values are summed at once, at most {_MOST_VALUES} can be"
         )
     return bin_image(image, x, y, radius)
 
@@ -92,29 +94,18 @@ def ray_sums_vjp(
 def _bin_image_vjp(bins: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.ndarray:
     """Apply the transpose of `bin_image`."""
     given = np.asarray(bins, np.float64)
-    pixels = np.einsum("jic,jr->ric", given, _matrix(y), optimize=True)
-    pixels = np.einsum("ric,ip->rpc", pixels, _matrix(x), optimize=True)
+    pixels = np.einsum("jic,jr->ric", given, y.weights.toarray(), optimize=True)
+    pixels = np.einsum("ric,ip->rpc", pixels, x.weights.toarray(), optimize=True)
     # In the precision in which the sums compare them.
     limit, square = (radius**2 - y.pupil**2).astype(np.float32), (x.pupil**2).astype(np.float32)
     return np.where((square <= limit[:, None])[..., None], pixels, 0.0)
 
 
-def _matrix(axis: AxisBins) -> np.ndarray:
-    """Return the weights (bins, pixels) of one axis."""
-    matrix = np.zeros((axis.count, axis.pupil.size))
-    bin_of = np.searchsorted(axis.start, np.arange(axis.pixel.size), side="right") - 1
-    matrix[bin_of, axis.pixel] = axis.weight
-    return matrix
-
-
 @dataclass(frozen=True)
 class AxisBins:
-    """The sparse matrix W of one axis, rows of entries by bin, and the pupil coordinate of each pixel."""
+    """The weights (bins, pixels) of the pixels of one axis, and the pupil coordinate of each."""
 
-    count: int
-    start: np.ndarray
-    pixel: np.ndarray
-    weight: np.ndarray
+    weights: csr_matrix
     pupil: np.ndarray
 
 
@@ -133,65 +124,42 @@ def axis_bins(low: np.ndarray, high: np.ndarray, pupil: np.ndarray, count: int, 
     fraction = overlap.clip(min=0) / np.where(spread, width, 1)[:, None]
     weight = np.where(spread[:, None], fraction, bins == first[:, None])
     keep = (weight > 1e-6) & (bins >= 0) & (bins < count)
-    order = np.argsort(bins[keep], kind="stable")
-    return AxisBins(
-        count=count,
-        start=np.searchsorted(bins[keep][order], np.arange(count + 1)).astype(np.uint32),
-        pixel=np.broadcast_to(pixels[:, None], bins.shape)[keep][order].astype(np.uint32),
-        weight=weight[keep][order].astype(np.float32),
-        pupil=pupil,
-    )
+    entries = weight[keep].astype(np.float32), (bins[keep], np.broadcast_to(pixels[:, None], bins.shape)[keep])
+    return AxisBins(csr_matrix(entries, (count, pupil.size)), pupil)
 
 
 def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.ndarray:
     """Sum an image over the bins of both axes within the pupil."""
     types = array_module()
-    _, columns, channels = image.shape
-    if not (x.weight.size and y.weight.size):
+    (rows, columns, channels), across, down = image.shape, x.weights.shape[0], y.weights.shape[0]
+    if not (x.weights.nnz and y.weights.nnz):
         # No pixel meets a bin.
-        return np.zeros((y.count, x.count, channels), np.float32)
+        return np.zeros((down, across, channels), np.float32)
     values = types.Float(np.ascontiguousarray(image).reshape(-1))
-    by_row = _sum_columns(types, values, x, radius**2 - y.pupil**2, columns, channels)
-    sums = _sum_rows(types, by_row, y, x.count * channels)
-    return np.asarray(sums.numpy()).reshape(y.count, x.count, channels)
+    thread = dr.arange(types.UInt32, rows * across * channels)
+    row, rest = thread // (across * channels), thread % (across * channels)
+    limit = types.Float((radius**2 - y.pupil**2).astype(np.float32))
+    base = row * dr.opaque(types.UInt32, columns * channels) + rest % channels
+    by_row = _sums(types, values, x, rest // channels, base, channels, dr.gather(types.Float, limit, row))
+    width = across * channels
+    thread = dr.arange(types.UInt32, down * width)
+    sums = _sums(types, by_row, y, thread // width, thread % width, width)
+    return np.asarray(sums.numpy()).reshape(down, across, channels)
 
 
-def _sum_columns(backend: Any, values: Any, bins: AxisBins, limit: np.ndarray, columns: int, channels: int) -> Any:
-    """Sum the columns of each bin whose squared pupil coordinate is within the row's limit."""
-    Float, UInt32 = backend.Float, backend.UInt32
-    rows = limit.size
-    start, pixel, weight = UInt32(bins.start), UInt32(bins.pixel), Float(bins.weight)
-    square = Float((bins.pupil**2)[bins.pixel].astype(np.float32))
-    size = dr.opaque(UInt32, columns * channels)
-    thread = dr.arange(UInt32, rows * bins.count * channels)
-    row, rest = thread // (bins.count * channels), thread % (bins.count * channels)
-    column_bin, channel = rest // channels, rest % channels
-    bound = dr.gather(Float, Float(limit.astype(np.float32)), row)
-    base = row * size + channel
-    entry, end = dr.gather(UInt32, start, column_bin), dr.gather(UInt32, start, column_bin + 1)
-    # A row beyond the pupil's edge is dark whatever its columns.
-    end = dr.select(bound >= 0, end, entry)
-
-    def body(entry: Any, total: Any) -> tuple[Any, Any]:
-        inside = dr.gather(Float, square, entry) <= bound
-        value = dr.gather(Float, values, base + dr.gather(UInt32, pixel, entry) * channels, inside)
-        return entry + 1, dr.fma(value, dr.gather(Float, weight, entry), total)
-
-    _, total = dr.while_loop((entry, Float(0)), lambda entry, total: entry < end, body)
-    return total
-
-
-def _sum_rows(backend: Any, by_row: Any, bins: AxisBins, width: int) -> Any:
-    """Sum the rows of each bin."""
-    Float, UInt32 = backend.Float, backend.UInt32
-    start, pixel, weight = UInt32(bins.start), UInt32(bins.pixel), Float(bins.weight)
-    thread = dr.arange(UInt32, bins.count * width)
-    row_bin, offset = thread // width, thread % width
-    entry, end = dr.gather(UInt32, start, row_bin), dr.gather(UInt32, start, row_bin + 1)
+def _sums(types: Any, values: Any, bins: AxisBins, number: Any, base: Any, stride: int, limit: Any = None) -> Any:
+    """Sum the values, `stride` apart, of the pixels of each bin whose squared pupil coordinate is within a limit."""
+    Float, UInt32 = types.Float, types.UInt32
+    start, pixel = UInt32(bins.weights.indptr), UInt32(bins.weights.indices)
+    weight, square = Float(bins.weights.data), Float((bins.pupil**2)[bins.weights.indices].astype(np.float32))
+    entry, end = dr.gather(UInt32, start, number), dr.gather(UInt32, start, number + 1)
+    if limit is not None:
+        # A row beyond the pupil's edge is dark whatever its columns.
+        end = dr.select(limit >= 0, end, entry)
 
     def body(entry: Any, total: Any) -> tuple[Any, Any]:
-        value = dr.gather(Float, by_row, dr.gather(UInt32, pixel, entry) * width + offset)
+        inside = True if limit is None else dr.gather(Float, square, entry) <= limit
+        value = dr.gather(Float, values, base + dr.gather(UInt32, pixel, entry) * stride, inside)
         return entry + 1, dr.fma(value, dr.gather(Float, weight, entry), total)
 
-    _, total = dr.while_loop((entry, Float(0)), lambda entry, total: entry < end, body)
-    return total
+    return dr.while_loop((entry, Float(0)), lambda entry, total: entry < end, body)[1]

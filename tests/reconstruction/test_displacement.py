@@ -50,7 +50,7 @@ def test_displacements_are_told_of_both_axes_and_cut_at_a_lens():
     step = slope * CAMERA.mla_pitch / 2
     tilted = [1 + step * (x + 0.4), 1 + step * (y - 9.0)]
     tilted[0][0, 0] = np.nan
-    across, down = displacements(tilted, [slope, slope], CAMERA, 2)
+    across, down = displacements(tilted, slope, CAMERA, 2)
     assert across[0, 0] == 0
     np.testing.assert_allclose(across.ravel()[1:], 0.4, atol=1e-9)
     np.testing.assert_allclose(down, -2)

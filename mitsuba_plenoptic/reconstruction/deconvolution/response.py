@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,13 +12,12 @@ from ...camera import PlenopticCamera
 from ...operator.recorder import Recorder
 from ...runtime.backend import backend
 from ...runtime.jobs import Job
-from ...runtime.limits import largest_fitting, require_memory
-from .cells import Cells, to_bins
-from .kernels import Kernel, PlaneResponse, Zone, make_kernel, on_disk, zones
+from .cells import BinCells, to_bins
+from .kernels import Kernel, PlaneResponse, SampleBlock, StoredResponse, make_kernel, require_response_memory, zones
 from .spreads import ray_batches, ray_grid, wave_batches, wave_grid
 from .variation import TotalVariation
 
-Batches = Callable[[Cells, float, NDArray[np.int64]], Sequence[Sequence[Any]]]
+Batches = Callable[[BinCells, float, NDArray[np.int64]], Sequence[Sequence[Any]]]
 """From the cells, a distance and a cell to the batches of each of its bins."""
 
 _ZONE = 16
@@ -35,37 +32,8 @@ _LIT = 0.6
 _EVERYWHERE = 2**40
 
 
-class Response:
-    r"""The capture of object planes made of bins of even radiance: :math:`I = \sum_k A_k x_k`.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera; its recorded window may be a crop.
-    distances : sequence of float
-        Of the planes.
-    wavelength : float, optional
-        Wavelength in nanometres; None: light goes by rays.
-    oversample : int
-        Bins along a lens pitch.
-    job : Job, optional
-        Who computes the point spreads, and who is told of the progress.
-
-    Kernels of many planes are kept in a temporary folder; as a context it removes the folder when it is left, else that
-    is done when nothing refers to it any more.
-
-    Attributes
-    ----------
-    planes : list of PlaneResponse
-        One for each distance.
-    cells : Cells
-        How bins and samples are gathered.
-
-    Raises
-    ------
-    InputError
-        If it would need too much memory.
-    """
+class Response(StoredResponse):
+    r"""The capture of object planes made of bins of even radiance: :math:`I = \sum_k A_k x_k`."""
 
     def __init__(
         self,
@@ -79,7 +47,7 @@ class Response:
         job = job or Job()
         grid = ray_grid(camera) if wavelength is None else wave_grid(camera, distances, wavelength)
         self._batches: Batches = ray_batches if wavelength is None else wave_batches
-        self.cells, self._camera, self._distances = Cells(grid, oversample), camera, tuple(distances)
+        self.cells, self._camera, self._distances = BinCells(grid, oversample), camera, tuple(distances)
         all_pixels = np.full((1, 2), -_EVERYWHERE), np.full((1, 2), _EVERYWHERE)
         self._recorder = Recorder(camera, grid, *all_pixels)
         self._sampled = self.cells.holding(self._recorder.box)
@@ -88,10 +56,8 @@ class Response:
         groups = self._zones(max(each), alike)
         # Where all lenses are alike one kernel serves all zones, which share the work among the cores.
         asked = groups[len(groups) // 2 :][:1] if alike else groups
-        self._folder = None
-        if _LIT * len(asked) * sum(each) > _MEMORY and len(distances) > 1:
-            self._folder = tempfile.TemporaryDirectory(prefix="deconvolution-")
-        self._require_memory(distances, len(asked), oversample)
+        super().__init__(len(distances) > 1 and _LIT * len(asked) * sum(each) > _MEMORY)
+        self._require_memory(len(asked))
         bins, total = self.cells.bins[0] * self.cells.bins[1], len(distances) * len(asked)
         self.planes: list[PlaneResponse] = []
         for distance in distances:
@@ -99,18 +65,17 @@ class Response:
             for members in asked:
                 done = (len(self.planes) * len(asked) + len(kernels)) * bins
                 kernels.append(self._kernel(distance, members, job, done, total * bins))
-            if self._folder:
-                kernels = on_disk(kernels, Path(self._folder.name) / f"{len(self.planes)}")
-            each_zone = kernels * len(groups) if alike else kernels
-            found = [Zone(members, kernel) for members, kernel in zip(groups, each_zone, strict=True)]
-            self.planes.append(PlaneResponse(self.cells, self._sampled, found))
+            kernels = self._on_disk(kernels) * (len(groups) // len(kernels))
+            self.planes.append(PlaneResponse(self.cells, self._sampled, groups, kernels))
 
-    def __enter__(self) -> Response:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._folder:
-            self._folder.cleanup()
+    def _on_disk(self, kernels: list[Kernel]) -> list[Kernel]:
+        """Return kernels whose matrices are read from the folder, if there is one."""
+        matrices = [block.matrix for kernel in kernels for block in kernel.blocks]
+        stored = iter(self._stored(matrices, f"{len(self.planes)}"))
+        return [
+            Kernel(kernel.steps, [SampleBlock(b.rows, b.columns, b.steps, next(stored)) for b in kernel.blocks])
+            for kernel in kernels
+        ]
 
     def _kernel(self, distance: float, members: NDArray[np.int64], job: Job, done: int, total: int) -> Kernel:
         """Compute the kernel of a zone from the spreads of the cell in its middle."""
@@ -138,22 +103,15 @@ class Response:
         across, down = (samples / size + 2 for size in self.cells.size)
         return float(4 * across * down * oversample**2 * np.prod(grid.lens_samples.diagonal()) * _period(camera))
 
-    def _require_memory(self, distances: Sequence[float], groups: int, oversample: int) -> None:
-        """Refuse what does not fit, before anything is allocated."""
-
+    def _require_memory(self, groups: int) -> None:
         def memory(oversample: int) -> float:
-            each = [self._kernel_memory(distance, oversample) for distance in distances]
-            bins = 4.0 * len(self._sampled) * _period(self.cells.camera) * oversample**2 * len(distances)
+            each = [self._kernel_memory(distance, oversample) for distance in self._distances]
+            bins = 4.0 * len(self._sampled) * _period(self.cells.camera) * oversample**2 * len(each)
             samples = 4.0 * self._recorder.box.rows * self._recorder.box.columns
             kernels = _LIT * groups * (max(each) if self._folder else sum(each))
             return kernels + 2 * max(each) + 12 * bins + 4 * samples + self._recorder.memory
 
-        def fitting(limit: float) -> str | None:
-            largest = largest_fitting(memory, limit, oversample)
-            return f"oversample = {largest}" if largest else None
-
-        planes = f"{len(distances)} planes" if len(distances) > 1 else f"the plane at {distances[0]:g}"
-        require_memory(memory(oversample), f"oversample = {oversample}: deconvolution of {planes}", fitting)
+        require_response_memory(memory, self.cells.oversample, self._distances)
 
     @property
     def shapes(self) -> list[tuple[int, int]]:
@@ -170,17 +128,7 @@ class Response:
         return to_bins(values, self.cells, lit, self._camera, distance, self.cells.oversample)
 
     def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-        """Record planes.
-
-        Parameters
-        ----------
-        values : sequence of float32 arrays (cells, bins)
-            Radiance, for each plane.
-
-        Returns
-        -------
-        float32 array (rows, columns)
-        """
+        """Record planes."""
         width, height = self.cells.size
         libraries = backend()
         samples = libraries.arrays.zeros((len(self._sampled), height, width), np.float32)
@@ -190,17 +138,7 @@ class Response:
         return self._recorder.record(libraries.arrays.asarray(sums[None]))[..., 0]
 
     def adjoint(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-        """Apply the transpose of `forward`.
-
-        Parameters
-        ----------
-        image : float32 array (rows, columns)
-            Of the recorded pixels.
-
-        Returns
-        -------
-        list of float32 arrays (cells, bins)
-        """
+        """Apply the transpose of `forward`."""
         libraries = backend()
         sums = libraries.to_host(self._recorder.spread(image[..., None])[0])
         samples = libraries.arrays.asarray(self.cells.split(sums, self._recorder.box, self._sampled))

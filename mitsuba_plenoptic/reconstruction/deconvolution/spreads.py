@@ -21,7 +21,7 @@ from ...optics.rays import cosines_to_slopes
 from ...runtime.batches import Box, Part
 from ...system.microlenses import upright
 from ...system.optical_system import OpticalSystem
-from .cells import Cells
+from .cells import BinCells
 
 _ACCURACY = 0.01
 """Relative error for which the grid, and what is kept of the diffracted light, are chosen."""
@@ -45,23 +45,8 @@ def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: f
     return Grid.of(system, band_for(_ACCURACY, _MANY), np.concatenate([points, system.lens.farthest(depths)]))
 
 
-def wave_batches(cells: Cells, distance: float, cell: NDArray[np.int64]) -> list[list[Scatter]]:
-    """Return for each bin of a cell the batches whose sums, added, are its response.
-
-    Parameters
-    ----------
-    cells : Cells
-        The cells.
-    distance : float
-        Of the object plane.
-    cell : int64 array (2,)
-        The cell.
-
-    Returns
-    -------
-    list of lists of Scatter
-        Sums over samples of the grid, as intensity per square millimetre of a bin of radiance 1.
-    """
+def wave_batches(cells: BinCells, distance: float, cell: NDArray[np.int64]) -> list[list[Scatter]]:
+    """Return for each bin of a cell the batches whose sums, added, are its response."""
     grid = cells.grid
     depth = finite_distance(cells.camera, distance)
     lens = grid.lens
@@ -86,7 +71,7 @@ def wave_batches(cells: Cells, distance: float, cell: NDArray[np.int64]) -> list
     return batches
 
 
-def _points(cells: Cells, distance: float) -> int:
+def _points(cells: BinCells, distance: float) -> int:
     """Return how many points along a lens stand for its bins."""
     camera = cells.camera
     limit = resolution_limit(camera, distance, cells.grid.wavelength)
@@ -94,7 +79,7 @@ def _points(cells: Cells, distance: float) -> int:
     return max(_RADIATORS, min(_MOST_RADIATORS, math.ceil(_RADIATORS_PER_LINE * lines)))
 
 
-def bin_weight(cells: Cells) -> float:
+def bin_weight(cells: BinCells) -> float:
     """Return what all pixels together record of a bin of radiance 1, where no light is lost."""
     return radiance_weight(cells.camera, cells.grid.lens, cells.bin_sizes[0] * cells.bin_sizes[1])
 
@@ -124,19 +109,9 @@ def ray_grid(camera: PlenopticCamera) -> Grid:
 
 @dataclass(frozen=True)
 class RayBatch:
-    """The rays of one bin.
+    """The rays of one bin."""
 
-    Attributes
-    ----------
-    cells : Cells
-        How bins are gathered.
-    distance : float
-        Of the object plane.
-    corner : float64 array (2,)
-        Place of the bin's first corner on the MLA.
-    """
-
-    cells: Cells
+    cells: BinCells
     distance: float
     corner: NDArray[np.float64]
 
@@ -150,7 +125,7 @@ class RayBatch:
         return functools.partial(_trace, self)
 
 
-def ray_batches(cells: Cells, distance: float, cell: NDArray[np.int64]) -> list[list[RayBatch]]:
+def ray_batches(cells: BinCells, distance: float, cell: NDArray[np.int64]) -> list[list[RayBatch]]:
     """Return for each bin of a cell the batch whose sum is its response, as `wave_batches` does."""
     half = np.array(cells.bin_sizes) / 2
     return [[RayBatch(cells, distance, places[0] - half)] for places in cells.bin_places(cell)]
