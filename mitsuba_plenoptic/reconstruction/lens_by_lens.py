@@ -78,8 +78,8 @@ class LensSet:
         low, high = rays.chief_point(ends, camera.mla_distance, camera.detector_distance).T
         half = tile.cell_width / 2
         self.tile, self._index = tile, camera.lattice.lenses_within(tuple(low - half), tuple(high + half))
-        self._centre = np.stack(camera.lattice.centre(*self._index.T.astype(np.float64)), axis=-1)
-        place = self._centre / camera.mla_pitch
+        self.centre = np.stack(camera.lattice.centre(*self._index.T.astype(np.float64)), axis=-1)
+        place = self.centre / camera.mla_pitch
         bins = np.floor(place).astype(np.int64)
         self._aside = place - bins - 0.5
         self.first = int(bins[:, 0].min()), int(bins[:, 1].min())
@@ -109,7 +109,7 @@ class LensSet:
 
     def batch(self, which: np.ndarray) -> LensBatch:
         """Take some lenses by their numbers."""
-        tile, camera, centre = self.tile, self.tile.camera, self._centre[which]
+        tile, camera, centre = self.tile, self.tile.camera, self.centre[which]
         z, types = camera.detector_distance, np.array(camera.mla_focal_lengths)
         axes = x, y = self._samples(which)
         along_x, along_y = (
@@ -134,7 +134,7 @@ class LensSet:
 
     def _samples(self, which: np.ndarray) -> list[_DetectorSamples]:
         """Take the samples of the detector along x and y of some lenses."""
-        return [_DetectorSamples.of(self._centre[which, axis], self.tile, axis) for axis in (0, 1)]
+        return [_DetectorSamples.of(self.centre[which, axis], self.tile, axis) for axis in (0, 1)]
 
     def _own(self, which: np.ndarray, x: _DetectorSamples, y: _DetectorSamples) -> list[np.ndarray]:
         """Return the factors that say which samples are recorded and belong to each lens: those of its chief rays."""

@@ -196,10 +196,7 @@ class Tile:
         matrices = (
             32.0 * self.cell_samples * self.pupil_samples + 16.0 * self.padded**2 + 8.0 * bins * self.object_samples
         )
-        # What `AlignedLenses` holds of each lens along an axis.
-        lenses = sum(size / self.camera.pixels_per_lens + 2 for size in self.camera.crop_size)
-        axes = lenses * 24 * (self.padded + self.cell_samples)
-        return matrices + axes + self.batch * (16.0 * self.padded**2 + 24.0 * self.object_samples**2)
+        return matrices + self.batch * (16.0 * self.padded**2 + 24.0 * self.object_samples**2)
 
     @property
     def batch(self) -> int:

@@ -37,7 +37,11 @@ def require_upright(camera: PlenopticCamera) -> None:
 def traced_places(
     camera: PlenopticCamera, distance: float
 ) -> Iterator[tuple[slice, NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]]:
-    r"""Follow one ray a pixel, through the centre of its lens, back to an object plane."""
+    """Follow one ray a pixel, through the centre of its lens, back to an object plane.
+
+    Yields rows of pixels, x and y of their places in the object plane times -b / g in millimetres, which undoes the
+    distortion, and whether the lens lets the ray, or that from the middle of one of the pixel's edges, through.
+    """
     types, lens = array_module(), main_lens(camera)
     half, b = camera.pixel_size / 2, camera.mla_distance
     for rows, px, py in _pixels(camera, types):

@@ -36,7 +36,12 @@ _BLOCK = 2**16
 
 @dataclass(frozen=True)
 class Splat:
-    """Where the pixels go, and what they cover there."""
+    """Where the pixels go, and what they cover there.
+
+    There are `fine` samples across a bin, and a footprint (taps, taps, fine, fine) of each type of lens. Pixels are
+    counted in `margin` bins beyond each border, too, from where they reach across it; `size` are the rows and columns
+    with these. Pixels that land there have a sample, counted bin by bin, a type of lens, and a flat index.
+    """
 
     fine: int
     footprints: list[np.ndarray]
@@ -50,7 +55,7 @@ class Splat:
     def of(
         cls, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int, channels: int
     ) -> Splat:
-        """Follow the rays of a camera's pixels; arguments as of `splat`."""
+        """Follow the rays of a camera's pixels, within a radius of the pupil; arguments as of `ray_sums`."""
         focal_lengths = camera.mla_focal_lengths
         fine, footprints = 1, [np.ones((1, 1, 1, 1))] * len(focal_lengths)
         if footprint == "lens":
@@ -151,7 +156,10 @@ def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float
 
 
 def _in_bins(blur: np.ndarray, fine: int) -> np.ndarray:
-    """Return what falls into each bin of a footprint that is centred in each of the fine samples of one of them."""
+    """Return the fractions (taps, taps, fine, fine) of a footprint, centred in each sample of a bin, in bins around it.
+
+    The footprint is drawn in fine samples; its sum is 1.
+    """
     half = blur.shape[0] // 2
     place = np.arange(fine) + np.arange(-half, half + 1)[:, None]
     reach = -(-half // fine)
@@ -164,62 +172,47 @@ def _in_bins(blur: np.ndarray, fine: int) -> np.ndarray:
 def _landing(
     camera: PlenopticCamera, distance: float, radius: float, oversample: int, fine: int, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find the pixels whose ray passes the pupil and lands on the bins."""
-    if camera.main_lens is not None:
-        return _traced_landing(camera, distance, oversample, fine, shape)
-    lattice, columns = camera.lattice, camera.crop_size[0]
-    # All along the ray is linear in the pixel and the lens's centre.
+    """Return sample, type of lens and flat index of the pixels whose ray passes the pupil and lands on the bins.
+
+    Samples are counted bin by bin; the middle of the bins, rows and columns, is on the axis.
+    """
+    lattice, columns, found = camera.lattice, camera.crop_size[0], []
+    traced = traced_places(camera, distance) if camera.main_lens is not None else _places(camera, distance, radius)
+    for rows, *place, is_lit in traced:
+        lit = np.flatnonzero(is_lit)
+        x, y = (
+            values[lit] * (oversample / camera.mla_pitch) + size / 2
+            for values, size in zip(place, shape[::-1], strict=True)
+        )
+        column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+        sample = np.floor((y - row) * fine).astype(np.int64) * fine + np.floor((x - column) * fine).astype(np.int64)
+        inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
+        lit, sample = lit[inside], ((row * shape[1] + column) * fine**2 + sample)[inside]
+        lens_type = np.zeros(lit.size, np.int8)
+        if len(camera.mla_focal_lengths) > 1:
+            pixel = camera.pixel_coordinates(0)[lit % columns], camera.pixel_coordinates(1)[rows][lit // columns]
+            b, z = camera.pupil_distance, camera.detector_distance
+            lens_type = lattice.lens_type(*lattice.cell(*(rays.chief_point(p, b, z) for p in pixel))).astype(np.int8)
+        found.append([sample, lens_type, lit + rows.start * columns])
+    sample, lens_type, pixels = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return sample, lens_type, pixels
+
+
+def _places(
+    camera: PlenopticCamera, distance: float, radius: float
+) -> Iterator[tuple[slice, np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield what `traced_places` does behind a thin main lens, where all along a ray is linear in pixel and centre."""
     of_pixel = np.array(rays.follow_back(1.0, 0.0, 0.0, distance, camera))
     of_lens = np.array(rays.follow_back(0.0, 1.0, 1.0, distance, camera))
-    scale = oversample / camera.mla_pitch
-    px, rows = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
-    several = len(camera.mla_focal_lengths) > 1
-    found = []
-    height = max(1, _BLOCK // columns)
-    for first in range(0, rows.size, height):
-        py = rows[first : first + height, None]
-        i, j = lattice.cell(*(rays.chief_point(p, camera.mla_distance, camera.detector_distance) for p in (px, py)))
-        cx, cy = lattice.centre(i, j)
-        Px, Py = (of_pixel[0] * p + of_lens[0] * c for p, c in ((px, cx), (py, cy)))
-        lit = np.flatnonzero(Px**2 + Py**2 <= radius**2)
-        i, j, cx, cy, qx, qy = (
-            np.broadcast_to(values, (py.size, columns)).reshape(-1)[lit] for values in (i, j, cx, cy, px, py)
+    px, down = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
+    height = max(1, _BLOCK // px.size)
+    for first in range(0, down.size, height):
+        p = px, down[first : first + height, None]
+        cell = camera.lattice.cell(*(rays.chief_point(q, camera.mla_distance, camera.detector_distance) for q in p))
+        shape = p[1].size, px.size
+        (Px, x), (Py, y) = (
+            [(pixel * q + lens * c) for pixel, lens in zip(of_pixel, of_lens, strict=True)]
+            for q, c in zip(p, camera.lattice.centre(*cell), strict=True)
         )
-        x, y = (
-            (of_pixel[1] * p + of_lens[1] * c) * scale + size / 2
-            for p, c, size in ((qx, cx, shape[1]), (qy, cy, shape[0]))
-        )
-        lens_type = lattice.lens_type(i, j).astype(np.int8) if several else np.zeros(lit.size, np.int8)
-        inside, place = _samples(x, y, fine, shape)
-        found.append([values[inside] for values in (place, lens_type, lit + first * columns)])
-    place, lens_type, pixel = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return place, lens_type, pixel
-
-
-def _samples(x: np.ndarray, y: np.ndarray, fine: int, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return which places, counted in bins, lie on the bins, and the samples that all would have."""
-    column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    sample = np.floor((y - row) * fine).astype(np.int64) * fine + np.floor((x - column) * fine).astype(np.int64)
-    inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
-    return inside, (row * shape[1] + column) * fine**2 + sample
-
-
-def _traced_landing(
-    camera: PlenopticCamera, distance: float, oversample: int, fine: int, shape: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Do what `_landing` does, by rays traced through a real main lens."""
-    scale, columns = oversample / camera.mla_pitch, camera.crop_size[0]
-    b, z, types = camera.pupil_distance, camera.detector_distance, len(camera.mla_focal_lengths)
-    found = []
-    for rows, x, y, is_lit in traced_places(camera, distance):
-        lit = np.flatnonzero(is_lit)
-        inside, place = _samples(x[lit] * scale + shape[1] / 2, y[lit] * scale + shape[0] / 2, fine, shape)
-        lit, place = lit[inside], place[inside]
-        lens_type = np.zeros(lit.size, np.int8)
-        if types > 1:
-            px, py = camera.pixel_coordinates(0)[lit % columns], camera.pixel_coordinates(1)[rows][lit // columns]
-            own = camera.lattice.cell(*(rays.chief_point(p, b, z) for p in (px, py)))
-            lens_type = camera.lattice.lens_type(*own).astype(np.int8)
-        found.append([place, lens_type, lit + rows.start * columns])
-    place, lens_type, pixel = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return place, lens_type, pixel
+        x, y = (np.broadcast_to(values, shape).reshape(-1) for values in (x, y))
+        yield slice(first, first + shape[0]), x, y, Px**2 + Py**2 <= radius**2

@@ -18,12 +18,12 @@ from ..lightfield.white import white_image
 from ..optics import rays
 from ..optics.phase import soft_edge
 from ..runtime.backend import backend
-from ..runtime.fft import convolve
+from ..runtime.fft import Field, convolve
 from ..system.optical_system import OpticalSystem
 from ..system.pupil import PupilFraction
 from ..system.sampling import check_memory
 from .conjugates import RealConjugates, ThinConjugates
-from .lens_by_lens import LensSet, object_patches, on_bins, passing_power, pupil_fields
+from .lens_by_lens import LensBatch, LensSet, object_patches, on_bins, passing_power, pupil_fields
 from .lens_tiles import Tile, fine_bins, tile_lenses
 from .radiance import lens_scale, over_lenses
 from .ray_sums import ray_sums
@@ -31,8 +31,8 @@ from .real_lens import traced_white
 
 _THROUGHPUT_LENSES = 25
 
-_HEIGHTS, _TOGETHER = 17, 512
-"""Lenses behind a real main lens of which the throughput is found, and how many places of lenses are found at once."""
+_HEIGHTS = 17
+"""Lenses behind a real main lens of which the throughput is found."""
 
 _WHOLE = 0.2
 """Light of such a lens over that of the brightest, at least."""
@@ -142,8 +142,7 @@ def _traced_throughput(
     check_memory(tile.memory, "wave reconstruction of white micro-images")
     white, lenses, libraries = white_pixels(camera), LensSet(tile), backend()
     lit = lenses.lit(white)
-    centres = np.concatenate([lenses.batch(part).centre for part in np.array_split(lit, -(-len(lit) // _TOGETHER))])
-    order = np.argsort(np.hypot(*centres.T), kind="stable")
+    order = np.argsort(np.hypot(*lenses.centre[lit].T), kind="stable")
     chosen = order[np.unique(np.linspace(0, len(order) - 1, _HEIGHTS).round().astype(int))]
     amplitude = libraries.arrays.asarray(np.sqrt(white))
     found = []
@@ -177,23 +176,22 @@ def _mean_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) ->
     camera = _around_axis(camera, 3)
     lenses = LensSet(Tile(camera, wavelength, _THROUGHPUT_LENSES, 1))
     back = sent = 0.0
-    px, py = (camera.pixel_coordinates(axis) for axis in (0, 1))
-    types = len(camera.mla_focal_lengths)
-    for step in range(types):
-        # Among the lenses beside the axis there is one of every type.
-        i, j = camera.lattice.cell(0.0, 0.0)
-        i += step
-        lens_type = int(camera.lattice.lens_type(i, j)) if types > 1 else 0
-        to_pupil = camera.mla_distance / camera.detector_distance
-        centre = [
-            rays.chief_detector_point(c, camera.mla_distance, camera.detector_distance)
-            for c in camera.lattice.centre(i, j)
-        ]
-        Px, Py = (centre[0] - px) * to_pupil, ((centre[1] - py) * to_pupil)[:, None]
-        image = PupilFraction(camera, lens_type)(*np.broadcast_arrays(Px, Py))
-        sent += float(image[np.hypot(Px, Py) <= camera.lit_radius].sum()) * camera.pixel_size**2
-        back += _power(image, lenses, (i, j), relay)
+    i, j = camera.lattice.cell(0.0, 0.0)
+    # Among the lenses beside the axis there is one of every type.
+    for index in [(i + step, j) for step in range(len(camera.mla_focal_lengths))]:
+        image, radius = _white_micro_image(camera, index)
+        sent += float(image[radius <= camera.lit_radius].sum()) * camera.pixel_size**2
+        back += _power(image, lenses, index, relay)
     return back, sent
+
+
+def _white_micro_image(camera: PlenopticCamera, index: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the micro-image of white behind one lens, and where its pixels see the pupil from its centre, at most."""
+    b, z = camera.mla_distance, camera.detector_distance
+    centre = [rays.chief_detector_point(c, b, z) for c in camera.lattice.centre(*index)]
+    Px, Py = ((c - camera.pixel_coordinates(axis)) * (b / z) for axis, c in enumerate(centre))
+    lens_type = int(camera.lattice.lens_type(*index)) if len(camera.mla_focal_lengths) > 1 else 0
+    return PupilFraction(camera, lens_type)(*np.broadcast_arrays(Px, Py[:, None])), np.hypot(Px, Py[:, None])
 
 
 def white_power(
@@ -205,18 +203,11 @@ def white_power(
     which came from within the pupil through a part of the lens, returns as if through the lens's centre and misses the
     pupil. So some bins get more light than others. All lenses are taken for the one beside the axis.
     """
-    part = _around_axis(camera, 2)
     count = tile_lenses(camera, [distance])
-    tile = Tile(part, wavelength, count, oversample)
-    lenses = LensSet(tile)
-    centre = rays.chief_detector_point(camera.mla_pitch / 2, camera.mla_distance, camera.detector_distance)
-    to_pupil = camera.mla_distance / camera.detector_distance
-    Px, Py = ((centre - part.pixel_coordinates(axis)) * to_pupil for axis in (0, 1))
-    image = PupilFraction(camera)(Px, Py[:, None])
-    batch = lenses.batch(np.array([lenses.find(0, 0)]))
-    libraries = backend()
-    fields = pupil_fields(libraries.arrays.asarray(np.sqrt(image)), tile, batch, relay=relay)
-    patches = object_patches(fields, tile, batch, distance, ThinConjugates(OpticalSystem(part, wavelength)))
+    lenses = LensSet(Tile(_around_axis(camera, 2), wavelength, count, oversample))
+    fields, batch = _lens_field(_white_micro_image(lenses.tile.camera, (0, 0))[0], lenses, (0, 0), relay)
+    libraries, system = backend(), OpticalSystem(lenses.tile.camera, wavelength)
+    patches = object_patches(fields, lenses.tile, batch, distance, ThinConjugates(system))
     patch = libraries.to_host(patches[0]).astype(np.float64)
     everywhere = LensSet(Tile(camera, wavelength, count, oversample))
     comb = np.zeros([(count - 1) * oversample + 1 for count in everywhere.bins[::-1]])
@@ -241,10 +232,16 @@ def _around_axis(camera: PlenopticCamera, lenses: int) -> PlenopticCamera:
     )
 
 
+def _lens_field(image: np.ndarray, lenses: LensSet, index: tuple[float, float], relay: bool) -> tuple[Field, LensBatch]:
+    """Return the field that one lens makes of a capture at the main lens."""
+    batch = lenses.batch(np.array([lenses.find(*index)]))
+    amplitude = backend().arrays.asarray(np.sqrt(image).astype(np.float32))
+    return pupil_fields(amplitude, lenses.tile, batch, relay=relay), batch
+
+
 def _power(image: np.ndarray, lenses: LensSet, index: tuple[float, float], relay: bool) -> float:
     """Power that one lens sends through the main lens."""
     tile, arrays = lenses.tile, backend().arrays
-    batch = lenses.batch(np.array([lenses.find(*index)]))
-    field = pupil_fields(arrays.asarray(np.sqrt(image).astype(np.float32)), tile, batch, relay=relay)[0]
+    (field,), _ = _lens_field(image, lenses, index, relay)
     inside = (tile.camera.aperture_radius - np.hypot(tile.pupil, tile.pupil[:, None])) / tile.pupil_pitch
     return float((abs(field) ** 2 * arrays.asarray(soft_edge(inside))).sum()) * tile.pupil_pitch**2
