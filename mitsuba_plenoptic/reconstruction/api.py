@@ -40,8 +40,8 @@ from .arguments import (
 from .deconvolution.variation import MOST as _MOST
 from .displacement import is_known
 from .methods import METHODS, Found, Task, require_taken
-from .real_lens import require_upright
 from .results import Reconstruction
+from .splatting import require_upright
 from .white import white_pixels
 
 

@@ -27,7 +27,7 @@ from .lens_by_lens import LensBatch, LensSet, object_patches, on_bins, passing_p
 from .lens_tiles import Tile, fine_bins, tile_lenses
 from .radiance import lens_scale, over_lenses
 from .ray_sums import ray_sums
-from .real_lens import traced_white
+from .splatting import traced_white
 
 _THROUGHPUT_LENSES = 25
 
