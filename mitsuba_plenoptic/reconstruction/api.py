@@ -38,11 +38,11 @@ from .arguments import (
     require_wavelengths,
 )
 from .deconvolution.variation import MOST as _MOST
-from .displacement import is_known
 from .methods import METHODS, Found, Task, require_taken
+from .radiance import is_known
+from .ray import white_pixels
 from .results import Reconstruction
 from .splatting import require_upright
-from .white import white_pixels
 
 
 def reference_white(white: Any, capture: Capture, recorded: Any) -> np.ndarray:
@@ -182,7 +182,7 @@ def reconstruct(
         it, which is the literal reading of the paper, planes out of focus stay blurred: see
         `mitsuba_plenoptic.reconstruction.waves`.
     oversample : int
-        Bins per lens along each axis. A focused camera tells more than one apart:
+        Bins per lens along each axis. A focused camera resolves more than one:
         `mitsuba_plenoptic.design.suitable_oversample` and ``mitsuba-plenoptic info`` say how many.
     white : Capture or array, optional
         What the same camera recorded of something evenly white that fills the view, by the same wavelengths, in one
@@ -190,7 +190,7 @@ def reconstruct(
         stay in units of the capture (see `mitsuba_plenoptic.lightfield.white.white_radiance`). It is refocused in the
         same way, and images are divided by it; those of unfocused
         cameras behind thin main lenses are also drawn back, to first order, to where their light comes from, which
-        borders, diffraction and interference displace (see `mitsuba_plenoptic.reconstruction.displacement`). This takes
+        borders, diffraction and interference displace (see `mitsuba_plenoptic.reconstruction.radiance`). This takes
         the time of one refocusing for the white and of two more for each distance. Default: what the camera would
         record by rays; a capture by waves, whose micro-images lose light at their edges, then reads less
         (0.85 for the paper's camera).

@@ -220,7 +220,7 @@ def behind_thin_lens(system: OpticalSystem, radius: float | None = None) -> Plen
 
 
 def _widened(camera: PlenopticCamera, more: int) -> PlenopticCamera:
-    """Return the camera with so many pixels more on each side, which it does not record."""
+    """Return the camera with `more` pixels on each side, which it does not record."""
     columns, rows = camera.resolution
     return camera.replace(
         detector_width=camera.detector_width + 2 * more * camera.pixel_size,

@@ -117,7 +117,7 @@ def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str,
 
 
 def _inputs(task: Task, options: dict[str, Any]) -> dict[str, Any]:
-    """Return what the bits of the result depend on, by which a checkpoint is known as of the same run."""
+    """Return what the bits of the result depend on, by which a checkpoint of the same run is known."""
     return {
         "capture": digest(task.image),
         "camera": task.camera.to_dict(),
@@ -130,7 +130,7 @@ def _inputs(task: Task, options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _require_different(distances: Sequence[float]) -> None:
-    """Refuse planes of a volume that are one: nothing tells which of them light is from."""
+    """Refuse planes of a volume that are one: which of them light is from is undetermined."""
     for number, distance in enumerate(distances):
         if distance in distances[:number]:
             raise InputError(f"distance = {distance:g}: it is given twice; the planes of a volume are different ones")

@@ -25,10 +25,9 @@ from .full_fields import BackwardFields, squared
 from .lens_tiles import fine_bins
 from .planning import plan, require_feasible
 from .radiance import LensSpread, divisors, is_reached, lens_scale
-from .ray import pupil_radius
-from .ray_sums import ray_sums, ray_sums_vjp
+from .ray import pupil_radius, ray_sums, ray_sums_vjp, white_sums
 from .waves import signed_parts
-from .white import white_light, white_sums
+from .white import white_light
 
 
 class RayRefocus:
@@ -44,7 +43,7 @@ class RayRefocus:
     distance : float
         Object distance in scene units, beyond the focal length; may be infinite.
     footprint : {"lens", "point"}
-        As of `reconstruct`.
+        As in `reconstruct`.
     oversample : int
         Bins per lens along each axis.
 

@@ -27,7 +27,7 @@ from ..system.sampling import check_memory
 from .bins import BinSums
 from .conjugates import Conjugates, ThinConjugates, Zone
 from .methods import Progress
-from .passages import Element, Rows, Workspace, propagate, propagate_vjp, to_directions, to_directions_vjp
+from .passages import FieldWorkspace, Rows, ThinElement, propagate, propagate_vjp, to_directions, to_directions_vjp
 from .planning import Directions, FieldPlan, Step, Strip, Window, field_memory, object_extent, plan, require_feasible
 
 
@@ -127,7 +127,7 @@ class BackwardFields:
             at_object = sum(8.0 * (interleave**2 + 1) * step.x.kept * step.y.kept for step in grids.to_objects)
             memory = grids.memory + 8.0 * columns + 2 * on_array + at_object
             require_memory(memory, "derivatives of a wave reconstruction", limit=field_memory())
-        self._workspace = Workspace(steps)
+        self._workspace = FieldWorkspace(steps)
         # The light of all lenses on the array serves every subset, where it fits into memory.
         self._holds = interleave > 1 and relay and len(grids.strips) == 1
         self._holds &= grids.memory + on_array <= field_memory()
@@ -203,9 +203,9 @@ class BackwardFields:
         light = converging(step, self._camera, self._wavelength, self._interleave, subset)
         return propagate(self._samples(amplitude[strip.rows]), light, step, z, self._wavelength, self._workspace)
 
-    def _lenses(self, step: Step, subset: tuple[int, int]) -> Element:
+    def _lenses(self, step: Step, subset: tuple[int, int]) -> ThinElement:
         if not self._relay:
-            return Element(step)
+            return ThinElement(step)
         return microlenses(step, self._camera, self._wavelength, self._interleave, subset)
 
     def _samples(self, amplitude: NDArray[np.float32]) -> Iterator[tuple[slice, Any]]:
@@ -237,7 +237,7 @@ class BackwardFields:
         return field
 
 
-def _main_lens(step: Directions, zone: Zone) -> Element:
+def _main_lens(step: Directions, zone: Zone) -> ThinElement:
     """Return the main lens, less the path to the point of the object plane in the middle of a zone of the field."""
     light, pitch = zone.light, min(step.x.pitch, step.y.pitch)
 
@@ -245,12 +245,12 @@ def _main_lens(step: Directions, zone: Zone) -> Element:
         passed = phasor(light.path((x, y)))
         return passed * soft_edge(array_module().Float(light.inside((x, y)) / pitch)) if zone.is_cut else passed
 
-    return Element(step, lens)
+    return ThinElement(step, lens)
 
 
 def microlenses(
     step: Step, camera: PlenopticCamera, wavelength: float, interleave: int = 1, subset: tuple[int, int] = (0, 0)
-) -> Element:
+) -> ThinElement:
     """Return the microlenses of a subset in the source plane of a step, by the remainders of indices; others are dark.
 
     The period of the subset is `interleave`, in both indices of the lattice.
@@ -260,7 +260,7 @@ def microlenses(
         light = transmission(camera, wavelength, x, y)
         return light if interleave == 1 else _of_subset(light, camera.lattice.cell(x, y), interleave, subset)
 
-    return Element(step, lens, _centre(camera, subset))
+    return ThinElement(step, lens, _centre(camera, subset))
 
 
 def converging(
@@ -269,7 +269,7 @@ def converging(
     wavelength: float,
     interleave: int = 1,
     subset: tuple[int, int] | None = None,
-) -> Element:
+) -> ThinElement:
     """Return what lets light on the detector converge to the centres of all lenses, or of those of a subset only."""
     b, z = camera.mla_distance, camera.detector_distance
 
@@ -281,7 +281,7 @@ def converging(
 
     centre = _centre(camera, subset or (0, 0))
     # Under the lens's own chief ray, so that it belongs to the lens.
-    return Element(step, phase, centre and (centre[0] * (b + z) / b, centre[1] * (b + z) / b))
+    return ThinElement(step, phase, centre and (centre[0] * (b + z) / b, centre[1] * (b + z) / b))
 
 
 def _centre(camera: PlenopticCamera, index: tuple[int, int]) -> tuple[float, float] | None:

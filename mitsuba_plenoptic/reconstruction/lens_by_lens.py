@@ -31,7 +31,7 @@ from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_dr
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
 from .conjugates import Conjugates, ThinConjugates
-from .lens_tiles import Tile, reconstruction_tile
+from .lens_tiles import LensTile, reconstruction_tile
 from .methods import Progress
 
 _LIT_BATCH = 512
@@ -71,7 +71,7 @@ class LensSet:
     rows from there to the last.
     """
 
-    def __init__(self, tile: Tile) -> None:
+    def __init__(self, tile: LensTile) -> None:
         camera = tile.camera
         ends = np.array([camera.pixel_coordinates(axis)[[0, -1]] for axis in (0, 1)])
         ends += np.array([-0.5, 0.5]) * camera.pixel_size
@@ -163,7 +163,7 @@ class _DetectorSamples:
     chief: np.ndarray
 
     @classmethod
-    def of(cls, centre: np.ndarray, tile: Tile, axis: int) -> _DetectorSamples:
+    def of(cls, centre: np.ndarray, tile: LensTile, axis: int) -> _DetectorSamples:
         """Take the samples of lenses with these centres."""
         camera, n = tile.camera, tile.subsamples
         b, z = camera.mla_distance, camera.detector_distance
@@ -177,19 +177,19 @@ class _DetectorSamples:
         return cls(np.clip(pixel, 0, size - 1), recorded, coordinate, rays.chief_point(coordinate, b, z))
 
 
-def _shift(centre: np.ndarray, first: np.ndarray, tile: Tile) -> Field:
+def _shift(centre: np.ndarray, first: np.ndarray, tile: LensTile) -> Field:
     """Return what shifts spectra along an axis from each lens's first pixel sample to the first one of its cell."""
     way = centre + tile.cell[0] - first
     return phasor(np.outer(way, np.fft.fftfreq(tile.padded, tile.pitch)))
 
 
-def _tilt(centre: np.ndarray, tile: Tile) -> Field:
+def _tilt(centre: np.ndarray, tile: LensTile) -> Field:
     """Return what takes out, along an axis, the direction from lenses to the main lens's centre, and its curvature."""
     wave_path = in_millimetres(tile.wavelength) * tile.camera.mla_distance
     return phasor((centre[:, None] * tile.cell + tile.cell**2 / 2) / wave_path)
 
 
-def _aperture(tile: Tile) -> np.ndarray:
+def _aperture(tile: LensTile) -> np.ndarray:
     """Fraction of each sample of a cell that lies in the aperture."""
     parts = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5) * tile.pitch
     fine = (tile.cell[:, None] + parts).ravel()
@@ -240,7 +240,7 @@ def reconstruct_lens_by_lens(
     return [on_bins(total, lenses) for total in totals]
 
 
-def pupil_fields(amplitude: np.ndarray, tile: Tile, batch: LensBatch, *, relay: bool) -> Field:
+def pupil_fields(amplitude: np.ndarray, tile: LensTile, batch: LensBatch, *, relay: bool) -> Field:
     """Return the fields of some lenses at the main lens, relative to a wave from the lens's centre.
 
     Of the square root of a capture; complex64 (n, pupil, pupil). The microlenses act with `relay` only.
@@ -280,7 +280,9 @@ def _product_without_blas(fields: Field, matrix: Field) -> Field:
     return backend().arrays.einsum("nij,pi->njp", fields, matrix)
 
 
-def object_patches(fields: Field, tile: Tile, batch: LensBatch, distance: float, conjugates: Conjugates) -> np.ndarray:
+def object_patches(
+    fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates
+) -> np.ndarray:
     """Return the power of each lens in the bins around its own, upright; float32 (n, bins, bins)."""
     camera = tile.camera
     focused = _aim(fields, tile, batch, distance, conjugates)
@@ -301,13 +303,13 @@ def object_patches(fields: Field, tile: Tile, batch: LensBatch, distance: float,
     return sums[:, ::-1, ::-1] * np.float32(scale**2)
 
 
-def passing_power(fields: Field, tile: Tile, batch: LensBatch, distance: float, conjugates: Conjugates) -> float:
+def passing_power(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> float:
     """Return the power of lenses' fields that the pupil lets through, in pixel values times areas."""
     aimed = _aim(fields, tile, batch, distance, conjugates)
     return float((abs(aimed) ** 2).sum(dtype=np.float64)) * tile.pupil_pitch**2
 
 
-def _aim(fields: Field, tile: Tile, batch: LensBatch, distance: float, conjugates: Conjugates) -> Field:
+def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> Field:
     """Multiply pupil fields by the way from the lens's centre to its image's, the main lens, and the pupil."""
     types = backend().types
     camera, wave = tile.camera, in_millimetres(tile.wavelength)
@@ -352,6 +354,6 @@ def on_bins(total: np.ndarray, lenses: LensSet) -> np.ndarray:
         kept = slice(max(first, 0), min(end, count))
         into.append(slice(kept.start * tile.oversample, kept.stop * tile.oversample))
         out.append(slice((kept.start - first) * tile.oversample, (kept.stop - first) * tile.oversample))
-    # Integrals of dark bins are zero but for rounding, on either side.
+    # Integrals of dark bins are zero up to rounding, on either side.
     image[tuple(into)] = backend().to_host(total[tuple(out)]).clip(0)
     return image

@@ -41,7 +41,7 @@ def tile_lenses(camera: PlenopticCamera, distances: Sequence[float]) -> int:
 
 def reconstruction_tile(
     camera: PlenopticCamera, wavelength: float, distances: Sequence[float], oversample: int
-) -> Tile:
+) -> LensTile:
     """Return the sampling for some object distances.
 
     Fine bins of lattices whose lenses are not bins are summed over lenses. From a blur of one lens on, the power that
@@ -51,11 +51,11 @@ def reconstruction_tile(
     least = min(camera.blur_diameter(g) for g in distances) / max(camera.mla_pitches)
     summed = not camera.lenses_are_bins and focus_type(camera) == "unfocused"
     resolved = not summed or least < _BLURRED
-    return Tile(camera, wavelength, tile_lenses(camera, distances), oversample, resolved)
+    return LensTile(camera, wavelength, tile_lenses(camera, distances), oversample, resolved)
 
 
 @dataclass(frozen=True)
-class Tile:
+class LensTile:
     """Sampling of one lens's light in the four planes."""
 
     camera: PlenopticCamera
@@ -211,4 +211,4 @@ def fine_bins(camera: PlenopticCamera, wavelength: float, oversample: int) -> in
         camera = behind_thin_lens(OpticalSystem(camera, wavelength))
     elif camera.lenses_are_bins:
         return 1
-    return Tile(camera, wavelength, 1, oversample).samples // oversample
+    return LensTile(camera, wavelength, 1, oversample).samples // oversample

@@ -78,7 +78,7 @@ Refocus = Callable[..., Sequence[np.ndarray | Found]]
 
 
 @dataclass(frozen=True)
-class Method:
+class RegisteredMethod:
     """A method of reconstruction as `method` registers it."""
 
     name: str
@@ -95,10 +95,10 @@ class Method:
         return option in self.options or (self.long and option in ("checkpoint", "batch_map"))
 
 
-METHODS: dict[str, Method] = {}
+METHODS: dict[str, RegisteredMethod] = {}
 
 
-def require_taken(chosen: Method, **given: Any) -> None:
+def require_taken(chosen: RegisteredMethod, **given: Any) -> None:
     """Refuse options of `reconstruct` that a method would ignore; None means not given."""
     for name, value in given.items():
         if value is not None and not chosen.takes(name):
@@ -109,7 +109,7 @@ def require_taken(chosen: Method, **given: Any) -> None:
 def method(
     name: str, *, options: tuple[str, ...], waves: bool, as_it_is: bool = False, long: bool = False
 ) -> Callable[[Refocus], Refocus]:
-    """Register a function as a `Method`.
+    """Register a function as a method of reconstruction.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def method(
     """
 
     def register(refocus: Refocus) -> Refocus:
-        METHODS[name] = Method(name, refocus, options, waves, as_it_is, long)
+        METHODS[name] = RegisteredMethod(name, refocus, options, waves, as_it_is, long)
         return refocus
 
     return register

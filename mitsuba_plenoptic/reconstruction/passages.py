@@ -39,7 +39,7 @@ _TILE = 512
 _PAGE, _STAGGER = 512, 24
 
 
-class Element:
+class ThinElement:
     """A thin element in the source plane of a step, a function of Dr.Jit's x and y; without one it changes nothing.
 
     A product of a function of x and one of y is known from its values along two lines through a point at which its
@@ -99,7 +99,7 @@ def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any])
     return as_field(pack(function(*at)), (len(y), len(x)))
 
 
-class Workspace:
+class FieldWorkspace:
     """Memory that serves all of some steps: fresh pages would cost nearly as much as the transforms on them."""
 
     def __init__(self, steps: Iterable[Step]) -> None:
@@ -128,7 +128,7 @@ class Workspace:
 
 
 def propagate(
-    source: Rows, element: Element, step: Step, distance: float, wavelength: float, workspace: Workspace
+    source: Rows, element: ThinElement, step: Step, distance: float, wavelength: float, workspace: FieldWorkspace
 ) -> Rows:
     """Yield a field at the destination samples of a step, without the carrier, of one at its source samples.
 
@@ -144,16 +144,18 @@ def propagate(
 
 
 def propagate_vjp(
-    gradient: Rows, element: Element, step: Step, distance: float, wavelength: float, workspace: Workspace
+    gradient: Rows, element: ThinElement, step: Step, distance: float, wavelength: float, workspace: FieldWorkspace
 ) -> Rows:
     """Take the gradient by the destination samples of `propagate` back to its source samples."""
     back = step.reversed
     scale = step.x.kept * step.y.kept / (step.x.padded * step.y.padded)
-    for rows, samples in propagate(gradient, Element(back), back, -distance, wavelength, workspace):
+    for rows, samples in propagate(gradient, ThinElement(back), back, -distance, wavelength, workspace):
         yield rows, element.back(rows, samples, scale)
 
 
-def to_directions(source: Rows, element: Element, step: Step, workspace: Workspace) -> Iterator[tuple[slice, Field]]:
+def to_directions(
+    source: Rows, element: ThinElement, step: Step, workspace: FieldWorkspace
+) -> Iterator[tuple[slice, Field]]:
     """Yield the lowest frequencies of a field behind an element, as contiguous blocks (some along x, all along y).
 
     Zero comes first on both axes, negative frequencies last. Transforms are divided by their lengths.
@@ -192,7 +194,7 @@ def to_directions(source: Rows, element: Element, step: Step, workspace: Workspa
         yield mine, part
 
 
-def to_directions_vjp(gradient: Rows, element: Element, step: Step, workspace: Workspace) -> Rows:
+def to_directions_vjp(gradient: Rows, element: ThinElement, step: Step, workspace: FieldWorkspace) -> Rows:
     """Take the gradient by the frequencies of `to_directions` back to its source samples."""
     back = step.reversed
     columns = workspace.columns(back)
@@ -202,7 +204,7 @@ def to_directions_vjp(gradient: Rows, element: Element, step: Step, workspace: W
         yield rows, element.back(rows, samples, 1 / (step.x.padded * step.y.padded))
 
 
-def _to_rows(columns: Field, step: Step, workspace: Workspace) -> Rows:
+def _to_rows(columns: Field, step: Step, workspace: FieldWorkspace) -> Rows:
     """Turn columns into rows, transform these back and take their first samples."""
     x, y = step.x, step.y
     block = workspace.array("next rows", (workspace.block, x.held))
@@ -215,7 +217,7 @@ def _to_rows(columns: Field, step: Step, workspace: Workspace) -> Rows:
         yield rows, _from_lowest(part, x, workspace)
 
 
-def _from_lowest(part: Field, axis: AxisStep, workspace: Workspace) -> Field:
+def _from_lowest(part: Field, axis: AxisStep, workspace: FieldWorkspace) -> Field:
     """Transform rows of the lowest frequencies to the destination samples."""
     if axis.held < axis.kept:
         low, high = _lowest(axis.kept, axis.held)

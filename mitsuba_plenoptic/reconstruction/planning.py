@@ -208,7 +208,7 @@ def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
     r"""Field samples across a pixel on the detector.
 
     The pitch must hold the converging light of a whole cell, :math:`D_2 (b + z) / 2 b z` from the chief ray, and on
-    the MLA the microlens's bend beside the light that the main lens accepts, so that what is bent beyond the grid's
+    the MLA the microlens's bend besides the light that the main lens accepts, so that what is bent beyond the grid's
     directions does not come back among those.
     """
     b, z = camera.mla_distance, camera.detector_distance
@@ -241,7 +241,7 @@ def field_memory() -> float:
 def _plan(
     camera: PlenopticCamera, wavelength: float, distances: Sequence[float], lit: Window, oversample: int, count: int
 ) -> FieldPlan:
-    """Choose the grids for so many strips."""
+    """Choose the grids for a number of strips."""
     subsamples = field_subsamples(camera, wavelength)
     pitch = camera.pixel_size / subsamples
     across = _detector_step(camera, wavelength, 0, lit[0], pitch)
@@ -300,7 +300,7 @@ def _main_lens_steps(
     b, radius, wave = camera.mla_distance, camera.aperture_radius, in_millimetres(wavelength)
     half_mla = max(abs(end) for step in detector for end in (step.destination[0], step.destination[-1]))
     extents = [object_extent(camera, distance, axis, lit) for distance in distances]
-    # What comes to the main lens, and what goes on from there.
+    # Directions that come to the main lens, and that leave it.
     steepest = GUARD * max([(radius + half_mla) / b, *(max(map(abs, light)) for light, _ in extents)])
     count = max(step.wanted for step in detector)
     pitch = detector[0].pitch

@@ -51,10 +51,10 @@ class Reconstruction:
     guards : dict
         Fractions of the light that the guards of the physics found lost, by their names.
     facts : dict
-        What the method tells of the image. ``deconvolved``: the ``iterations`` made, the ``residual`` (root mean square
+        Facts that the method states. ``deconvolved``: the ``iterations`` made, the ``residual`` (root mean square
         of what is left of the capture, over that of the capture), whether it was ``stopped_by_noise``, the
         ``resolution_limit`` in line pairs per scene unit (at infinity per unit of slope), and whether the plane is
-        ``in_focus``, where finer bins tell little more (see `design.resolution_limit`).
+        ``in_focus``, where finer bins show little more (see `design.resolution_limit`).
     """
 
     image: np.ndarray
@@ -254,9 +254,9 @@ def require_volume_path(path: str | Path, distances: Sequence[float]) -> Path:
     elif not _is_ome(path) and len(distances) > 1:
         ordered = tuple(sorted(distances))
         if Volume(np.zeros((len(ordered), 1, 1), np.float32), ordered, 1.0).spacing is None:
-            told = ", ".join(f"{distance:g}" for distance in ordered[:4]) + (", ..." if len(ordered) > 4 else "")
+            listed = ", ".join(f"{distance:g}" for distance in ordered[:4]) + (", ..." if len(ordered) > 4 else "")
             raise InputError(
-                f"distance = {told}: planes of a .tif are evenly spaced; write .ome.tif, which holds any, or .zarr"
+                f"distance = {listed}: planes of a .tif are evenly spaced; write .ome.tif, which holds any, or .zarr"
             )
     return path
 
@@ -299,7 +299,7 @@ def write_volume(path: str | Path, volume: Volume) -> None:
 
 
 def _ome(volume: Volume, axes: str) -> dict[str, Any]:
-    """Return what OME's XML tells of a volume."""
+    """Return the description of a volume for OME's XML."""
     channels = volume.values.shape[3] if volume.values.ndim == 4 else 1
     places = [distance for distance in volume.distances for _ in range(channels)]
     spacing = {} if volume.spacing is None else {"PhysicalSizeZ": volume.spacing, "PhysicalSizeZUnit": "mm"}

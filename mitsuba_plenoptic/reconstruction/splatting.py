@@ -30,7 +30,7 @@ from ..runtime.backend import array_module
 from ..runtime.fft import rows_and_columns
 from ..runtime.limits import require_memory
 
-# Samples of the fine grid across a lens pitch; at least so many across a bin.
+# Samples of the fine grid across a lens pitch; at least `_LEAST` across a bin.
 _FINE = 16
 _LEAST = 4
 
@@ -62,7 +62,7 @@ class Splat:
     def of(
         cls, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int, channels: int
     ) -> Splat:
-        """Follow the rays of a camera's pixels, within a radius of the pupil; arguments as of `ray_sums`."""
+        """Follow the rays of a camera's pixels, within a radius of the pupil; arguments as in `ray_sums`."""
         focal_lengths = camera.mla_focal_lengths
         fine, footprints = 1, [np.ones((1, 1, 1, 1))] * len(focal_lengths)
         if footprint == "lens":

@@ -50,11 +50,12 @@ from ..system.optical_system import OpticalSystem
 from .conjugates import RealConjugates, undistorted
 from .full_fields import lit_window, reconstruct_subsets
 from .lens_by_lens import reconstruct_lens_by_lens
-from .lens_tiles import Tile, fine_bins, tile_lenses
+from .lens_tiles import LensTile, fine_bins, tile_lenses
 from .methods import Progress, Task, method, portion
 from .planning import plan
 from .radiance import captures, lens_scale, over_lenses, to_radiance
-from .white import white_light, white_sums
+from .ray import white_sums
+from .white import white_light
 
 _APART = 2
 """Bins between the geometric images of two lenses that do not interfere, for diffraction."""
@@ -156,7 +157,7 @@ def full_field_period(
         return 1
     blur = max(camera.blur_diameter(g) for g in distances) / min(camera.mla_pitches)
     period = math.ceil(blur - 1e-6) + _APART
-    tile = Tile(camera, wavelength, tile_lenses(camera, distances), 1)
+    tile = LensTile(camera, wavelength, tile_lenses(camera, distances), 1)
     lenses = math.prod((end - first) / camera.pixels_per_lens for first, end in lit)
     single = lenses * tile.transformed * len(distances)
     # A field takes at least this; how much more needs grids, of which those of large cameras are not worth planning.

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 import math
-import weakref
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -14,7 +10,6 @@ from ..bounds import MOST_PIXELS
 from ..camera import PlenopticCamera
 from ..design import focus_type
 from ..errors import InputError
-from ..lightfield.white import white_image
 from ..optics import rays
 from ..optics.phase import soft_edge
 from ..runtime.backend import backend
@@ -24,10 +19,9 @@ from ..system.pupil import PupilFraction
 from ..system.sampling import check_memory
 from .conjugates import RealConjugates, ThinConjugates
 from .lens_by_lens import LensBatch, LensSet, object_patches, on_bins, passing_power, pupil_fields
-from .lens_tiles import Tile, fine_bins, tile_lenses
+from .lens_tiles import LensTile, fine_bins, tile_lenses
 from .radiance import lens_scale, over_lenses
-from .ray_sums import ray_sums
-from .splatting import traced_white
+from .ray import once_a_camera, ray_sums, white_pixels, white_sums
 
 _THROUGHPUT_LENSES = 25
 
@@ -41,42 +35,6 @@ _RAY_BINS = 36
 """Fine bins across a lens in which the rays of a white scene are counted, where they are not too many."""
 
 _MOST_RAY_BINS = 2**26
-
-
-_MOST_RESULTS = 32
-"""Results of a camera that are remembered by each function."""
-
-_F = TypeVar("_F", bound=Callable[..., Any])
-
-_results: weakref.WeakKeyDictionary[PlenopticCamera, dict[str, dict[Any, Any]]] = weakref.WeakKeyDictionary()
-
-
-def _once_a_camera(function: _F) -> _F:
-    """Remember what a function returns of a camera for as long as the camera lives."""
-
-    @functools.wraps(function)
-    def known(camera: PlenopticCamera, *given: Any) -> Any:
-        own = _results.setdefault(camera, {}).setdefault(function.__name__, {})
-        if given not in own:
-            if len(own) == _MOST_RESULTS:
-                del own[next(iter(own))]
-            own[given] = function(camera, *given)
-        return own[given]
-
-    return cast(_F, known)
-
-
-@_once_a_camera
-def white_sums(camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int) -> np.ndarray:
-    """Return `ray_sums` of what the camera records of a scene of uniform radiance 1; (rows, columns) float64 array."""
-    white = white_pixels(camera)[..., None]
-    return ray_sums(white, camera, distance, radius, footprint, oversample)[..., 0].astype(np.float64)
-
-
-@_once_a_camera
-def white_pixels(camera: PlenopticCamera) -> np.ndarray:
-    """Return the camera's white image."""
-    return white_image(camera) if camera.main_lens is None else traced_white(camera)
 
 
 def white_light(
@@ -97,7 +55,7 @@ def white_light(
     return _white_rays(camera, distance, oversample, fine) * white_throughput(camera, wavelength, relay)
 
 
-@_once_a_camera
+@once_a_camera
 def _white_rays(camera: PlenopticCamera, distance: float, oversample: int, fine: int) -> np.ndarray:
     """Return the pixels of white whose rays come to each bin, spread over lenses as the light of waves is.
 
@@ -113,7 +71,7 @@ def _white_rays(camera: PlenopticCamera, distance: float, oversample: int, fine:
     return over_lenses(counted, camera, oversample, fine, lens_scale(camera, distance))
 
 
-@_once_a_camera
+@once_a_camera
 def white_throughput(camera: PlenopticCamera, wavelength: float, relay: bool = True) -> float:
     """Return the fraction of a white micro-image's power that comes back through the main lens.
 
@@ -124,12 +82,12 @@ def white_throughput(camera: PlenopticCamera, wavelength: float, relay: bool = T
         raise InputError(
             f"aperture_radius = {camera.aperture_radius:g}: its micro-images of "
             f"{camera.micro_image_diameter / camera.pixel_size:.2g} pixels light no pixel near the axis, so that "
-            "waves cannot tell what is white"
+            "no white can be computed for waves"
         )
     return back / sent
 
 
-@_once_a_camera
+@once_a_camera
 def _traced_throughput(
     camera: PlenopticCamera, wavelength: float, distance: float, relay: bool
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -138,7 +96,7 @@ def _traced_throughput(
     Micro-images that the lens cuts have more edge for their area, and lose more.
     """
     conjugates = RealConjugates.of(OpticalSystem(camera, wavelength), [distance], 1)
-    tile = Tile(conjugates.camera, wavelength, _THROUGHPUT_LENSES, 1)
+    tile = LensTile(conjugates.camera, wavelength, _THROUGHPUT_LENSES, 1)
     check_memory(tile.memory, "wave reconstruction of white micro-images")
     white, lenses, libraries = white_pixels(camera), LensSet(tile), backend()
     lit = lenses.lit(white)
@@ -155,18 +113,18 @@ def _traced_throughput(
         if sent > 0:
             found.append((float(np.hypot(*batch.centre[0])), passed / (sent * camera.pixel_size**2), sent))
     places, shares, light = np.array(found).T
-    # Lenses whose micro-images are recorded in small part only tell little.
+    # Lenses whose micro-images are recorded in small part only say little.
     whole = light > _WHOLE * light.max()
     return places[whole], shares[whole]
 
 
 def _aligned_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> tuple[float, float]:
-    """Power that comes back, and power sent, of the micro-image of the lens beside the axis."""
+    """Power that comes back, and power sent, of the micro-image of a lens next to the axis."""
     camera = _around_axis(camera, 2)
     centre = rays.chief_detector_point(camera.mla_pitch / 2, camera.mla_distance, camera.detector_distance)
     px, py = (camera.pixel_coordinates(axis) - centre for axis in (0, 1))
     image = soft_edge((camera.micro_image_diameter / 2 - np.hypot(px, py[:, None])) / camera.pixel_size)
-    tile = Tile(camera, wavelength, _THROUGHPUT_LENSES, 1)
+    tile = LensTile(camera, wavelength, _THROUGHPUT_LENSES, 1)
     check_memory(tile.memory, "wave reconstruction of a white micro-image")
     return _power(image, LensSet(tile), (0, 0), relay), float(image.sum()) * camera.pixel_size**2
 
@@ -174,10 +132,10 @@ def _aligned_throughput(camera: PlenopticCamera, wavelength: float, relay: bool)
 def _mean_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> tuple[float, float]:
     """Power that comes back, and power sent by pixels whose own ray passes the main lens, for a lens of every type."""
     camera = _around_axis(camera, 3)
-    lenses = LensSet(Tile(camera, wavelength, _THROUGHPUT_LENSES, 1))
+    lenses = LensSet(LensTile(camera, wavelength, _THROUGHPUT_LENSES, 1))
     back = sent = 0.0
     i, j = camera.lattice.cell(0.0, 0.0)
-    # Among the lenses beside the axis there is one of every type.
+    # Among the lenses next to the axis there is one of every type.
     for index in [(i + step, j) for step in range(len(camera.mla_focal_lengths))]:
         image, radius = _white_micro_image(camera, index)
         sent += float(image[radius <= camera.lit_radius].sum()) * camera.pixel_size**2
@@ -201,15 +159,15 @@ def white_power(
 
     For a focused camera the bins of a lens overlap with those of a few others. Light from the rim of its micro-image,
     which came from within the pupil through a part of the lens, returns as if through the lens's centre and misses the
-    pupil. So some bins get more light than others. All lenses are taken for the one beside the axis.
+    pupil. So some bins get more light than others. All lenses are taken for the one next to the axis.
     """
     count = tile_lenses(camera, [distance])
-    lenses = LensSet(Tile(_around_axis(camera, 2), wavelength, count, oversample))
+    lenses = LensSet(LensTile(_around_axis(camera, 2), wavelength, count, oversample))
     fields, batch = _lens_field(_white_micro_image(lenses.tile.camera, (0, 0))[0], lenses, (0, 0), relay)
     libraries, system = backend(), OpticalSystem(lenses.tile.camera, wavelength)
     patches = object_patches(fields, lenses.tile, batch, distance, ThinConjugates(system))
     patch = libraries.to_host(patches[0]).astype(np.float64)
-    everywhere = LensSet(Tile(camera, wavelength, count, oversample))
+    everywhere = LensSet(LensTile(camera, wavelength, count, oversample))
     comb = np.zeros([(count - 1) * oversample + 1 for count in everywhere.bins[::-1]])
     column, row = everywhere.bin[everywhere.lit(np.ones(camera.shape, bool))].T
     comb[row * oversample, column * oversample] = 1
@@ -217,7 +175,7 @@ def white_power(
 
 
 def _around_axis(camera: PlenopticCamera, lenses: int) -> PlenopticCamera:
-    """Return the camera with the pixels of so many lenses on each side of the axis, whether it has them or not."""
+    """Return the camera with the pixels of a number of lenses on each side of the axis, whether it has them or not."""
     around = math.ceil(lenses * camera.micro_image_pitch / camera.pixel_size)
     if around > MOST_PIXELS // 2:
         raise InputError(

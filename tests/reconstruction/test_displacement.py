@@ -11,7 +11,7 @@ import pytest
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct
 from mitsuba_plenoptic.lightfield.white import white_image
-from mitsuba_plenoptic.reconstruction.displacement import brought_back, displacements, is_known
+from mitsuba_plenoptic.reconstruction.radiance import brought_back, displacements, is_known
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 CAMERA = PlenopticCamera(detector_width=0.768, resolution=(192, 192))

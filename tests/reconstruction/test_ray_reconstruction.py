@@ -10,7 +10,7 @@ import pytest
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct
 from mitsuba_plenoptic.lightfield.white import white_image
 from mitsuba_plenoptic.reconstruction.methods import METHODS, method
-from mitsuba_plenoptic.reconstruction.ray_sums import axis_bins, bin_image, ray_sums
+from mitsuba_plenoptic.reconstruction.ray import axis_bins, bin_image, ray_sums
 
 
 def by_single_rays(image, camera, distance):

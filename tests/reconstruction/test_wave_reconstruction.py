@@ -18,7 +18,7 @@ from mitsuba_plenoptic.reconstruction import full_fields, planning
 from mitsuba_plenoptic.reconstruction.full_fields import BackwardFields, lit_window, reconstruct_subsets
 from mitsuba_plenoptic.reconstruction.lens_by_lens import reconstruct_lens_by_lens
 from mitsuba_plenoptic.reconstruction.planning import plan
-from mitsuba_plenoptic.reconstruction.white import white_sums
+from mitsuba_plenoptic.reconstruction.ray import white_sums
 
 # Grey or random pixels and single ones are no captures, and a guard says so.
 pytestmark = pytest.mark.filterwarnings("ignore:.*back through the main lens:mitsuba_plenoptic.PhysicsWarning")

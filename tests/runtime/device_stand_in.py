@@ -15,8 +15,8 @@ from mitsuba_plenoptic.runtime.backend import Backend
 _dr_numpy = dr.ArrayBase.numpy
 
 _FUNCTIONS = (
-    "add", "arange", "ascontiguousarray", "bincount", "copyto", "cumsum", "einsum", "empty", "eye", "maximum", "moveaxis",
-    "multiply", "ones", "pad", "repeat", "roll", "sqrt", "square", "stack", "tensordot", "where", "zeros",
+    "add", "arange", "ascontiguousarray", "bincount", "copyto", "cumsum", "einsum", "empty", "eye", "maximum",
+    "moveaxis", "multiply", "ones", "pad", "repeat", "roll", "sqrt", "square", "stack", "tensordot", "where", "zeros",
 )  # fmt: skip
 
 

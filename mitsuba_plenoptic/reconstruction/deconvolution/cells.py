@@ -1,7 +1,7 @@
 r"""The periodic cells of a camera: which bins of an object plane, and which samples of the detector, repeat together.
 
 Move a bin so that its image on the MLA moves by a lattice vector v: its point spread moves on the detector by
-:math:`v (b + z) / b`, and is the same but for the main lens's aberrations. On `capture.grid.Grid` that is a whole
+:math:`v (b + z) / b`, and is the same except for the main lens's aberrations. On `capture.grid.Grid` that is a whole
 number of samples. So the plane of the bins and the grid are cut into *cells*, one for each lens (one for three lenses
 where three types are interleaved), and the response of all bins is known from that of the bins of one cell.
 
@@ -27,7 +27,7 @@ from ...runtime.batches import Box
 
 @dataclass(frozen=True)
 class CellSet:
-    """BinCells, row by row: each row is a run without gaps."""
+    """Cells, row by row: each row is a run without gaps."""
 
     top: int
     first: NDArray[np.int64]

@@ -1,6 +1,6 @@
 """How the bins of one cell light the samples of the cells around: a few dense blocks of a mostly dark array.
 
-Through one lens a bin lights a spot; the lens beside it has that spot elsewhere. So of all pairs of a cell and a block
+Through one lens a bin lights a spot; the next lens has that spot elsewhere. So of all pairs of a cell and a block
 of its samples few hold light, and the others are left out. What they would hold is given to those that stay, all alike,
 so that no power is lost.
 """
@@ -150,7 +150,7 @@ Result = TypeVar("Result")
 
 
 def zones(cells: CellSet, width: int) -> list[NDArray[np.int64]]:
-    """Cut cells into zones of so many rows, and as many cells of each."""
+    """Cut cells into zones `width` rows high, of as many cells of each row."""
     row = np.repeat(np.arange(len(cells.count)), cells.count)
     column = np.arange(len(cells)) - cells.start[row]
     along, down = (-(-int(count) // width) for count in (cells.count.max(), len(cells.count)))

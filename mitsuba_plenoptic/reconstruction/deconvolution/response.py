@@ -41,7 +41,7 @@ _RADIATORS, _MOST_RADIATORS = 8, 32
 """Points along a lens, at least and at most, whose mean stands for the light of its bins."""
 
 _RADIATORS_PER_LINE = 4
-"""The same along a period of the finest lines that the plane's light tells apart."""
+"""The same along a period of the finest lines that the plane's light resolves."""
 
 _INFINITY = 1e6
 """Focal lengths at which light counts as collimated."""
@@ -102,7 +102,7 @@ _RAYS = 256
 """Square root of the rays of a bin."""
 
 _NO_WAVE = 1.0
-"""Wavelength, in nanometres, that the grid is told; nothing depends on it."""
+"""Wavelength, in nanometres, of the grid; nothing depends on it."""
 
 
 def ray_grid(camera: PlenopticCamera) -> Grid:

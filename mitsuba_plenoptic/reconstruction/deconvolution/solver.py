@@ -76,7 +76,7 @@ class PlaneEstimates:
 
 
 class Penalty(Protocol):
-    """What is asked of the radiance of bins, beside that it explains the image."""
+    """A demand on the radiance of bins besides that it explains the image."""
 
     def gradient(self, values: Values, inside: list[NDArray[np.bool_]]) -> Values:
         """Return its derivatives by the bins; those that are not inside do not count."""
@@ -211,9 +211,9 @@ class SolverCheckpoint:
             self._checkpoint.save_arrays(lambda: self._solved_arrays() | _arrays(state))
 
     def _solved_arrays(self) -> dict[str, NDArray[Any]]:
-        told = [[one.iterations, one.residual, one.stopped] for one in self.solved]
+        counts = [[one.iterations, one.residual, one.stopped] for one in self.solved]
         images = {f"image.{number}": one.image for number, one in enumerate(self.solved)}
-        return {"solved": np.array(told, np.float64).reshape(-1, 3), **images}
+        return {"solved": np.array(counts, np.float64).reshape(-1, 3), **images}
 
 
 def _arrays(state: State) -> dict[str, NDArray[Any]]:

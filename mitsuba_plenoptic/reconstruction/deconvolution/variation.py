@@ -35,7 +35,7 @@ class Noise:
 
     @classmethod
     def of(cls, exposure: Any, photons: float | None) -> Noise | None:
-        """Take the noise of a capture from what is told, else from what `expose` has kept with it."""
+        """Return the noise by a number of photons if given, else by what `expose` has stored with the capture."""
         if photons is not None:
             return cls(require_number("photons", photons, positive=True), 0.0)
         return None if exposure is None else cls._exposed(exposure)
