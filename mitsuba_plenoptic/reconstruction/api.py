@@ -35,6 +35,7 @@ from .arguments import (
     require_image_memory,
     require_interleave,
     require_response,
+    require_upright,
     require_wavelengths,
 )
 from .deconvolution.variation import MOST as _MOST
@@ -42,7 +43,6 @@ from .methods import METHODS, Found, Task, require_taken
 from .radiance import is_known
 from .ray import white_pixels
 from .results import Reconstruction
-from .splatting import require_upright
 
 
 def reference_white(white: Any, capture: Capture, recorded: Any) -> np.ndarray:

@@ -207,14 +207,14 @@ Conjugates = ThinConjugates | RealConjugates
 _MIDDLE, _NO_POINT = (np.zeros((1, 1)), np.zeros((1, 1))), (0.0, 0.0, 0.0)
 
 
-def behind_thin_lens(system: OpticalSystem, radius: float | None = None) -> PlenopticCamera:
+def behind_thin_lens(system: OpticalSystem) -> PlenopticCamera:
     """Return a camera with a thin main lens in the exit pupil, as the array sees the real one."""
     lens = system.lens
     assert isinstance(lens, RealLens)
     return system.camera.replace(
         main_lens=None,
         focal_length=1 / Pupils.of(lens).at_infinity,
-        aperture_radius=lens.reach if radius is None else radius,
+        aperture_radius=lens.reach,
         mla_distance=float(lens.pupil_distance),
     )
 

@@ -44,9 +44,11 @@ def reconstruct_subsets(
     progress: Progress = lambda done: None,
     conjugates: Conjugates | None = None,
 ) -> list[np.ndarray]:
-    """Propagate interleaved subsets of lenses coherently and add their powers in bins; see `waves.power_in_bins`.
+    """Propagate interleaved subsets of lenses coherently, and return the power in bins of object planes.
 
-    The period of a subset along each axis is `interleave`; 1 is one coherent field.
+    The image is not negative; distances share the light up to the main lens. The period of a subset along each axis is
+    `interleave`; 1 is one coherent field. Guards look at the light that is lost where `checked`. Powers (rows, columns)
+    are in pixel values times pixels.
     """
     conjugates = conjugates or ThinConjugates(OpticalSystem(camera, wavelength))
     columns, rows = (count * oversample for count in camera.bin_count)

@@ -261,23 +261,20 @@ def pupil_fields(amplitude: np.ndarray, tile: LensTile, batch: LensBatch, *, rel
         cell *= arrays.asarray(batch.tilt[1] * lens)[:, None, :]
         if batch.aperture is not None:
             cell *= arrays.asarray(batch.aperture)
-        # One product for the whole batch: many small ones would each wait for the threads of the BLAS.
-        product = _product if count > 1 else _product_without_blas
-        fields = product(product(cell, tile.to_pupil), tile.to_pupil)
+        fields = _product(_product(cell, tile.to_pupil), tile.to_pupil)
     return arrays.ascontiguousarray(fields)
 
 
 def _product(fields: Field, matrix: Field) -> Field:
-    """Multiply a matrix (p, i) with fields (n, i, j) over i, and turn them: (n, j, p)."""
-    return backend().arrays.tensordot(fields, matrix, (1, 1))
+    """Multiply a matrix (p, i) with fields (n, i, j) over i, and turn them: (n, j, p).
 
-
-def _product_without_blas(fields: Field, matrix: Field) -> Field:
-    """Do what `_product` does with the same bits on any number of threads.
-
-    So has the white throughput, by which every image is divided.
+    One lens, as the white throughput by which every image is divided, has the same bits on any number of threads.
     """
-    return backend().arrays.einsum("nij,pi->njp", fields, matrix)
+    arrays = backend().arrays
+    if len(fields) == 1:
+        return arrays.einsum("nij,pi->njp", fields, matrix)
+    # One product for the whole batch: small ones would each wait for the threads of the BLAS.
+    return arrays.tensordot(fields, matrix, (1, 1))
 
 
 def object_patches(

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..design import crosstalk_neighbours, lens_footprint, pixel_footprint
-from ..errors import InputError
 from ..lenses.base import MainLens
 from ..lenses.factory import main_lens
 from ..optics import rays
@@ -233,12 +232,6 @@ _WHITE_RAYS = 32
 
 _STEPS = (0.8566748838545029, 0.733891856627126, 0.6287067210378087, 0.5385972572236101)
 """Reciprocal powers of the root of x^5 = x + 1: an even sequence in four dimensions (Roberts, 2018)."""
-
-
-def require_upright(camera: PlenopticCamera) -> None:
-    """Refuse a tilted array behind a real main lens."""
-    if camera.main_lens is not None and any(camera.mla_tilt):
-        raise InputError(f"mla_tilt = {camera.mla_tilt}: captures through a main_lens are reconstructed with 0 only")
 
 
 def traced_places(
