@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import drjit as dr
 import numpy as np
@@ -125,8 +125,7 @@ class RealConjugates:
     @classmethod
     def of(cls, system: OpticalSystem, distances: list[float], oversample: int) -> RealConjugates:
         """Fit the main lens of a camera over its field, for object planes at some distances."""
-        camera, real = system.camera, system.lens
-        assert isinstance(real, RealLens)
+        camera, real = system.camera, cast(RealLens, system.lens)
         pupils, front = Pupils.of(real), real.entrance.front
         for distance in distances:
             if not distance > max(front, pupils.entrance):
@@ -209,8 +208,7 @@ _MIDDLE, _NO_POINT = (np.zeros((1, 1)), np.zeros((1, 1))), (0.0, 0.0, 0.0)
 
 def behind_thin_lens(system: OpticalSystem) -> PlenopticCamera:
     """Return a camera with a thin main lens in the exit pupil, as the array sees the real one."""
-    lens = system.lens
-    assert isinstance(lens, RealLens)
+    lens = cast(RealLens, system.lens)
     return system.camera.replace(
         main_lens=None,
         focal_length=1 / Pupils.of(lens).at_infinity,

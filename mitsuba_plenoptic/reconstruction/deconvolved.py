@@ -75,8 +75,7 @@ def _solve(
     """Yield what is found of each plane, from one channel."""
     image = np.ascontiguousarray(task.image[..., channel])
     iterations, variation = options["iterations"], options["variation"]
-    objective = task.camera.objective
-    response = FourierResponse if objective is not None and objective.is_fourier else Response
+    response = FourierResponse if task.camera.lens_data.images_stop else Response
     with response(
         task.camera,
         distances,

@@ -177,7 +177,8 @@ class CoherentRefocus:
         distance = require_number("distance", distance, finite=False)
         image_distance(camera.focal_length, distance)
         wavelength, oversample = require_wavelength(wavelength), require_count("oversample", oversample)
-        fine = fine_bins(camera, wavelength, oversample)
+        system = OpticalSystem(camera, wavelength)
+        fine = fine_bins(system, oversample)
         self._camera, self._wavelength, self._oversample = camera, wavelength, oversample * fine
         self._spread = LensSpread(camera, oversample, fine, lens_scale(camera, distance)) if fine > 1 else None
         (left, top), (columns, rows) = camera.crop_offset, camera.crop_size
@@ -187,7 +188,7 @@ class CoherentRefocus:
         interleave = require_count("interleave", interleave)
         self._fields = BackwardFields(camera, wavelength, grids, interleave=interleave, with_vjp=True)
         (self._step,) = grids.to_objects
-        (self._zone,) = ThinConjugates(OpticalSystem(camera, wavelength)).zones(distance)
+        (self._zone,) = ThinConjugates(system).zones(distance)
         rays = white_sums(camera, distance, camera.lit_radius, "lens", oversample)
         white = white_light(camera, wavelength, distance, oversample, True)
         divisor, reached = divisors(white, rays, distance, computed=True)

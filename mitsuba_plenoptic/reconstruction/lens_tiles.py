@@ -205,10 +205,11 @@ class LensTile:
         return max(1, samples // max(self.object_samples, self.padded) ** 2)
 
 
-def fine_bins(camera: PlenopticCamera, wavelength: float, oversample: int) -> int:
+def fine_bins(system: OpticalSystem, oversample: int) -> int:
     """Return the number of fine bins across a bin in which power is summed before it is spread over lenses."""
-    if camera.prescription is not None:
-        camera = behind_thin_lens(OpticalSystem(camera, wavelength))
+    camera = system.camera
+    if camera.lens_data.traced_surfaces:
+        camera = behind_thin_lens(system)
     elif camera.lenses_are_bins:
         return 1
-    return LensTile(camera, wavelength, 1, oversample).samples // oversample
+    return LensTile(camera, system.wavelength, 1, oversample).samples // oversample

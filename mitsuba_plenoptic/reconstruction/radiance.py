@@ -104,7 +104,7 @@ _BLOCK = 2**18
 
 def is_known(camera: PlenopticCamera) -> bool:
     """Whether displacements are known: behind thin lenses, of unfocused cameras, whose pixels see pupil points."""
-    return camera.main_lens is None and focus_type(camera) == "unfocused"
+    return camera.lens_data.is_thin and focus_type(camera) == "unfocused"
 
 
 def tilt(camera: PlenopticCamera, distance: float) -> tuple[float, float, float]:

@@ -183,7 +183,7 @@ def _landing(
     Samples are counted bin by bin; the middle of the bins, rows and columns, is on the axis.
     """
     lattice, columns, found = camera.lattice, camera.crop_size[0], []
-    traced = traced_places(camera, distance) if camera.main_lens is not None else _places(camera, distance, radius)
+    traced = _places(camera, distance, radius) if camera.lens_data.is_thin else traced_places(camera, distance)
     for rows, *place, is_lit in traced:
         lit = np.flatnonzero(is_lit)
         x, y = (

@@ -47,7 +47,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..system.optical_system import OpticalSystem
-from .conjugates import RealConjugates, undistorted
+from .conjugates import RealConjugates, ThinConjugates, undistorted
 from .full_fields import lit_window, reconstruct_subsets
 from .lens_by_lens import reconstruct_lens_by_lens
 from .lens_tiles import LensTile, fine_bins, tile_lenses
@@ -84,7 +84,7 @@ def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]
     for image, distances, progress in captures(task):
         count, found = image.shape[2], []
         for channel, wavelength in enumerate(task.wavelengths[:count]):
-            given = image[..., channel], camera, distances, wavelength, interleave, relay, oversample
+            given = image[..., channel], task.system(wavelength), distances, interleave, relay, oversample
             found.append(_signed_power(*given, portion(progress, channel, count)))
         sums.append([np.stack(planes, axis=-1) for planes in zip(*found, strict=True)])
     white = [
@@ -108,9 +108,8 @@ def signed_parts(image: np.ndarray) -> list[tuple[float, np.ndarray]]:
 
 def _signed_power(
     image: np.ndarray,
-    camera: PlenopticCamera,
+    system: OpticalSystem,
     distances: Sequence[float],
-    wavelength: float,
     interleave: int | str,
     relay: bool,
     oversample: int,
@@ -120,15 +119,16 @@ def _signed_power(
 
     Object distances share the light up to the main lens. A real main lens is seen from behind as a thin one.
     """
-    fine, conjugates, seen, planes = fine_bins(camera, wavelength, oversample), None, camera, list(distances)
-    if camera.prescription is not None:
-        conjugates = RealConjugates.of(OpticalSystem(camera, wavelength), planes, oversample)
-        seen, planes = conjugates.camera, [conjugates.distance(distance) for distance in distances]
+    camera, wavelength, planes = system.camera, system.wavelength, list(distances)
+    fine, real, seen = fine_bins(system, oversample), None, camera
+    if camera.lens_data.traced_surfaces:
+        real = RealConjugates.of(system, planes, oversample)
+        seen, planes = real.camera, [real.distance(distance) for distance in distances]
     parts, found = signed_parts(image), [np.zeros(()) for _ in distances]
     for number, (sign, part) in enumerate(parts):
         # Guards look at the light, not at the noise below zero.
         options: dict[str, Any] = {"relay": relay, "oversample": oversample * fine, "checked": sign > 0}
-        options |= {"progress": portion(progress, number, len(parts)), "conjugates": conjugates}
+        options |= {"progress": portion(progress, number, len(parts)), "conjugates": real or ThinConjugates(system)}
         period = full_field_period(part, seen, planes, wavelength) if isinstance(interleave, str) else interleave
         if period is None:
             totals = reconstruct_lens_by_lens(part, seen, planes, wavelength, **options)
@@ -136,10 +136,10 @@ def _signed_power(
             totals = reconstruct_subsets(part, seen, planes, wavelength, interleave=period, **options)
         for plane, (total, distance) in enumerate(zip(totals, distances, strict=True)):
             scale = lens_scale(camera, distance)
-            if conjugates is not None:
-                total, stretch = undistorted(total, conjugates, camera, distance, oversample * fine)
+            if real is not None:
+                total, stretch = undistorted(total, real, camera, distance, oversample * fine)
                 scale *= stretch
-            if fine > 1 or conjugates is not None:
+            if fine > 1 or real is not None:
                 total = over_lenses(total, camera, oversample, fine, scale)
             found[plane] = found[plane] + sign * total
     return found

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...objective import Objective
+from ...design.microscope import objective_of
 from ...operator.full_field import FullFieldPlan
 from ...operator.units import radiance_weight
 from ...optics.phase import in_millimetres
@@ -57,13 +57,13 @@ class FourierResponse(StoredResponse):
         oversample: int,
         job: Job | None = None,
     ) -> None:
-        assert camera.objective is not None and wavelength is not None
+        assert wavelength is not None
         self._camera, self._oversample, self._count = camera, oversample, len(distances)
         bins, pixels = np.array(camera.bin_count), np.array(camera.crop_size)
         self._size = tuple(fast_length(float(number)) for number in reversed((pixels + bins - 1).tolist()))
         super().__init__(len(distances) > 1 and self._spectra_memory(oversample) > _MEMORY)
         deepest = max(abs(distance) for distance in distances)
-        fine = _fine_camera(camera, camera.objective, wavelength, oversample, deepest)
+        fine = _fine_camera(camera, wavelength, oversample, deepest)
         self._require_memory(fine, distances)
         points = np.array([[*self._middle, depth] for depth in distances])
         system = OpticalSystem(fine.at_wavelength(wavelength), wavelength)
@@ -193,14 +193,12 @@ class FourierResponse(StoredResponse):
         require_response_memory(memory, self._oversample, distances)
 
 
-def _fine_camera(
-    camera: PlenopticCamera, lens: Objective, wavelength: float, oversample: int, deepest: float
-) -> PlenopticCamera:
+def _fine_camera(camera: PlenopticCamera, wavelength: float, oversample: int, deepest: float) -> PlenopticCamera:
     r"""Return a camera with all of the detector that a bin in the middle lights, whose pixels resolve the light.
 
     The intensity behind a lens of the width w has no lines finer than :math:`w / \lambda z`.
     """
-    p, z = camera.pixel_size, camera.detector_distance
+    p, z, lens = camera.pixel_size, camera.detector_distance, objective_of(camera)
     finest = in_millimetres(wavelength) * z / (2 * camera.lattice.aperture_width)
     per_bin = max(1, math.ceil(p / oversample / finest))
     moved = lens.view_scale(z) * deepest * math.tan(lens.half_angle)
