@@ -44,7 +44,7 @@ from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.reconstruction import reconstruct
 from mitsuba_plenoptic.reconstruction.deconvolution.cells import to_bins
 from mitsuba_plenoptic.reconstruction.deconvolution.response import Response
-from mitsuba_plenoptic.reconstruction.deconvolution.solver import Solution, richardson_lucy
+from mitsuba_plenoptic.reconstruction.deconvolution.solver import PlaneEstimates, richardson_lucy
 from mitsuba_plenoptic.reconstruction.deconvolution.variation import Noise
 from mitsuba_plenoptic.reconstruction.deconvolved import MOST_ITERATIONS
 
@@ -186,7 +186,7 @@ class Plane:
         places = [self.distance if distance is None else distance]
         return Response(self.camera, places, wavelength=wavelength, oversample=self.oversample)
 
-    def solved(self, response: Response, image: np.ndarray, **options: Any) -> tuple[np.ndarray, Solution]:
+    def solved(self, response: Response, image: np.ndarray, **options: Any) -> tuple[np.ndarray, PlaneEstimates]:
         """Return the upright bins that explain an image, and the solution that they are of."""
         found = richardson_lucy(response, np.ascontiguousarray(image, np.float32), **options)
         return to_bins(

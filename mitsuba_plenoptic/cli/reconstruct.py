@@ -14,7 +14,7 @@ from ..errors import InputError, require_choice
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import require_apart, require_different, require_writable
 from ..reconstruction import METHODS, Reconstruction, Volume, write_volume
-from ..reconstruction.volume import SUFFIXES, require_volume_path
+from ..reconstruction.results import SUFFIXES, require_volume_path
 from ..report.images import Brightness
 from ..report.output_files import reconstruction_paths, write_reconstructions
 from ..runtime.progress import progress_bar

@@ -4,14 +4,13 @@ A new method is a new module with a function that `methods.method` registers, im
 """
 
 # in the order in which help and messages name them
-from . import ray, coherent, partial, deconvolved  # noqa: F401, I001
+from . import ray, waves, deconvolved  # noqa: F401, I001
 from .api import reconstruct
 from .arguments import FOOTPRINTS, RESPONSES
 from .differentiable import RayRefocus
 from .differentiable import CoherentRefocus
 from .methods import METHODS
-from .result import Reconstruction, write_reconstruction
-from .volume import Volume, write_volume
+from .results import Reconstruction, Volume, write_reconstruction, write_volume
 
 __all__ = [
     "FOOTPRINTS",

@@ -35,39 +35,18 @@ from .arguments import (
     require_image_memory,
     require_interleave,
     require_response,
+    require_upright,
     require_wavelengths,
 )
 from .deconvolution.variation import MOST as _MOST
-from .displacement import is_known
 from .methods import METHODS, Found, Task, require_taken
-from .ray_sums import white_pixels
-from .real_lens import require_upright
-from .result import Reconstruction
+from .radiance import is_known
+from .ray import white_pixels
+from .results import Reconstruction
 
 
 def reference_white(white: Any, capture: Capture, recorded: Any) -> np.ndarray:
-    """Return a white capture as an array with the channels of the capture that it is to divide.
-
-    Parameters
-    ----------
-    white : Capture or array
-        What is given for it.
-    capture : Capture
-        The capture, with the camera by which it is refocused.
-    recorded : Capture or array
-        The same with the camera that it was recorded with, if it has one.
-
-    Returns
-    -------
-    (rows, columns, channels) float32 array
-        Scaled to a radiance of 1, see `lightfield.white.white_radiance`.
-
-    Raises
-    ------
-    InputError
-        If it has other pixels than the capture, or was recorded by another camera, by waves for a capture by rays, at
-        other wavelengths, or through a mosaic; or if it is saturated, or does not fill the view.
-    """
+    """Return a white capture as an array with the channels of the capture that it is to divide."""
     pixels = white.image if isinstance(white, Capture) else as_array("white", white)
     require_pixels("white", pixels)
     image = np.atleast_3d(capture.image)
@@ -201,9 +180,9 @@ def reconstruct(
     relay : bool, optional
         For ``coherent`` and ``partial``: whether the microlenses act a second time, in the MLA plane (default). Without
         it, which is the literal reading of the paper, planes out of focus stay blurred: see
-        `mitsuba_plenoptic.reconstruction.coherent`.
+        `mitsuba_plenoptic.reconstruction.waves`.
     oversample : int
-        Bins per lens along each axis. A focused camera tells more than one apart:
+        Bins per lens along each axis. A focused camera resolves more than one:
         `mitsuba_plenoptic.design.suitable_oversample` and ``mitsuba-plenoptic info`` say how many.
     white : Capture or array, optional
         What the same camera recorded of something evenly white that fills the view, by the same wavelengths, in one
@@ -211,7 +190,7 @@ def reconstruct(
         stay in units of the capture (see `mitsuba_plenoptic.lightfield.white.white_radiance`). It is refocused in the
         same way, and images are divided by it; those of unfocused
         cameras behind thin main lenses are also drawn back, to first order, to where their light comes from, which
-        borders, diffraction and interference displace (see `mitsuba_plenoptic.reconstruction.displacement`). This takes
+        borders, diffraction and interference displace (see `mitsuba_plenoptic.reconstruction.radiance`). This takes
         the time of one refocusing for the white and of two more for each distance. Default: what the camera would
         record by rays; a capture by waves, whose micro-images lose light at their edges, then reads less
         (0.85 for the paper's camera).
@@ -309,7 +288,7 @@ def reconstruct(
     if chosen.waves:
         require_ideal(camera)
         camera.require_resolved()
-    if chosen.waves and not chosen.as_it_is:
+    if chosen.waves and not chosen.as_it_is and camera.wavefront:
         # Images are formed by the lens as it should be.
         camera = camera.replace(wavefront=())
     require_image_memory(camera, distances, oversample, image.shape, white is not None and is_known(camera))

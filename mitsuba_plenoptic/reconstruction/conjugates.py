@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 import drjit as dr
 import numpy as np
@@ -43,83 +43,51 @@ _ZONE_BLUR = 0.2
 Place = tuple[Any, Any]
 
 
-class Conjugate(Protocol):
+@dataclass(frozen=True)
+class Conjugate:
     """How the light of one place on the array, or of one for each lane, passes the exit pupil."""
 
+    light: Any
+    point: tuple[Any, Any, Any]
+    wavelength: float
+    tilt: tuple[float, float] = (0.0, 0.0)
+
     def path(self, pupil: Place) -> Any:
-        """Return the path from the object plane in waves."""
+        """Return the path from the object plane in waves, less a tilt."""
+        waves = self.light.path(pupil, self.point, self.wavelength)
+        if not any(self.tilt):
+            return waves
+        return waves - (pupil[0] * self.tilt[0] + pupil[1] * self.tilt[1]) * (1 / in_millimetres(self.wavelength))
 
     def inside(self, pupil: Place) -> Any:
         """Return how far within the pupil's edge a place lies, in millimetres."""
+        return self.light.inside(pupil)
 
 
 @dataclass(frozen=True)
 class Zone:
-    """A part of the field whose light is taken to pass the pupil in one way.
+    """A part of the field whose light is taken to pass the pupil as that of its middle does, less the tilt.
 
-    Attributes
-    ----------
-    light : Conjugate
-        The way of its middle, less the tilt.
-    bounds : ((float, float), (float, float)), or None
-        Parts of the width and of the height of the bins between which it lies; None: it is the whole field.
-    is_cut : bool
-        Whether light is ended by the conjugate's own edge, besides that of the circle around the pupil.
+    `bounds` are the fractions of the width and of the height of the bins between which it lies; None is the whole
+    field. Where `is_cut`, light is ended by the conjugate's own edge, besides that of the circle around the pupil.
     """
 
     light: Conjugate
     bounds: tuple[tuple[float, float], tuple[float, float]] | None = None
     is_cut: bool = False
 
-
-class Conjugates(Protocol):
-    """The main lens of a reconstruction."""
-
-    @property
-    def camera(self) -> PlenopticCamera:
-        """The camera, or one whose thin main lens is in the exit pupil."""
-
-    def at(self, x: Any, y: Any, places: NDArray[np.float64], lens: Any, distance: float) -> Conjugate:
-        """Return the conjugates of the centres of some lenses.
-
-        Parameters
-        ----------
-        x, y : Dr.Jit arrays
-            The centre of each lane's lens in millimetres.
-        places : float64 array (n, 2)
-            The centres.
-        lens : UInt32 array of Dr.Jit
-            Which of them each lane's is.
-        distance : float
-            Distance of the object plane before the thin lens of `camera`; may be infinite.
-        """
-
-    def zones(self, distance: float) -> Iterator[Zone]:
-        """Yield the zones that one path each serves."""
-
-
-@dataclass(frozen=True)
-class _ThinLight:
-    lens: Any
-    point: tuple[Any, Any, Any]
-    wavelength: float
-
-    def path(self, pupil: Place) -> Any:
-        return self.lens.path(pupil, self.point, self.wavelength)
-
-    def inside(self, pupil: Place) -> Any:
-        return self.lens.inside(pupil)
+    def part(self, shape: tuple[int, ...]) -> tuple[slice, ...]:
+        """Return the rows and columns of bins that lie in it."""
+        if self.bounds is None:
+            return ()
+        return tuple(
+            slice(*(round(end * size) for end in ends)) for ends, size in zip(self.bounds[::-1], shape, strict=True)
+        )
 
 
 @dataclass(frozen=True)
 class ThinConjugates:
-    """Those of a thin main lens.
-
-    Attributes
-    ----------
-    system : OpticalSystem
-        The camera, at one wavelength.
-    """
+    """Conjugates behind a thin main lens."""
 
     system: OpticalSystem
 
@@ -129,7 +97,10 @@ class ThinConjugates:
         return self.system.camera
 
     def at(self, x: Any, y: Any, places: NDArray[np.float64], lens: Any, distance: float) -> Conjugate:
-        """Return the conjugates of the centres of some lenses, as `Conjugates.at` does."""
+        """Return the conjugates of the centres of some lenses, for an object plane before the thin lens of `camera`.
+
+        Each lane has its lens's centre (x, y) and its number among the centres, float64 (n, 2).
+        """
         # Infinity is so far that nothing changes with the distance.
         b, g = (dr.opaque(type(x), length) for length in (self.camera.mla_distance, min(distance, FAR)))
         return self._light((-x * g / b, -y * g / b, g))
@@ -138,41 +109,13 @@ class ThinConjugates:
         """Yield the whole field: what changes over it is neglected, see `planning`."""
         yield Zone(self._light((0.0, 0.0, distance)))
 
-    def _light(self, point: tuple[Any, Any, Any]) -> _ThinLight:
-        return _ThinLight(self.system.lens, point, self.system.wavelength)
-
-
-@dataclass(frozen=True)
-class _RealLight:
-    light: Light
-    wavelength: float
-    tilt: tuple[float, float] = (0.0, 0.0)
-
-    def path(self, pupil: Place) -> Any:
-        waves = self.light.path(pupil, (0.0, 0.0, 0.0), self.wavelength)
-        if not any(self.tilt):
-            return waves
-        return waves - (pupil[0] * self.tilt[0] + pupil[1] * self.tilt[1]) * (1 / in_millimetres(self.wavelength))
-
-    def inside(self, pupil: Place) -> Any:
-        return self.light.inside(pupil)
+    def _light(self, point: tuple[Any, Any, Any]) -> Conjugate:
+        return Conjugate(self.system.lens, point, self.system.wavelength)
 
 
 @dataclass(frozen=True, eq=False)
 class RealConjugates:
-    """Those of a real main lens.
-
-    Attributes
-    ----------
-    camera : PlenopticCamera
-        A camera with a thin main lens in the exit pupil.
-    lens : FittedLens
-        The lens.
-    wavelength : float
-        Wavelength in nanometres.
-    blur : float
-        What the path of another place may blur a place on the MLA by, in millimetres.
-    """
+    """Those of a real main lens."""
 
     camera: PlenopticCamera
     lens: FittedLens
@@ -181,24 +124,7 @@ class RealConjugates:
 
     @classmethod
     def of(cls, system: OpticalSystem, distances: list[float], oversample: int) -> RealConjugates:
-        """Fit the main lens of a camera over its field, for object planes at some distances.
-
-        Parameters
-        ----------
-        system : OpticalSystem
-            The camera, with a real main lens, at one wavelength.
-        distances : list of float
-            Distances of the object planes; may be infinite.
-        oversample : int
-            Bins per lens along each axis.
-
-        Raises
-        ------
-        InputError
-            If an object plane does not lie before the lens, or it distorts so that the image folds.
-        PhysicsError
-            If its path cannot be fitted.
-        """
+        """Fit the main lens of a camera over its field, for object planes at some distances."""
         camera, real = system.camera, cast(RealLens, system.lens)
         pupils, front = Pupils.of(real), real.entrance.front
         for distance in distances:
@@ -232,17 +158,11 @@ class RealConjugates:
         return self.lens.bind(points, which)
 
     def at(self, x: Any, y: Any, places: NDArray[np.float64], lens: Any, distance: float) -> Conjugate:
-        """Return the conjugates of the centres of some lenses, as `Conjugates.at` does."""
-        return _RealLight(self._bound(places, distance, lens), self.wavelength)
+        """Return the conjugates of the centres of some lenses, as `ThinConjugates.at` does."""
+        return Conjugate(self._bound(places, distance, lens), _NO_POINT, self.wavelength)
 
     def zones(self, distance: float) -> Iterator[Zone]:
-        """Yield zones so small that the path of the middle of each serves all of it.
-
-        Raises
-        ------
-        InputError
-            If there would be too many.
-        """
+        """Yield zones so small that the path of the middle of each serves all of it."""
         bins = np.array(self.camera.bin_count) * self.camera.mla_pitch
         for count in range(1, _MOST_ZONES + 1):
             if self._blur(bins / count, count, distance) <= self.blur:
@@ -258,7 +178,7 @@ class RealConjugates:
             tilt = [float(c[0, 0]) for c in self._bound(middle[None], distance).cosines(_MIDDLE, _NO_POINT)]
             light = self._bound(middle[None], distance, middle_only)
             bounds = None if count == 1 else tuple((i / count, (i + 1) / count) for i in (column, row))
-            yield Zone(_RealLight(light, self.wavelength, (tilt[0], tilt[1])), bounds, is_cut=True)  # type: ignore[arg-type]
+            yield Zone(Conjugate(light, _NO_POINT, self.wavelength, (tilt[0], tilt[1])), bounds, is_cut=True)  # type: ignore[arg-type]
 
     def _blur(self, width: NDArray[np.float64], count: int, distance: float) -> float:
         """Return how far, on the MLA, rays of the corners of zones go astray by the path of the zone's middle."""
@@ -281,30 +201,24 @@ class RealConjugates:
         return np.asarray(rim - chief)
 
 
+Conjugates = ThinConjugates | RealConjugates
+
 _MIDDLE, _NO_POINT = (np.zeros((1, 1)), np.zeros((1, 1))), (0.0, 0.0, 0.0)
 
 
-def behind_thin_lens(system: OpticalSystem, radius: float | None = None) -> PlenopticCamera:
-    """Return a camera with a thin main lens in the exit pupil, as the array sees the real one.
-
-    Parameters
-    ----------
-    system : OpticalSystem
-        The camera, with a real main lens, at one wavelength.
-    radius : float, optional
-        Radius of its pupil in millimetres. Default: that of a circle that holds the light of all the field.
-    """
+def behind_thin_lens(system: OpticalSystem) -> PlenopticCamera:
+    """Return a camera with a thin main lens in the exit pupil, as the array sees the real one."""
     lens = cast(RealLens, system.lens)
     return system.camera.replace(
         main_lens=None,
         focal_length=1 / Pupils.of(lens).at_infinity,
-        aperture_radius=lens.reach if radius is None else radius,
+        aperture_radius=lens.reach,
         mla_distance=float(lens.pupil_distance),
     )
 
 
 def _widened(camera: PlenopticCamera, more: int) -> PlenopticCamera:
-    """Return the camera with so many pixels more on each side, which it does not record."""
+    """Return the camera with `more` pixels on each side, which it does not record."""
     columns, rows = camera.resolution
     return camera.replace(
         detector_width=camera.detector_width + 2 * more * camera.pixel_size,
@@ -317,28 +231,7 @@ def _widened(camera: PlenopticCamera, more: int) -> PlenopticCamera:
 def undistorted(
     power: NDArray[np.float64], conjugates: RealConjugates, camera: PlenopticCamera, distance: float, fine: int
 ) -> tuple[NDArray[np.float64], float]:
-    """Move power from bins of chief rays on the array to bins of the object plane.
-
-    Parameters
-    ----------
-    power : float64 array (rows, columns)
-        In fine bins of the camera of the conjugates.
-    conjugates : RealConjugates
-        The main lens.
-    camera : PlenopticCamera
-        The camera itself.
-    distance : float
-        Of the object plane; may be infinite.
-    fine : int
-        Fine bins across a lens pitch.
-
-    Returns
-    -------
-    moved : float64 array (rows, columns)
-        In fine bins of the object plane, :math:`-X b / g`.
-    scale : float
-        Distances there, near the axis, over those on the array.
-    """
+    """Move power from bins of chief rays on the array to bins of the object plane."""
     found = conjugates.lens.image_stretch(camera, distance)
     columns, rows = (count * fine for count in camera.bin_count)
     step = camera.mla_pitch / fine

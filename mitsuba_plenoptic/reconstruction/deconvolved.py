@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
 from ..design import resolution_limit
 from ..errors import InputError, argument
 from ..io.checkpoints import digest
 from ..runtime.jobs import Job
 from .deconvolution.fourier import FourierResponse
 from .deconvolution.response import Response
-from .deconvolution.solver import Kept, Solved, richardson_lucy
+from .deconvolution.solver import Solved, SolverCheckpoint, richardson_lucy
 from .deconvolution.variation import Noise
-from .methods import Found, Task, method
+from .methods import Found, Progress, Task, method, portion
 
 DEFAULT_ITERATIONS, MOST_ITERATIONS = 30, 100
 """Steps where nothing is known of the noise, and at most where it is."""
@@ -49,16 +48,13 @@ def refocus(task: Task, **options: Any) -> list[Found]:
         _require_different(task.distances)
     groups = [task.distances] if options["volume"] else [[distance] for distance in task.distances]
     channels, planes = task.image.shape[2], len(task.distances)
-    kept = Kept(task.checkpoint, _inputs(task, options) if task.checkpoint else {})
+    kept = SolverCheckpoint(task.checkpoint, _inputs(task, options) if task.checkpoint else {})
     work, done = channels * planes, len(kept.solved)
     if done > work or done % len(groups[0]):
         raise InputError(f"checkpoint: it is damaged: {done} planes are no part of {work}")
     for number in range(done // len(groups[0]), channels * len(groups)):
-
-        def report(part: float, number: int = number) -> None:
-            task.progress((number + part) / (channels * len(groups)))
-
         channel, group = divmod(number, len(groups))
+        report = portion(task.progress, number, channels * len(groups))
         kept.solved += list(_solve(task, groups[group], channel, options, noise, kept, report))
     found = [[kept.solved[channel * planes + plane] for channel in range(channels)] for plane in range(planes)]
     return [
@@ -73,13 +69,14 @@ def _solve(
     channel: int,
     options: dict[str, Any],
     noise: Noise | None,
-    kept: Kept,
-    report: Callable[[float], None],
+    kept: SolverCheckpoint,
+    report: Progress,
 ) -> Iterator[Solved]:
     """Yield what is found of each plane, from one channel."""
     image = np.ascontiguousarray(task.image[..., channel])
     iterations, variation = options["iterations"], options["variation"]
-    with _response(task.camera)(
+    response = FourierResponse if task.camera.lens_data.images_stop else Response
+    with response(
         task.camera,
         distances,
         wavelength=None if options["response"] == "ray" else task.wavelengths[channel],
@@ -105,11 +102,6 @@ def _solve(
         yield Solved(visible, solution.iterations, solution.residual, solution.stopped)
 
 
-def _response(camera: PlenopticCamera) -> type[Response] | type[FourierResponse]:
-    """Return the response that a camera has."""
-    return FourierResponse if camera.lens_data.images_stop else Response
-
-
 def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str, Any]:
     """Return what is known of a plane."""
     wavelengths: Sequence[float | None] = task.wavelengths or [None]
@@ -124,7 +116,7 @@ def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str,
 
 
 def _inputs(task: Task, options: dict[str, Any]) -> dict[str, Any]:
-    """Return what the bits of the result depend on, by which a checkpoint is known as of the same run."""
+    """Return what the bits of the result depend on, by which a checkpoint of the same run is known."""
     return {
         "capture": digest(task.image),
         "camera": task.camera.to_dict(),
@@ -137,7 +129,7 @@ def _inputs(task: Task, options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _require_different(distances: Sequence[float]) -> None:
-    """Refuse planes of a volume that are one: nothing tells which of them light is from."""
+    """Refuse planes of a volume that are one: which of them light is from is undetermined."""
     for number, distance in enumerate(distances):
         if distance in distances[:number]:
             raise InputError(f"distance = {distance:g}: it is given twice; the planes of a volume are different ones")

@@ -13,16 +13,20 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, require_choice, require_count, require_number
 from ..io.captures import as_array, require_pixels
 from ..lenses.wave_cameras import require_ideal
-from ..runtime.backend import one_at_a_time
+from ..optics import guards
+from ..runtime.backend import backend, one_at_a_time
+from ..runtime.fft import resting_drjit
 from ..system.optical_system import OpticalSystem
 from ..thin_lens import image_distance
 from .arguments import FOOTPRINTS
 from .bins import BinSums
-from .coherent_chain import AmplitudeFields, Linearised
-from .radiance import LensSpread, divisors, is_reached
-from .ray import pupil_radius
-from .ray_sums import ray_sums, ray_sums_back, white_sums
-from .waves import fine_bins
+from .conjugates import ThinConjugates
+from .full_fields import BackwardFields, squared
+from .lens_tiles import fine_bins
+from .planning import plan, require_feasible
+from .radiance import LensSpread, divisors, is_reached, lens_scale
+from .ray import pupil_radius, ray_sums, ray_sums_vjp, white_sums
+from .waves import signed_parts
 from .white import white_light
 
 
@@ -39,7 +43,7 @@ class RayRefocus:
     distance : float
         Object distance in scene units, beyond the focal length; may be infinite.
     footprint : {"lens", "point"}
-        As of `reconstruct`.
+        As in `reconstruct`.
     oversample : int
         Bins per lens along each axis.
 
@@ -95,33 +99,37 @@ class RayRefocus:
             One value for each pixel.
         """
         given = as_channels(as_array("bins", bins), self._factor.shape, "bins") * self._factor[..., None]
-        pixels = ray_sums_back(given, self._camera, *self._numbers).astype(np.float32)
+        pixels = ray_sums_vjp(given, self._camera, *self._numbers).astype(np.float32)
         return pixels[..., 0] if np.ndim(bins) == 2 else pixels
 
     def __call__(self, capture: Any) -> Any:
         """Refocus a tensor of Dr.Jit, (rows, columns) or (rows, columns, channels), differentiably."""
-        return dr.custom(_RayOp, capture, self)
+        return dr.custom(_RefocusOp, capture, self)
+
+    def _linearised(self, capture: NDArray[Any]) -> tuple[Any, Any, Any]:
+        return self.forward(capture), self.forward, self.adjoint
 
 
-class _RayOp(dr.CustomOp):
-    """One use of a `RayRefocus`."""
+class _RefocusOp(dr.CustomOp):
+    """One use of a refocus by Dr.Jit."""
 
-    def eval(self, capture: Any, refocus: RayRefocus) -> Any:
+    def eval(self, capture: Any, refocus: RayRefocus | CoherentRefocus) -> Any:
         """Refocus."""
-        self._refocus, self._kind = refocus, type(capture)
-        return self._kind(refocus.forward(capture.numpy()))
+        image, self._jvp, self._vjp = refocus._linearised(capture.numpy())
+        self._kind = type(capture)
+        return self._kind(image)
 
     def forward(self) -> None:
         """Refocus the change of the capture."""
-        self.set_grad_out(self._kind(self._refocus.forward(self.grad_in("capture").numpy())))
+        self.set_grad_out(self._kind(self._jvp(self.grad_in("capture").numpy())))
 
     def backward(self) -> None:
         """Take the gradient back to the capture."""
-        self.set_grad_in("capture", self._kind(self._refocus.adjoint(self.grad_out().numpy())))
+        self.set_grad_in("capture", self._kind(self._vjp(self.grad_out().numpy())))
 
     def name(self) -> str:
         """Return what Dr.Jit calls it."""
-        return "refocusing by rays"
+        return "refocusing"
 
 
 def as_channels(values: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
@@ -169,14 +177,20 @@ class CoherentRefocus:
         distance = require_number("distance", distance, finite=False)
         image_distance(camera.focal_length, distance)
         wavelength, oversample = require_wavelength(wavelength), require_count("oversample", oversample)
-        fine = fine_bins(OpticalSystem(camera, wavelength), oversample)
-        self._camera, self._spread = camera, LensSpread(camera, distance, oversample, fine)
-        self._fields = AmplitudeFields(
-            camera, distance, wavelength, require_count("interleave", interleave), oversample * fine
-        )
-        self._fine = oversample * fine
+        system = OpticalSystem(camera, wavelength)
+        fine = fine_bins(system, oversample)
+        self._camera, self._wavelength, self._oversample = camera, wavelength, oversample * fine
+        self._spread = LensSpread(camera, oversample, fine, lens_scale(camera, distance)) if fine > 1 else None
+        (left, top), (columns, rows) = camera.crop_offset, camera.crop_size
+        window = (left, left + columns), (top, top + rows)
+        grids = plan(camera, wavelength, [distance], window, self._oversample)
+        require_feasible(grids)
+        interleave = require_count("interleave", interleave)
+        self._fields = BackwardFields(camera, wavelength, grids, interleave=interleave, with_vjp=True)
+        (self._step,) = grids.to_objects
+        (self._zone,) = ThinConjugates(system).zones(distance)
         rays = white_sums(camera, distance, camera.lit_radius, "lens", oversample)
-        white = white_light(camera, wavelength, distance, oversample, fine=fine, relay=True)
+        white = white_light(camera, wavelength, distance, oversample, True)
         divisor, reached = divisors(white, rays, distance, computed=True)
         self._factor = np.divide(1.0, divisor, out=np.zeros(divisor.shape), where=reached)[..., 0]
 
@@ -210,7 +224,7 @@ class CoherentRefocus:
         float32 array
             Of the shape of the image.
         """
-        return self.at(capture).tangent(change)
+        return self.at(capture).jvp(change)
 
     @one_at_a_time
     def gradient(self, capture: Any, image_gradient: Any) -> NDArray[np.float32]:
@@ -228,7 +242,7 @@ class CoherentRefocus:
         float32 array
             Of the shape of the capture.
         """
-        return self.at(capture).back(image_gradient)
+        return self.at(capture).vjp(image_gradient)
 
     def at(self, capture: Any) -> CoherentImage:
         """Refocus a capture, and keep what its derivatives need."""
@@ -236,10 +250,59 @@ class CoherentRefocus:
 
     def __call__(self, capture: Any) -> Any:
         """Refocus a tensor of Dr.Jit, (rows, columns) or (rows, columns, channels), differentiably."""
-        return dr.custom(_CoherentOp, capture, self)
+        return dr.custom(_RefocusOp, capture, self)
 
-    def _linearise(self, image: NDArray[np.float32], judged: bool) -> Linearised:
-        return Linearised(self._fields, BinSums(self._fields.step, self._camera, self._fine), image, judged)
+    def _linearised(self, capture: NDArray[Any]) -> tuple[Any, Any, Any]:
+        at = self.at(capture)
+        return at.image, at.jvp, at.vjp
+
+
+class _BinnedPower:
+    """The power in bins that a capture of no negative pixels gives, and its derivatives there.
+
+    With the field u at the directions of the object plane, and its change du, a bin changes by the sum of 2 Re(u* du)
+    over it. Where a pixel is zero the square root has no derivative, and 0 is taken.
+    """
+
+    def __init__(self, refocus: CoherentRefocus, image: NDArray[np.float32], *, checked: bool) -> None:
+        self._refocus, amplitude = refocus, np.sqrt(image)
+        self._slope = np.divide(0.5, amplitude, out=np.zeros_like(amplitude), where=amplitude > 0)
+        self._sums = BinSums(refocus._step, refocus._camera, refocus._wavelength, refocus._oversample)
+        self._at, passed = self._fields(amplitude)
+        sent = float(image.sum(dtype=np.float64))
+        if checked and sent:
+            guards.judge(guards.PUPIL, 1 - passed / sent)
+        power: Any = sum(squared((slice(None), field))[1] for field in self._at)
+        bins = backend().to_host(self._sums.forward([(slice(None), power)]))
+        spread = bins if refocus._spread is None else refocus._spread.forward(bins)
+        self._lit = spread > 0
+        self.bins = np.where(self._lit, spread, 0)
+
+    def _fields(self, amplitude: NDArray[np.float32]) -> tuple[list[Any], float]:
+        """Return the fields at the object plane's directions of all subsets, and the power that passed the pupil."""
+        chain, step, found, passed = self._refocus._fields, self._refocus._step, [], 0.0
+        with resting_drjit():
+            for field in chain.at_pupil(amplitude):
+                passed += chain.power(field)
+                found.append(backend().arrays.empty((step.x.kept, step.y.kept), np.complex64))
+                for lines, part in chain.to_object(field, self._refocus._zone, step):
+                    found[-1][lines] = part
+        return found, passed
+
+    def jvp(self, change: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the change of the bins with that of the capture."""
+        moved, _ = self._fields((self._slope * change).astype(np.float32))
+        power: Any = sum(2 * (field.conj() * other).real for field, other in zip(self._at, moved, strict=True))
+        bins = backend().to_host(self._sums.jvp(power))
+        return np.where(self._lit, bins if self._refocus._spread is None else self._refocus._spread.forward(bins), 0)
+
+    def vjp(self, bins: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Take the gradient by the bins back to the capture."""
+        arrays, given, refocus = backend().arrays, np.where(self._lit, bins, 0), self._refocus
+        power = self._sums.vjp(arrays.asarray(given if refocus._spread is None else refocus._spread.vjp(given)))
+        with resting_drjit():
+            gradients = ((2 * power * field).astype(np.complex64) for field in self._at)
+            return self._slope * refocus._fields.vjp(gradients, refocus._zone, refocus._step)
 
 
 class CoherentImage:
@@ -248,71 +311,40 @@ class CoherentImage:
     Attributes
     ----------
     image : float32 array
-        What `CoherentRefocus.forward` returns.
+        The result of `CoherentRefocus.forward`.
     """
 
     def __init__(self, refocus: CoherentRefocus, capture: Any) -> None:
         pixels = as_channels(as_array("capture", capture), refocus._camera.shape, "capture")
         require_pixels("capture", pixels)
         self._refocus, self._flat, self._shape = refocus, np.ndim(capture) == 2, pixels.shape
-        pixels = np.asarray(pixels, np.float32)
-        # Of every channel, what is refocused with which sign, and its masks of derivatives.
-        self._parts: list[list[tuple[float, Linearised, Any]]] = []
-        bins = np.zeros((*refocus._factor.shape, pixels.shape[2]))
-        for channel, image in enumerate(np.moveaxis(pixels, -1, 0)):
-            signs = (1.0, -1.0) if image.min() < 0 else (1.0,)
-            parts = [(sign, refocus._linearise(np.maximum(sign * image, 0), judged=sign > 0)) for sign in signs]
-            spread = [(sign, part, refocus._spread.at(part.power)) for sign, part in parts]
-            self._parts.append(spread)
-            bins[..., channel] = refocus._factor * sum(sign * made.bins for sign, _, made in spread)
-        self.image = self._returned(bins)
+        self._channels = [
+            [(sign, _BinnedPower(refocus, part, checked=sign > 0)) for sign, part in signed_parts(channel)]
+            for channel in np.moveaxis(np.asarray(pixels, np.float32), -1, 0)
+        ]
+        self.image = self._stacked([sum(sign * part.bins for sign, part in parts) for parts in self._channels])
 
-    def tangent(self, change: Any) -> NDArray[np.float32]:
+    def jvp(self, change: Any) -> NDArray[np.float32]:
         """Return the change of the image; see `CoherentRefocus.derivative`."""
-        given = as_channels(as_array("change", change), self._shape[:2], "change")
-        self._require_channels(given, "change")
-        columns = [
-            self._refocus._factor * sum(made.tangent(part.tangent(given[..., channel])) for _, part, made in parts)
-            for channel, parts in enumerate(self._parts)
-        ]
-        return self._returned(np.stack(columns, -1))
+        given = zip(self._as_channels(change, self._shape[:2], "change"), self._channels, strict=True)
+        # A bin of a part below zero is subtracted, and its capture is minus the pixels: the signs cancel.
+        return self._stacked([sum(part.jvp(channel) for _, part in parts) for channel, parts in given])
 
-    def back(self, image_gradient: Any) -> NDArray[np.float32]:
+    def vjp(self, image_gradient: Any) -> NDArray[np.float32]:
         """Return the gradient by the capture; see `CoherentRefocus.gradient`."""
-        shape = self._refocus._factor.shape
-        given = as_channels(as_array("image_gradient", image_gradient), shape, "image_gradient")
-        self._require_channels(given, "image_gradient")
-        columns = [
-            sum(part.back(made.back(self._refocus._factor * given[..., channel])) for _, part, made in parts)
-            for channel, parts in enumerate(self._parts)
-        ]
-        return self._returned(np.stack(columns, -1))
+        shape, factor = self._refocus._factor.shape, self._refocus._factor
+        given = zip(self._as_channels(image_gradient, shape, "image_gradient"), self._channels, strict=True)
+        return self._returned([sum(part.vjp(factor * channel) for _, part in parts) for channel, parts in given])
 
-    def _require_channels(self, given: NDArray[Any], name: str) -> None:
+    def _as_channels(self, values: Any, shape: tuple[int, ...], name: str) -> NDArray[Any]:
+        given = as_channels(as_array(name, values), shape, name)
         if given.shape[2] != self._shape[2]:
             raise InputError(f"{name} of {given.shape[2]} channels: the capture has {self._shape[2]}")
+        return np.moveaxis(given, -1, 0)
 
-    def _returned(self, values: NDArray[np.float64]) -> NDArray[np.float32]:
-        single = values.astype(np.float32)
+    def _stacked(self, bins: list[Any]) -> NDArray[np.float32]:
+        return self._returned([self._refocus._factor * channel for channel in bins])
+
+    def _returned(self, channels: list[Any]) -> NDArray[np.float32]:
+        single = np.stack(channels, -1).astype(np.float32)
         return single[..., 0] if self._flat else single
-
-
-class _CoherentOp(dr.CustomOp):
-    """One use of a `CoherentRefocus`."""
-
-    def eval(self, capture: Any, refocus: CoherentRefocus) -> Any:
-        """Refocus."""
-        self._kind, self._at = type(capture), refocus.at(capture.numpy())
-        return self._kind(self._at.image)
-
-    def forward(self) -> None:
-        """Refocus the change of the capture."""
-        self.set_grad_out(self._kind(self._at.tangent(self.grad_in("capture").numpy())))
-
-    def backward(self) -> None:
-        """Take the gradient back to the capture."""
-        self.set_grad_in("capture", self._kind(self._at.back(self.grad_out().numpy())))
-
-    def name(self) -> str:
-        """Return what Dr.Jit calls it."""
-        return "refocusing by waves"

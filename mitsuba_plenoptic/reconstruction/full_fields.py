@@ -1,25 +1,34 @@
-"""Power in the bins of object planes, from full fields: those of interleaved subsets of lenses, one at a time."""
+"""The chain of full fields back through the camera, detector -> array -> pupil -> object plane, and its vjp.
+
+One field for each of the interleaved subsets of lenses. It is linear in the amplitudes of the pixels, the square roots
+of what they have recorded; the power in bins is the square of its modulus.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
 
+import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..optics import guards
+from ..optics import guards, rays
+from ..optics.phase import parabola, phasor, soft_edge
 from ..optics.power import fraction, power
-from ..runtime.backend import backend
+from ..runtime.backend import array_module, backend
 from ..runtime.fft import Field, resting_drjit
+from ..runtime.limits import require_memory
+from ..system.microlenses import is_separable, transmission
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
-from .bins import power_in_bins
-from .conjugates import Conjugates, ThinConjugates
-from .elements import NOTHING, converging, microlenses, to_object
-from .grids import Directions, Plan, Strip
+from .bins import BinSums
+from .conjugates import Conjugates, ThinConjugates, Zone
 from .methods import Progress
-from .planning import Window, field_memory, object_extent, plan, require_feasible
-from .steps import Rows, Workspace, propagate, to_directions
+from .passages import FieldWorkspace, Rows, ThinElement, propagate, propagate_vjp, to_directions, to_directions_vjp
+from .planning import Directions, FieldPlan, Step, Strip, Window, field_memory, object_extent, plan, require_feasible
 
 
 def reconstruct_subsets(
@@ -31,39 +40,47 @@ def reconstruct_subsets(
     interleave: int = 1,
     relay: bool = True,
     oversample: int = 1,
-    judged: bool = True,
+    checked: bool = True,
     progress: Progress = lambda done: None,
     conjugates: Conjugates | None = None,
 ) -> list[np.ndarray]:
-    """Propagate interleaved subsets of lenses coherently and add their intensities.
+    """Propagate interleaved subsets of lenses coherently, and return the power in bins of object planes.
 
-    See `waves.Power`; `interleave` is the period K of a subset along each axis, 1 is one coherent field.
+    The image is not negative; distances share the light up to the main lens. The period of a subset along each axis is
+    `interleave`; 1 is one coherent field. Guards look at the light that is lost where `checked`. Powers (rows, columns)
+    are in pixel values times pixels.
     """
     conjugates = conjugates or ThinConjugates(OpticalSystem(camera, wavelength))
     columns, rows = (count * oversample for count in camera.bin_count)
     check_memory(8.0 * rows * columns * (len(distances) + 1), f"wave reconstruction on {columns} x {rows} bins")
-    libraries = backend()
-    totals = [libraries.arrays.zeros((rows, columns)) for _ in distances]
+    totals = [np.zeros((rows, columns)) for _ in distances]
     lit = lit_window(image, camera)
-    if lit is not None:
-        grids = plan(camera, wavelength, distances, lit, oversample)
-        require_feasible(grids)
-        fields = FullFields(image, camera, wavelength, grids, lit, interleave=interleave, relay=relay)
-        passed = 0.0
-        for done, subset in enumerate(np.ndindex(interleave, interleave)):
-            with resting_drjit():
-                field = fields.at_main_lens(subset[::-1])
-                passed += fields.power(field)
-                for total, distance, step in zip(totals, distances, grids.to_objects, strict=True):
-                    total += fields.in_bins(field, conjugates, distance, step, oversample)
+    if lit is None:
+        return totals
+    grids = plan(camera, wavelength, distances, lit, oversample)
+    require_feasible(grids)
+    fields = BackwardFields(camera, wavelength, grids, interleave=interleave, relay=relay)
+    sums = [BinSums(step, camera, wavelength, oversample) for step in grids.to_objects]
+    inside = tuple(
+        slice(first - offset, end - offset) for (first, end), offset in zip(lit, camera.crop_offset, strict=True)
+    )
+    passed = 0.0
+    with resting_drjit():
+        for done, field in enumerate(fields.at_pupil(np.sqrt(image[inside[::-1]]))):
+            passed += fields.power(field)
+            for total, distance, step, bins in zip(totals, distances, grids.to_objects, sums, strict=True):
+                for zone in conjugates.zones(distance):
+                    found = backend().to_host(bins.forward(map(squared, fields.to_object(field, zone, step))))
+                    part = zone.part(found.shape)
+                    total[part] += found[part]
             progress((done + 1) / interleave**2)
-        if judged:
-            guards.judge(guards.PUPIL, 1 - passed / float(image.sum(dtype=np.float64)))
-            for total, distance in zip(totals, distances, strict=True):
-                # where the detector's edge cuts the light there is no telling
-                if all(light == seen for light, seen in (object_extent(camera, distance, i, lit[i]) for i in (0, 1))):
-                    guards.judge(guards.OBJECT, 1 - fraction(float(total.sum()), passed))
-    return [libraries.to_host(total) for total in totals]
+    if checked:
+        guards.judge(guards.PUPIL, 1 - passed / float(image.sum(dtype=np.float64)))
+        for total, distance in zip(totals, distances, strict=True):
+            # Where the detector's edge cuts the light nothing is known.
+            if all(light == seen for light, seen in (object_extent(camera, distance, i, lit[i]) for i in (0, 1))):
+                guards.judge(guards.OBJECT, 1 - fraction(float(total.sum()), passed))
+    return totals
 
 
 def lit_window(image: np.ndarray, camera: PlenopticCamera) -> Window | None:
@@ -78,134 +95,208 @@ def lit_window(image: np.ndarray, camera: PlenopticCamera) -> Window | None:
     return window[0], window[1]
 
 
-class FullFields:
-    """The fields of one capture on its way back.
+def squared(block: tuple[slice, Field]) -> tuple[slice, Any]:
+    """Return the power of a block of a field."""
+    lines, field = block
+    return lines, field.real**2 + field.imag**2
 
-    Parameters
-    ----------
-    image : (rows, columns) float32 array
-        The capture.
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
-    grids : Plan
-        Sampling.
-    lit : ((int, int), (int, int))
-        The pixels that it was made for.
-    interleave : int
-        Period of the subsets.
-    relay : bool
-        Whether the microlenses act in the MLA plane.
+
+class BackwardFields:
+    """From the amplitudes of the pixels that a plan was made for to the fields of subsets of lenses, and the vjp.
+
+    A subset is every `interleave`-th lens along both indices of the lattice. Without `relay` the microlenses do not act
+    in the MLA plane, and there is no vjp.
     """
 
     def __init__(
         self,
-        image: np.ndarray,
         camera: PlenopticCamera,
         wavelength: float,
-        grids: Plan,
-        lit: Window,
+        grids: FieldPlan,
         *,
         interleave: int,
-        relay: bool,
+        relay: bool = True,
+        with_vjp: bool = False,
     ) -> None:
         self._camera, self._wavelength, self._grids = camera, wavelength, grids
         self._interleave, self._relay = interleave, relay
-        self._workspace = Workspace(grids)
-        self._at_mla: Field | None = None
-        rows, columns = (
-            slice(first - offset, end - offset)
-            for (first, end), offset in zip(lit[::-1], camera.crop_offset[::-1], strict=True)
-        )
-        self._lit = self._workspace.libraries.arrays.asarray(image[rows, columns])
+        on_array = sum(8.0 * math.prod(strip.to_mla.shape) for strip in grids.strips)
+        steps = list(grids.steps)
+        if with_vjp:
+            steps += [step.reversed for step in steps]
+            columns = max(math.prod(step.columns) for step in steps)
+            # The gradients on the array are held whole, and so are the fields at the directions.
+            at_object = sum(8.0 * (interleave**2 + 1) * step.x.kept * step.y.kept for step in grids.to_objects)
+            memory = grids.memory + 8.0 * columns + 2 * on_array + at_object
+            require_memory(memory, "derivatives of a wave reconstruction", limit=field_memory())
+        self._workspace = FieldWorkspace(steps)
+        # The light of all lenses on the array serves every subset, where it fits into memory.
+        self._holds = interleave > 1 and relay and len(grids.strips) == 1
+        self._holds &= grids.memory + on_array <= field_memory()
 
-    def at_main_lens(self, subset: tuple[int, int]) -> Field:
-        """Field of a subset of lenses, by the remainders of its indices, just before the main lens.
+    @property
+    def _subsets(self) -> list[tuple[int, int]]:
+        return [(i, j) for j, i in np.ndindex(self._interleave, self._interleave)]
 
-        Returns
-        -------
-        complex64 array
-            Zero outside the pupil; it holds until the next one is asked for.
+    def at_pupil(self, amplitude: NDArray[np.float32]) -> Iterator[Field]:
+        """Yield the field of every subset just before the main lens, zero outside the pupil.
+
+        It holds until the next one is asked for.
         """
-        workspace, step = self._workspace, self._grids.main_lens
-        field = workspace.array("pupil", step.shape)
-        field[...] = 0
-        x, y = step.x.destination, step.y.destination
-        half = np.sqrt(np.maximum(self._camera.aperture_radius**2 - y**2, 0))
-        first, end = np.searchsorted(x, -half), np.searchsorted(x, half, side="right")
-        for strip in self._grids.strips:
-            for place, samples in self._up(strip, subset):
-                # A row's chord of the pupil: a mask would cost several times that.
-                for row, line in zip(range(place.start, place.stop), samples, strict=True):
-                    chord = slice(int(first[row]), int(end[row]))
-                    field[row, chord] += line[chord]
-        return field
+        amplitude = self._workspace.libraries.arrays.asarray(amplitude)
+        held = None
+        if self._holds:
+            (strip,) = self._grids.strips
+            held = self._whole(self._on_array(strip, amplitude, None), strip.to_mla)
+        for subset in self._subsets:
+            field = self._workspace.array("pupil", self._grids.main_lens.shape)
+            field[...] = 0
+            for strip in self._grids.strips:
+                if held is not None:
+                    light = self._workspace.blocks(held)
+                else:
+                    light = self._on_array(strip, amplitude, None if self._relay else subset)
+                step, b = strip.to_main_lens, self._camera.mla_distance
+                self._add_within(
+                    field, propagate(light, self._lenses(step, subset), step, b, self._wavelength, self._workspace)
+                )
+            yield field
 
-    def _up(self, strip: Strip, subset: tuple[int, int]) -> Rows:
-        """Take the light of a strip of the detector up to the main lens."""
-        camera, wavelength, workspace = self._camera, self._wavelength, self._workspace
-        onto, on = strip.to_mla, strip.to_main_lens
-        if self._relay:
-            # What strays to a cell from another lens's pixels is bent aside by a micro-image and misses the main lens:
-            # so the light of all lenses goes to the MLA at once, and a subset is what its lenses let through.
-            rows, lenses = self._all_at_mla(strip), microlenses(on, camera, wavelength, self._interleave, subset)
-        else:
-            light = converging(onto, camera, wavelength, self._interleave, subset)
-            amplitude, lenses = self._amplitude(strip.rows), NOTHING
-            rows = propagate(amplitude, light, onto, camera.detector_distance, wavelength, workspace)
-        return propagate(rows, lenses, on, camera.mla_distance, wavelength, workspace)
+    def to_object(self, field: Field, zone: Zone, step: Directions) -> Rows:
+        """Yield the field at the directions of an object plane, of one just before the main lens."""
+        return to_directions(self._workspace.blocks(field), _main_lens(step, zone), step, self._workspace)
 
-    def _all_at_mla(self, strip: Strip) -> Rows:
-        """Take the light of all lenses of a strip to the MLA; for several subsets it is kept if memory allows."""
-        if self._at_mla is not None:
-            yield from self._workspace.blocks(self._at_mla)
-            return
-        step, wavelength = strip.to_mla, self._wavelength
-        light = converging(step, self._camera, wavelength, 1, (0, 0))
-        rows = propagate(
-            self._amplitude(strip.rows), light, step, self._camera.detector_distance, wavelength, self._workspace
-        )
-        grids, size = self._grids, 8.0 * step.shape[0] * step.shape[1]
-        if self._interleave == 1 or len(grids.strips) > 1 or grids.memory + size > field_memory():
-            yield from rows
-            return
-        kept = self._workspace.libraries.arrays.empty(step.shape, np.complex64)
-        for place, samples in rows:
-            kept[place] = samples
-            yield place, samples
-        self._at_mla = kept
-
-    def _amplitude(self, strip: slice) -> Rows:
-        """Square root of lit pixels, sample by sample."""
-        arrays, subsamples = self._workspace.libraries.arrays, self._grids.subsamples
-        together, lit = max(1, self._workspace.block // subsamples), self._lit[strip]
-        for first in range(0, len(lit), together):
-            amplitude = arrays.sqrt(lit[first : first + together])
-            for axis in (0, 1) if subsamples > 1 else ():
-                amplitude = arrays.repeat(amplitude, subsamples, axis)
-            yield slice(first * subsamples, first * subsamples + len(amplitude)), amplitude
+    def vjp(self, gradients: Iterable[Field], zone: Zone, step: Directions) -> NDArray[np.float64]:
+        """Take gradients by the fields of all subsets at an object plane's directions back to the amplitudes."""
+        workspace, camera, wavelength = self._workspace, self._camera, self._wavelength
+        arrays = workspace.libraries.arrays
+        on_array = [arrays.zeros(strip.to_mla.shape, np.complex64) for strip in self._grids.strips]
+        for subset, gradient in zip(self._subsets, gradients, strict=True):
+            field = workspace.array("pupil", self._grids.main_lens.shape)
+            field[...] = 0
+            spectrum = workspace.blocks(arrays.asarray(gradient))
+            self._add_within(field, to_directions_vjp(spectrum, _main_lens(step, zone), step, workspace))
+            for strip, own in zip(self._grids.strips, on_array, strict=True):
+                on = strip.to_main_lens
+                back = workspace.blocks(field), self._lenses(on, subset), on, camera.mla_distance
+                for rows, samples in propagate_vjp(*back, wavelength, workspace):
+                    own[rows] += samples
+        found, n = [], self._grids.subsamples
+        for strip, own in zip(self._grids.strips, on_array, strict=True):
+            onto = strip.to_mla
+            light = converging(onto, camera, wavelength), onto, camera.detector_distance, wavelength, workspace
+            samples = self._whole(propagate_vjp(workspace.blocks(own), *light), onto.reversed)
+            real = workspace.libraries.to_host(samples).real
+            shape = onto.y.count // n, n, onto.x.count // n, n
+            found.append(real.reshape(shape).sum((1, 3), dtype=np.float64))
+        return np.concatenate(found)
 
     def power(self, field: Field) -> float:
         """Power that passes the pupil, in pixel values times pixels."""
         return power(field) * self._grids.main_lens.sample_area / self._camera.pixel_size**2
 
-    def in_bins(
-        self, field: Field, conjugates: Conjugates, distance: float, step: Directions, oversample: int
-    ) -> np.ndarray:
-        """Power in each bin of an object plane, of a field just before the main lens; (rows, columns) float32 array."""
-        camera, workspace = self._camera, self._workspace
-        result = None
-        for zone in conjugates.zones(distance):
-            spectrum = to_directions(workspace.blocks(field), to_object(step, zone), step, workspace)
-            power = power_in_bins(spectrum, step, camera, oversample) / camera.pixel_size**2
-            if zone.bounds is None:
-                return power
-            result = power if result is None else result
-            across, down = (
-                slice(*(round(end * size) for end in ends))
-                for ends, size in zip(zone.bounds, power.shape[::-1], strict=True)
-            )
-            result[down, across] = power[down, across]
-        assert result is not None
-        return result
+    def _on_array(self, strip: Strip, amplitude: NDArray[np.float32], subset: tuple[int, int] | None) -> Rows:
+        """Take the light of a strip to the MLA, that of all lenses or of a subset.
+
+        What strays to a cell from another lens's pixels is bent aside by a micro-image and misses the main lens: so
+        the light of all lenses may go to the MLA at once, and a subset is what its lenses let through.
+        """
+        step, z = strip.to_mla, self._camera.detector_distance
+        light = converging(step, self._camera, self._wavelength, self._interleave, subset)
+        return propagate(self._samples(amplitude[strip.rows]), light, step, z, self._wavelength, self._workspace)
+
+    def _lenses(self, step: Step, subset: tuple[int, int]) -> ThinElement:
+        if not self._relay:
+            return ThinElement(step)
+        return microlenses(step, self._camera, self._wavelength, self._interleave, subset)
+
+    def _samples(self, amplitude: NDArray[np.float32]) -> Iterator[tuple[slice, Any]]:
+        """Repeat pixels sample by sample."""
+        arrays, n = self._workspace.libraries.arrays, self._grids.subsamples
+        together = max(1, self._workspace.block // n)
+        for first in range(0, len(amplitude), together):
+            part = amplitude[first : first + together]
+            for axis in (0, 1) if n > 1 else ():
+                part = arrays.repeat(part, n, axis)
+            yield slice(first * n, first * n + len(part)), part
+
+    def _add_within(self, field: Field, blocks: Rows) -> None:
+        """Add rows to a field within the pupil."""
+        x, y = self._grids.main_lens.x.destination, self._grids.main_lens.y.destination
+        half = np.sqrt(np.maximum(self._camera.aperture_radius**2 - y**2, 0))
+        first, end = np.searchsorted(x, -half), np.searchsorted(x, half, side="right")
+        for rows, samples in blocks:
+            # A row's chord of the pupil: a mask would cost several times that.
+            for row, line in zip(range(rows.start, rows.stop), samples, strict=True):
+                chord = slice(int(first[row]), int(end[row]))
+                field[row, chord] += line[chord]
+
+    def _whole(self, blocks: Rows, step: Step) -> Field:
+        """Gather the rows of a field at the destination samples of a step."""
+        field = self._workspace.libraries.arrays.empty(step.shape, np.complex64)
+        for rows, samples in blocks:
+            field[rows] = samples
+        return field
+
+
+def _main_lens(step: Directions, zone: Zone) -> ThinElement:
+    """Return the main lens, less the path to the point of the object plane in the middle of a zone of the field."""
+    light, pitch = zone.light, min(step.x.pitch, step.y.pitch)
+
+    def lens(x: Any, y: Any) -> Any:
+        passed = phasor(light.path((x, y)))
+        return passed * soft_edge(array_module().Float(light.inside((x, y)) / pitch)) if zone.is_cut else passed
+
+    return ThinElement(step, lens)
+
+
+def microlenses(
+    step: Step, camera: PlenopticCamera, wavelength: float, interleave: int = 1, subset: tuple[int, int] = (0, 0)
+) -> ThinElement:
+    """Return the microlenses of a subset in the source plane of a step, by the remainders of indices; others are dark.
+
+    The period of the subset is `interleave`, in both indices of the lattice.
+    """
+
+    def lens(x: Any, y: Any) -> Any:
+        light = transmission(camera, wavelength, x, y)
+        return light if interleave == 1 else _of_subset(light, camera.lattice.cell(x, y), interleave, subset)
+
+    return ThinElement(step, lens, _centre(camera, subset))
+
+
+def converging(
+    step: Step,
+    camera: PlenopticCamera,
+    wavelength: float,
+    interleave: int = 1,
+    subset: tuple[int, int] | None = None,
+) -> ThinElement:
+    """Return what lets light on the detector converge to the centres of all lenses, or of those of a subset only."""
+    b, z = camera.mla_distance, camera.detector_distance
+
+    def phase(x: Any, y: Any) -> Any:
+        index = camera.lattice.cell(*(rays.chief_point(p, b, z) for p in (x, y)))
+        cx, cy = camera.lattice.centre(*index)
+        light = phasor(parabola((x - cx) ** 2 + (y - cy) ** 2, z, wavelength))
+        return light if subset is None else _of_subset(light, index, interleave, subset)
+
+    centre = _centre(camera, subset or (0, 0))
+    # Under the lens's own chief ray, so that it belongs to the lens.
+    return ThinElement(step, phase, centre and (centre[0] * (b + z) / b, centre[1] * (b + z) / b))
+
+
+def _centre(camera: PlenopticCamera, index: tuple[int, int]) -> tuple[float, float] | None:
+    """Return the centre of a lens, where the array is a function of x times one of y."""
+    x, y = camera.lattice.centre(*map(float, index))
+    return (float(x), float(y)) if is_separable(camera) else None
+
+
+def _of_subset(light: Any, index: tuple[Any, Any], interleave: int, subset: tuple[int, int]) -> Any:
+    """Darken what belongs to lenses, by their indices, that are not of the subset."""
+    period = dr.opaque(type(index[0]), interleave)
+    mine = [
+        i - period * dr.floor((i + 0.5) / period) == dr.opaque(type(i), remainder)
+        for i, remainder in zip(index, subset, strict=True)
+    ]
+    return dr.select(mine[0] & mine[1], light, 0)

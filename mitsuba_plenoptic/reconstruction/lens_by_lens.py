@@ -17,12 +17,13 @@ intensity. The pupil is sampled as finely as the object patch is wide.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import drjit as dr
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..optics import guards
+from ..optics import guards, rays
 from ..optics.phase import in_millimetres, parabola, phasor, soft_edge
 from ..optics.power import fraction
 from ..runtime.backend import backend
@@ -30,9 +31,171 @@ from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_dr
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
 from .conjugates import Conjugates, ThinConjugates
-from .lens_sets import LensBatch, LensSet, lens_set
-from .lens_tiles import Tile, reconstruction_tile
+from .lens_tiles import LensTile, reconstruction_tile
 from .methods import Progress
+
+_LIT_BATCH = 512
+"""Lenses that are searched for light together."""
+
+_PARTS = 4
+"""Parts of a sample along an axis, of which those in the aperture are counted."""
+
+
+@dataclass(frozen=True)
+class LensBatch:
+    """Some lenses, and the factors of their fields, each shaped to multiply fields (n, y, x).
+
+    `bin` (n, 2) are column and row, among the bins of all lenses, of the bin that holds each lens's image, and `aside`
+    (n, 2) the offset of the lens's centre from the middle of that bin, in bins. `row` (n, samples, 1) and `column`
+    (n, 1, samples) are the recorded pixels of the samples on the detector; `source` lets their light converge, zero
+    where they are not the lens's own. `shift` moves spectra from the pixels to the lenses' centres; `tilt` (n, cell)
+    acts in the cells along y and along x, and so does `aperture`, None where all light passes.
+    """
+
+    bin: np.ndarray
+    aside: np.ndarray
+    centre: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+    source: list[np.ndarray]
+    shift: list[Field]
+    tilt: list[Field]
+    focal_length: np.ndarray
+    aperture: np.ndarray | None
+
+
+class LensSet:
+    """The lenses that any recorded pixel belongs to, and some around them.
+
+    `first` are the first column and row of bins in which a lens lies, counted from the axis, and `bins` the columns and
+    rows from there to the last.
+    """
+
+    def __init__(self, tile: LensTile) -> None:
+        camera = tile.camera
+        ends = np.array([camera.pixel_coordinates(axis)[[0, -1]] for axis in (0, 1)])
+        ends += np.array([-0.5, 0.5]) * camera.pixel_size
+        low, high = rays.chief_point(ends, camera.mla_distance, camera.detector_distance).T
+        half = tile.cell_width / 2
+        self.tile, self._index = tile, camera.lattice.lenses_within(tuple(low - half), tuple(high + half))
+        self.centre = np.stack(camera.lattice.centre(*self._index.T.astype(np.float64)), axis=-1)
+        place = self.centre / camera.mla_pitch
+        bins = np.floor(place).astype(np.int64)
+        self._aside = place - bins - 0.5
+        self.first = int(bins[:, 0].min()), int(bins[:, 1].min())
+        self.bin = bins - np.array(self.first)
+        self.bins = int(self.bin[:, 0].max()) + 1, int(self.bin[:, 1].max()) + 1
+        # A lens that fills its bin is never wider than its cell.
+        self._aperture = None if camera.lenses_are_bins else _aperture(tile)
+
+    def find(self, i: float, j: float) -> int:
+        """Return the number of the lens with these indices."""
+        return int(np.flatnonzero((self._index == (int(i), int(j))).all(1))[0])
+
+    def lit(self, image: np.ndarray) -> np.ndarray:
+        """Return the numbers of the lenses whose pixels hold light; int64 (n,)."""
+        lit, n = np.zeros(len(self._index), bool), self.tile.subsamples
+        for start in range(0, len(lit), _LIT_BATCH):
+            which = np.arange(start, min(start + _LIT_BATCH, len(lit)))
+            x, y = self._samples(which)
+            row, column = y.pixel[:, ::n, None], x.pixel[:, None, ::n]
+            own = image[row, column] > 0
+            for factor in self._own(which, x, y):
+                # A subsampled pixel at the border of two cells may belong to both.
+                sizes = [part for size in factor.shape[1:] for part in ((size // n, n) if size > 1 else (1, 1))]
+                own &= factor.reshape(-1, *sizes).any((2, 4))
+            lit[which] = own.any((1, 2))
+        return np.flatnonzero(lit)
+
+    def batch(self, which: np.ndarray) -> LensBatch:
+        """Take some lenses by their numbers."""
+        tile, camera, centre = self.tile, self.tile.camera, self.centre[which]
+        z, types = camera.detector_distance, np.array(camera.mla_focal_lengths)
+        axes = x, y = self._samples(which)
+        along_x, along_y = (
+            phasor(parabola((axis.coordinate - c[:, None]) ** 2, z, tile.wavelength))
+            for axis, c in zip(axes, centre.T, strict=True)
+        )
+        own, converging = self._own(which, x, y), [along_y[:, :, None], along_x[:, None, :]]
+        shift = [_shift(c, axis.coordinate[:, 0], tile) for axis, c in zip(axes, centre.T, strict=True)]
+        lens_type = camera.lattice.lens_type(*self._index[which].T) if len(types) > 1 else np.zeros(len(which))
+        return LensBatch(
+            bin=self.bin[which],
+            aside=self._aside[which],
+            centre=centre,
+            row=y.pixel[:, :, None],
+            column=x.pixel[:, None, :],
+            source=[*own, *converging] if len(own) == 1 else [a * b for a, b in zip(own, converging, strict=True)],
+            shift=[shift[1][:, :, None], shift[0][:, None, :]],
+            tilt=[_tilt(c, tile) for c in centre.T[::-1]],
+            focal_length=types[lens_type.astype(int)],
+            aperture=self._aperture,
+        )
+
+    def _samples(self, which: np.ndarray) -> list[_DetectorSamples]:
+        """Take the samples of the detector along x and y of some lenses."""
+        return [_DetectorSamples.of(self.centre[which, axis], self.tile, axis) for axis in (0, 1)]
+
+    def _own(self, which: np.ndarray, x: _DetectorSamples, y: _DetectorSamples) -> list[np.ndarray]:
+        """Return the factors that say which samples are recorded and belong to each lens: those of its chief rays."""
+        lattice, (i, j) = self.tile.camera.lattice, self._index[which].T[..., None]
+        if lattice.axis_aligned:
+            own = [
+                axis.recorded & (lattice.axis_cell(axis.chief, k) == n) for k, (axis, n) in enumerate(((x, i), (y, j)))
+            ]
+            return [own[1][:, :, None], own[0][:, None, :]]
+        cell = lattice.cell(*np.broadcast_arrays(x.chief[:, None, :], y.chief[:, :, None]))
+        recorded = y.recorded[:, :, None] & x.recorded[:, None, :]
+        return [recorded & (cell[0] == i[..., None]) & (cell[1] == j[..., None])]
+
+
+@dataclass(frozen=True)
+class _DetectorSamples:
+    """Samples of the detector along an axis that hold the pixels of some lenses; arrays (lenses, samples).
+
+    `pixel` are recorded pixels, clipped to the image, and `recorded` says whether they are recorded. `chief` is the
+    place of the array that chief rays to the samples' coordinates pass.
+    """
+
+    pixel: np.ndarray
+    recorded: np.ndarray
+    coordinate: np.ndarray
+    chief: np.ndarray
+
+    @classmethod
+    def of(cls, centre: np.ndarray, tile: LensTile, axis: int) -> _DetectorSamples:
+        """Take the samples of lenses with these centres."""
+        camera, n = tile.camera, tile.subsamples
+        b, z = camera.mla_distance, camera.detector_distance
+        offset, size, half = camera.crop_offset[axis], camera.crop_size[axis], camera.resolution[axis] / 2
+        edge = rays.chief_detector_point(centre - tile.cell_width / 2, b, z)
+        pixel = np.floor(edge / camera.pixel_size + half + 1e-9).astype(np.int64)[:, None] + np.arange(tile.pixels)
+        parts = (np.arange(n) + 0.5) / n
+        coordinate = ((pixel[..., None] + parts).reshape(len(centre), -1) - half) * camera.pixel_size
+        pixel = np.repeat(pixel - offset, n, axis=1)
+        recorded = (pixel >= 0) & (pixel < size)
+        return cls(np.clip(pixel, 0, size - 1), recorded, coordinate, rays.chief_point(coordinate, b, z))
+
+
+def _shift(centre: np.ndarray, first: np.ndarray, tile: LensTile) -> Field:
+    """Return what shifts spectra along an axis from each lens's first pixel sample to the first one of its cell."""
+    way = centre + tile.cell[0] - first
+    return phasor(np.outer(way, np.fft.fftfreq(tile.padded, tile.pitch)))
+
+
+def _tilt(centre: np.ndarray, tile: LensTile) -> Field:
+    """Return what takes out, along an axis, the direction from lenses to the main lens's centre, and its curvature."""
+    wave_path = in_millimetres(tile.wavelength) * tile.camera.mla_distance
+    return phasor((centre[:, None] * tile.cell + tile.cell**2 / 2) / wave_path)
+
+
+def _aperture(tile: LensTile) -> np.ndarray:
+    """Fraction of each sample of a cell that lies in the aperture."""
+    parts = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5) * tile.pitch
+    fine = (tile.cell[:, None] + parts).ravel()
+    inside = tile.camera.lattice.in_aperture(*np.meshgrid(fine, fine))
+    size = tile.cell.size
+    return inside.reshape(size, _PARTS, size, _PARTS).mean((1, 3), dtype=np.float32)
 
 
 def reconstruct_lens_by_lens(
@@ -43,23 +206,21 @@ def reconstruct_lens_by_lens(
     *,
     relay: bool = True,
     oversample: int = 1,
-    judged: bool = True,
+    checked: bool = True,
     progress: Progress = lambda done: None,
     conjugates: Conjugates | None = None,
 ) -> list[np.ndarray]:
-    """Propagate every lens alone and add the intensities: the limit of `reconstruct_subsets` for large periods.
-
-    See `waves.Power`.
-    """
+    """Propagate every lens alone and add the powers in bins: the limit of `reconstruct_subsets` for large periods."""
     tile = reconstruction_tile(camera, wavelength, distances, oversample)
     check_memory(tile.memory, "wave reconstruction lens by lens")
-    lenses = lens_set(tile)
+    conjugates = conjugates or ThinConjugates(OpticalSystem(camera, wavelength))
+    lenses = LensSet(tile)
     lit = lenses.lit(image)
-    libraries = backend()
-    amplitude = libraries.arrays.sqrt(libraries.arrays.asarray(image))
+    arrays = backend().arrays
+    amplitude = arrays.sqrt(arrays.asarray(image))
     # Every lens puts its patch among the bins of all lenses, and a margin for those at the edge.
     shape = [(count + tile.lenses - 1) * oversample for count in lenses.bins[::-1]]
-    totals = [libraries.arrays.zeros(shape) for _ in distances]
+    totals = [arrays.zeros(shape) for _ in distances]
     in_rim = [0.0 for _ in distances]
     for place in range(0, len(lit), tile.batch):
         batch = lenses.batch(lit[place : place + tile.batch])
@@ -72,30 +233,17 @@ def reconstruct_lens_by_lens(
                 top, left = row * oversample, column * oversample
                 total[top : top + patch.shape[0], left : left + patch.shape[1]] += patch
         progress((place + len(batch.bin)) / len(lit))
-    if judged and len(lit):
+    if checked and len(lit):
         guards.judge(guards.PUPIL, 1 - float(totals[0].sum()) / float(image.sum(dtype=np.float64)))
-    for total, rim in zip(totals, in_rim, strict=True) if judged else ():
-        guards.judge(guards.OBJECT, fraction(rim, float(total.sum())))
+        for total, rim in zip(totals, in_rim, strict=True):
+            guards.judge(guards.OBJECT, fraction(rim, float(total.sum())))
     return [on_bins(total, lenses) for total in totals]
 
 
-def pupil_fields(amplitude: np.ndarray, tile: Tile, batch: LensBatch, *, relay: bool) -> Field:
+def pupil_fields(amplitude: np.ndarray, tile: LensTile, batch: LensBatch, *, relay: bool) -> Field:
     """Return the fields of some lenses at the main lens, relative to a wave from the lens's centre.
 
-    Parameters
-    ----------
-    amplitude : (rows, columns) float32 array
-        Square root of the capture.
-    tile : Tile
-        Sampling.
-    batch : LensBatch
-        The lenses.
-    relay : bool
-        Whether the microlens acts.
-
-    Returns
-    -------
-    complex64 array (n, pupil, pupil)
+    Of the square root of a capture; complex64 (n, pupil, pupil). The microlenses act with `relay` only.
     """
     arrays = backend().arrays
     count, size = len(batch.bin), batch.row.shape[1]
@@ -105,42 +253,36 @@ def pupil_fields(amplitude: np.ndarray, tile: Tile, batch: LensBatch, *, relay: 
         field[:, :size, :size] *= arrays.asarray(factor)
     with resting_drjit():
         field = fft2(field)
-        field *= tile.transfer
-        for factor in batch.shift:
+        for factor in (tile.transfer, *batch.shift):
             field *= arrays.asarray(factor)
         cell = fft2(field, inverse=True)[:, : tile.cell.size, : tile.cell.size]
-        microlens = (
-            phasor(parabola(tile.cell**2, batch.focal_length[:, None], tile.wavelength)) if relay else np.complex64(1)
-        )
-        cell = cell * arrays.asarray(batch.tilt[0] * microlens)[:, :, None]
-        cell *= arrays.asarray(batch.tilt[1] * microlens)[:, None, :]
+        lens = phasor(parabola(tile.cell**2, batch.focal_length[:, None], tile.wavelength)) if relay else np.float32(1)
+        cell = cell * arrays.asarray(batch.tilt[0] * lens)[:, :, None]
+        cell *= arrays.asarray(batch.tilt[1] * lens)[:, None, :]
         if batch.aperture is not None:
             cell *= arrays.asarray(batch.aperture)
-        # One product for the whole batch: many small ones would each wait for the threads of the BLAS.
-        product = _product if count > 1 else _product_without_blas
-        fields = product(product(cell, tile.to_pupil), tile.to_pupil)
+        fields = _product(_product(cell, tile.to_pupil), tile.to_pupil)
     return arrays.ascontiguousarray(fields)
 
 
 def _product(fields: Field, matrix: Field) -> Field:
-    """Multiply a matrix (p, i) with fields (n, i, j) over i, and turn them: (n, j, p)."""
-    return backend().arrays.tensordot(fields, matrix, (1, 1))
+    """Multiply a matrix (p, i) with fields (n, i, j) over i, and turn them: (n, j, p).
 
-
-def _product_without_blas(fields: Field, matrix: Field) -> Field:
-    """Do what `_product` does with the same bits on any number of threads.
-
-    So has the white throughput, by which every image is divided.
+    One lens, as the white throughput by which every image is divided, has the same bits on any number of threads.
     """
-    return backend().arrays.einsum("nij,pi->njp", fields, matrix)
+    arrays = backend().arrays
+    if len(fields) == 1:
+        return arrays.einsum("nij,pi->njp", fields, matrix)
+    # One product for the whole batch: small ones would each wait for the threads of the BLAS.
+    return arrays.tensordot(fields, matrix, (1, 1))
 
 
 def object_patches(
-    fields: Field, tile: Tile, batch: LensBatch, distance: float, conjugates: Conjugates | None = None
+    fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates
 ) -> np.ndarray:
     """Return the power of each lens in the bins around its own, upright; float32 (n, bins, bins)."""
     camera = tile.camera
-    focused = _aim(fields, tile, batch, distance, conjugates or ThinConjugates(OpticalSystem(camera, tile.wavelength)))
+    focused = _aim(fields, tile, batch, distance, conjugates)
     count, size = tile.pupil.size, tile.object_samples
     arrays = backend().arrays
     padded = arrays.zeros((len(fields), size, size), np.complex64)
@@ -158,13 +300,13 @@ def object_patches(
     return sums[:, ::-1, ::-1] * np.float32(scale**2)
 
 
-def passing_power(fields: Field, tile: Tile, batch: LensBatch, distance: float, conjugates: Conjugates) -> float:
+def passing_power(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> float:
     """Return the power of lenses' fields that the pupil lets through, in pixel values times areas."""
     aimed = _aim(fields, tile, batch, distance, conjugates)
     return float((abs(aimed) ** 2).sum(dtype=np.float64)) * tile.pupil_pitch**2
 
 
-def _aim(fields: Field, tile: Tile, batch: LensBatch, distance: float, conjugates: Conjugates) -> Field:
+def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> Field:
     """Multiply pupil fields by the way from the lens's centre to its image's, the main lens, and the pupil."""
     types = backend().types
     camera, wave = tile.camera, in_millimetres(tile.wavelength)
@@ -173,7 +315,10 @@ def _aim(fields: Field, tile: Tile, batch: LensBatch, distance: float, conjugate
     lens, row, column = split(types, index, count, count)
     P = types.Float64(tile.pupil)
     u, v = dr.gather(types.Float64, P, column), dr.gather(types.Float64, P, row)
-    x, y = (dr.gather(types.Float64, types.Float64(np.ascontiguousarray(c)), lens) for c in batch.centre.T)
+    x, y, ax, ay = (
+        dr.gather(types.Float64, types.Float64(np.ascontiguousarray(values)), lens)
+        for values in (*batch.centre.T, *batch.aside.T)
+    )
     b = dr.opaque(types.Float64, camera.mla_distance)
     conjugate = conjugates.at(x, y, batch.centre, lens, distance)
     # Directions change more slowly with P off the axis, on both sides alike: that only stretches the pupil's grid.
@@ -186,10 +331,8 @@ def _aim(fields: Field, tile: Tile, batch: LensBatch, distance: float, conjugate
     # The first object sample is half a patch from the centre.
     half = (tile.object_samples - 1) / 2 / tile.object_samples / tile.pupil_pitch
     waves = from_mla + to_object + (u + v) * half
-    if batch.aside is not None:
-        # The patch is centred on a bin, not on the lens's image.
-        ax, ay = (dr.gather(types.Float64, types.Float64(np.ascontiguousarray(a)), lens) for a in batch.aside.T)
-        waves -= (u * ax + v * ay) * dr.opaque(types.Float64, 1 / (tile.lenses * tile.pupil_pitch))
+    # The patch is centred on a bin, not on the lens's image.
+    waves -= (u * ax + v * ay) * dr.opaque(types.Float64, 1 / (tile.lenses * tile.pupil_pitch))
     inside = soft_edge(types.Float(conjugate.inside((Px, Py)) / tile.pupil_pitch))
     aimed = unpack(types.UInt64(as_words(fields))) * phasor(waves) * inside
     return as_field(pack(aimed), fields.shape)
@@ -208,6 +351,6 @@ def on_bins(total: np.ndarray, lenses: LensSet) -> np.ndarray:
         kept = slice(max(first, 0), min(end, count))
         into.append(slice(kept.start * tile.oversample, kept.stop * tile.oversample))
         out.append(slice((kept.start - first) * tile.oversample, (kept.stop - first) * tile.oversample))
-    # Integrals of dark bins are zero but for rounding, on either side.
+    # Integrals of dark bins are zero up to rounding, on either side.
     image[tuple(into)] = backend().to_host(total[tuple(out)]).clip(0)
     return image

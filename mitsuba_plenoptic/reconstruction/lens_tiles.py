@@ -15,7 +15,9 @@ from ..optics.free_space import advance
 from ..optics.phase import in_millimetres, phasor
 from ..runtime.backend import backend
 from ..runtime.fft import Field
+from ..system.optical_system import OpticalSystem
 from ..system.sampling import fast_length
+from .conjugates import behind_thin_lens
 from .planning import GUARD, field_subsamples
 
 # Samples that are transformed together, on the processor and on a CUDA device.
@@ -39,7 +41,7 @@ def tile_lenses(camera: PlenopticCamera, distances: Sequence[float]) -> int:
 
 def reconstruction_tile(
     camera: PlenopticCamera, wavelength: float, distances: Sequence[float], oversample: int
-) -> Tile:
+) -> LensTile:
     """Return the sampling for some object distances.
 
     Fine bins of lattices whose lenses are not bins are summed over lenses. From a blur of one lens on, the power that
@@ -49,26 +51,12 @@ def reconstruction_tile(
     least = min(camera.blur_diameter(g) for g in distances) / max(camera.mla_pitches)
     summed = not camera.lenses_are_bins and focus_type(camera) == "unfocused"
     resolved = not summed or least < _BLURRED
-    return Tile(camera, wavelength, tile_lenses(camera, distances), oversample, resolved)
+    return LensTile(camera, wavelength, tile_lenses(camera, distances), oversample, resolved)
 
 
 @dataclass(frozen=True)
-class Tile:
-    """Sampling of one lens's light in the four planes.
-
-    Attributes
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
-    lenses : int
-        Width of the object patch in lenses, odd.
-    oversample : int
-        Bins per lens.
-    resolved : bool
-        Whether bins show all that the power holds, where there are several to a lens.
-    """
+class LensTile:
+    """Sampling of one lens's light in the four planes."""
 
     camera: PlenopticCamera
     wavelength: float
@@ -208,13 +196,20 @@ class Tile:
         matrices = (
             32.0 * self.cell_samples * self.pupil_samples + 16.0 * self.padded**2 + 8.0 * bins * self.object_samples
         )
-        # What `AlignedLenses` holds of each lens along an axis.
-        lenses = sum(size / self.camera.pixels_per_lens + 2 for size in self.camera.crop_size)
-        axes = lenses * 24 * (self.padded + self.cell_samples)
-        return matrices + axes + self.batch * (16.0 * self.padded**2 + 24.0 * self.object_samples**2)
+        return matrices + self.batch * (16.0 * self.padded**2 + 24.0 * self.object_samples**2)
 
     @property
     def batch(self) -> int:
         """Lenses that are transformed together."""
         samples = _CUDA_BATCH_SAMPLES if backend().is_cuda else _BATCH_SAMPLES
         return max(1, samples // max(self.object_samples, self.padded) ** 2)
+
+
+def fine_bins(system: OpticalSystem, oversample: int) -> int:
+    """Return the number of fine bins across a bin in which power is summed before it is spread over lenses."""
+    camera = system.camera
+    if camera.lens_data.traced_surfaces:
+        camera = behind_thin_lens(system)
+    elif camera.lenses_are_bins:
+        return 1
+    return LensTile(camera, system.wavelength, 1, oversample).samples // oversample

@@ -20,7 +20,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What every method is asked for; all of it is checked.
+    """The work of a method of reconstruction; all of it is checked.
 
     Attributes
     ----------
@@ -72,18 +72,15 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """An image, and what its method has to tell of it.
-
-    Attributes
-    ----------
-    image : (rows, columns, channels) float32 array
-        Radiance; NaN where no light can come from.
-    facts : dict
-        Plain numbers and strings by name.
-    """
+    """An image (rows, columns, channels), NaN where no light can come from, and facts about it: plain data by name."""
 
     image: np.ndarray
     facts: dict[str, Any] = field(default_factory=dict)
+
+
+def portion(progress: Progress, number: int, count: int) -> Progress:
+    """Return who hears of the progress of one of several parts of a work."""
+    return lambda done: progress((number + done) / count)
 
 
 Refocus = Callable[..., Sequence[np.ndarray | Found]]
@@ -91,25 +88,8 @@ Refocus = Callable[..., Sequence[np.ndarray | Found]]
 
 
 @dataclass(frozen=True)
-class Method:
-    """A way to refocus.
-
-    Attributes
-    ----------
-    name : str
-        As users call it.
-    refocus : callable
-        What does it.
-    options : tuple of str
-        The options of `reconstruct` that it takes.
-    waves : bool
-        Whether it needs wavelengths.
-    as_it_is : bool
-        Whether it needs the camera with the aberrations of its main lens; others form images by the lens as it
-        should be.
-    long : bool
-        Whether it may take so long that it keeps checkpoints and takes workers.
-    """
+class RegisteredMethod:
+    """A method of reconstruction as `method` registers it."""
 
     name: str
     refocus: Refocus
@@ -119,17 +99,17 @@ class Method:
     long: bool = False
 
     def takes(self, option: str) -> bool:
-        """Whether an option of `reconstruct` that not all methods take is of use for this one."""
+        """Whether the method uses an option of `reconstruct` that not all methods take."""
         if option == "wavelength":
             return self.waves
         return option in self.options or (self.long and option in ("checkpoint", "batch_map"))
 
 
-METHODS: dict[str, Method] = {}
+METHODS: dict[str, RegisteredMethod] = {}
 
 
-def require_taken(chosen: Method, **given: Any) -> None:
-    """Refuse options of `reconstruct` that a method would ignore; None stands for one that is not given."""
+def require_taken(chosen: RegisteredMethod, **given: Any) -> None:
+    """Refuse options of `reconstruct` that a method would ignore; None means not given."""
     for name, value in given.items():
         if value is not None and not chosen.takes(name):
             methods = ", ".join(other.name for other in METHODS.values() if other.takes(name))
@@ -139,7 +119,7 @@ def require_taken(chosen: Method, **given: Any) -> None:
 def method(
     name: str, *, options: tuple[str, ...], waves: bool, as_it_is: bool = False, long: bool = False
 ) -> Callable[[Refocus], Refocus]:
-    """Register a function as a `Method`.
+    """Register a function as a method of reconstruction.
 
     Parameters
     ----------
@@ -150,13 +130,13 @@ def method(
     waves : bool
         Whether it needs wavelengths.
     as_it_is : bool
-        Whether it needs the camera with its aberrations.
+        Whether it needs the camera with the aberrations of its main lens; others form images by the ideal lens.
     long : bool
-        Whether it keeps checkpoints and takes workers.
+        Whether it may take long: then it writes checkpoints and takes workers.
     """
 
     def register(refocus: Refocus) -> Refocus:
-        METHODS[name] = Method(name, refocus, options, waves, as_it_is, long)
+        METHODS[name] = RegisteredMethod(name, refocus, options, waves, as_it_is, long)
         return refocus
 
     return register

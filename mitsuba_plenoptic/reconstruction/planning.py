@@ -24,6 +24,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,7 +35,6 @@ from ..optics.phase import in_millimetres
 from ..runtime.limits import memory_limit, require_memory
 from ..system.microlenses import bend
 from ..system.sampling import fast_length
-from .grids import AxisDirections, AxisStep, Directions, Plan, Step, Strip
 
 Span = tuple[int, int]
 Window = tuple[Span, Span]
@@ -66,19 +66,150 @@ OBJECT_MARGIN = 6.0
 """Bins around the geometric image in which light is kept: the pupil's edge diffracts half a percent beyond three."""
 
 
+@dataclass(frozen=True)
+class AxisStep:
+    """One axis of a propagation step, lengths in millimetres: its source samples, their window, and the next plane's.
+
+    The field is zero beyond `count` samples from `first` on. Of the frequencies of the window of `padded` samples the
+    lowest go to one of `kept` samples, `wanted` of which are taken from `start` on.
+    """
+
+    first: float
+    pitch: float
+    count: int
+    padded: int
+    kept: int
+    start: float
+    wanted: int
+
+    @property
+    def window(self) -> float:
+        """Width of the window."""
+        return self.padded * self.pitch
+
+    @property
+    def held(self) -> int:
+        """Frequencies that both windows have."""
+        return min(self.padded, self.kept)
+
+    @property
+    def new_pitch(self) -> float:
+        """Distance between destination samples."""
+        return self.window / self.kept
+
+    @property
+    def source(self) -> np.ndarray:
+        """Coordinates of the source samples, float64 (count,)."""
+        return self.first + self.pitch * np.arange(self.count)
+
+    @property
+    def destination(self) -> np.ndarray:
+        """Coordinates of the destination samples, float64 (wanted,)."""
+        return self.start + self.new_pitch * np.arange(self.wanted)
+
+    @property
+    def reversed(self) -> AxisStep:
+        """The step from the destination samples to the source samples."""
+        return AxisStep(self.start, self.new_pitch, self.wanted, self.kept, self.padded, self.first, self.count)
+
+
+@dataclass(frozen=True)
+class Step:
+    """Both axes of one propagation step."""
+
+    x: AxisStep
+    y: AxisStep
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns at the destination."""
+        return self.y.wanted, self.x.wanted
+
+    @property
+    def sample_area(self) -> float:
+        """Area of a destination sample in square millimetres."""
+        return self.x.new_pitch * self.y.new_pitch
+
+    @property
+    def columns(self) -> tuple[int, int]:
+        """Number of columns that rows are turned into, and their longest length: source and destination share them."""
+        return self.x.held, max(self.y.count, self.y.wanted)
+
+    @property
+    def reversed(self) -> Step:
+        """The step back."""
+        return Step(self.x.reversed, self.y.reversed)
+
+    @property
+    def transforms(self) -> tuple[tuple[int, int, bool], ...]:
+        """Fourier transforms of the step, in order: their number, their length, and whether they are inverse."""
+        x, y = self.x, self.y
+        return (
+            (y.count, x.padded, False),
+            (x.held, y.padded, False),
+            (x.held, y.kept, True),
+            (y.wanted, x.kept, True),
+        )
+
+
+@dataclass(frozen=True)
+class Directions(Step):
+    r"""The last step, from samples of the main lens to the lowest direction cosines; it ends at the spectrum.
+
+    Cosines are multiples of the wavelength over the window. The step back leads to the samples of the main lens.
+    """
+
+    @property
+    def transforms(self) -> tuple[tuple[int, int, bool], ...]:
+        """The transforms to the spectrum."""
+        return super().transforms[:2]
+
+
+@dataclass(frozen=True)
+class Strip:
+    """Rows of the lit pixels that go to the main lens together; its samples are the same for all strips."""
+
+    rows: slice
+    to_mla: Step
+    to_main_lens: Step
+
+
+@dataclass(frozen=True)
+class FieldPlan:
+    """Field samples across a pixel, the strips of the detector, and the steps from the main lens to object planes."""
+
+    subsamples: int
+    strips: tuple[Strip, ...]
+    to_objects: tuple[Directions, ...]
+
+    @property
+    def main_lens(self) -> Step:
+        """A step to the samples of the main lens."""
+        return self.strips[0].to_main_lens
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """All steps."""
+        return (*(step for strip in self.strips for step in (strip.to_mla, strip.to_main_lens)), *self.to_objects)
+
+    @property
+    def transformed(self) -> int:
+        """Samples that the Fourier transforms of all steps go through."""
+        return sum(count * length for step in self.steps for count, length, _ in step.transforms)
+
+    @property
+    def memory(self) -> float:
+        """Bytes of the arrays that are alive at once: the columns of a step, and the field at the main lens."""
+        columns = max(math.prod(step.columns) for step in self.steps)
+        return 8.0 * (columns + math.prod(self.main_lens.shape))
+
+
 def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
     r"""Field samples across a pixel on the detector.
 
     The pitch must hold the converging light of a whole cell, :math:`D_2 (b + z) / 2 b z` from the chief ray, and on
-    the MLA the microlens's bend beside the light that the main lens accepts, so that what is bent beyond the grid's
+    the MLA the microlens's bend besides the light that the main lens accepts, so that what is bent beyond the grid's
     directions does not come back among those.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
     """
     b, z = camera.mla_distance, camera.detector_distance
     half_field = max(camera.detector_width, camera.detector_height) / 2
@@ -89,22 +220,8 @@ def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
 
 def plan(
     camera: PlenopticCamera, wavelength: float, distances: Sequence[float], lit: Window, oversample: int = 1
-) -> Plan:
-    """Choose the grids for one capture and some object distances: as few strips as memory allows.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
-    distances : sequence of floats
-        Object distances.
-    lit : ((int, int), (int, int))
-        First and past-the-last pixel of the full detector that may be lit, in x and in y.
-    oversample : int
-        Bins per lens along each axis.
-    """
+) -> FieldPlan:
+    """Choose the grids for one capture and some object distances: as few strips as memory allows."""
     rows = lit[1][1] - lit[1][0]
     count, made = 1, _plan(camera, wavelength, distances, lit, oversample, 1)
     while made.memory > min(_STRIPS_MEMORY, memory_limit()) and 2 * count <= rows:
@@ -123,8 +240,8 @@ def field_memory() -> float:
 
 def _plan(
     camera: PlenopticCamera, wavelength: float, distances: Sequence[float], lit: Window, oversample: int, count: int
-) -> Plan:
-    """Choose the grids for so many strips."""
+) -> FieldPlan:
+    """Choose the grids for a number of strips."""
     subsamples = field_subsamples(camera, wavelength)
     pitch = camera.pixel_size / subsamples
     across = _detector_step(camera, wavelength, 0, lit[0], pitch)
@@ -140,17 +257,11 @@ def _plan(
         Strip(slice(low - lit[1][0], high - lit[1][0]), Step(across, detector), Step(to_main_lens[0][0], way))
         for (low, high), detector, way in zip(spans, down, to_main_lens[1], strict=True)
     ]
-    return Plan(subsamples, tuple(strips), tuple(Directions(x, y) for x, y in zip(*to_objects, strict=True)))
+    return FieldPlan(subsamples, tuple(strips), tuple(Directions(x, y) for x, y in zip(*to_objects, strict=True)))
 
 
-def require_feasible(made: Plan) -> None:
-    """Refuse a plan that needs more memory than is allowed, or one of too much work.
-
-    Raises
-    ------
-    InputError
-        If it does.
-    """
+def require_feasible(made: FieldPlan) -> None:
+    """Refuse a plan that needs more memory than is allowed, or one of too much work."""
     what = f"camera with {made.subsamples} field samples a pixel; its wave reconstruction"
     require_memory(made.memory, what, limit=field_memory())
     if made.transformed > _MOST_TRANSFORMED:
@@ -184,12 +295,12 @@ def _main_lens_steps(
     lit: Span,
     detector: Sequence[AxisStep],
     oversample: int,
-) -> tuple[list[AxisStep], list[AxisDirections]]:
+) -> tuple[list[AxisStep], list[AxisStep]]:
     """Plan the ways from the MLA, in strips, to the main lens, and from there to the object planes."""
     b, radius, wave = camera.mla_distance, camera.aperture_radius, in_millimetres(wavelength)
     half_mla = max(abs(end) for step in detector for end in (step.destination[0], step.destination[-1]))
     extents = [object_extent(camera, distance, axis, lit) for distance in distances]
-    # What comes to the main lens, and what goes on from there.
+    # Directions that come to the main lens, and that leave it.
     steepest = GUARD * max([(radius + half_mla) / b, *(max(map(abs, light)) for light, _ in extents)])
     count = max(step.wanted for step in detector)
     pitch = detector[0].pitch
@@ -203,10 +314,8 @@ def _main_lens_steps(
     samples = _DIRECTION_SAMPLES if oversample == 1 else _FINE_DIRECTION_SAMPLES
     length = fast_length(max(samples * 2 * radius / new_pitch, wanted))
     cosine = wave / (length * new_pitch)
-    directions = []
-    for _, seen in extents:
-        most = min(math.ceil(max(map(abs, seen)) / cosine) + 2, (length - 1) // 2)
-        directions.append(AxisDirections(start, new_pitch, wanted, length, 2 * most + 1, cosine))
+    most = [min(math.ceil(max(map(abs, seen)) / cosine) + 2, (length - 1) // 2) for _, seen in extents]
+    directions = [AxisStep(start, new_pitch, wanted, length, 2 * count + 1, start, wanted) for count in most]
     return ways, directions
 
 

@@ -1,85 +1,272 @@
-"""From sums over bins to radiance, by one rule for all methods and lattices.
+r"""From sums over bins to radiance, by one rule for all methods and lattices.
 
 A bin is divided by what it gets of white in the same way: of a white capture of the same camera where there is one,
 else of the white that the camera would record. So a white scene reads 1 everywhere, at the borders too, where part of
 the light misses the detector. A bin that gets less than a hundredth of the rays that the best one gets is not reached:
 there is next to nothing to be divided, and it is NaN, for every method alike. Between the footprints of lenses, fine
 bins may get little light of waves though many rays reach them: by the computed white, which is least sure of them, they
-are not brightened without end. A white capture knows what they get, and where waves interfere; it also tells from
-where beside them bins get their light (see `mitsuba_plenoptic.reconstruction.displacement`), and the image is drawn
-back from there.
+are not brightened without end. A white capture holds what they get, also where waves interfere, and shows from where
+bins get their light; the image is drawn back from there.
+
+Displacement
+------------
+A bin gets light from about its place. The microlenses' diffraction takes light of one point of the pupil for that of
+another; in the middle of the field this averages out, but where the pupil or the detector ends it comes from one side
+only. Where lenses interfere, the phases of their fields weigh the places from which light comes. So a bin at x
+that is divided by white reads a slope of radiance at :math:`x + s`, to first order.
+
+The displacement s is the first moment of white. A scene whose radiance rises along the plane of the bins makes a
+capture that is white times the radiance at the places that pixels have their light from,
+:math:`W (1 + \epsilon u)`. Refocused by the same method and divided by white it reads :math:`1 + \epsilon (x + s)`.
+The place u of a pixel is where the ray through the middle of its lens meets the bins, from that point of the pupil
+where the pixel's light has its centroid: with K the spread of intensities over the pupil plane by a lens's diffraction,
+:math:`K * (P \, A) / K * A` over the pupil A (Goodman, "Introduction to Fourier Optics", sections 4.4 and 5.2).
+
+The image is then drawn back to first order, by the slope of a plane fitted to the bins about each one, at the places
+where they have their light from (a local linear regression: Fan and Gijbels, "Local Polynomial Modelling and Its
+Applications", section 3.1).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+import scipy
+import scipy.fft
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint
 from ..errors import InputError
+from ..optics import rays
+from ..optics.phase import in_millimetres, soft_edge
 from ..runtime.fft import blur, convolve
-from .displacement import brought_back, displacements, is_known, tilted_whites
-from .methods import Progress, Task
+from ..runtime.limits import require_memory
+from .methods import Progress, Task, portion
+
+_PLANE = 8
+"""Width of the plane in which the pupil is spread, in radii of the pupil."""
+
+_LEAST_SAMPLES = 512
+
+
+class PupilCentroid:
+    """Where in the pupil the light has its centroid that a pixel gets by a microlens's diffraction."""
+
+    def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
+        window = _PLANE * camera.aperture_radius
+        # A frequency over the pupil plane is a place in the lens.
+        lens = camera.lattice.aperture_image(in_millimetres(wavelength) * camera.mla_distance / window, 1.0)
+        size = scipy.fft.next_fast_len(max(_LEAST_SAMPLES, 2 * len(lens)), real=True)
+        require_memory(100.0 * size**2, f"pupil of {size} x {size} samples")
+        amplitude = np.zeros((size, size))
+        amplitude[: len(lens), : len(lens)] = lens
+        spread = np.abs(scipy.fft.ifft2(np.roll(amplitude, (-(len(lens) // 2),) * 2, (0, 1)))) ** 2
+        transfer = scipy.fft.rfft2(spread)
+        self._pitch, self._first = window / size, -(size - 1) / 2
+        P = (np.arange(size) + self._first) * self._pitch
+        inside = soft_edge((camera.aperture_radius - np.hypot(P, P[:, None])) / self._pitch)
+
+        def blurred(values: NDArray[np.float64]) -> NDArray[np.float64]:
+            return np.asarray(scipy.fft.irfft2(scipy.fft.rfft2(values) * transfer, s=(size, size)))
+
+        light = blurred(inside)
+        # Far from the pupil the rounding of the transform is not light.
+        lit = light > 1e-6 * light.max()
+        self._tables = [
+            np.divide(blurred(inside * along), light, out=np.zeros_like(light), where=lit).clip(
+                -camera.aperture_radius, camera.aperture_radius
+            )
+            for along in (P, P[:, None])
+        ]
+
+    def __call__(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        """Return the places, along x and y, for pixels that see (x, y) through their lens's centre; in millimetres."""
+        at = [np.asarray(axis) / self._pitch - self._first for axis in (y, x)]
+        return [map_coordinates(table, at, order=1, mode="nearest") for table in self._tables]
+
+
+_SLOPE = 0.02
+"""Change of white over the light that it has, at most: what is of second order in it is then no tenth of a bin."""
+
+_FARTHEST = 1.0
+"""Displacement that is believed, in lens pitches. Beyond, as where interference leaves little light, it is cut."""
+
+_LEAST_DETERMINANT = 1e-3
+"""Of the covariance of the places of bins to which a plane is fitted, in bins; that of four in a square is 0.06."""
+
+_BLOCK = 2**18
+"""Pixels that are looked at together."""
+
+
+def is_known(camera: PlenopticCamera) -> bool:
+    """Whether displacements are known: behind thin lenses, of unfocused cameras, whose pixels see pupil points."""
+    return camera.lens_data.is_thin and focus_type(camera) == "unfocused"
+
+
+def tilt(camera: PlenopticCamera, distance: float) -> tuple[float, float, float]:
+    """Return the relative rise of radiance per millimetre of the MLA plane, 1 on the axis, of scenes made of white.
+
+    Then the farthest place on the bins that counts, and how far a pixel's place there moves with its pupil point.
+    """
+    at_pupil, on_bins = rays.follow_back(1.0, 0.0, 0.0, distance, camera)
+    of_pupil = on_bins / at_pupil
+    farthest = (max(camera.bin_count) / 2 + 1) * camera.mla_pitch + abs(of_pupil) * camera.lit_radius
+    return _SLOPE / farthest, farthest, of_pupil
+
+
+def tilted_whites(
+    white: NDArray[np.float32],
+    camera: PlenopticCamera,
+    distances: Sequence[float],
+    wavelengths: Sequence[float] | None,
+) -> Iterator[tuple[float, NDArray[np.float32]]]:
+    """Yield for each distance the captures of scenes whose radiance rises along the bins, to the right and downwards.
+
+    They are made of a white capture. The wavelengths in nanometres are those at which each channel was recorded by
+    waves; None for a ray capture.
+    """
+    recorded = [None] * white.shape[2] if wavelengths is None else list(wavelengths)
+    known = {light: PupilCentroid(camera, light) for light in recorded if light is not None}
+    centroids = [None if light is None else known[light] for light in recorded]
+    for distance, axis in itertools.product(distances, (0, 1)):
+        slope, farthest, of_pupil = tilt(camera, distance)
+        tilted = np.empty_like(white)
+        for rows, places in _places(camera, distance, axis, centroids, of_pupil):
+            for channel, u in enumerate(places):
+                tilted[rows, :, channel] = white[rows, :, channel] * (1 + slope * u.clip(-farthest, farthest))
+        yield distance, tilted
+
+
+def _places(
+    camera: PlenopticCamera, distance: float, axis: int, lights: Sequence[PupilCentroid | None], of_pupil: float
+) -> Iterator[tuple[slice, list[NDArray[np.float64]]]]:
+    """Yield rows of pixels, and where along an axis of the bins the light of each channel comes from, on the MLA."""
+    px, down = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
+    height = max(1, _BLOCK // len(px))
+    for first in range(0, len(down), height):
+        p = px, down[first : first + height, None]
+        cells = camera.lattice.cell(*(rays.chief_point(q, camera.mla_distance, camera.detector_distance) for q in p))
+        found = [
+            np.broadcast_arrays(*rays.follow_back(q, c, c, distance, camera))
+            for q, c in zip(p, camera.lattice.centre(*cells), strict=True)
+        ]
+        P = np.broadcast_arrays(found[0][0], found[1][0])
+        u = np.broadcast_to(found[axis][1], P[0].shape)
+        places = []
+        for light in lights:
+            moved = 0.0 if light is None else light(*P)[axis] - P[axis]
+            places.append(u + of_pupil * moved)
+        yield slice(first, first + height), places
+
+
+def displacements(
+    tilted: Sequence[NDArray[np.float64]], slope: float, camera: PlenopticCamera, oversample: int
+) -> list[NDArray[np.float64]]:
+    """Return the displacements, in bins, from which the light of bins comes, along x and y; 0 where nothing is read."""
+    found = []
+    for axis, image in enumerate(tilted):
+        count = image.shape[1 - axis]
+        own = (np.arange(count) - (count - 1) / 2).reshape((1, -1, 1) if axis == 0 else (-1, 1, 1))
+        place = (image - 1) / slope * (oversample / camera.mla_pitch)
+        farthest = _FARTHEST * oversample
+        found.append(np.nan_to_num(place - own).clip(-farthest, farthest))
+    return found
+
+
+def brought_back(
+    image: NDArray[np.float64], moved: Sequence[NDArray[np.float64]], weights: NDArray[np.float64], reach: int
+) -> NDArray[np.float64]:
+    """Draw an image back by the displacements of its bins, by weighted fits to `reach` bins on each side."""
+    known = np.isfinite(image)
+    values, light = np.where(known, image, 0.0), np.where(known, weights, 0.0)
+    rows, columns = image.shape[:2]
+    terms = (
+        moved[0] + (np.arange(columns) - columns / 2)[:, None],
+        moved[1] + (np.arange(rows) - rows / 2)[:, None, None],
+        values,
+    )
+    # Means over the bins about each one: of place and value, and of their products.
+    mass = _mean_about(light, reach)
+    mass = np.where(mass > 0, mass, 1)
+    x, y, value = (_mean_about(light * term, reach) / mass for term in terms)
+
+    def covariance(i: int, j: int, means: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(_mean_about(light * terms[i] * terms[j], reach) / mass - means)
+
+    xx, xy, yy = covariance(0, 0, x * x), covariance(0, 1, x * y), covariance(1, 1, y * y)
+    xv, yv = covariance(0, 2, x * value), covariance(1, 2, y * value)
+    determinant = xx * yy - xy**2
+    # A few bins in a line determine no plane.
+    known_plane = determinant > _LEAST_DETERMINANT
+    safe = np.where(known_plane, determinant, 1)
+    across, down = (yy * xv - xy * yv) / safe, (xx * yv - xy * xv) / safe
+    return np.where(known_plane, image - moved[0] * across - moved[1] * down, image)
+
+
+def _mean_about(image: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
+    """Return the mean over the square of bins about each one; what lies outside of the image is 0."""
+    return np.asarray(scipy.ndimage.uniform_filter(image, 2 * reach + 1, mode="constant", axes=(0, 1)))
+
 
 _LEAST_REACHED = 0.01
 
 _LEAST_WHITE = 0.25
 """Fraction of the light that as many rays usually bring, as which no bin's computed white counts less."""
 
-Sums = Callable[[np.ndarray, Sequence[float], Progress], list[np.ndarray]]
-"""From a capture (rows, columns, channels) and distances to the sums (rows, columns, channels) over their bins."""
+
+def captures(task: Task) -> Iterator[tuple[np.ndarray, Sequence[float], Progress]]:
+    """Yield what a method has to sum over bins, (rows, columns, channels), with the distances and the progress of it.
+
+    That is the capture and, where there is one, the white capture; where displacements are known, too, for every
+    distance two that are made of it.
+    """
+    work = [(task.image, task.distances)] + ([] if task.white is None else [(task.white, task.distances)])
+    tilted: Iterator[tuple[float, np.ndarray]] = iter(())
+    steps = len(work)
+    if task.white is not None and is_known(task.camera):
+        steps += 2 * len(task.distances)
+        tilted = tilted_whites(task.white, task.camera, task.distances, task.recorded)
+    made = itertools.chain(work, ((image, [distance]) for distance, image in tilted))
+    for done, (image, distances) in enumerate(made):
+        yield image, distances, portion(task.progress, done, steps)
 
 
 def to_radiance(
-    task: Task, sums: Sums, *, model: Callable[[], Sequence[np.ndarray]], reach: Sequence[np.ndarray]
+    task: Task, sums: Sequence[Sequence[np.ndarray]], white: Sequence[np.ndarray], reach: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
-    """Divide the sums of a capture by those of white.
+    """Divide the sums of a capture over bins by those of white; NaN where no light can come from.
 
     Parameters
     ----------
     task : Task
-        With the capture, and the white capture if there is one.
-    sums : callable
-        Sums of a capture over bins.
-    model : callable
-        Returns what the bins get of the white that the camera would record, for every distance; arrays (rows, columns)
-        or (rows, columns, channels).
+        With the white capture if there is one.
+    sums : sequence of sequences of (rows, columns, channels) arrays
+        For each of the `captures` of the task the sums over bins at its distances.
+    white : sequence of arrays (rows, columns) or (rows, columns, channels)
+        What the bins get of the white that the camera would record, for every distance; with a white capture it is
+        not looked at.
     reach : sequence of (rows, columns) arrays
         Pixels of white whose rays reach the bins, for every distance.
 
     Returns
     -------
     list of (rows, columns, channels) float32 arrays
-        Radiance; NaN where no light can come from.
-
-    Raises
-    ------
-    InputError
-        If light comes from none of a plane's bins.
+        Radiance.
     """
-    drawn_back = task.white is not None and is_known(task.camera)
-    steps = (1 if task.white is None else 2) + 2 * drawn_back * len(task.distances)
-    done = 0
-
-    def summed(image: np.ndarray, distances: Sequence[float]) -> list[np.ndarray]:
-        nonlocal done
-        found = sums(image, distances, lambda part: task.progress((done + part) / steps))
-        done += 1
-        return found
-
-    light = summed(task.image, task.distances)
-    whites = model() if task.white is None else summed(task.white, task.distances)
+    light, *others = sums
+    whites = white if task.white is None else others.pop(0)
     images = []
-    for distance, total, white, rays in zip(task.distances, light, whites, reach, strict=True):
-        white, reached = divisors(white, rays, distance, computed=task.white is None)
-        image = _divided(total, white, reached)
-        if drawn_back and task.white is not None:
-            rising = list(tilted_whites(task.white, task.camera, distance, task.recorded))
-            seen = [_divided(summed(capture, [distance])[0], white, reached) for capture, _ in rising]
-            moved = displacements(seen, [slope for _, slope in rising], task.camera, task.oversample)
-            image = brought_back(image, moved, np.broadcast_to(white, image.shape), task.oversample)
+    for number, (distance, total, own, hits) in enumerate(zip(task.distances, light, whites, reach, strict=True)):
+        divisor, reached = divisors(own, hits, distance, computed=task.white is None)
+        image = _divided(total, divisor, reached)
+        if others:
+            rising = [_divided(found, divisor, reached) for (found,) in others[2 * number : 2 * number + 2]]
+            moved = displacements(rising, tilt(task.camera, distance)[0], task.camera, task.oversample)
+            image = brought_back(image, moved, np.broadcast_to(divisor, image.shape), task.oversample)
         images.append(image.astype(np.float32, copy=False))
     return images
 
@@ -92,28 +279,7 @@ def _divided(total: np.ndarray, divisor: np.ndarray, reached: np.ndarray) -> np.
 
 
 def divisors(white: np.ndarray, rays: np.ndarray, distance: float, *, computed: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return by what the sums over bins of a plane are divided, and which bins are.
-
-    Parameters
-    ----------
-    white : (rows, columns) or (rows, columns, channels) array
-        What the bins get of white.
-    rays : (rows, columns) array
-        Pixels of white whose rays reach them.
-    distance : float
-        Of the plane.
-    computed : bool
-        Whether the white is computed, and not recorded.
-
-    Returns
-    -------
-    divisors, reached : (rows, columns, channels) arrays
-
-    Raises
-    ------
-    InputError
-        If light comes from none of the bins.
-    """
+    """Return by what the sums over bins of a plane are divided, and which bins are."""
     white = np.atleast_3d(white)
     reached = is_reached(rays)[..., None] & (white > 0)
     if not reached.any():
@@ -137,78 +303,33 @@ def lens_scale(camera: PlenopticCamera, distance: float) -> float:
     return min(lens_footprint(camera, distance, f2) for f2 in camera.mla_focal_lengths)
 
 
-def over_lenses(
-    power: np.ndarray, camera: PlenopticCamera, oversample: int, fine: int, scale: float = 1.0
-) -> np.ndarray:
-    """Spread what comes from each lens over its aperture, enlarged by `scale`, and sum fine bins to bins.
+class LensSpread:
+    """The spread of the light of each lens over its aperture, enlarged by `scale`, and the sum of fine bins to bins.
 
     A lens has gathered light over its aperture. Where a lens lies on every bin spreading it would change nothing in
     focus; elsewhere the light of all of a lens would go to the one bin that holds its centre, and some bins would get
     none.
     """
-    # the transform's rounding is not light
-    return _spread(power, _aperture(camera, oversample, fine, scale), fine).clip(min=0)
 
+    def __init__(self, camera: PlenopticCamera, oversample: int, fine: int, scale: float = 1.0) -> None:
+        self._aperture = camera.lattice.aperture_image(camera.mla_pitch / (oversample * fine), scale)
+        self._fine = fine
 
-class LensSpread:
-    """`over_lenses` as a function with derivatives, which does nothing where there is a lens on each bin.
+    def forward(self, power: np.ndarray) -> np.ndarray:
+        """Spread the power of fine bins, and sum it to bins."""
+        rows, columns = (size // self._fine for size in power.shape)
+        return blur(power, self._aperture).reshape(rows, self._fine, columns, self._fine).sum((1, 3))
 
-    Parameters
-    ----------
-    camera, oversample, fine
-        As of `over_lenses`.
-    distance : float
-        Object distance, which tells the scale.
-    """
-
-    def __init__(self, camera: PlenopticCamera, distance: float, oversample: int, fine: int) -> None:
-        self._aperture, self._fine = None, fine
-        if fine > 1:
-            self._aperture = _aperture(camera, oversample, fine, lens_scale(camera, distance))
-
-    def at(self, power: np.ndarray) -> SpreadBins:
-        """Spread a power."""
-        return SpreadBins(self._aperture, self._fine, power)
-
-
-class SpreadBins:
-    """A power in bins, spread over lenses, and its derivatives there.
-
-    Attributes
-    ----------
-    bins : (rows, columns) array
-        The power.
-    """
-
-    def __init__(self, aperture: np.ndarray | None, fine: int, power: np.ndarray) -> None:
-        self._aperture, self._fine = aperture, fine
-        spread = power if aperture is None else _spread(power, aperture, fine)
-        self._lit = spread > 0
-        self.bins = np.where(self._lit, spread, 0)
-
-    def tangent(self, change: np.ndarray) -> np.ndarray:
-        """Return the change of the bins with that of the power."""
-        spread = change if self._aperture is None else _spread(change, self._aperture, self._fine)
-        return np.where(self._lit, spread, 0)
-
-    def back(self, bins: np.ndarray) -> np.ndarray:
-        """Apply the transpose of `tangent`."""
-        bins = np.where(self._lit, bins, 0)
-        if self._aperture is None:
-            return bins
-        rows, columns = ((k - 1) // 2 for k in self._aperture.shape)
+    def vjp(self, bins: np.ndarray) -> np.ndarray:
+        """Apply the transpose of `forward`."""
         fine = bins.repeat(self._fine, 0).repeat(self._fine, 1)
         whole = convolve(fine, self._aperture[::-1, ::-1])
-        first = [k - 1 - middle for k, middle in zip(self._aperture.shape, (rows, columns), strict=True)]
-        return whole[first[0] : first[0] + fine.shape[0], first[1] : first[1] + fine.shape[1]]
+        rows, columns = (k - 1 - (k - 1) // 2 for k in self._aperture.shape)
+        return whole[rows : rows + fine.shape[0], columns : columns + fine.shape[1]]
 
 
-def _aperture(camera: PlenopticCamera, oversample: int, fine: int, scale: float) -> np.ndarray:
-    """Return what light of a lens is spread over, on fine bins."""
-    return camera.lattice.aperture_image(camera.mla_pitch / (oversample * fine), scale)
-
-
-def _spread(power: np.ndarray, aperture: np.ndarray, fine: int) -> np.ndarray:
-    """Spread fine bins, and sum them to bins."""
-    rows, columns = (size // fine for size in power.shape)
-    return blur(power, aperture).reshape(rows, fine, columns, fine).sum((1, 3))
+def over_lenses(
+    power: np.ndarray, camera: PlenopticCamera, oversample: int, fine: int, scale: float = 1.0
+) -> np.ndarray:
+    """Spread fine bins over lenses; the rounding of the transform below zero is not light."""
+    return LensSpread(camera, oversample, fine, scale).forward(power).clip(min=0)

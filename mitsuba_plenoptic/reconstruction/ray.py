@@ -1,15 +1,36 @@
-"""Refocusing by rays, after Ng, "Digital Light Field Photography" (2006), section 4."""
+"""Refocusing by rays, after Ng, "Digital Light Field Photography" (2006), section 4, and the sums over bins of it.
+
+Where a pixel's light goes is separable in x and y, but whether it passes the pupil is not:
+
+    out[j, i] = sum_r sum_c  Wy[j, r] Wx[i, c] [Px[c]^2 + Py[r]^2 <= R^2] image[r, c]
+
+The sum over columns is done for each row in one pass over the image, every thread gathering the few columns of
+one bin; the sum over rows is then small. Nothing is scattered, so the result is the same bit for bit however many
+threads there are.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+import weakref
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeVar, cast
 
+import drjit as dr
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from ..camera import PlenopticCamera
-from .methods import Progress, Task, method
-from .radiance import to_radiance
-from .ray_sums import ray_sums, white_sums
+from ..design import focus_type, lens_footprint, pixel_footprint
+from ..errors import InputError
+from ..lightfield.white import white_image
+from ..optics import rays
+from ..runtime.backend import array_module
+from ..runtime.limits import require_memory
+from .methods import Task, method
+from .radiance import captures, to_radiance
+from .splatting import Splat, traced_white
 
 
 @method("ray", options=("footprint",), waves=False)
@@ -32,16 +53,14 @@ def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
         Radiance.
     """
     radius = pupil_radius(task.camera)
-
-    def sums(image: np.ndarray, distances: Sequence[float], progress: Progress) -> list[np.ndarray]:
-        found = []
-        for done, distance in enumerate(distances):
-            found.append(ray_sums(image, task.camera, distance, radius, footprint, task.oversample))
-            progress((done + 1) / len(distances))
-        return found
-
-    whites = [white_sums(task.camera, g, radius, footprint, task.oversample) for g in task.distances]
-    return to_radiance(task, sums, model=lambda: whites, reach=whites)
+    reach = [white_sums(task.camera, g, radius, footprint, task.oversample) for g in task.distances]
+    sums: list[list[np.ndarray]] = []
+    for image, distances, progress in captures(task):
+        sums.append([])
+        for number, distance in enumerate(distances):
+            sums[-1].append(ray_sums(image, task.camera, distance, radius, footprint, task.oversample))
+            progress((number + 1) / len(distances))
+    return to_radiance(task, sums, reach, reach)
 
 
 def pupil_radius(camera: PlenopticCamera) -> float:
@@ -53,3 +72,178 @@ def pupil_radius(camera: PlenopticCamera) -> float:
     """
     view = max(abs(camera.pupil_shift(f2) - 1) for f2 in camera.mla_focal_lengths) * camera.lattice.aperture_reach
     return camera.lit_radius + view
+
+
+# Dr.Jit counts in 32 bits.
+_MOST_VALUES = 2**32 - 1
+
+
+def ray_sums(
+    image: np.ndarray, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
+) -> np.ndarray:
+    """Follow one ray a pixel back to the object plane and sum the pixels that go to each bin.
+
+    Where pixels and bins are arranged alike, on an upright square lattice without gaps of unfocused lenses behind a
+    thin main lens, this is done one axis at a time.
+    """
+    axes = aligned_axes(camera, distance, radius, footprint, oversample)
+    if axes is None:
+        return Splat.of(camera, distance, radius, footprint, oversample, image.shape[2]).forward(image)
+    x, y = axes
+    columns, rows = x.weights.shape[0], y.weights.shape[0]
+    values = image.shape[2] * columns * max(rows, image.shape[0])
+    if values > _MOST_VALUES:
+        raise InputError(
+            f"images of {columns} x {rows} bins: {values} values are summed at once, at most {_MOST_VALUES} can be"
+        )
+    return bin_image(image, x, y, radius)
+
+
+def aligned_axes(
+    camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
+) -> tuple[AxisBins, AxisBins] | None:
+    """Return where the pixels of each axis go, if pixels and bins are arranged alike; None where they are not."""
+    if not camera.lens_data.is_thin or focus_type(camera) != "unfocused" or not camera.lenses_like_bins:
+        return None
+    x, y = (_axis(camera, distance, radius, axis, footprint, oversample) for axis in (0, 1))
+    return x, y
+
+
+def _axis(
+    camera: PlenopticCamera, distance: float, radius: float, axis: int, footprint: str, oversample: int
+) -> AxisBins:
+    """Where the pixels of one axis go, in bins, and where they meet the pupil."""
+    count = camera.bin_count[axis] * oversample
+    p = camera.pixel_coordinates(axis)
+    chief = rays.chief_point(p, camera.mla_distance, camera.detector_distance)
+    c = camera.lattice.axis_centre(camera.lattice.axis_cell(chief, axis), axis)
+
+    pupil, place = rays.follow_back(p, c, c, distance, camera)
+    centre = place * (oversample / camera.mla_pitch) + count / 2
+    if footprint == "point":
+        return axis_bins(centre, centre, pupil, count, radius)
+    width = max(
+        camera.mla_pitch * lens_footprint(camera, distance, camera.mla_focal_length), pixel_footprint(camera, distance)
+    )
+    half = width / 2 * oversample / camera.mla_pitch
+    return axis_bins(centre - half, centre + half, pupil, count, radius)
+
+
+def ray_sums_vjp(
+    bins: np.ndarray, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
+) -> np.ndarray:
+    """Apply the transpose of `ray_sums`."""
+    axes = aligned_axes(camera, distance, radius, footprint, oversample)
+    if axes is not None:
+        return _bin_image_vjp(bins, *axes, radius)
+    return Splat.of(camera, distance, radius, footprint, oversample, bins.shape[2]).vjp(bins, camera.shape)
+
+
+def _bin_image_vjp(bins: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.ndarray:
+    """Apply the transpose of `bin_image`."""
+    given = np.asarray(bins, np.float64)
+    pixels = np.einsum("jic,jr->ric", given, y.weights.toarray(), optimize=True)
+    pixels = np.einsum("ric,ip->rpc", pixels, x.weights.toarray(), optimize=True)
+    # In the precision in which the sums compare them.
+    limit, square = (radius**2 - y.pupil**2).astype(np.float32), (x.pupil**2).astype(np.float32)
+    return np.where((square <= limit[:, None])[..., None], pixels, 0.0)
+
+
+@dataclass(frozen=True)
+class AxisBins:
+    """The weights (bins, pixels) of the pixels of one axis, and the pupil coordinate of each."""
+
+    weights: csr_matrix
+    pupil: np.ndarray
+
+
+def axis_bins(low: np.ndarray, high: np.ndarray, pupil: np.ndarray, count: int, radius: float) -> AxisBins:
+    """Spread each pixel evenly over the interval from `low` to `high` of bin coordinates."""
+    pixels = np.flatnonzero(np.abs(pupil) <= radius)
+    low, high = np.minimum(low, high)[pixels], np.maximum(low, high)[pixels]
+    first = np.floor(low).astype(np.int64)
+    width = high - low
+    spread = width > 1e-9
+    reach = int(np.max(np.where(spread, np.ceil(high), first + 1) - first, initial=1))
+    # For every pixel of the axis and bin that it reaches: bin, overlap, fraction, weight and what is made of them.
+    require_memory(64.0 * pixels.size * reach, f"{pixels.size} pixels of an axis, each spread over {reach} bins")
+    bins = first[:, None] + np.arange(reach)
+    overlap = np.minimum(high[:, None], bins + 1) - np.maximum(low[:, None], bins)
+    fraction = overlap.clip(min=0) / np.where(spread, width, 1)[:, None]
+    weight = np.where(spread[:, None], fraction, bins == first[:, None])
+    keep = (weight > 1e-6) & (bins >= 0) & (bins < count)
+    entries = weight[keep].astype(np.float32), (bins[keep], np.broadcast_to(pixels[:, None], bins.shape)[keep])
+    return AxisBins(csr_matrix(entries, (count, pupil.size)), pupil)
+
+
+def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.ndarray:
+    """Sum an image over the bins of both axes within the pupil."""
+    types = array_module()
+    (rows, columns, channels), across, down = image.shape, x.weights.shape[0], y.weights.shape[0]
+    if not (x.weights.nnz and y.weights.nnz):
+        # No pixel meets a bin.
+        return np.zeros((down, across, channels), np.float32)
+    values = types.Float(np.ascontiguousarray(image).reshape(-1))
+    thread = dr.arange(types.UInt32, rows * across * channels)
+    row, rest = thread // (across * channels), thread % (across * channels)
+    limit = types.Float((radius**2 - y.pupil**2).astype(np.float32))
+    base = row * dr.opaque(types.UInt32, columns * channels) + rest % channels
+    by_row = _sums(types, values, x, rest // channels, base, channels, dr.gather(types.Float, limit, row))
+    width = across * channels
+    thread = dr.arange(types.UInt32, down * width)
+    sums = _sums(types, by_row, y, thread // width, thread % width, width)
+    return np.asarray(sums.numpy()).reshape(down, across, channels)
+
+
+def _sums(types: Any, values: Any, bins: AxisBins, number: Any, base: Any, stride: int, limit: Any = None) -> Any:
+    """Sum the values, `stride` apart, of the pixels of each bin whose squared pupil coordinate is within a limit."""
+    Float, UInt32 = types.Float, types.UInt32
+    start, pixel = UInt32(bins.weights.indptr), UInt32(bins.weights.indices)
+    weight, square = Float(bins.weights.data), Float((bins.pupil**2)[bins.weights.indices].astype(np.float32))
+    entry, end = dr.gather(UInt32, start, number), dr.gather(UInt32, start, number + 1)
+    if limit is not None:
+        # A row beyond the pupil's edge is dark whatever its columns.
+        end = dr.select(limit >= 0, end, entry)
+
+    def body(entry: Any, total: Any) -> tuple[Any, Any]:
+        inside = True if limit is None else dr.gather(Float, square, entry) <= limit
+        value = dr.gather(Float, values, base + dr.gather(UInt32, pixel, entry) * stride, inside)
+        return entry + 1, dr.fma(value, dr.gather(Float, weight, entry), total)
+
+    return dr.while_loop((entry, Float(0)), lambda entry, total: entry < end, body)[1]
+
+
+_MOST_RESULTS = 32
+"""Results of a camera that are remembered by each function."""
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+_results: weakref.WeakKeyDictionary[PlenopticCamera, dict[str, dict[Any, Any]]] = weakref.WeakKeyDictionary()
+
+
+def once_a_camera(function: _F) -> _F:
+    """Remember what a function returns of a camera for as long as the camera lives."""
+
+    @functools.wraps(function)
+    def known(camera: PlenopticCamera, *given: Any) -> Any:
+        own = _results.setdefault(camera, {}).setdefault(function.__name__, {})
+        if given not in own:
+            if len(own) == _MOST_RESULTS:
+                del own[next(iter(own))]
+            own[given] = function(camera, *given)
+        return own[given]
+
+    return cast(_F, known)
+
+
+@once_a_camera
+def white_sums(camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int) -> np.ndarray:
+    """Return `ray_sums` of what the camera records of a scene of uniform radiance 1; (rows, columns) float64 array."""
+    white = white_pixels(camera)[..., None]
+    return ray_sums(white, camera, distance, radius, footprint, oversample)[..., 0].astype(np.float64)
+
+
+@once_a_camera
+def white_pixels(camera: PlenopticCamera) -> np.ndarray:
+    """Return the camera's white image."""
+    return white_image(camera) if camera.lens_data.is_thin else traced_white(camera)

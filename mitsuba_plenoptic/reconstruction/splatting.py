@@ -13,17 +13,23 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
+import drjit as dr
 import numpy as np
 import scipy.fft
+from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..design import lens_footprint, pixel_footprint
+from ..design import crosstalk_neighbours, lens_footprint, pixel_footprint
+from ..lenses.base import MainLens
+from ..lenses.factory import main_lens
 from ..optics import rays
+from ..runtime.backend import array_module
+from ..runtime.fft import rows_and_columns
 from ..runtime.limits import require_memory
-from .real_lens import traced_places
 
-# Samples of the fine grid across a lens pitch; at least so many across a bin.
+# Samples of the fine grid across a lens pitch; at least `_LEAST` across a bin.
 _FINE = 16
 _LEAST = 4
 
@@ -34,61 +40,13 @@ _MOST_TAPS = 9
 _BLOCK = 2**16
 
 
-def splat(
-    image: np.ndarray, camera: PlenopticCamera, distance: float, radius: float, *, footprint: str, oversample: int
-) -> np.ndarray:
-    """Follow one ray a pixel back to the object plane and sum the pixels that go to each bin.
-
-    Parameters
-    ----------
-    image : (rows, columns, channels) float32 array
-        The capture.
-    camera : PlenopticCamera
-        The camera.
-    distance : float
-        Object distance.
-    radius : float
-        Pupil radius: pixels whose ray misses it are left out.
-    footprint : {"lens", "point"}
-        Whether a pixel is spread over what its whole lens sees, or goes to one bin.
-    oversample : int
-        Bins per lens pitch.
-
-    Returns
-    -------
-    (rows, columns, channels) float64 array
-        Sum of the pixels by bin.
-    """
-    plan = Splat.of(camera, distance, radius, footprint, oversample, image.shape[2])
-    values = image.reshape(-1, image.shape[2])[plan.pixel]
-    (down, across), margin = plan.size, plan.margin
-    total = np.zeros((image.shape[2], down + 2 * margin, across + 2 * margin))
-    for mine, taps in plan.types():
-        first = margin - taps.shape[0] // 2
-        for out, weights in zip(total, values.T, strict=True):
-            samples = np.bincount(plan.place[mine], weights=weights[mine], minlength=down * across * plan.fine**2)
-            part = _spread(samples.reshape(down, across, plan.fine**2), taps)
-            out[first : first + part.shape[0], first : first + part.shape[1]] += part
-    total = total[:, 2 * margin : down, 2 * margin : across]
-    return np.moveaxis(total, 0, -1)
-
-
 @dataclass(frozen=True)
 class Splat:
     """Where the pixels go, and what they cover there.
 
-    Attributes
-    ----------
-    fine : int
-        Fine samples across a bin.
-    footprints : list of (taps, taps, fine, fine) arrays
-        Of each type of lens.
-    margin : int
-        Bins beyond each border in which pixels are counted that reach across it.
-    size : (int, int)
-        Rows and columns of bins with these.
-    place, lens_type, pixel : int arrays
-        Of the pixels that land there: sample, counted bin by bin, type of lens, and flat index.
+    There are `fine` samples across a bin, and a footprint (taps, taps, fine, fine) of each type of lens. Pixels are
+    counted in `margin` bins beyond each border, too, from where they reach across it; `size` are the rows and columns
+    with these. Pixels that land there have a sample, counted bin by bin, a type of lens, and a flat index.
     """
 
     fine: int
@@ -103,7 +61,7 @@ class Splat:
     def of(
         cls, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int, channels: int
     ) -> Splat:
-        """Follow the rays of a camera's pixels; arguments as of `splat`."""
+        """Follow the rays of a camera's pixels, within a radius of the pupil; arguments as in `ray_sums`."""
         focal_lengths = camera.mla_focal_lengths
         fine, footprints = 1, [np.ones((1, 1, 1, 1))] * len(focal_lengths)
         if footprint == "lens":
@@ -122,27 +80,40 @@ class Splat:
         landing = _landing(camera, distance, radius, oversample, fine, (down, across))
         return cls(fine, footprints, margin, (down, across), *landing)
 
-    def types(self) -> Iterator[tuple[slice | np.ndarray, np.ndarray]]:
+    def forward(self, image: np.ndarray) -> np.ndarray:
+        """Sum the pixels of an image (rows, columns, channels) by bin; float64, like the image."""
+        values = image.reshape(-1, image.shape[2])[self.pixel]
+        (down, across), margin = self.size, self.margin
+        total = np.zeros((image.shape[2], down + 2 * margin, across + 2 * margin))
+        for mine, taps in self._types():
+            first = margin - taps.shape[0] // 2
+            for out, weights in zip(total, values.T, strict=True):
+                samples = np.bincount(self.place[mine], weights[mine], down * across * self.fine**2)
+                part = _spread(samples.reshape(down, across, self.fine**2), taps)
+                out[first : first + part.shape[0], first : first + part.shape[1]] += part
+        return np.moveaxis(total[:, 2 * margin : down, 2 * margin : across], 0, -1)
+
+    def vjp(self, bins: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+        """Apply the transpose of `forward`, to float64 pixels (rows, columns, channels)."""
+        margin, (down, across) = self.margin, self.size
+        padded = np.pad(np.asarray(bins, np.float64), ((2 * margin,) * 2, (2 * margin,) * 2, (0, 0)))
+        result = np.zeros((shape[0] * shape[1], bins.shape[2]))
+        for mine, taps in self._types():
+            reach = taps.shape[0] // 2
+            first = margin - reach
+            for channel in range(bins.shape[2]):
+                window = padded[first : first + down + 2 * reach, first : first + across + 2 * reach, channel]
+                result[self.pixel[mine], channel] = _gather(window, taps).reshape(-1)[self.place[mine]]
+        return result.reshape(*shape, -1)
+
+    def _types(self) -> Iterator[tuple[slice | np.ndarray, np.ndarray]]:
         """Yield for each type of lens which of the pixels are its, and its footprint."""
         for number, taps in enumerate(self.footprints):
             yield slice(None) if len(self.footprints) == 1 else np.flatnonzero(self.lens_type == number), taps
 
 
 def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:
-    """Spread the light of every fine sample over the bins around its own.
-
-    Parameters
-    ----------
-    samples : (rows, columns, fine**2) float64 array
-        Light in the fine samples of each bin.
-    footprint : (taps, taps, fine, fine) array
-        From `_in_bins`.
-
-    Returns
-    -------
-    (rows + taps - 1, columns + taps - 1) float64 array
-        Light of the bins, from `taps // 2` before the first.
-    """
+    """Spread the light of every fine sample over the bins around its own."""
     taps = footprint.shape[0]
     footprint = footprint.reshape(taps, taps, -1)
     rows, columns = samples.shape[0] + taps - 1, samples.shape[1] + taps - 1
@@ -159,6 +130,24 @@ def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:
     return scipy.fft.irfft2(spectrum, shape)[:rows, :columns]
 
 
+def _gather(window: np.ndarray, footprint: np.ndarray) -> np.ndarray:
+    """Apply the transpose of `_spread`: (rows + taps - 1, columns + taps - 1) to (rows, columns, fine**2)."""
+    taps = footprint.shape[0]
+    kernels = footprint.reshape(taps, taps, -1)
+    rows, columns = window.shape[0] - taps + 1, window.shape[1] - taps + 1
+    spectrum = scipy.fft.rfft2(window)
+    # A correlation of the window with each kernel; what wraps lies beyond the rows and columns that are kept.
+    return np.stack(
+        [
+            scipy.fft.irfft2(spectrum * scipy.fft.rfft2(kernels[..., fine], window.shape).conj(), window.shape)[
+                :rows, :columns
+            ]
+            for fine in range(kernels.shape[2])
+        ],
+        axis=-1,
+    )
+
+
 def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float, step: float) -> np.ndarray:
     """Draw what a pixel covers, its lens's view or its own square, whichever is wider: odd size, the sum is 1."""
     scale, pixel = lens_footprint(camera, distance, mla_focal_length), pixel_footprint(camera, distance)
@@ -173,19 +162,9 @@ def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float
 
 
 def _in_bins(blur: np.ndarray, fine: int) -> np.ndarray:
-    """Return what falls into each bin of a footprint that is centred in each of the fine samples of one of them.
+    """Return the fractions (taps, taps, fine, fine) of a footprint, centred in each sample of a bin, in bins around it.
 
-    Parameters
-    ----------
-    blur : (size, size) array
-        The footprint in fine samples, about its middle; the sum is 1.
-    fine : int
-        Fine samples across a bin.
-
-    Returns
-    -------
-    (taps, taps, fine, fine) array
-        For the bins from `taps // 2` before to as many after, and rows and columns of samples.
+    The footprint is drawn in fine samples; its sum is 1.
     """
     half = blur.shape[0] // 2
     place = np.arange(fine) + np.arange(-half, half + 1)[:, None]
@@ -199,77 +178,156 @@ def _in_bins(blur: np.ndarray, fine: int) -> np.ndarray:
 def _landing(
     camera: PlenopticCamera, distance: float, radius: float, oversample: int, fine: int, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find the pixels whose ray passes the pupil and lands on the bins.
+    """Return sample, type of lens and flat index of the pixels whose ray passes the pupil and lands on the bins.
 
-    Parameters
-    ----------
-    camera, distance, radius, oversample
-        As for `splat`.
-    fine : int
-        Fine samples across a bin.
-    shape : (int, int)
-        Rows and columns of bins; their middle is on the axis.
-
-    Returns
-    -------
-    place, lens_type, pixel : int arrays
-        Sample, counted bin by bin, type of lens, and flat index of each pixel.
+    Samples are counted bin by bin; the middle of the bins, rows and columns, is on the axis.
     """
-    if not camera.lens_data.is_thin:
-        return _traced_landing(camera, distance, oversample, fine, shape)
-    lattice, columns = camera.lattice, camera.crop_size[0]
-    # All along the ray is linear in the pixel and the lens's centre.
+    lattice, columns, found = camera.lattice, camera.crop_size[0], []
+    traced = _places(camera, distance, radius) if camera.lens_data.is_thin else traced_places(camera, distance)
+    for rows, *place, is_lit in traced:
+        lit = np.flatnonzero(is_lit)
+        x, y = (
+            values[lit] * (oversample / camera.mla_pitch) + size / 2
+            for values, size in zip(place, shape[::-1], strict=True)
+        )
+        column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+        sample = np.floor((y - row) * fine).astype(np.int64) * fine + np.floor((x - column) * fine).astype(np.int64)
+        inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
+        lit, sample = lit[inside], ((row * shape[1] + column) * fine**2 + sample)[inside]
+        lens_type = np.zeros(lit.size, np.int8)
+        if len(camera.mla_focal_lengths) > 1:
+            pixel = camera.pixel_coordinates(0)[lit % columns], camera.pixel_coordinates(1)[rows][lit // columns]
+            b, z = camera.pupil_distance, camera.detector_distance
+            lens_type = lattice.lens_type(*lattice.cell(*(rays.chief_point(p, b, z) for p in pixel))).astype(np.int8)
+        found.append([sample, lens_type, lit + rows.start * columns])
+    sample, lens_type, pixels = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return sample, lens_type, pixels
+
+
+def _places(
+    camera: PlenopticCamera, distance: float, radius: float
+) -> Iterator[tuple[slice, np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield what `traced_places` does behind a thin main lens, where all along a ray is linear in pixel and centre."""
     of_pixel = np.array(rays.follow_back(1.0, 0.0, 0.0, distance, camera))
     of_lens = np.array(rays.follow_back(0.0, 1.0, 1.0, distance, camera))
-    scale = oversample / camera.mla_pitch
-    px, rows = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
+    px, down = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
+    height = max(1, _BLOCK // px.size)
+    for first in range(0, down.size, height):
+        p = px, down[first : first + height, None]
+        cell = camera.lattice.cell(*(rays.chief_point(q, camera.mla_distance, camera.detector_distance) for q in p))
+        shape = p[1].size, px.size
+        (Px, x), (Py, y) = (
+            [(pixel * q + lens * c) for pixel, lens in zip(of_pixel, of_lens, strict=True)]
+            for q, c in zip(p, camera.lattice.centre(*cell), strict=True)
+        )
+        x, y = (np.broadcast_to(values, shape).reshape(-1) for values in (x, y))
+        yield slice(first, first + shape[0]), x, y, Px**2 + Py**2 <= radius**2
+
+
+_LANES = 2**22
+"""Rays that are followed at once."""
+
+_WHITE_RAYS = 32
+"""Rays of a pixel through each lens that can light it."""
+
+_STEPS = (0.8566748838545029, 0.733891856627126, 0.6287067210378087, 0.5385972572236101)
+"""Reciprocal powers of the root of x^5 = x + 1: an even sequence in four dimensions (Roberts, 2018)."""
+
+
+def traced_places(
+    camera: PlenopticCamera, distance: float
+) -> Iterator[tuple[slice, NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]]:
+    """Follow one ray a pixel, through the centre of its lens, back to an object plane.
+
+    Yields rows of pixels, x and y of their places in the object plane times -b / g in millimetres, which undoes the
+    distortion, and whether the lens lets the ray, or that from the middle of one of the pixel's edges, through.
+    """
+    types, lens = array_module(), main_lens(camera)
+    half, b = camera.pixel_size / 2, camera.mla_distance
+    for rows, px, py in _pixels(camera, types):
+        cx, cy = camera.lattice.centre(*_cell(camera, px, py))
+        lit = types.Bool(False)
+        x, y = types.Float64(0), types.Float64(0)
+        for across, down in ((-1, 0), (1, 0), (0, -1), (0, 1), (0, 0)):
+            point, slope, is_open = _back(
+                camera, lens, (px + across * half, py + down * half), (cx, cy), (cx, cy), None
+            )
+            lit |= is_open
+            x, y = (-b * (p / distance + (1 - point[2] / distance) * t) for p, t in zip(point[:2], slope, strict=True))
+        dr.eval(x, y, lit)
+        yield rows, x.numpy(), y.numpy(), lit.numpy()
+
+
+def traced_white(camera: PlenopticCamera) -> NDArray[np.float32]:
+    """Return what a camera with a real main lens records of a scene of uniform radiance 1, by rays.
+
+    Every pixel has its own shift of one even set of rays: what few of them miss at the rims of micro-images averages
+    out over the pixels of a bin.
+    """
+    types, lens, lattice, p = array_module(), main_lens(camera), camera.lattice, camera.pixel_size
+    image = np.empty(camera.shape, np.float32)
+    around = crosstalk_neighbours(camera).tolist()
     several = len(camera.mla_focal_lengths) > 1
-    found = []
-    height = max(1, _BLOCK // columns)
-    for first in range(0, rows.size, height):
-        py = rows[first : first + height, None]
-        i, j = lattice.cell(*(rays.chief_point(p, camera.mla_distance, camera.detector_distance) for p in (px, py)))
-        cx, cy = lattice.centre(i, j)
-        Px, Py = (of_pixel[0] * p + of_lens[0] * c for p, c in ((px, cx), (py, cy)))
-        lit = np.flatnonzero(Px**2 + Py**2 <= radius**2)
-        i, j, cx, cy, qx, qy = (
-            np.broadcast_to(values, (py.size, columns)).reshape(-1)[lit] for values in (i, j, cx, cy, px, py)
-        )
-        x, y = (
-            (of_pixel[1] * p + of_lens[1] * c) * scale + size / 2
-            for p, c, size in ((qx, cx, shape[1]), (qy, cy, shape[0]))
-        )
-        lens_type = lattice.lens_type(i, j).astype(np.int8) if several else np.zeros(lit.size, np.int8)
-        inside, place = _samples(x, y, fine, shape)
-        found.append([values[inside] for values in (place, lens_type, lit + first * columns)])
-    place, lens_type, pixel = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return place, lens_type, pixel
+    for rows, px, py in _pixels(camera, types):
+        i, j = _cell(camera, px, py)
+        number = dr.arange(types.UInt32, dr.width(px)) + dr.opaque(types.UInt32, rows.start * camera.crop_size[0])
+        shifts = [types.Float64(_scrambled(types, number, axis)) for axis in range(4)]
+        total = types.Float64(0)
+        for ray in range(_WHITE_RAYS):
+            s, t, u, v = (
+                shift + dr.opaque(types.Float64, ray * step) for shift, step in zip(shifts, _STEPS, strict=True)
+            )
+            s, t, u, v = (value - dr.floor(value) for value in (s, t, u, v))
+            place = (px + (s - 0.5) * p, py + (t - 0.5) * p)
+            dx, dy = lattice.aperture_point(u, v)
+            for across, down in around:
+                cx, cy = lattice.centre(i + across, j + down)
+                f2: Any = camera.mla_focal_length
+                if several:
+                    kind = types.UInt32(lattice.lens_type(i + across, j + down))
+                    f2 = dr.gather(types.Float64, types.Float64(camera.mla_focal_lengths), kind)
+                _, _, is_open = _back(camera, lens, place, (cx + dx, cy + dy), (cx, cy), f2)
+                total += dr.select(is_open, 1.0, 0.0)
+            dr.eval(total)
+        image[rows] = (total / _WHITE_RAYS).numpy().reshape(-1, camera.crop_size[0])
+    return image
 
 
-def _samples(x: np.ndarray, y: np.ndarray, fine: int, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return which places, counted in bins, lie on the bins, and the samples that all would have."""
-    column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    sample = np.floor((y - row) * fine).astype(np.int64) * fine + np.floor((x - column) * fine).astype(np.int64)
-    inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
-    return inside, (row * shape[1] + column) * fine**2 + sample
+def _pixels(camera: PlenopticCamera, types: Any) -> Iterator[tuple[slice, Any, Any]]:
+    """Yield some rows at a time, with x and y of their pixels' centres."""
+    rows, columns = camera.shape
+    x, y = (types.Float64(camera.pixel_coordinates(axis)) for axis in (0, 1))
+    together = max(1, _LANES // columns)
+    for first in range(0, rows, together):
+        last = min(rows, first + together)
+        row, column = rows_and_columns(types, last - first, columns)
+        px = dr.gather(types.Float64, x, column)
+        py = dr.gather(types.Float64, y, row + dr.opaque(types.UInt32, first))
+        yield slice(first, last), px, py
 
 
-def _traced_landing(
-    camera: PlenopticCamera, distance: float, oversample: int, fine: int, shape: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Do what `_landing` does, by rays traced through a real main lens."""
-    scale, columns = oversample / camera.mla_pitch, camera.crop_size[0]
-    b, z, types = camera.pupil_distance, camera.detector_distance, len(camera.mla_focal_lengths)
-    found = []
-    for rows, x, y, is_lit in traced_places(camera, distance):
-        lit = np.flatnonzero(is_lit)
-        inside, place = _samples(x[lit] * scale + shape[1] / 2, y[lit] * scale + shape[0] / 2, fine, shape)
-        lit, place = lit[inside], place[inside]
-        lens_type = np.zeros(lit.size, np.int8)
-        if types > 1:
-            px, py = camera.pixel_coordinates(0)[lit % columns], camera.pixel_coordinates(1)[rows][lit // columns]
-            own = camera.lattice.cell(*(rays.chief_point(p, b, z) for p in (px, py)))
-            lens_type = camera.lattice.lens_type(*own).astype(np.int8)
-        found.append([place, lens_type, lit + rows.start * columns])
-    place, lens_type, pixel = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return place, lens_type, pixel
+def _cell(camera: PlenopticCamera, px: Any, py: Any) -> tuple[Any, Any]:
+    """Return the indices of the lenses whose centres the light of the pupil's middle passes on its way to pixels."""
+    b, z = camera.pupil_distance, camera.detector_distance
+    i, j = camera.lattice.cell(rays.chief_point(px, b, z), rays.chief_point(py, b, z))
+    return i, j
+
+
+def _back(
+    camera: PlenopticCamera, lens: MainLens, place: tuple[Any, Any], through: tuple[Any, Any], centre: Any, f2: Any
+) -> Any:
+    """Follow rays from the detector through points of lenses to the scene; through their centres if f2 is None."""
+    z = camera.detector_distance
+    slope = [
+        (m - p) / z if f2 is None else rays.microlens_slope(p, m, c, z, f2)
+        for p, m, c in zip(place, through, centre, strict=True)
+    ]
+    return lens.trace(through, (slope[0], slope[1]))
+
+
+def _scrambled(types: Any, number: Any, axis: int) -> Any:
+    """Return evenly scattered numbers from 0 to 1 for consecutive ones: a hash of their bits (Wellons, 2018)."""
+    x = types.UInt32(number) * 4 + axis
+    for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
+        x = (x ^ (x >> shift)) * types.UInt32(factor)
+    return types.Float64(x ^ (x >> 16)) * (1 / 2**32)

@@ -1,168 +1,166 @@
-"""What the wave methods share: channel by channel, from power in fine bins to units of radiance."""
+r"""Refocusing by waves of the square root of a capture: as one coherent wave, or as waves of subsets of lenses.
+
+The detector has lost the phase of the light. Coherent reconstruction supplies one: under each microlens, of centre
+c, the light is taken to converge from its whole micro-image towards c,
+
+.. math:: U_0(p) = \sqrt{I(p)} \, \exp\left(-i \pi \frac{|p - c|^2}{\lambda z}\right)
+
+and goes back by the angular spectrum to the MLA, through the microlenses :math:`\exp(-i \pi |m - c|^2 / \lambda f_2)`,
+to the main lens :math:`\exp(-i \pi P^2 / \lambda f_1)` and its pupil, and to the object plane, where
+:math:`|U|^2` is summed over bins.
+
+Why the microlens acts a second time
+------------------------------------
+The converging phase undoes what the microlens did on the way in, and it is tempting to go straight on to the main
+lens. But at its focus in the MLA plane, a field that converges from z away is the Fourier transform of
+:math:`\sqrt{I}` *times* :math:`\exp(i \pi |m - c|^2 / \lambda z)` (Goodman, "Introduction to Fourier Optics", section
+5.2). If that factor stays, the light that reaches the main lens is not the micro-image enlarged but the micro-image
+after :math:`(\lambda z)^{1/2}` of Fresnel blur: 18 um of a micro-image of 43 um for the paper's camera, where a
+microlens has the Fresnel number 1.4. A blurred micro-image is a blurred pupil: every ray's direction is uncertain, and
+planes out of focus come out with doubled edges, the more the farther they are. The microlens's own phase cancels the
+factor (exactly for z = f2), and the pupil holds :math:`\sqrt{I}` itself. ``relay=False`` leaves it out, to show this.
+
+Focused cameras
+---------------
+The two phases are right for :math:`z \neq f_2`, too. The chief ray of a pixel goes through the centre of its lens, so
+light converges to there over z; and what is left after the microlens, :math:`\exp(-i \pi |m - c|^2 / \lambda a)`, makes
+it converge once more, to :math:`\sqrt{I}` itself in the plane that the microlens sees, a before the MLA (or behind it)
+with :math:`1/a + 1/z = 1/f_2`: the micro-image, enlarged, where the main lens's image is. Where micro-images are smooth
+the light goes through a small part of the lens only, and what came from the rim of the pupil through the rim of a lens
+misses the pupil on its way back; images are divided by what a white scene gives.
+
+Partial coherence
+-----------------
+Light that passed different microlenses from different scene points never interferes, yet the fields of all lenses of a
+coherent reconstruction do. Fields of lenses in subsets (every K-th column and row) interfere less; where the lenses of
+a subset are farther apart than their images are wide, not at all. That limit is found by full fields with such a
+period, or lens by lens, whichever costs less.
+"""
 
 from __future__ import annotations
 
-import dataclasses
+import math
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
 from ..camera import PlenopticCamera
 from ..system.optical_system import OpticalSystem
-from .conjugates import Conjugates, RealConjugates, ThinConjugates, behind_thin_lens, undistorted
-from .lens_tiles import Tile
-from .methods import Progress, Task
-from .radiance import lens_scale, over_lenses, to_radiance
-from .ray_sums import white_sums
+from .conjugates import RealConjugates, ThinConjugates, undistorted
+from .full_fields import lit_window, reconstruct_subsets
+from .lens_by_lens import reconstruct_lens_by_lens
+from .lens_tiles import LensTile, fine_bins, tile_lenses
+from .methods import Progress, Task, method, portion
+from .planning import plan
+from .radiance import captures, lens_scale, over_lenses, to_radiance
+from .ray import white_sums
 from .white import white_light
 
-
-class Power(Protocol):
-    """A way back for one channel of a capture."""
-
-    def __call__(
-        self,
-        image: np.ndarray,
-        camera: PlenopticCamera,
-        distances: Sequence[float],
-        wavelength: float,
-        *,
-        relay: bool,
-        oversample: int,
-        judged: bool,
-        progress: Progress,
-        conjugates: Conjugates,
-    ) -> list[np.ndarray]:
-        """Return the power in each bin of the object planes.
-
-        Parameters
-        ----------
-        image : (rows, columns) float32 array
-            Not negative.
-        camera : PlenopticCamera
-            The camera, whose lenses are thin parabolic phase elements.
-        distances : sequence of floats
-            Object distances, which share the way up to the main lens.
-        wavelength : float
-            Wavelength in nanometres.
-        relay : bool
-            Whether the microlenses act in the MLA plane.
-        oversample : int
-            Bins per lens along each axis.
-        judged : bool
-            Whether guards are told of the light that is lost.
-        progress : callable
-            Called with the fraction of the work that is done.
-        conjugates : Conjugates
-            The main lens.
-
-        Returns
-        -------
-        list of (rows, columns) float64 arrays
-            In pixel values times pixels.
-        """
+_APART = 2
+"""Bins between the geometric images of two lenses that do not interfere, for diffraction."""
 
 
-def refocus_by_waves(task: Task, power: Power, *, relay: bool) -> list[np.ndarray]:
+@method("coherent", options=("relay",), waves=True)
+def coherent(task: Task, *, relay: bool) -> list[np.ndarray]:
+    """Follow the light back as one coherent wave."""
+    return _refocus(task, 1, relay)
+
+
+@method("partial", options=("interleave", "relay"), waves=True)
+def partial(task: Task, *, interleave: int | str, relay: bool) -> list[np.ndarray]:
+    """Follow the light back as one wave for each subset of lenses, or for each lens."""
+    return _refocus(task, interleave, relay)
+
+
+def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]:
     """Refocus every channel.
-
-    An amplitude is the square root of a pixel. Pixels below zero, which `expose` makes of dark ones, are refocused
-    apart, by their magnitude, and what they give is subtracted: so noise of mean zero leaves no light on average.
 
     The white that bins are divided by, if there is no white capture, is that of rays: without interference, less what
     waves lose of a micro-image at the edge of the pupil.
-
-    Returns
-    -------
-    list of (rows, columns, channels) float32 arrays
-        Radiance.
     """
-    camera = task.camera
-    rays = [white_sums(camera, g, camera.lit_radius, "lens", task.oversample) for g in task.distances]
-
-    def sums(image: np.ndarray, distances: Sequence[float], progress: Progress) -> list[np.ndarray]:
-        of_distances = dataclasses.replace(task, distances=distances)
-        channels = []
-        for number, wavelength in enumerate(task.wavelengths[: image.shape[2]]):
-
-            def part(done: float, number: int = number) -> None:
-                progress((number + done) / image.shape[2])
-
-            channels.append(_in_bins(image[..., number], of_distances, wavelength, power, relay, part))
-        return [np.stack(planes, axis=-1) for planes in zip(*channels, strict=True)]
-
-    def model() -> list[np.ndarray]:
-        def white(wavelength: float, distance: float) -> np.ndarray:
-            fine = fine_bins(task.system(wavelength), task.oversample)
-            return white_light(camera, wavelength, distance, task.oversample, fine=fine, relay=relay)
-
-        return [np.stack([white(w, g) for w in task.wavelengths], axis=-1) for g in task.distances]
-
-    return to_radiance(task, sums, model=model, reach=rays)
-
-
-def _in_bins(
-    image: np.ndarray, task: Task, wavelength: float, power: Power, relay: bool, progress: Progress
-) -> list[np.ndarray]:
-    """Return the power in bins, where the light of lenses that do not lie on them is spread over what these cover."""
-    if image.min() < 0:
-        parts = np.maximum(image, 0), np.maximum(-image, 0)
-        bright = _of_amplitudes(parts[0], task, wavelength, power, relay, lambda done: progress(done / 2))
-        dark = _of_amplitudes(
-            parts[1], task, wavelength, power, relay, lambda done: progress((1 + done) / 2), judged=False
-        )
-        return [more - less for more, less in zip(bright, dark, strict=True)]
-    return _of_amplitudes(image, task, wavelength, power, relay, progress)
-
-
-def _of_amplitudes(
-    image: np.ndarray,
-    task: Task,
-    wavelength: float,
-    power: Power,
-    relay: bool,
-    progress: Progress,
-    *,
-    judged: bool = True,
-) -> list[np.ndarray]:
-    """Return the power in bins of pixels that are not negative."""
-    camera, oversample, system = task.camera, task.oversample, task.system(wavelength)
-    real, seen, distances = None, camera, task.distances
-    if camera.lens_data.traced_surfaces:
-        real = RealConjugates.of(system, list(distances), oversample)
-        seen, distances = real.camera, [real.distance(distance) for distance in distances]
-    fine = fine_bins(system, oversample)
-    totals = power(
-        image,
-        seen,
-        distances,
-        wavelength,
-        relay=relay,
-        oversample=oversample * fine,
-        judged=judged,
-        progress=progress,
-        conjugates=real or ThinConjugates(system),
-    )
-    if real is not None:
-        found = []
-        for total, distance in zip(totals, task.distances, strict=True):
-            moved, scale = undistorted(total, real, camera, distance, oversample * fine)
-            found.append(over_lenses(moved, camera, oversample, fine, scale * lens_scale(camera, distance)))
-        return found
-    if fine == 1:
-        return totals
-    return [
-        over_lenses(total, camera, oversample, fine, lens_scale(camera, distance))
-        for total, distance in zip(totals, task.distances, strict=True)
+    camera, oversample = task.camera, task.oversample
+    sums = []
+    for image, distances, progress in captures(task):
+        count, found = image.shape[2], []
+        for channel, wavelength in enumerate(task.wavelengths[:count]):
+            given = image[..., channel], task.system(wavelength), distances, interleave, relay, oversample
+            found.append(_signed_power(*given, portion(progress, channel, count)))
+        sums.append([np.stack(planes, axis=-1) for planes in zip(*found, strict=True)])
+    white = [
+        np.stack([white_light(camera, w, g, oversample, relay) for w in task.wavelengths], axis=-1)
+        for g in (task.distances if task.white is None else ())
     ]
+    rays = [white_sums(camera, g, camera.lit_radius, "lens", oversample) for g in task.distances]
+    return to_radiance(task, sums, white, rays)
 
 
-def fine_bins(system: OpticalSystem, oversample: int) -> int:
-    """Return how many fine bins across a bin power is summed in, before it is spread over lenses."""
-    camera = system.camera
+def signed_parts(image: np.ndarray) -> list[tuple[float, np.ndarray]]:
+    """Return the pixels that are not negative and, where there are others, the magnitudes of these, with their signs.
+
+    Amplitudes are square roots. Pixels below zero, which `expose` makes of dark ones, are refocused apart, and what
+    they give is subtracted: so noise of mean zero leaves no light on average.
+    """
+    if image.min() >= 0:
+        return [(1.0, image)]
+    return [(sign, np.maximum(sign * image, 0)) for sign in (1.0, -1.0)]
+
+
+def _signed_power(
+    image: np.ndarray,
+    system: OpticalSystem,
+    distances: Sequence[float],
+    interleave: int | str,
+    relay: bool,
+    oversample: int,
+    progress: Progress,
+) -> list[np.ndarray]:
+    """Return the power in bins, in pixel values times pixels, spread over lenses where these do not lie on bins.
+
+    Object distances share the light up to the main lens. A real main lens is seen from behind as a thin one.
+    """
+    camera, wavelength, planes = system.camera, system.wavelength, list(distances)
+    fine, real, seen = fine_bins(system, oversample), None, camera
     if camera.lens_data.traced_surfaces:
-        camera = behind_thin_lens(system)
-    elif camera.lenses_are_bins:
+        real = RealConjugates.of(system, planes, oversample)
+        seen, planes = real.camera, [real.distance(distance) for distance in distances]
+    parts, found = signed_parts(image), [np.zeros(()) for _ in distances]
+    for number, (sign, part) in enumerate(parts):
+        # Guards look at the light, not at the noise below zero.
+        options: dict[str, Any] = {"relay": relay, "oversample": oversample * fine, "checked": sign > 0}
+        options |= {"progress": portion(progress, number, len(parts)), "conjugates": real or ThinConjugates(system)}
+        period = full_field_period(part, seen, planes, wavelength) if isinstance(interleave, str) else interleave
+        if period is None:
+            totals = reconstruct_lens_by_lens(part, seen, planes, wavelength, **options)
+        else:
+            totals = reconstruct_subsets(part, seen, planes, wavelength, interleave=period, **options)
+        for plane, (total, distance) in enumerate(zip(totals, distances, strict=True)):
+            scale = lens_scale(camera, distance)
+            if real is not None:
+                total, stretch = undistorted(total, real, camera, distance, oversample * fine)
+                scale *= stretch
+            if fine > 1 or real is not None:
+                total = over_lenses(total, camera, oversample, fine, scale)
+            found[plane] = found[plane] + sign * total
+    return found
+
+
+def full_field_period(
+    image: np.ndarray, camera: PlenopticCamera, distances: Sequence[float], wavelength: float
+) -> int | None:
+    """Period at which subsets of lenses do not interfere, where full fields are cheaper than single lenses; else None.
+
+    Full fields are, near focus, where few subsets do; the cost is the number of samples that are transformed.
+    """
+    lit = lit_window(image, camera)
+    if lit is None:
         return 1
-    return Tile(camera, system.wavelength, 1, oversample).samples // oversample
+    blur = max(camera.blur_diameter(g) for g in distances) / min(camera.mla_pitches)
+    period = math.ceil(blur - 1e-6) + _APART
+    tile = LensTile(camera, wavelength, tile_lenses(camera, distances), 1)
+    lenses = math.prod((end - first) / camera.pixels_per_lens for first, end in lit)
+    single = lenses * tile.transformed * len(distances)
+    # A field takes at least this; how much more needs grids, of which those of large cameras are not worth planning.
+    if period**2 * math.prod(end - first for first, end in lit) >= single:
+        return None
+    return period if period**2 * plan(camera, wavelength, distances, lit).transformed < single else None

@@ -8,7 +8,7 @@ import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
-from ..reconstruction.volume import Volume
+from ..reconstruction.results import Volume
 from .images import write_png
 
 _GAP = 4

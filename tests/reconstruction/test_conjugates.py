@@ -9,7 +9,7 @@ from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, reco
 from mitsuba_plenoptic.reconstruction.conjugates import RealConjugates
 from mitsuba_plenoptic.reconstruction.full_fields import reconstruct_subsets
 from mitsuba_plenoptic.reconstruction.lens_by_lens import reconstruct_lens_by_lens
-from mitsuba_plenoptic.reconstruction.real_lens import traced_white
+from mitsuba_plenoptic.reconstruction.splatting import traced_white
 from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 METHODS = {"coherent": {}, "partial": {"interleave": "auto"}, "deconvolved": {"iterations": 10}}

@@ -12,9 +12,8 @@ from mitsuba_plenoptic.design import resolution_limit
 from mitsuba_plenoptic.lattice import turn
 from mitsuba_plenoptic.lightfield.white import white_image
 from mitsuba_plenoptic.reconstruction.deconvolution.cells import to_bins
-from mitsuba_plenoptic.reconstruction.deconvolution.response import Response
+from mitsuba_plenoptic.reconstruction.deconvolution.response import Response, bin_weight
 from mitsuba_plenoptic.reconstruction.deconvolution.solver import richardson_lucy
-from mitsuba_plenoptic.reconstruction.deconvolution.spreads import bin_weight
 from mitsuba_plenoptic.reconstruction.deconvolution.variation import Noise
 
 WAVELENGTH = 633.0

@@ -11,7 +11,7 @@ import pytest
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct
 from mitsuba_plenoptic.lightfield.white import white_image
-from mitsuba_plenoptic.reconstruction.displacement import brought_back, displacements, is_known
+from mitsuba_plenoptic.reconstruction.radiance import brought_back, displacements, is_known
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 CAMERA = PlenopticCamera(detector_width=0.768, resolution=(192, 192))
@@ -50,7 +50,7 @@ def test_displacements_are_told_of_both_axes_and_cut_at_a_lens():
     step = slope * CAMERA.mla_pitch / 2
     tilted = [1 + step * (x + 0.4), 1 + step * (y - 9.0)]
     tilted[0][0, 0] = np.nan
-    across, down = displacements(tilted, [slope, slope], CAMERA, 2)
+    across, down = displacements(tilted, slope, CAMERA, 2)
     assert across[0, 0] == 0
     np.testing.assert_allclose(across.ravel()[1:], 0.4, atol=1e-9)
     np.testing.assert_allclose(down, -2)

@@ -9,9 +9,8 @@ import pytest
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct
 from mitsuba_plenoptic.lightfield.white import white_image
-from mitsuba_plenoptic.reconstruction.binning import axis_bins, bin_image
 from mitsuba_plenoptic.reconstruction.methods import METHODS, method
-from mitsuba_plenoptic.reconstruction.ray_sums import ray_sums
+from mitsuba_plenoptic.reconstruction.ray import axis_bins, bin_image, ray_sums
 
 
 def by_single_rays(image, camera, distance):
@@ -100,10 +99,7 @@ def test_channels_are_refocused_alike_and_many_distances_at_once():
 def test_binning_spreads_and_loses_what_it_should():
     low, high = np.array([0.25, 1.0, 1.5, -0.5]), np.array([1.25, 1.0, 3.5, 0.5])
     bins = axis_bins(low, high, np.zeros(4), 3, 1.0)
-    dense = np.zeros((3, 4))
-    for i in range(3):
-        for entry in range(bins.start[i], bins.start[i + 1]):
-            dense[i, bins.pixel[entry]] += bins.weight[entry]
+    dense = bins.weights.toarray()
     np.testing.assert_allclose(dense, [[0.75, 0, 0, 0.5], [0.25, 1, 0.25, 0], [0, 0, 0.5, 0]])
     image = np.arange(16, dtype=np.float32).reshape(4, 4, 1)
     np.testing.assert_allclose(bin_image(image, bins, bins, 1.0)[..., 0], dense @ image[..., 0] @ dense.T, rtol=1e-6)

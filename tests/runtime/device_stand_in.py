@@ -15,8 +15,8 @@ from mitsuba_plenoptic.runtime.backend import Backend
 _dr_numpy = dr.ArrayBase.numpy
 
 _FUNCTIONS = (
-    "add", "ascontiguousarray", "copyto", "einsum", "empty", "eye", "moveaxis", "multiply", "ones", "pad", "repeat",
-    "sqrt", "square", "stack", "tensordot", "where", "zeros",
+    "add", "arange", "ascontiguousarray", "bincount", "copyto", "cumsum", "einsum", "empty", "eye", "maximum",
+    "moveaxis", "multiply", "ones", "pad", "repeat", "roll", "sqrt", "square", "stack", "tensordot", "where", "zeros",
 )  # fmt: skip
 
 
@@ -66,7 +66,7 @@ class DeviceArray(np.lib.mixins.NDArrayOperatorsMixin):
             return getattr(self._host, name)
         if name in ("T", "real", "imag"):
             return DeviceArray(getattr(self._host, name), self)
-        if name in ("reshape", "view", "transpose", "sum", "copy", "astype"):
+        if name in ("astype", "conj", "copy", "ravel", "reshape", "sum", "transpose", "view"):
             return lambda *args, **kwargs: _wrap(getattr(self._host, name)(*_unwrap(args), **kwargs), self)
         raise AttributeError(name)
 

@@ -18,7 +18,7 @@ from mitsuba_plenoptic.io.checkpoints import Checkpoint
 from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.operator.point_spread import point_fields
 from mitsuba_plenoptic.optics.free_space import propagate
-from mitsuba_plenoptic.reconstruction.white import white_throughput
+from mitsuba_plenoptic.reconstruction import ray
 from mitsuba_plenoptic.runtime import backend as _backend
 from mitsuba_plenoptic.runtime.jobs import Job
 
@@ -90,9 +90,9 @@ def device(monkeypatch):
     monkeypatch.setattr(_backend, "array_module", lambda: dr.cuda)
     monkeypatch.setattr(dr, "backend_v", lambda array: dr.JitBackend.CUDA)
     monkeypatch.setattr(dr.ArrayBase, "numpy", numpy)
-    white_throughput.cache_clear()
+    ray._results.clear()
     yield stand_in
-    white_throughput.cache_clear()
+    ray._results.clear()
 
 
 @pytest.mark.parametrize("name", [*WORKS, *ADJOINTS])

@@ -1,7 +1,7 @@
 r"""The periodic cells of a camera: which bins of an object plane, and which samples of the detector, repeat together.
 
 Move a bin so that its image on the MLA moves by a lattice vector v: its point spread moves on the detector by
-:math:`v (b + z) / b`, and is the same but for the main lens's aberrations. On `capture.grid.Grid` that is a whole
+:math:`v (b + z) / b`, and is the same except for the main lens's aberrations. On `capture.grid.Grid` that is a whole
 number of samples. So the plane of the bins and the grid are cut into *cells*, one for each lens (one for three lenses
 where three types are interleaved), and the response of all bins is known from that of the bins of one cell.
 
@@ -27,17 +27,7 @@ from ...runtime.batches import Box
 
 @dataclass(frozen=True)
 class CellSet:
-    """Cells, row by row: each row is a run without gaps.
-
-    Attributes
-    ----------
-    top : int
-        J of the first row.
-    first : int64 array (rows,)
-        I of each row's first cell.
-    count : int64 array (rows,)
-        Cells of each row.
-    """
+    """Cells, row by row: each row is a run without gaps."""
 
     top: int
     first: NDArray[np.int64]
@@ -76,16 +66,8 @@ class CellSet:
 
 
 @dataclass(frozen=True)
-class Cells:
-    """Bins and samples of a camera by cells.
-
-    Parameters
-    ----------
-    grid : Grid
-        The grid of the detector.
-    oversample : int
-        Bins along a lens pitch.
-    """
+class BinCells:
+    """Bins and samples of a camera by cells."""
 
     grid: Grid
     oversample: int
@@ -136,20 +118,7 @@ class Cells:
         return np.rint(-self.grid.origin / self.grid.pitch).astype(np.int64)
 
     def bin_places(self, cell: NDArray[np.int64], parts: int = 1) -> NDArray[np.float64]:
-        """Return places in the bins of a cell on the MLA, evenly over each.
-
-        Parameters
-        ----------
-        cell : int64 array (2,)
-            The cell.
-        parts : int
-            Places in a bin along each axis.
-
-        Returns
-        -------
-        float64 array (bins, parts**2, 2)
-            Bins by rows, in millimetres in the frame of the lattice.
-        """
+        """Return places in the bins of a cell on the MLA, evenly over each."""
         x, y = (
             (np.arange(count * parts).reshape(count, parts) + 0.5) * (size / parts)
             for count, size in zip(self.bins, self.bin_sizes, strict=True)
@@ -169,12 +138,7 @@ class Cells:
         return CellSet(int(rows[0]), first, last - first + 1)
 
     def split(self, samples: NDArray[np.float32], box: Box, cells: CellSet) -> NDArray[np.float32]:
-        """Cut the samples of a box into cells; what lies beyond the box is zero.
-
-        Returns
-        -------
-        float32 array (cells, rows, columns)
-        """
+        """Cut the samples of a box into cells; what lies beyond the box is zero."""
         width, height = self.size
         result = np.zeros((len(cells), height, width), np.float32)
         for number, part, inside, place in self._strips(box, cells):
@@ -184,12 +148,7 @@ class Cells:
         return result
 
     def join(self, values: NDArray[np.float32], cells: CellSet, box: Box) -> NDArray[np.float32]:
-        """Put the samples of cells together on a box; the adjoint of `split`.
-
-        Returns
-        -------
-        float32 array (rows, columns)
-        """
+        """Put the samples of cells together on a box; the adjoint of `split`."""
         width, height = self.size
         result = np.zeros((box.rows, box.columns), np.float32)
         for number, part, inside, place in self._strips(box, cells):
@@ -218,30 +177,16 @@ _ALIGNED = 1e-6
 
 
 def to_bins(
-    values: NDArray[np.float32], cells: Cells, lit: CellSet, camera: PlenopticCamera, distance: float, oversample: int
+    values: NDArray[np.float32],
+    cells: BinCells,
+    lit: CellSet,
+    camera: PlenopticCamera,
+    distance: float,
+    oversample: int,
 ) -> NDArray[np.float32]:
     """Interpolate between the centres of bins; where the two grids are one, nothing changes.
 
     Behind a real main lens cells are places of chief rays on the array, and its distortion is undone.
-
-    Parameters
-    ----------
-    values : float32 array (cells, bins)
-        Of the cells of `lit`; beyond them it is zero.
-    cells : Cells
-        How the bins are gathered.
-    lit : CellSet
-        The cells.
-    camera : PlenopticCamera
-        The camera in its own frame.
-    distance : float
-        Of the object plane; may be infinite.
-    oversample : int
-        Bins of the reconstruction per lens pitch.
-
-    Returns
-    -------
-    float32 array (rows, columns)
     """
     pitch = camera.mla_pitch / oversample
     x, y = ((np.arange(count * oversample) - (count * oversample - 1) / 2) * pitch for count in camera.bin_count)

@@ -15,9 +15,7 @@ from __future__ import annotations
 
 import itertools
 import math
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,16 +23,15 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...design.microscope import objective_of
-from ...errors import InputError
 from ...operator.full_field import FullFieldPlan
 from ...operator.units import radiance_weight
 from ...optics.phase import in_millimetres
 from ...runtime.backend import backend
 from ...runtime.fft import fft, irfft, resting_drjit, rfft
 from ...runtime.jobs import Job
-from ...runtime.limits import largest_fitting, require_memory
 from ...system.optical_system import OpticalSystem
 from ...system.sampling import fast_length
+from .kernels import StoredResponse, require_response_memory
 from .variation import TotalVariation
 
 _MEMORY = 2 * 2**30
@@ -44,32 +41,11 @@ _DARK = 2
 """Lens pitches beyond the image of the stop where light of the outermost lenses still goes."""
 
 
-class FourierResponse:
+class FourierResponse(StoredResponse):
     r"""The capture of object planes made of bins of even radiance: :math:`I = \sum_k A_k x_k`.
 
     Bins fill the picture of one lens, `PlenopticCamera.bin_count` of them times `oversample`. What lies beyond that is
     taken for dark: behind a real microscope a field stop hides it.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        A microscope in the Fourier arrangement; its recorded window may be a crop.
-    distances : sequence of float
-        Depths of the planes.
-    wavelength : float
-        Wavelength in nanometres.
-    oversample : int
-        Bins along a pixel of a lens's picture.
-    job : Job, optional
-        Who computes the point spreads, one a plane, and who is told of the progress.
-
-    Kernels of many planes are kept in a temporary folder; as a context it removes the folder when it is left, else that
-    is done when nothing refers to it any more.
-
-    Raises
-    ------
-    InputError
-        If it would need too much memory.
     """
 
     def __init__(
@@ -85,28 +61,19 @@ class FourierResponse:
         self._camera, self._oversample, self._count = camera, oversample, len(distances)
         bins, pixels = np.array(camera.bin_count), np.array(camera.crop_size)
         self._size = tuple(fast_length(float(number)) for number in reversed((pixels + bins - 1).tolist()))
-        self._folder = None
-        if len(distances) > 1 and self._spectra_memory(oversample) > _MEMORY:
-            self._folder = tempfile.TemporaryDirectory(prefix="deconvolution-")
-        self._planes = f"{len(distances)} planes" if len(distances) > 1 else f"the plane at {distances[0]:g}"
+        super().__init__(len(distances) > 1 and self._spectra_memory(oversample) > _MEMORY)
         deepest = max(abs(distance) for distance in distances)
         fine = _fine_camera(camera, wavelength, oversample, deepest)
-        self._require_memory(fine)
-        self._spectra = self._empty_spectra()
+        self._require_memory(fine, distances)
         points = np.array([[*self._middle, depth] for depth in distances])
         system = OpticalSystem(fine.at_wavelength(wavelength), wavelength)
         self._lens, plan = system.lens, FullFieldPlan(system, points, None, 0.0)
         one = np.ones(1, np.float32)
         batches = [plan.batch(plane, one) for plane in range(len(distances))]
-        for plane, part in enumerate((job or Job()).each(batches, [1] * len(batches), 0, len(batches))):
-            self._keep(plane, np.asarray(part.sums[0]), fine)
-
-    def __enter__(self) -> FourierResponse:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._folder:
-            self._folder.cleanup()
+        self._spectra: list[NDArray[np.complex64]] = []
+        for part in (job or Job()).each(batches, [1] * len(batches), 0, len(batches)):
+            spectra = self._kernel_spectra(np.asarray(part.sums[0]), fine)
+            self._spectra += self._stored([spectra], f"{len(self._spectra)}")
 
     @property
     def shapes(self) -> list[tuple[int, int]]:
@@ -123,17 +90,7 @@ class FourierResponse:
         return np.ascontiguousarray(values[::-1, ::-1])
 
     def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-        """Record planes.
-
-        Parameters
-        ----------
-        values : sequence of float32 arrays (rows, columns)
-            Radiance of the bins of each plane, as they lie in a lens's picture.
-
-        Returns
-        -------
-        float32 array (rows, columns)
-        """
+        """Record planes."""
         libraries, (rows, columns) = backend(), self._size
         total = libraries.arrays.zeros((rows, columns // 2 + 1), np.complex64)
         with resting_drjit():
@@ -145,17 +102,7 @@ class FourierResponse:
             return np.ascontiguousarray(libraries.to_host(irfft(found, columns, axis=1)[:, :width]))
 
     def adjoint(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-        """Apply the transpose of `forward`.
-
-        Parameters
-        ----------
-        image : float32 array (rows, columns)
-            Of the recorded pixels.
-
-        Returns
-        -------
-        list of float32 arrays (rows, columns)
-        """
+        """Apply the transpose of `forward`."""
         libraries, columns, result = backend(), self._size[1], []
         width, height = self._camera.bin_count
         with resting_drjit():
@@ -194,8 +141,8 @@ class FourierResponse:
         spectrum[: len(samples)] = rfft(wide, axis=1)
         return fft(spectrum, axis=0)
 
-    def _keep(self, plane: int, spread: NDArray[np.float32], fine: PlenopticCamera) -> None:
-        """Take the kernels of a plane from the spread of the bin in the middle, on the fine camera's pixels."""
+    def _kernel_spectra(self, spread: NDArray[np.float32], fine: PlenopticCamera) -> NDArray[np.complex64]:
+        """Return the spectra of a plane's kernels from the spread of the middle bin on the fine camera's pixels."""
         o, camera = self._oversample, self._camera
         per_bin = round(camera.pixel_size / fine.pixel_size / o)
         for axis in (0, 1):
@@ -214,11 +161,11 @@ class FourierResponse:
             )
             for axis in (1, 0)
         ]
-        for number, phase in enumerate(self._phases):
-            kernel = parts
-            for axis, part in enumerate(phase):
-                kernel = _over_pixels(kernel, o, int(part.start), axis)
-            self._spectra[plane, number] = backend().to_host(self._spectrum(self._wrapped(kernel, low)))
+        spectra = np.empty((o**2, self._size[0], self._size[1] // 2 + 1), np.complex64)
+        for spectrum, (down, across) in zip(spectra, self._phases, strict=True):
+            kernel = _over_pixels(_over_pixels(parts, o, down.start, 0), o, across.start, 1)
+            spectrum[...] = backend().to_host(self._spectrum(self._wrapped(kernel, low)))
+        return spectra
 
     def _wrapped(self, kernel: NDArray[np.float32], low: Sequence[int]) -> NDArray[np.float32]:
         """Lay a kernel, whose first sample belongs to these steps, around the first corner of the period."""
@@ -232,43 +179,18 @@ class FourierResponse:
         result[np.ix_(*places)] = kernel[np.ix_(*kept)]
         return result
 
-    def _empty_spectra(self) -> Any:
-        """Return room for the spectra, (planes, kernels, rows, columns)."""
-        shape = self._count, self._oversample**2, self._size[0], self._size[1] // 2 + 1
-        if self._folder is None:
-            return np.empty(shape, np.complex64)
-        path = Path(self._folder.name) / "spectra"
-        try:
-            with path.open("wb") as file:
-                # Written, so that a full disk is found now.
-                for _ in range(shape[0]):
-                    file.write(np.zeros(shape[1:], np.complex64).data)
-        except OSError as error:
-            raise InputError(
-                f"{path.parent}: the response needs room there: {error.strerror}; TMPDIR names another folder"
-            ) from None
-        return np.memmap(path, np.complex64, "r+", shape=shape)
-
     def _spectra_memory(self, oversample: int) -> float:
         """Return the bytes of all kernels' spectra."""
         return 4.0 * self._count * oversample**2 * math.prod(self._size)
 
-    def _require_memory(self, fine: PlenopticCamera) -> None:
-        """Refuse what does not fit, before anything is allocated."""
-
+    def _require_memory(self, fine: PlenopticCamera, distances: Sequence[float]) -> None:
         def memory(oversample: int) -> float:
             spectra = self._spectra_memory(oversample) / (self._count if self._folder else 1)
             bins = 4.0 * self._count * oversample**2 * math.prod(self._camera.bin_count)
             spread = 4.0 * math.prod(fine.resolution) * (oversample / self._oversample) ** 2
             return spectra + 12 * bins + 6 * spread + 24.0 * math.prod(self._size)
 
-        def fitting(limit: float) -> str | None:
-            largest = largest_fitting(memory, limit, self._oversample)
-            return f"oversample = {largest}" if largest else None
-
-        require_memory(
-            memory(self._oversample), f"oversample = {self._oversample}: deconvolution of {self._planes}", fitting
-        )
+        require_response_memory(memory, self._oversample, distances)
 
 
 def _fine_camera(camera: PlenopticCamera, wavelength: float, oversample: int, deepest: float) -> PlenopticCamera:

@@ -1,6 +1,6 @@
 """How the bins of one cell light the samples of the cells around: a few dense blocks of a mostly dark array.
 
-Through one lens a bin lights a spot; the lens beside it has that spot elsewhere. So of all pairs of a cell and a block
+Through one lens a bin lights a spot; the next lens has that spot elsewhere. So of all pairs of a cell and a block
 of its samples few hold light, and the others are left out. What they would hold is given to those that stay, all alike,
 so that no power is lost.
 """
@@ -8,11 +8,12 @@ so that no power is lost.
 from __future__ import annotations
 
 import itertools
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +22,8 @@ from ...errors import InputError
 from ...runtime.backend import backend, backend_of
 from ...runtime.batches import Part
 from ...runtime.fft import worker_count
-from ...runtime.limits import single_threaded_blas
-from .cells import Cells, CellSet
+from ...runtime.limits import largest_fitting, require_memory, single_threaded_blas
+from .cells import BinCells, CellSet
 
 _BLOCK = 8
 """Samples along an axis of a block, about."""
@@ -32,18 +33,8 @@ LEAST = 2e-3
 
 
 @dataclass(frozen=True)
-class Block:
-    """What one block of a cell's samples gets.
-
-    Attributes
-    ----------
-    rows, columns : slice
-        The samples.
-    steps : int64 array (n,)
-        Numbers of the kernel's steps from where light comes.
-    matrix : float32 array (n * bins, samples)
-        The light of each bin in each sample.
-    """
+class SampleBlock:
+    """What one block of a cell's samples gets."""
 
     rows: slice
     columns: slice
@@ -53,71 +44,62 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """The response of the bins of any cell near some place.
-
-    Attributes
-    ----------
-    steps : int64 array (steps, 2)
-        From a cell with bins to the cells whose samples they light.
-    blocks : list of Block
-        Blocks of samples.
-    """
+    """The response of the bins of any cell near some place."""
 
     steps: NDArray[np.int64]
-    blocks: list[Block]
-
-    @property
-    def memory(self) -> int:
-        """Bytes of its matrices."""
-        return sum(block.matrix.nbytes for block in self.blocks)
+    blocks: list[SampleBlock]
 
 
-def on_disk(kernels: Sequence[Kernel], path: Path) -> list[Kernel]:
-    """Write the matrices of kernels into one file, and return kernels that read them from there.
+class StoredResponse:
+    """A response whose kernels may lie in a temporary folder.
 
-    What is read is kept by the system as long as there is memory for it, and dropped when there is not.
-
-    Raises
-    ------
-    InputError
-        If the disk has no room.
+    As a context it removes the folder when it is left, else that is done when nothing refers to it any more.
     """
-    try:
-        with path.open("wb") as file:
-            for kernel in kernels:
-                for block in kernel.blocks:
-                    file.write(block.matrix.data)
-    except OSError as error:
-        raise InputError(
-            f"{path.parent}: the response needs room there: {error.strerror}; TMPDIR names another folder"
-        ) from None
-    values, place, found = np.memmap(path, np.float32, "r"), 0, []
-    for kernel in kernels:
-        blocks = []
-        for block in kernel.blocks:
-            matrix = values[place : place + block.matrix.size].reshape(block.matrix.shape)
-            blocks.append(replace(block, matrix=matrix))
-            place += matrix.size
-        found.append(Kernel(kernel.steps, blocks))
-    return found
+
+    def __init__(self, several: bool) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="deconvolution-") if several else None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._folder:
+            self._folder.cleanup()
+
+    def _stored(self, arrays: list[NDArray[Any]], name: str) -> list[NDArray[Any]]:
+        """Write arrays of one type into a file of the folder, if there is one, and return them as read from there.
+
+        The system holds what is read in memory as long as there is room for it.
+        """
+        if self._folder is None:
+            return arrays
+        path = Path(self._folder.name) / name
+        try:
+            with path.open("wb") as file:
+                for array in arrays:
+                    file.write(array.data)
+        except OSError as error:
+            raise InputError(
+                f"{path.parent}: the response needs room there: {error.strerror}; TMPDIR names another folder"
+            ) from None
+        ends = np.cumsum([array.size for array in arrays])
+        values = np.memmap(path, arrays[0].dtype, "r")
+        return [values[end - array.size : end].reshape(array.shape) for array, end in zip(arrays, ends, strict=True)]
 
 
-def make_kernel(cells: Cells, cell: NDArray[np.int64], spreads: Iterable[list[Part]]) -> Kernel:
-    """Gather the point spreads of a cell's bins.
+def require_response_memory(memory: Callable[[int], float], oversample: int, distances: Sequence[float]) -> None:
+    """Refuse a response that does not fit, by the bytes that numbers of bins take, before anything is allocated."""
 
-    Parameters
-    ----------
-    cells : Cells
-        The cells.
-    cell : int64 array (2,)
-        The cell whose bins they are.
-    spreads : iterable of lists of Part
-        For each bin what is to be added, in units of intensity on samples of the grid.
+    def fitting(limit: float) -> str | None:
+        largest = largest_fitting(memory, limit, oversample)
+        return f"oversample = {largest}" if largest else None
 
-    Returns
-    -------
-    Kernel
-    """
+    planes = f"{len(distances)} planes" if len(distances) > 1 else f"the plane at {distances[0]:g}"
+    require_memory(memory(oversample), f"oversample = {oversample}: deconvolution of {planes}", fitting)
+
+
+def make_kernel(cells: BinCells, cell: NDArray[np.int64], spreads: Iterable[list[Part]]) -> Kernel:
+    """Gather the point spreads of a cell's bins."""
     found = []
     for number, parts in enumerate(spreads):
         for part in parts:
@@ -160,37 +142,15 @@ def sparse_kernel(steps: NDArray[np.int64], dense: NDArray[np.float32]) -> Kerne
         which = np.flatnonzero(lit)
         if len(which):
             matrix = dense[which][:, :, rows, columns].reshape(len(which) * dense.shape[1], -1) * scale
-            blocks.append(Block(rows, columns, number[which], np.ascontiguousarray(matrix)))
+            blocks.append(SampleBlock(rows, columns, number[which], np.ascontiguousarray(matrix)))
     return Kernel(steps[kept], blocks)
 
 
 Result = TypeVar("Result")
 
 
-@dataclass(frozen=True)
-class Zone:
-    """Cells that get their light by one kernel.
-
-    Attributes
-    ----------
-    members : int64 array (n,)
-        Numbers of the cells whose samples it gives.
-    kernel : Kernel
-        The response of the bins about its middle.
-    """
-
-    members: NDArray[np.int64]
-    kernel: Kernel
-
-
 def zones(cells: CellSet, width: int) -> list[NDArray[np.int64]]:
-    """Cut cells into zones of so many rows, and as many cells of each.
-
-    Returns
-    -------
-    list of int64 arrays
-        Numbers of each zone's cells.
-    """
+    """Cut cells into zones `width` rows high, of as many cells of each row."""
     row = np.repeat(np.arange(len(cells.count)), cells.count)
     column = np.arange(len(cells)) - cells.start[row]
     along, down = (-(-int(count) // width) for count in (cells.count.max(), len(cells.count)))
@@ -200,36 +160,23 @@ def zones(cells: CellSet, width: int) -> list[NDArray[np.int64]]:
 
 
 class PlaneResponse:
-    """What the samples of all cells get of the bins of a plane.
+    """What the samples of all cells get of the bins of a plane."""
 
-    Parameters
-    ----------
-    cells : Cells
-        The cells.
-    sampled : CellSet
-        The cells whose samples are recorded.
-    zones : list of Zone
-        Zones of these cells.
-
-    Attributes
-    ----------
-    lit : CellSet
-        The cells whose bins light them.
-    """
-
-    def __init__(self, cells: Cells, sampled: CellSet, zones: list[Zone]) -> None:
+    def __init__(
+        self, cells: BinCells, sampled: CellSet, zones: Sequence[NDArray[np.int64]], kernels: Sequence[Kernel]
+    ) -> None:
         self._cells = cells
-        steps = np.concatenate([zone.kernel.steps for zone in zones])
+        steps = np.concatenate([kernel.steps for kernel in kernels])
         self.lit = sampled.grown(-steps.max(0), -steps.min(0))
         asarray = backend().arrays.asarray
         self._zones = [
             _Placed(
-                zone.kernel.blocks,
-                [asarray(block.steps) for block in zone.kernel.blocks],
-                asarray(zone.members),
-                asarray(self.lit.find(sampled.index[zone.members][:, None] - zone.kernel.steps).astype(np.int32)),
+                kernel.blocks,
+                [asarray(block.steps) for block in kernel.blocks],
+                asarray(members),
+                asarray(self.lit.find(sampled.index[members][:, None] - kernel.steps).astype(np.int32)),
             )
-            for zone in zones
+            for members, kernel in zip(zones, kernels, strict=True)
         ]
 
     @property
@@ -238,15 +185,7 @@ class PlaneResponse:
         return len(self.lit), self._cells.bins[0] * self._cells.bins[1]
 
     def add_forward(self, values: NDArray[np.float32], samples: Any) -> None:
-        """Add the light of bins to samples.
-
-        Parameters
-        ----------
-        values : float32 array (cells, bins)
-            Of the cells of `lit`.
-        samples : float32 array (cells, rows, columns)
-            Of the sampled cells, on the backend's device.
-        """
+        """Add the light of bins to samples."""
         arrays = backend().arrays
         padded = arrays.asarray(np.concatenate([values, np.zeros((1, values.shape[1]), np.float32)]))
 
@@ -261,17 +200,7 @@ class PlaneResponse:
             pass
 
     def adjoint(self, samples: Any) -> NDArray[np.float32]:
-        """Weigh the samples of cells by the light of each bin.
-
-        Parameters
-        ----------
-        samples : float32 array (cells, rows, columns)
-            Of the sampled cells, on the backend's device.
-
-        Returns
-        -------
-        float32 array (cells, bins)
-        """
+        """Weigh the samples of cells by the light of each bin."""
         arrays, bins = backend().arrays, self.shape[1]
         result = arrays.zeros((len(self.lit) + 1, bins), np.float32)
 
@@ -294,7 +223,7 @@ class PlaneResponse:
 class _Placed:
     """A zone: its blocks, and on the backend's device the steps of each, its members and where their light is from."""
 
-    blocks: list[Block]
+    blocks: list[SampleBlock]
     steps: list[Any]
     members: Any
     sources: Any

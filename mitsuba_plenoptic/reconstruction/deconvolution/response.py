@@ -1,26 +1,188 @@
-"""The response of a camera to the bins of object planes: from radiance to the capture, and the adjoint."""
+"""The response of a camera to the bins of object planes: from radiance to the capture, and the adjoint.
+
+Kernels are means of exact point spreads, or of rays.
+"""
 
 from __future__ import annotations
 
-import tempfile
+import functools
+import math
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
+from ...capture.scene_points import sample_pairs
+from ...design import resolution_limit
+from ...operator.accuracy import band_for
+from ...operator.grid import Grid, place
 from ...operator.recorder import Recorder
+from ...operator.tile import Copies, Fields, Scatter
+from ...operator.units import radiance_weight
+from ...optics.rays import cosines_to_slopes
 from ...runtime.backend import backend
+from ...runtime.batches import Box, Part
 from ...runtime.jobs import Job
-from ...runtime.limits import largest_fitting, require_memory
-from .cells import Cells, to_bins
-from .kernels import Kernel, PlaneResponse, Zone, make_kernel, on_disk, zones
-from .spreads import ray_batches, ray_grid, wave_batches, wave_grid
+from ...system.microlenses import upright
+from ...system.optical_system import OpticalSystem
+from .cells import BinCells, to_bins
+from .kernels import Kernel, PlaneResponse, SampleBlock, StoredResponse, make_kernel, require_response_memory, zones
 from .variation import TotalVariation
 
-Batches = Callable[[Cells, float, NDArray[np.int64]], Sequence[Sequence[Any]]]
+_ACCURACY = 0.01
+"""Relative error for which the grid, and what is kept of the diffracted light, are chosen."""
+
+_MANY = 2**20
+
+_RADIATORS, _MOST_RADIATORS = 8, 32
+"""Points along a lens, at least and at most, whose mean stands for the light of its bins."""
+
+_RADIATORS_PER_LINE = 4
+"""The same along a period of the finest lines that the plane's light resolves."""
+
+_INFINITY = 1e6
+"""Focal lengths at which light counts as collimated."""
+
+
+def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: float) -> Grid:
+    """Lay the grid that holds the light of planes at some distances."""
+    depths = [finite_distance(camera, distance) for distance in distances]
+    points, system = np.array([[0.0, 0.0, depth] for depth in depths]), OpticalSystem(camera, wavelength)
+    return Grid.of(system, band_for(_ACCURACY, _MANY), np.concatenate([points, system.lens.farthest(depths)]))
+
+
+def wave_batches(cells: BinCells, distance: float, cell: NDArray[np.int64]) -> list[list[Scatter]]:
+    """Return for each bin of a cell the batches whose sums, added, are its response."""
+    grid = cells.grid
+    depth = finite_distance(cells.camera, distance)
+    lens = grid.lens
+    nearness = float(lens.nearness(np.array([[0.0, 0.0, depth]]))[0])
+    places = cells.bin_places(cell, math.ceil(_points(cells, distance) / cells.oversample))
+    weight = bin_weight(cells) / places.shape[1] * float(lens.open_fraction(*places.mean((0, 1))[:, None])[0])
+    places = lens.within(places)
+    batches = []
+    for points in places:
+        positions = lens.points(points, np.full(len(points), nearness))
+        placement = place(grid, positions)
+        groups = [np.flatnonzero(placement.samples == size) for size in np.unique(placement.samples)]
+        copy = Copies(np.zeros((1, 2), np.int64), np.full((1, 1), weight, np.float32))
+        batches.append(
+            [
+                Scatter(
+                    Fields(grid, placement.take(some), positions[some], None), np.ones(len(some)), [copy] * len(some)
+                )
+                for some in groups
+            ]
+        )
+    return batches
+
+
+def _points(cells: BinCells, distance: float) -> int:
+    """Return how many points along a lens stand for its bins."""
+    camera = cells.camera
+    limit = resolution_limit(camera, distance, cells.grid.wavelength)
+    lines = 0.0 if limit.in_focus else limit.frequency / (2 * limit.lenses)  # along a lens
+    return max(_RADIATORS, min(_MOST_RADIATORS, math.ceil(_RADIATORS_PER_LINE * lines)))
+
+
+def bin_weight(cells: BinCells) -> float:
+    """Return what all pixels together record of a bin of radiance 1, where no light is lost."""
+    return radiance_weight(cells.camera, cells.grid.lens, cells.bin_sizes[0] * cells.bin_sizes[1])
+
+
+def finite_distance(camera: PlenopticCamera, distance: float) -> float:
+    """Return a distance; infinity is so far that light is collimated."""
+    return min(distance, _INFINITY * camera.focal_length)
+
+
+_RAYS = 256
+"""Square root of the rays of a bin."""
+
+_NO_WAVE = 1.0
+"""Wavelength, in nanometres, of the grid; nothing depends on it."""
+
+
+def ray_grid(camera: PlenopticCamera) -> Grid:
+    """Lay a grid whose samples are at most half as wide as pixels."""
+    camera.require_thin("this is done")
+    turned = upright(camera)
+    steps = np.array(turned.lattice.grid_step) * (turned.micro_image_pitch / turned.mla_pitch)
+    origin = -np.array([camera.detector_width, camera.detector_height]) / 2
+    pitch = steps / np.ceil(2 * steps / camera.pixel_size)
+    lens = OpticalSystem(turned, _NO_WAVE).waves_of(np.empty((0, 3)))
+    return Grid(turned, lens, camera.mla_rotation, _NO_WAVE, band_for(0.5, 1), 0.0, pitch, origin)
+
+
+@dataclass(frozen=True)
+class RayBatch:
+    """The rays of one bin."""
+
+    cells: BinCells
+    distance: float
+    corner: NDArray[np.float64]
+
+    @property
+    def samples(self) -> int:
+        """Rays."""
+        return _RAYS**2
+
+    def prepare(self) -> Callable[[], Part]:
+        """Return the function that traces the rays."""
+        return functools.partial(_trace, self)
+
+
+def ray_batches(cells: BinCells, distance: float, cell: NDArray[np.int64]) -> list[list[RayBatch]]:
+    """Return for each bin of a cell the batch whose sum is its response, as `wave_batches` does."""
+    half = np.array(cells.bin_sizes) / 2
+    return [[RayBatch(cells, distance, places[0] - half)] for places in cells.bin_places(cell)]
+
+
+@functools.cache
+def _pairs() -> NDArray[np.float64]:
+    return sample_pairs(_RAYS**2)
+
+
+def _trace(batch: RayBatch) -> Part:
+    """Trace the rays of a bin, and share each among the four samples around."""
+    cells, grid, camera = batch.cells, batch.cells.grid, batch.cells.camera
+    lens, light, lattice = grid.lens, grid.lens.bind(np.empty((0, 3))), camera.lattice
+    pairs, b, z = _pairs(), camera.mla_distance, camera.detector_distance
+    q = batch.corner + pairs[:, :2] * cells.bin_sizes
+    radius, angle = lens.pupil_radius * np.sqrt(pairs[:, 2]), 2 * np.pi * pairs[:, 3]
+    pupil = radius * np.cos(angle), radius * np.sin(angle)
+    g = finite_distance(camera, batch.distance)
+    point = -q[:, 0] * g / b, -q[:, 1] * g / b, np.full(len(q), g)
+    if camera.lens_model == "ideal":
+        m = light.land(pupil, point)
+    else:
+        slopes = cosines_to_slopes(*light.cosines(pupil, point))
+        m = tuple(P + b * t for P, t in zip(pupil, slopes, strict=True))
+    index = lattice.cell(*m)
+    offset = [place - centre for place, centre in zip(m, lattice.centre(*index), strict=True)]
+    passes = lattice.in_aperture(*offset)
+    types = lattice.lens_type(*index).astype(int) if len(camera.mla_focal_lengths) > 1 else 0
+    f2 = np.array(camera.mla_focal_lengths)[types]
+    # the inverse of `optics.rays.microlens_slope`
+    landed = np.stack([x - z * ((P - x) / b + dx / f2) for x, P, dx in zip(m, pupil, offset, strict=True)], axis=-1)
+    place = ((landed - grid.origin) / grid.pitch)[passes]
+    below = np.floor(place).astype(np.int64)
+    low = below.min(0)
+    columns, rows = (below.max(0) - low + 2).tolist()
+    sums = np.zeros(rows * columns)
+    over = place - below
+    for right in (0, 1):
+        for down in (0, 1):
+            weight = np.abs(1 - right - over[:, 0]) * np.abs(1 - down - over[:, 1])
+            number = (below[:, 1] - low[1] + down) * columns + below[:, 0] - low[0] + right
+            sums += np.bincount(number, weight, len(sums))
+    sums *= bin_weight(cells) / (len(pairs) * grid.pitch.prod())
+    return Part(Box(int(low[0]), int(low[1]), columns, rows), sums.reshape(1, rows, columns).astype(np.float32))
+
+
+Batches = Callable[[BinCells, float, NDArray[np.int64]], Sequence[Sequence[Any]]]
 """From the cells, a distance and a cell to the batches of each of its bins."""
 
 _ZONE = 16
@@ -35,37 +197,8 @@ _LIT = 0.6
 _EVERYWHERE = 2**40
 
 
-class Response:
-    r"""The capture of object planes made of bins of even radiance: :math:`I = \sum_k A_k x_k`.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera; its recorded window may be a crop.
-    distances : sequence of float
-        Of the planes.
-    wavelength : float, optional
-        Wavelength in nanometres; None: light goes by rays.
-    oversample : int
-        Bins along a lens pitch.
-    job : Job, optional
-        Who computes the point spreads, and who is told of the progress.
-
-    Kernels of many planes are kept in a temporary folder; as a context it removes the folder when it is left, else that
-    is done when nothing refers to it any more.
-
-    Attributes
-    ----------
-    planes : list of PlaneResponse
-        One for each distance.
-    cells : Cells
-        How bins and samples are gathered.
-
-    Raises
-    ------
-    InputError
-        If it would need too much memory.
-    """
+class Response(StoredResponse):
+    r"""The capture of object planes made of bins of even radiance: :math:`I = \sum_k A_k x_k`."""
 
     def __init__(
         self,
@@ -79,7 +212,7 @@ class Response:
         job = job or Job()
         grid = ray_grid(camera) if wavelength is None else wave_grid(camera, distances, wavelength)
         self._batches: Batches = ray_batches if wavelength is None else wave_batches
-        self.cells, self._camera, self._distances = Cells(grid, oversample), camera, tuple(distances)
+        self.cells, self._camera, self._distances = BinCells(grid, oversample), camera, tuple(distances)
         all_pixels = np.full((1, 2), -_EVERYWHERE), np.full((1, 2), _EVERYWHERE)
         self._recorder = Recorder(camera, grid, *all_pixels)
         self._sampled = self.cells.holding(self._recorder.box)
@@ -88,10 +221,8 @@ class Response:
         groups = self._zones(max(each), alike)
         # Where all lenses are alike one kernel serves all zones, which share the work among the cores.
         asked = groups[len(groups) // 2 :][:1] if alike else groups
-        self._folder = None
-        if _LIT * len(asked) * sum(each) > _MEMORY and len(distances) > 1:
-            self._folder = tempfile.TemporaryDirectory(prefix="deconvolution-")
-        self._require_memory(distances, len(asked), oversample)
+        super().__init__(len(distances) > 1 and _LIT * len(asked) * sum(each) > _MEMORY)
+        self._require_memory(len(asked))
         bins, total = self.cells.bins[0] * self.cells.bins[1], len(distances) * len(asked)
         self.planes: list[PlaneResponse] = []
         for distance in distances:
@@ -99,18 +230,17 @@ class Response:
             for members in asked:
                 done = (len(self.planes) * len(asked) + len(kernels)) * bins
                 kernels.append(self._kernel(distance, members, job, done, total * bins))
-            if self._folder:
-                kernels = on_disk(kernels, Path(self._folder.name) / f"{len(self.planes)}")
-            each_zone = kernels * len(groups) if alike else kernels
-            found = [Zone(members, kernel) for members, kernel in zip(groups, each_zone, strict=True)]
-            self.planes.append(PlaneResponse(self.cells, self._sampled, found))
+            kernels = self._on_disk(kernels) * (len(groups) // len(kernels))
+            self.planes.append(PlaneResponse(self.cells, self._sampled, groups, kernels))
 
-    def __enter__(self) -> Response:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._folder:
-            self._folder.cleanup()
+    def _on_disk(self, kernels: list[Kernel]) -> list[Kernel]:
+        """Return kernels whose matrices are read from the folder, if there is one."""
+        matrices = [block.matrix for kernel in kernels for block in kernel.blocks]
+        stored = iter(self._stored(matrices, f"{len(self.planes)}"))
+        return [
+            Kernel(kernel.steps, [SampleBlock(b.rows, b.columns, b.steps, next(stored)) for b in kernel.blocks])
+            for kernel in kernels
+        ]
 
     def _kernel(self, distance: float, members: NDArray[np.int64], job: Job, done: int, total: int) -> Kernel:
         """Compute the kernel of a zone from the spreads of the cell in its middle."""
@@ -138,22 +268,15 @@ class Response:
         across, down = (samples / size + 2 for size in self.cells.size)
         return float(4 * across * down * oversample**2 * np.prod(grid.lens_samples.diagonal()) * _period(camera))
 
-    def _require_memory(self, distances: Sequence[float], groups: int, oversample: int) -> None:
-        """Refuse what does not fit, before anything is allocated."""
-
+    def _require_memory(self, groups: int) -> None:
         def memory(oversample: int) -> float:
-            each = [self._kernel_memory(distance, oversample) for distance in distances]
-            bins = 4.0 * len(self._sampled) * _period(self.cells.camera) * oversample**2 * len(distances)
+            each = [self._kernel_memory(distance, oversample) for distance in self._distances]
+            bins = 4.0 * len(self._sampled) * _period(self.cells.camera) * oversample**2 * len(each)
             samples = 4.0 * self._recorder.box.rows * self._recorder.box.columns
             kernels = _LIT * groups * (max(each) if self._folder else sum(each))
             return kernels + 2 * max(each) + 12 * bins + 4 * samples + self._recorder.memory
 
-        def fitting(limit: float) -> str | None:
-            largest = largest_fitting(memory, limit, oversample)
-            return f"oversample = {largest}" if largest else None
-
-        planes = f"{len(distances)} planes" if len(distances) > 1 else f"the plane at {distances[0]:g}"
-        require_memory(memory(oversample), f"oversample = {oversample}: deconvolution of {planes}", fitting)
+        require_response_memory(memory, self.cells.oversample, self._distances)
 
     @property
     def shapes(self) -> list[tuple[int, int]]:
@@ -170,17 +293,7 @@ class Response:
         return to_bins(values, self.cells, lit, self._camera, distance, self.cells.oversample)
 
     def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-        """Record planes.
-
-        Parameters
-        ----------
-        values : sequence of float32 arrays (cells, bins)
-            Radiance, for each plane.
-
-        Returns
-        -------
-        float32 array (rows, columns)
-        """
+        """Record planes."""
         width, height = self.cells.size
         libraries = backend()
         samples = libraries.arrays.zeros((len(self._sampled), height, width), np.float32)
@@ -190,17 +303,7 @@ class Response:
         return self._recorder.record(libraries.arrays.asarray(sums[None]))[..., 0]
 
     def adjoint(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-        """Apply the transpose of `forward`.
-
-        Parameters
-        ----------
-        image : float32 array (rows, columns)
-            Of the recorded pixels.
-
-        Returns
-        -------
-        list of float32 arrays (cells, bins)
-        """
+        """Apply the transpose of `forward`."""
         libraries = backend()
         sums = libraries.to_host(self._recorder.spread(image[..., None])[0])
         samples = libraries.arrays.asarray(self.cells.split(sums, self._recorder.box, self._sampled))

@@ -65,22 +65,8 @@ class Linear(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
-    """Where an iteration has ended.
-
-    Attributes
-    ----------
-    values : list of float32 arrays
-        Radiance of the bins of each plane.
-    seen : list of float32 arrays
-        Light of each bin on the detector, over that of the best one.
-    iterations : int
-        Steps that were made.
-    residual : float
-        Root mean square of what is left of the pixels, over that of the pixels.
-    stopped : bool
-        Whether the noise has ended it.
-    """
+class PlaneEstimates:
+    """Where an iteration has ended."""
 
     values: Values
     seen: Values
@@ -90,7 +76,7 @@ class Solution:
 
 
 class Penalty(Protocol):
-    """What is asked of the radiance of bins, beside that it explains the image."""
+    """A demand on the radiance of bins besides that it explains the image."""
 
     def gradient(self, values: Values, inside: list[NDArray[np.bool_]]) -> Values:
         """Return its derivatives by the bins; those that are not inside do not count."""
@@ -98,19 +84,7 @@ class Penalty(Protocol):
 
 @dataclass
 class State:
-    """How far an iteration has come: all that its next steps depend on.
-
-    Attributes
-    ----------
-    found, last : list of float32 arrays
-        The radiance after the last step, and after the one before.
-    momentum : int
-        Steps since one pointed against the way made.
-    done : int
-        Steps that were made.
-    misfits : list of float
-        Squared residuals over that of noise, of the last steps.
-    """
+    """How far an iteration has come: all that its next steps depend on."""
 
     found: Values
     last: Values
@@ -131,37 +105,8 @@ def richardson_lucy(
     state: State | None = None,
     keep: Callable[[State], None] | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Solution:
-    r"""Find the radiance of bins that explains an image.
-
-    Parameters
-    ----------
-    response : Linear
-        The response A.
-    image : float32 array (rows, columns)
-        The pixels y.
-    iterations : int
-        Steps at most.
-    accelerate : bool
-        Whether steps start from extrapolated points.
-    misfit : callable, optional
-        Tells the squared residual over that of noise alone, which ends the iteration at 1.
-    shift : float
-        The number :math:`\beta`.
-    penalty : (Penalty, float), optional
-        The penalty P and its weight :math:`\lambda`, so small that steps stay positive.
-    state : State, optional
-        Where an earlier run was stopped; the result has the bits of one that was not.
-    keep : callable, optional
-        Given the state after every step.
-    progress : callable, optional
-        Called with the fraction of the steps that is done.
-
-    Returns
-    -------
-    Solution
-        Of an image that no pixel lights: dark bins, after no step.
-    """
+) -> PlaneEstimates:
+    r"""Find the radiance of bins that explains an image."""
     total = float(np.maximum(image, 0).sum(dtype=np.float64))
     shift = max(shift, _FLOOR * total / max(1, int((image > 0).sum())))
     given = np.maximum(image + np.float32(shift), 0)
@@ -170,7 +115,7 @@ def richardson_lucy(
     seen: Values = [np.asarray(np.maximum(part, 0) / best, np.float32) for part in light]
     inside = [part > _LEAST_SEEN for part in seen]
     if total == 0:
-        return Solution([np.zeros_like(part) for part in seen], seen, 0, float(image.any()), False)
+        return PlaneEstimates([np.zeros_like(part) for part in seen], seen, 0, float(image.any()), False)
     weight = [
         np.where(kept, 1 / np.maximum(part * best, 1e-30), 0).astype(np.float32)
         for part, kept in zip(seen, inside, strict=True)
@@ -205,7 +150,7 @@ def richardson_lucy(
             keep(state)
         if progress:
             progress(state.done / iterations)
-    return Solution(point, seen, state.done, float(np.linalg.norm(image - model)) / scale, stopped)
+    return PlaneEstimates(point, seen, state.done, float(np.linalg.norm(image - model)) / scale, stopped)
 
 
 def _explained(misfits: list[float]) -> bool:
@@ -229,15 +174,7 @@ def _dot(a: Values, b: Values, c: Values, d: Values) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """One channel of one plane.
-
-    Attributes
-    ----------
-    image : float32 array (rows, columns)
-        Radiance; NaN where no light can come from.
-    iterations, residual, stopped
-        As of `solver.Solution`.
-    """
+    """One channel of one plane."""
 
     image: NDArray[np.float32]
     iterations: int
@@ -245,21 +182,8 @@ class Solved:
     stopped: bool
 
 
-class Kept:
-    """What an earlier process has done, and what this one adds to it.
-
-    Parameters
-    ----------
-    checkpoint : Checkpoint, optional
-        The file; without one nothing is kept.
-    facts : dict
-        What the results are computed from.
-
-    Attributes
-    ----------
-    solved : list of Solved
-        What is finished, in order.
-    """
+class SolverCheckpoint:
+    """What an earlier process has done, and what this one adds to it."""
 
     def __init__(self, checkpoint: Checkpoint | None, facts: dict[str, Any]) -> None:
         self._checkpoint = checkpoint
@@ -287,9 +211,9 @@ class Kept:
             self._checkpoint.save_arrays(lambda: self._solved_arrays() | _arrays(state))
 
     def _solved_arrays(self) -> dict[str, NDArray[Any]]:
-        told = [[one.iterations, one.residual, one.stopped] for one in self.solved]
+        counts = [[one.iterations, one.residual, one.stopped] for one in self.solved]
         images = {f"image.{number}": one.image for number, one in enumerate(self.solved)}
-        return {"solved": np.array(told, np.float64).reshape(-1, 3), **images}
+        return {"solved": np.array(counts, np.float64).reshape(-1, 3), **images}
 
 
 def _arrays(state: State) -> dict[str, NDArray[Any]]:

@@ -20,7 +20,7 @@ from scipy import sparse
 
 from ...detector import Detector
 from ...errors import InputError, require_number
-from .cells import Cells, CellSet
+from .cells import BinCells, CellSet
 
 _DARKEST = 0.01
 """Variance, over the mean one, that is added to every pixel's where residuals are weighted."""
@@ -28,40 +28,14 @@ _DARKEST = 0.01
 
 @dataclass(frozen=True)
 class Noise:
-    r"""Variance of a pixel of value v: :math:`v / n + \sigma^2`.
-
-    Attributes
-    ----------
-    electrons : float
-        Electrons n in a pixel of value 1; infinite where there is no photon noise.
-    dark : float
-        Variance :math:`\sigma^2` of a dark pixel, in units of the capture squared.
-    """
+    r"""Variance of a pixel of value v: :math:`v / n + \sigma^2`."""
 
     electrons: float
     dark: float
 
     @classmethod
     def of(cls, exposure: Any, photons: float | None) -> Noise | None:
-        """Take the noise of a capture from what is told, else from what `expose` has kept with it.
-
-        Parameters
-        ----------
-        exposure : dict, optional
-            What `expose` has kept with the capture: photons, and the detector's numbers.
-        photons : float, optional
-            Photons that a pixel of value 1 has counted, all of them, without any other noise.
-
-        Returns
-        -------
-        Noise or None
-            None where nothing is known.
-
-        Raises
-        ------
-        InputError
-            If the number of photons is not one, or what is kept with the capture is not what `expose` writes.
-        """
+        """Return the noise by a number of photons if given, else by what `expose` has stored with the capture."""
         if photons is not None:
             return cls(require_number("photons", photons, positive=True), 0.0)
         return None if exposure is None else cls._exposed(exposure)
@@ -89,17 +63,6 @@ class Noise:
 
         Pearson's statistic, of expectation 1; pixels that should be all but dark count less than it would have them,
         since a single photon of light that the model does not know would outweigh all else.
-
-        Parameters
-        ----------
-        image : float32 array
-            The pixels.
-        model : float32 array
-            What they should be.
-
-        Returns
-        -------
-        float
         """
         variance = np.maximum(model, 0) / np.float32(self.electrons) + np.float32(self.dark)
         weight = 1 / (variance + np.float32(_DARKEST * float(variance.mean()) + 1e-30))
@@ -119,19 +82,13 @@ Differences = tuple[sparse.csr_matrix, sparse.csr_matrix]
 
 
 class TotalVariation:
-    """The variation of some planes.
-
-    Parameters
-    ----------
-    differences : sequence of Differences
-        Those of each plane.
-    """
+    """The variation of some planes."""
 
     def __init__(self, differences: Sequence[Differences]) -> None:
         self._differences = differences
 
     @classmethod
-    def of_cells(cls, cells: Cells, lit: Sequence[CellSet]) -> TotalVariation:
+    def of_cells(cls, cells: BinCells, lit: Sequence[CellSet]) -> TotalVariation:
         """Return that of bins that are gathered in cells, the cells of each plane."""
         return cls([_differences(cells, some) for some in lit])
 
@@ -144,19 +101,7 @@ class TotalVariation:
     def gradient(
         self, values: Sequence[NDArray[np.float32]], inside: Sequence[NDArray[np.bool_]]
     ) -> list[NDArray[np.float32]]:
-        """Return the gradient, one number a bin, free of units.
-
-        Parameters
-        ----------
-        values : sequence of float32 arrays (cells, bins)
-            Radiance, for each plane.
-        inside : sequence of bool arrays (cells, bins)
-            The bins that count; there is no step between one of them and one beyond.
-
-        Returns
-        -------
-        list of float32 arrays (cells, bins)
-        """
+        """Return the gradient, one number a bin, free of units."""
         return [
             _gradient(steps, part, kept) for steps, part, kept in zip(self._differences, values, inside, strict=True)
         ]
@@ -182,7 +127,7 @@ def _grid_differences(shape: tuple[int, int]) -> Differences:
     return _steps([(right.ravel(), whole)], 1.0), _steps([(below.ravel(), whole)], 1.0)
 
 
-def _differences(cells: Cells, lit: CellSet) -> Differences:
+def _differences(cells: BinCells, lit: CellSet) -> Differences:
     """Return the differences of bins in cells."""
     across, down = cells.bins
     width, height = cells.bin_sizes

@@ -1,4 +1,4 @@
-"""Volumes: planes at several distances on voxels of one width, on disk as TIFF or Zarr with their sizes."""
+"""Results: images refocused to one distance, on disk as OpenEXR, and volumes of them, as TIFF or Zarr."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ import tifffile
 import xarray as xr
 from numpy.typing import NDArray
 
+from ..camera import PlenopticCamera
 from ..errors import InputError, require_choice
+from ..io.exr import write_exr
 from ..io.files import atomic_output, require_writable
 from ..lightfield.exchange.labelled import require_zarr
 from ..runtime.limits import require_memory
-from .result import Reconstruction
 
 SUFFIXES = (".tif", ".tiff", ".zarr")
 
@@ -26,6 +27,75 @@ _EVEN = 1e-3
 """Part of the mean spacing by which planes may lie elsewhere and be evenly spaced."""
 
 _ALONG = {"z": 0, "y": 1, "x": 2}
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """An image refocused to one distance.
+
+    Attributes
+    ----------
+    image : (rows, columns[, channels]) float32 array
+        Upright; one bin per microlens of the full detector, or as many as were asked for, in units of the capture. It
+        lines up with the image of Mitsuba's ``thinlens`` focused at `distance`. NaN where no light can come from.
+    distance : float
+        Object distance in scene units; may be infinite.
+    bin_size : float
+        Width of a bin in the object plane, in scene units; at infinity its slope, the width at a distance of 1.
+    method : str
+        How it was made.
+    options : dict
+        The method's options.
+    camera : PlenopticCamera
+        The camera of the capture.
+    guards : dict
+        Fractions of the light that the guards of the physics found lost, by their names.
+    facts : dict
+        Facts that the method states. ``deconvolved``: the ``iterations`` made, the ``residual`` (root mean square
+        of what is left of the capture, over that of the capture), whether it was ``stopped_by_noise``, the
+        ``resolution_limit`` in line pairs per scene unit (at infinity per unit of slope), and whether the plane is
+        ``in_focus``, where finer bins show little more (see `design.resolution_limit`).
+    """
+
+    image: np.ndarray
+    distance: float
+    bin_size: float
+    method: str
+    camera: PlenopticCamera
+    options: dict[str, Any] = field(default_factory=dict)
+    guards: dict[str, float] = field(default_factory=dict)
+    facts: dict[str, Any] = field(default_factory=dict)
+
+
+def write_reconstruction(path: str | Path, result: Reconstruction, source: dict[str, Any] | None = None) -> None:
+    """Write a reconstruction as float32 OpenEXR with camera, distance and method in the header.
+
+    Parameters
+    ----------
+    path : path
+        File to write.
+    result : Reconstruction
+        What to write.
+    source : dict, optional
+        Metadata of the capture, kept in the header.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    attributes = {
+        "kind": "reconstruction",
+        "camera": result.camera.to_dict(),
+        "distance": result.distance,
+        "bin_size": result.bin_size,
+        "method": result.method,
+        "options": result.options,
+        "guards": result.guards,
+        "facts": result.facts,
+        "source": source or {},
+    }
+    write_exr(path, result.image, attributes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,9 +254,9 @@ def require_volume_path(path: str | Path, distances: Sequence[float]) -> Path:
     elif not _is_ome(path) and len(distances) > 1:
         ordered = tuple(sorted(distances))
         if Volume(np.zeros((len(ordered), 1, 1), np.float32), ordered, 1.0).spacing is None:
-            told = ", ".join(f"{distance:g}" for distance in ordered[:4]) + (", ..." if len(ordered) > 4 else "")
+            listed = ", ".join(f"{distance:g}" for distance in ordered[:4]) + (", ..." if len(ordered) > 4 else "")
             raise InputError(
-                f"distance = {told}: planes of a .tif are evenly spaced; write .ome.tif, which holds any, or .zarr"
+                f"distance = {listed}: planes of a .tif are evenly spaced; write .ome.tif, which holds any, or .zarr"
             )
     return path
 
@@ -229,7 +299,7 @@ def write_volume(path: str | Path, volume: Volume) -> None:
 
 
 def _ome(volume: Volume, axes: str) -> dict[str, Any]:
-    """Return what OME's XML tells of a volume."""
+    """Return the description of a volume for OME's XML."""
     channels = volume.values.shape[3] if volume.values.ndim == 4 else 1
     places = [distance for distance in volume.distances for _ in range(channels)]
     spacing = {} if volume.spacing is None else {"PhysicalSizeZ": volume.spacing, "PhysicalSizeZUnit": "mm"}

@@ -1,0 +1,239 @@
+"""Thin elements and free space: one step of a field from the samples of one plane to those of the next, and its vjp.
+
+A field is handed from step to step in blocks of rows, in order from the first row to the last. A step transforms the
+rows that come in, turns them into columns, does everything that is done along columns, turns these back and hands on
+the rows of the next plane. Only the columns are ever held whole; the next step writes its own where it has read the
+last one's. Fourier transforms are done on blocks that stay in the processor's cache; rows that hold no light are left
+out, and so are frequencies and destination samples that nobody asks for.
+
+The vjp of a step is the step back: free space of the opposite length between the same samples, then the conjugate of
+the element, over the ratio of the areas of the samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from ..optics.free_space import advance
+from ..runtime.backend import backend
+from ..runtime.fft import Field, as_field, fft, pack, split
+from .planning import AxisStep, Step
+
+Rows = Iterable[tuple[slice, Field]]
+"""Blocks of rows of a field, from the first on, with their numbers. What is left out is dark.
+
+A block holds until the next one is asked for.
+"""
+
+# Rows that are transformed together: in the processor's cache, or enough to keep a CUDA device busy.
+_BLOCK, _CUDA_BLOCK = 64, 4096
+
+# Columns that are turned into rows together: more of them would not stay in the first cache.
+_TILE = 512
+
+# Columns a whole number of pages apart would fall on the same few lines of the cache when they are turned.
+_PAGE, _STAGGER = 512, 24
+
+
+class ThinElement:
+    """A thin element in the source plane of a step, a function of Dr.Jit's x and y; without one it changes nothing.
+
+    A product of a function of x and one of y is known from its values along two lines through a point at which its
+    modulus is 1: it is given with such a point, and then its rows of zeros are left out.
+    """
+
+    def __init__(
+        self,
+        step: Step,
+        function: Callable[[Any, Any], Any] | None = None,
+        point: tuple[float, float] | None = None,
+    ) -> None:
+        self._step, self._function = step, function
+        self.along_x: Field | None = None
+        self.along_y: Field | None = None
+        self._lit = np.ones(step.y.count, bool)
+        if function is not None and point is not None:
+            x, y = point
+            line = _evaluate(np.append(step.x.source, x), np.array([y]), function)[0]
+            self._function, self.along_x = None, line[:-1]
+            self.along_y = _evaluate(np.array([x]), step.y.source, function)[:, 0] * line[-1].conj()
+            self._lit = backend().to_host(self.along_y) != 0
+
+    def lit(self, rows: slice) -> list[slice]:
+        """Return those of the rows that the element does not darken, in runs."""
+        runs = np.flatnonzero(np.diff(self._lit[rows], prepend=False, append=False)).reshape(-1, 2)
+        return [slice(rows.start + first, rows.start + end) for first, end in runs.tolist()]
+
+    def through(self, rows: slice, samples: Field, out: Field) -> None:
+        """Write rows of a field, multiplied by all but the factor along y, to `out`."""
+        factor = self._factor(rows)
+        if factor is None:
+            out[...] = samples
+        else:
+            backend().arrays.multiply(samples, factor, out=out)
+
+    def back(self, rows: slice, samples: Field, scale: float) -> Field:
+        """Return rows of a field, multiplied by the conjugates of all factors and a number."""
+        for factor in (self._factor(rows), None if self.along_y is None else self.along_y[rows, None]):
+            samples = samples if factor is None else samples * factor.conj()
+        return samples * np.float32(scale)
+
+    def _factor(self, rows: slice) -> Field | None:
+        if self._function is None:
+            return self.along_x
+        return _evaluate(self._step.x.source, self._step.y.source[rows], self._function)
+
+
+def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any]) -> Field:
+    """Evaluate a function of two Dr.Jit arrays at all pairs of coordinates."""
+    types = backend().types
+    _, row, column = split(types, dr.arange(types.UInt32, len(x) * len(y)), len(y), len(x))
+    at = [
+        dr.gather(types.Float64, types.Float64(np.ascontiguousarray(values)), index)
+        for values, index in ((x, column), (y, row))
+    ]
+    return as_field(pack(function(*at)), (len(y), len(x)))
+
+
+class FieldWorkspace:
+    """Memory that serves all of some steps: fresh pages would cost nearly as much as the transforms on them."""
+
+    def __init__(self, steps: Iterable[Step]) -> None:
+        self.libraries = backend()
+        self.block = _CUDA_BLOCK if self.libraries.is_cuda else _BLOCK
+        columns, rows = (max(sizes) for sizes in zip(*(step.columns for step in steps), strict=True))
+        self._columns = self.libraries.arrays.empty((columns, rows + -rows % _PAGE + _STAGGER), np.complex64)
+        self._buffers: dict[str, Field] = {}
+
+    def columns(self, step: Step) -> Field:
+        """Return the memory of a step's columns, which is that of the last step's, too."""
+        return self._columns[: step.x.held]
+
+    def array(self, name: str, shape: tuple[int, int]) -> Field:
+        """Return an array with any content; it holds until the same name is asked for again."""
+        size = shape[0] * shape[1]
+        if name not in self._buffers or self._buffers[name].size < size:
+            self._buffers[name] = self.libraries.arrays.empty(size, np.complex64)
+        return self._buffers[name][:size].reshape(shape)
+
+    def blocks(self, field: Field) -> Rows:
+        """Yield all rows of a field; the blocks are its own memory."""
+        for first in range(0, len(field), self.block):
+            rows = slice(first, min(first + self.block, len(field)))
+            yield rows, field[rows]
+
+
+def propagate(
+    source: Rows, element: ThinElement, step: Step, distance: float, wavelength: float, workspace: FieldWorkspace
+) -> Rows:
+    """Yield a field at the destination samples of a step, without the carrier, of one at its source samples.
+
+    It passes the element first, then the distance, in millimetres. Rows may come from another step's with the same
+    workspace.
+    """
+    x, y, columns = step.x, step.y, workspace.columns(step)
+    pitches, shift = (x.window / x.held, y.window / y.held), (x.start - x.first, y.start - y.first)
+    for mine, spectrum in to_directions(source, element, step, workspace):
+        part = advance(spectrum, pitches, distance, wavelength, shift=shift, part=(mine.start, x.held))
+        columns[mine, : y.wanted] = _from_lowest(part, y, workspace)
+    yield from _to_rows(columns, step, workspace)
+
+
+def propagate_vjp(
+    gradient: Rows, element: ThinElement, step: Step, distance: float, wavelength: float, workspace: FieldWorkspace
+) -> Rows:
+    """Take the gradient by the destination samples of `propagate` back to its source samples."""
+    back = step.reversed
+    scale = step.x.kept * step.y.kept / (step.x.padded * step.y.padded)
+    for rows, samples in propagate(gradient, ThinElement(back), back, -distance, wavelength, workspace):
+        yield rows, element.back(rows, samples, scale)
+
+
+def to_directions(
+    source: Rows, element: ThinElement, step: Step, workspace: FieldWorkspace
+) -> Iterator[tuple[slice, Field]]:
+    """Yield the lowest frequencies of a field behind an element, as contiguous blocks (some along x, all along y).
+
+    Zero comes first on both axes, negative frequencies last. Transforms are divided by their lengths.
+    """
+    x, y, columns, arrays = step.x, step.y, workspace.columns(step), workspace.libraries.arrays
+    rows_of = workspace.array("rows", (workspace.block, x.padded))
+    low, high = _lowest(x.padded, x.held)
+    end = 0
+    for rows, samples in source:
+        for lit in element.lit(rows):
+            columns[:, end : lit.start] = 0
+            end = lit.stop
+            part = rows_of[: end - lit.start]
+            element.through(lit, samples[lit.start - rows.start : end - rows.start], part[:, : x.count])
+            part[:, x.count :] = 0
+            part = _fft(part)
+            columns[: low.stop, lit] = part[:, low].T
+            columns[low.stop :, lit] = part[:, high].T
+    columns[:, end : y.count] = 0
+    block = workspace.array("rows", (workspace.block, y.padded))
+    spectrum = workspace.array("spectrum", (workspace.block, y.held))
+    low, high = _lowest(y.padded, y.held)
+    for first in range(0, x.held, workspace.block):
+        mine = slice(first, min(first + workspace.block, x.held))
+        part = block[: mine.stop - first]
+        if element.along_y is None:
+            part[:, : y.count] = columns[mine, : y.count]
+        else:
+            arrays.multiply(columns[mine, : y.count], element.along_y, out=part[:, : y.count])
+        part[:, y.count :] = 0
+        part = _fft(part)
+        if y.held < y.padded:
+            cut = spectrum[: mine.stop - first]
+            cut[:, : low.stop], cut[:, low.stop :] = part[:, low], part[:, high]
+            part = cut
+        yield mine, part
+
+
+def to_directions_vjp(gradient: Rows, element: ThinElement, step: Step, workspace: FieldWorkspace) -> Rows:
+    """Take the gradient by the frequencies of `to_directions` back to its source samples."""
+    back = step.reversed
+    columns = workspace.columns(back)
+    for mine, part in gradient:
+        columns[mine, : back.y.wanted] = _from_lowest(part, back.y, workspace)
+    for rows, samples in _to_rows(columns, back, workspace):
+        yield rows, element.back(rows, samples, 1 / (step.x.padded * step.y.padded))
+
+
+def _to_rows(columns: Field, step: Step, workspace: FieldWorkspace) -> Rows:
+    """Turn columns into rows, transform these back and take their first samples."""
+    x, y = step.x, step.y
+    block = workspace.array("next rows", (workspace.block, x.held))
+    for place in range(0, y.wanted, workspace.block):
+        rows = slice(place, min(place + workspace.block, y.wanted))
+        part = block[: rows.stop - place]
+        for first in range(0, x.held, _TILE):
+            tile = slice(first, min(first + _TILE, x.held))
+            part[:, tile] = columns[tile, rows].T
+        yield rows, _from_lowest(part, x, workspace)
+
+
+def _from_lowest(part: Field, axis: AxisStep, workspace: FieldWorkspace) -> Field:
+    """Transform rows of the lowest frequencies to the destination samples."""
+    if axis.held < axis.kept:
+        low, high = _lowest(axis.kept, axis.held)
+        wide = workspace.array("wide", (len(part), axis.kept))
+        wide[:, low.stop : high.start] = 0
+        wide[:, low], wide[:, high] = part[:, : low.stop], part[:, low.stop :]
+        part = wide
+    return _fft(part, inverse=True)[:, : axis.wanted]
+
+
+def _lowest(size: int, held: int) -> tuple[slice, slice]:
+    """Where the lowest frequencies are in a spectrum with zero frequency first: from zero on, and below zero."""
+    positive = (held + 1) // 2
+    return slice(0, positive), slice(size - (held - positive), size)
+
+
+def _fft(field: Field, *, inverse: bool = False) -> Field:
+    """Transform rows in place; forward transforms are divided by the length, inverse ones are not."""
+    return fft(field, axis=1, inverse=inverse, norm="forward")
