@@ -5,13 +5,13 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
-from any_scenes import PANES, THIN_FOG, facing, radiating, scene_of, sensor
 from wave_cases import error
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, render_capture
 from mitsuba_plenoptic.capture.units import radiance_weight
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.io.checkpoints import Checkpoint
+from tools.bench.scenes.light_paths import PANES, THIN_FOG, facing, radiating, scene_of, sensor
 
 BLACK = {"type": "diffuse", "reflectance": 0.0}
 
