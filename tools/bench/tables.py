@@ -15,7 +15,7 @@ _MARKED = re.compile(r"(<!-- bench: ([\w.-]+)((?: \S+=\S+)*) -->\n)(.*?)(\n<!-- 
 
 @dataclass(frozen=True)
 class Pivot:
-    """A table with a line for each value of one key and a column for each value of another, all formats of rows."""
+    """A table with lines and columns by formats of rows; cells of the same line and column are joined by semicolons."""
 
     line: str
     column: str
@@ -27,7 +27,8 @@ class Pivot:
         """Return the table."""
         cells: dict[str, dict[str, str]] = {}
         for row in filter(self.where, rows):
-            cells.setdefault(cell(self.line, row), {})[cell(self.column, row)] = cell(self.cell, row)
+            line, column = cells.setdefault(cell(self.line, row), {}), cell(self.column, row)
+            line[column] = "; ".join(filter(None, (line.get(column), cell(self.cell, row))))
         headings = list(dict.fromkeys(heading for line in cells.values() for heading in line))
         return _laid_out(
             ["", *headings], [[name, *(line.get(each, "") for each in headings)] for name, line in cells.items()]

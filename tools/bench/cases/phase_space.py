@@ -1,19 +1,15 @@
-"""Signed rays against exact sums of point spreads, over the blur on the microlens array.
+"""Signed rays beside exact sums of point spreads, over the blur on the microlens array.
 
-A wall of points, an even grid over some lenses, is captured twice: by signed rays, and point by point
-with the fields' squares added (`CaptureOperator`, method "patch", accuracy 0). The walls have about as much edge as
-area, and so show more error than a scene. Rays follow the parabolic lenses that waves pass. The noise of the rays is
-found from two captures and subtracted; the light that the reference itself loses is printed. Writes a table and
-pictures.
-
-    python tools/phase_space_accuracy.py --output out/phase_space [--degree 4] [--cameras square discs] [--blurs 0 2]
+A wall of points, an even grid over some lenses, is captured twice: by signed rays, and point by point with the fields'
+squares added (`CaptureOperator`, method "patch", accuracy 0). The walls have about as much edge as area, and so show
+more error than a scene. Rays follow the parabolic lenses that waves pass. The noise of the rays is found from two
+captures and subtracted; the light that the reference itself loses is stated.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
-import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +17,21 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
+from mitsuba_plenoptic import CaptureOperator, Job, PlenopticCamera
 from mitsuba_plenoptic.capture.signed_colours import Node
 from mitsuba_plenoptic.capture.signed_rays import SignedRaySum
 from mitsuba_plenoptic.capture.units import brightness_at, brightness_of, radiance_weight
 from mitsuba_plenoptic.optics.phase_space import PhaseSpace
 from mitsuba_plenoptic.optics.telecentric import TelecentricLens
-from mitsuba_plenoptic.report.images import write_png
-from mitsuba_plenoptic.runtime.jobs import Job, Task
+from mitsuba_plenoptic.runtime.jobs import Task
 from mitsuba_plenoptic.thin_lens import conjugate_distance
 
+from .. import Pivot, Row, at_most, case, pick
+from ..measures import relative, without_noise, write_comparison
+from ..timing import once
+
 WAVELENGTH = 633.0
+
 CAMERAS = {
     "square": PlenopticCamera(),
     "turned": PlenopticCamera(mla_rotation=7.0),
@@ -53,62 +53,80 @@ CAMERAS = {
         focal_length=50.0, aperture_radius=4.0, mla_distance=70.0, mla_focal_length=0.4, mla_pitch=0.05
     ),
 }
+
 BLURS = (0.0, 0.5, -1.0, 2.0, -4.5)
 
 
-def main() -> int:
-    """Compare, and write table and pictures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--output", type=Path, default=Path("out/phase_space"))
-    parser.add_argument("--cameras", nargs="+", default=["square"], choices=list(CAMERAS))
-    parser.add_argument("--blurs", nargs="+", type=float, default=list(BLURS), help="radius in lenses, of either sign")
-    parser.add_argument("--degree", type=int, default=4)
-    parser.add_argument("--window", type=int, default=9)
-    parser.add_argument("--radial", type=int, default=12)
-    parser.add_argument("--lenses", type=int, default=3, help="across the wall")
-    parser.add_argument("--points", type=int, default=16, help="points of the wall across a lens")
-    parser.add_argument("--samples", type=int, default=1024, help="rays from each cell of the grid")
-    parser.add_argument("--parts", type=int, default=1, help="cells of the grid across a pixel")
-    parser.add_argument("--margin", type=int, default=4, help="lenses about the wall and its blur")
-    parser.add_argument("--off-axis", type=float, default=0.0, help="of the wall's centre, in lenses along x and y")
-    arguments = parser.parse_args()
-    arguments.output.mkdir(parents=True, exist_ok=True)
-    mi.set_variant("llvm_ad_mono")
-    lines = [
-        "| camera | blur (lenses) | signed rays | their noise | energy | reference's energy | time (s) |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for name in arguments.cameras:
-        camera = CAMERAS[name]
-        start = time.perf_counter()
-        plan = PhaseSpace(camera, WAVELENGTH, degree=arguments.degree, window=arguments.window, radial=arguments.radial)
-        plan.kernels(camera.pixel_size / arguments.parts, 2.5 * camera.mla_pitch)
-        size = sum(part.nbytes for part in plan.table) / 2**20
-        print(
-            f"{name}: {len(plan.exponents)} coefficients, {size:.0f} MiB, {time.perf_counter() - start:.0f} s",
-            flush=True,
-        )
-        for blur in arguments.blurs:
-            start = time.perf_counter()
-            wall = Wall(camera, blur, arguments.lenses, arguments.points, arguments.off_axis)
-            view = around(camera, wall, arguments.margin)
-            exact = reference(view, wall)
-            image, other = (capture(plan, view, wall, arguments.samples, arguments.parts, seed) for seed in (1, 2))
-            noise = error(image, other) / 2
-            image = (image + other) / 2
-            whole = wall.weight.sum()
-            lines.append(
-                f"| {name} | {blur:g} | {math.sqrt(max(error(image, exact) ** 2 - noise**2, 0)):.2%} | {noise:.2%} "
-                f"| {image.sum() / whole:.4f} | {exact.sum() / whole:.4f} "
-                f"| {time.perf_counter() - start:.0f} |"
+@case(
+    "phase-space",
+    "Signed rays beside exact sums of point spreads of a wall, relative L2 over the detector without the rays' noise",
+    {
+        "camera": "{camera}", "coefficients": "{coefficients}", "MiB": "{memory:.0f}", "planning (s)": "{planning:.0f}",
+        "blur (lenses)": "{blur:g}", "signed rays": "{difference:.2%}", "their noise": "{noise:.2%}",
+        "energy": "{energy:.4f}", "reference's energy": "{exact_energy:.4f}", "s": "{seconds:.0f}",
+    },
+    (at_most("difference", 0.025),),
+    page="docs/theory/phase_space.md",
+    pivot=Pivot("{camera}", "blur of {blur:g} lenses", "{difference:.2%}"),
+    quick={"blurs": (0.0,), "lenses": 1, "points": 12, "samples": 128},
+)  # fmt: skip
+def walls(
+    output: Path,
+    *,
+    cameras: tuple[str, ...] = ("square",),
+    blurs: tuple[float, ...] = BLURS,
+    degree: int = 4,
+    window: int = 9,
+    radial: int = 12,
+    lenses: int = 3,
+    points: int = 16,
+    samples: int = 1024,
+    parts: int = 1,
+    margin: int = 4,
+    off_axis: float = 0.0,
+) -> Iterator[Row]:
+    """Compare walls of so many lenses, with points across a lens and rays from each cell of a grid of parts of pixels.
+
+    Blurs are radii in lenses, of either sign; ``off_axis`` is where the wall's centre is, in lenses along x and y.
+    """
+    for name, camera in pick(CAMERAS, cameras).items():
+        plan, planning, _ = once(lambda c=camera: planned(c, degree, window, radial, parts))
+        memory = sum(part.nbytes for part in plan.table) / 2**20
+        for blur in blurs:
+            (image, exact, noise, whole), seconds, _ = once(
+                lambda p=plan, c=camera, b=blur: pair(p, c, b, lenses, points, samples, parts, margin, off_axis)
             )
-            print(lines[-1], flush=True)
-            np.save(arguments.output / f"{name}_{blur:g}.npy", [image, exact])
-            peak = float(exact.max())
-            picture = np.concatenate([image, exact, 0.5 * peak + 10 * (image - exact)], axis=1)
-            write_png(arguments.output / f"{name}_{blur:g}_signed_exact_difference_times_10.png", picture, peak=peak)
-    (arguments.output / "phase_space_accuracy.md").write_text("\n".join(lines) + "\n")
-    return 0
+            yield {
+                "camera": name, "coefficients": len(plan.exponents), "memory": memory, "planning": planning,
+                "blur": blur, "difference": without_noise(relative(image, exact), noise), "noise": noise,
+                "energy": float(image.sum() / whole), "exact_energy": float(exact.sum() / whole), "seconds": seconds,
+            }  # fmt: skip
+            write_comparison(output / f"{name}_{blur:g}_signed_exact_difference_times_10.png", image, exact, gain=10)
+
+
+def planned(camera: PlenopticCamera, degree: int, window: int, radial: int, parts: int) -> PhaseSpace:
+    """Return the kernels of a camera."""
+    plan = PhaseSpace(camera, WAVELENGTH, degree=degree, window=window, radial=radial)
+    plan.kernels(camera.pixel_size / parts, 2.5 * camera.mla_pitch)
+    return plan
+
+
+def pair(
+    plan: PhaseSpace,
+    camera: PlenopticCamera,
+    blur: float,
+    lenses: int,
+    points: int,
+    samples: int,
+    parts: int,
+    margin: int,
+    off_axis: float,
+) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """Return both captures of a wall, the relative noise of the one by signed rays, and the wall's light."""
+    wall = Wall(camera, blur, lenses, points, off_axis)
+    view = around(camera, wall, margin)
+    one, other = (capture(plan, view, wall, samples, parts, seed) for seed in (1, 2))
+    return (one + other) / 2, reference(view, wall), relative(one, other) / 2, float(wall.weight.sum())
 
 
 class Wall:
@@ -204,12 +222,3 @@ def capture(plan: PhaseSpace, camera: PlenopticCamera, wall: Wall, samples: int,
     work = SignedRaySum(camera, wall.light, [Node(plan, (0,), np.ones((1, 1)))], parts=parts, spp=samples, seed=seed)
     items = int(work.items.sum())
     return Job().run([Task(items, lambda: work, lambda image: image)], (*camera.shape, 1), items)[..., 0].astype(float)
-
-
-def error(image: np.ndarray, exact: np.ndarray) -> float:
-    """Return the relative difference in the L2 norm."""
-    return float(np.linalg.norm(image - exact) / np.linalg.norm(exact))
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

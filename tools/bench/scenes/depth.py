@@ -301,7 +301,7 @@ SCENES: dict[str, Callable[[Stage], None]] = {
     "plane mirror": _mirror,
     "balls": _balls,
 }
-"""Those that `depth_accuracy` judges."""
+"""Those that `depth.confidence` judges."""
 
 FITTED_SCENES: dict[str, Callable[[Stage], None]] = {
     "occluding edges": _edges,
@@ -315,7 +315,7 @@ FITTED_SCENES: dict[str, Callable[[Stage], None]] = {
     "card beyond, far": _beyond(0),
     "card beyond, near": _beyond(1),
 }
-"""Those by which `confidence_fit` fits, with other seeds."""
+"""Those to which `depth.weights` fits, with other seeds."""
 
 
 def stage(name: str, camera: str, fitted: bool = False) -> Stage:
