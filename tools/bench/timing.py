@@ -69,7 +69,7 @@ def once(work: Callable[[], Result]) -> tuple[Result, float, float]:
 def in_process(
     work: Callable[..., Result], *arguments: Any, cores: int | None = None, variant: str = "llvm_ad_mono"
 ) -> Result:
-    """Do some work in a process of its own, on so many cores if given, with as many threads."""
+    """Do some work in a process of its own, on a count of cores if given, with as many threads."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, context, initializer=_prepare, initargs=(cores, variant)) as pool:
         return pool.submit(work, *arguments).result()

@@ -1,4 +1,4 @@
-"""Microlens arrays: lattices on the whole detector, and focused cameras beside an unfocused one."""
+"""Microlens arrays: lattices on the whole detector, and focused cameras against an unfocused one."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _HALF = 13
 
 @case(
     "arrays.lattices",
-    "Lattices on the whole detector: micro-images of a white capture beside the model, refocused letters beside "
+    "Lattices on the whole detector: micro-images of a white capture against the model, refocused letters against "
     "Mitsuba's thin lens",
     {
         "lattice": "{lattice}", "lenses": "{lenses}", "centres, largest error (px)": "{largest:.3f}",

@@ -1,4 +1,4 @@
-"""Calibrations beside a real camera, COMPOTE's result for it, and white images.
+"""Calibrations against a real camera, COMPOTE's result for it, and white images.
 
 Data of the real camera (Raytrix R12, Labussiere et al. 2020) are taken from the folder that MITSUBA_PLENOPTIC_DATA
 names, in ``raytrix_r12a``.
@@ -44,7 +44,7 @@ BOARD = Board(9, 5, 10.0)
 
 
 class Compote:
-    """COMPOTE's own model with the numbers that it found: points are distorted, not rays; written from its paper."""
+    """COMPOTE's own model with the parameters that it found: points are distorted, not rays; written from its paper."""
 
     def __init__(self, values: dict) -> None:
         def numbers(entry: list) -> np.ndarray:
@@ -99,7 +99,7 @@ def calibrated() -> tuple[Table, Table, Calibration, float]:
     return corners, centres, found, processor
 
 
-@case("calibration.real", "The calibration of a real Raytrix R12 beside COMPOTE's", page="docs/calibration.md")
+@case("calibration.real", "The calibration of a real Raytrix R12 against COMPOTE's", page="docs/calibration.md")
 def real_camera() -> Iterator[Row]:
     """Compare errors over all corners, by poses that are left out, and the cameras' figures in deviations."""
     values = json.loads((data_folder() / "compote_intrinsics.json").read_text())
@@ -136,7 +136,7 @@ def real_camera() -> Iterator[Row]:
     yield figure("COMPOTE over every row (1.0858 is published)", overall, unit="px")
     yield figure("mean of left-out poses", np.mean(list(left_out.values())), at_most=float(errors.mean()), unit="px")
     difference = np.array([ours - compotes for ours, compotes in depths])
-    yield figure("depth of the board's corners beside COMPOTE's, mean", difference.mean(), unit="mm")
+    yield figure("depth of the board's corners against COMPOTE's, mean", difference.mean(), unit="mm")
     yield figure("... and RMS about that", (difference - difference.mean()).std(), unit="mm")
     for name, other in zip(NAMES, numbers_of(read_camera(data_folder() / "compote_intrinsics.json")[0]), strict=True):
         if not name.startswith("offset"):  # of another lens
@@ -147,7 +147,7 @@ def real_camera() -> Iterator[Row]:
 
 @case(
     "calibration.rendered",
-    "Boards rendered in fitted poses through the calibrated real camera, detected, beside the corners observed",
+    "Boards rendered in fitted poses through the calibrated real camera, detected, against the corners observed",
     page="docs/calibration.md",
 )
 def rendered_boards(*, frames: tuple[int, ...] = (0, 11, 14), spp: int = 128, renderings: int = 5) -> Iterator[Row]:

@@ -1,4 +1,4 @@
-"""Boards that are rendered and detected, and the cameras calibrated by them beside those that rendered them."""
+"""Boards that are rendered and detected, and the cameras calibrated by them against those that rendered them."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def round_trip(*, seeds: int = 40, spp: int = 128) -> Iterator[Row]:
 
 
 def combinations(errors: np.ndarray) -> Iterator[Row]:
-    """Judge the squares of errors over their deviations, (seeds, combinations), by what so many seeds can resolve.
+    """Judge the squares of errors over their deviations, (seeds, combinations), by what the seeds can resolve.
 
     The mean of n squares of normal deviates times n has the chi-squared distribution of n degrees of freedom. A
     combination is beyond 1 +- 0.3 where its interval of 95 %, for all combinations at once, has nothing of that.
@@ -119,7 +119,7 @@ def combinations(errors: np.ndarray) -> Iterator[Row]:
 
 @case(
     "calibration.waves",
-    "Corners of a board in a wave capture, by the round trip's camera without tilt and distortion, beside the model",
+    "Corners of a board in a wave capture, by the round trip's camera without tilt and distortion, against the model",
     page="docs/calibration.md",
 )
 def board_by_waves(*, spp: int = 128) -> Iterator[Row]:

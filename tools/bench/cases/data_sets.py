@@ -98,7 +98,7 @@ class Run:
         self.log: list[tuple[float, int, float]] = []
 
     def until(self, count: int | None) -> None:
-        """Run the command until so many samples are there, and kill it; or to its end."""
+        """Run the command until a count of samples is there, and kill it; or to its end."""
         words = ["dataset", str(self.source), "-o", str(self.folder), "--workers", str(self.workers)]
         start = time.perf_counter()
         process = subprocess.Popen([sys.executable, "-m", "mitsuba_plenoptic", *words], start_new_session=True)

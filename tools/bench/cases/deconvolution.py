@@ -1,4 +1,4 @@
-"""What deconvolution resolves: contrasts of sinusoids over the stated limit, beside ray reconstruction.
+"""What deconvolution resolves: contrasts of sinusoids over the stated limit, against ray reconstruction.
 
 Planes of the paper's camera, on a detector of fewer lenses, hold sinusoids of contrast 1, along x and turned by 30
 degrees, in two phases. Their captures are exact sums over radiators that deconvolution has no knowledge of: a grid of

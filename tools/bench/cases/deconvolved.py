@@ -107,7 +107,7 @@ OVERSAMPLE = 4
 
 @case(
     "deconvolution.letters",
-    "The letters at full size, by rays and deconvolved, beside a thin lens: PSNR over the letter's own part, and the "
+    "The letters at full size, by rays and deconvolved, against a thin lens: PSNR over the letter's own part, and the "
     "width of its edges from 10 to 90 %",
     {
         "letter": "{letter}", "method": "{method}", "PSNR (dB)": "{psnr:.2f}", "edge (bins)": "{edge:.2f}",

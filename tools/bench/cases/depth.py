@@ -1,4 +1,4 @@
-"""Depth maps beside ground truth, on scenes by which nothing was chosen and where depth is hard to see."""
+"""Depth maps against ground truth, on scenes by which nothing was chosen and where depth is hard to see."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ TUNING = {"letters": (HALF, 195, 310), "made 1": ({}, 195, 310), "made 2": ({}, 
 
 @case(
     "depth.maps",
-    "Depth maps beside ground truth where the scene has texture, errors in fractions of the distance, and confidence "
-    "beside the rate of errors below 1 %",
+    "Depth maps against ground truth where the scene has texture, errors in fractions of the distance, and confidence "
+    "against the rate of errors below 1 %",
     {
         "scene": "{scene}", "textured bins": "{textured:.0%}", "stated of these": "{stated:.0%}",
         "median error": "{median:.2%}", "90th percentile": "{high:.2%}",
@@ -177,9 +177,9 @@ PHOTONS = (0, 2000, 500)
 SPP = {"square": 32, "hexagonal": 32, "focused": 32, "multi-focus": 64}
 
 TEXTURED = ("two planes", "slanted plane", "occluding edges", "weak texture", "plane mirror", "balls")
-"""Scenes with texture, of which the bins that an earlier version stated rightly must be kept."""
+"""Scenes with texture, of which the bins that an earlier version stated rightly must still be stated."""
 
-NEAR_BY, SURE, RIGHT, KEPT = 0.01, 0.9, 0.85, 0.9
+SURE = 0.9
 
 Result = dict[str, np.ndarray]
 """Arrays over the bins: depth, confidence, guess, truth, objects."""
@@ -250,8 +250,8 @@ def captured(name: str, camera: str, folder: Path | None, fitted: bool = False) 
     """Render a scene, or read it from a folder; return it with the true depth and the object that each bin sees."""
     path = folder / f"{'fitted ' if fitted else ''}{name}, {camera}.npz" if folder else None
     if path is not None and path.exists():
-        with np.load(path) as kept:
-            return mp.Capture(kept["image"], CAMERAS[camera][0]), {key: kept[key] for key in ("truth", "objects")}
+        with np.load(path) as stored:
+            return mp.Capture(stored["image"], CAMERAS[camera][0]), {key: stored[key] for key in ("truth", "objects")}
     built = stage(name, camera, fitted)
     scene = built.scene()
     capture = mp.render_capture(scene, model="ray", spp=SPP[camera])

@@ -1,4 +1,4 @@
-"""What derivatives of captures take beside the capture itself."""
+"""What derivatives of captures take against the capture itself."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ MODES: dict[str, Callable[[CaptureOperator, Any, Any], object]] = {
 
 @case(
     "derivative-cost.letters",
-    "Derivatives of a capture of the letters with spreads shared, each in a process of its own, beside the image: "
+    "Derivatives of a capture of the letters with spreads shared, each in a process of its own, against the image: "
     "processor time, time, and the largest memory beyond that of the process before (Linux)",
     {
         "": "{mode}", "points": "{points}", "processor (s)": "{processor:.2f}", "over the image": "{ratio:.2f}",
@@ -108,12 +108,12 @@ def unshared(*, points: int = 128, runs: int = 3) -> Iterator[Row]:
 @case(
     "derivative-cost.torchoptics",
     "One point's light through one lens to a plane, and the gradient of the power there by the focal length, on one "
-    "thread: ours on a patch, beside the autograd of torchoptics in its own double precision",
+    "thread: ours on a patch, against the autograd of torchoptics in its own double precision",
     page="docs/numbers.md",
     needs=("torchoptics",),
     quick={"runs": 1},
 )
-def beside_torchoptics(*, runs: int = 5) -> Iterator[Row]:
+def against_torchoptics(*, runs: int = 5) -> Iterator[Row]:
     """Time both in turn; the field of torchoptics is as large as the patch."""
     import torch
     import torchoptics

@@ -69,7 +69,7 @@ class Setting:
 @case(
     "designs.focal-length",
     "The microlens focal length of most contrast of points refocused between 220 and 260 mm, sought from random "
-    "starts, beside a scan",
+    "starts, against a scan",
     page="docs/designing.md",
     quick={"starts": 1, "half": True, "scan": 7},
 )
@@ -104,7 +104,7 @@ def focal_length(output: Path, *, starts: int = 10, half: bool = False, scan: in
     quick={"starts": 1, "half": True, "steps": 1, "draws": 300},
 )
 def wavefront(output: Path, *, starts: int = 3, half: bool = False, steps: int = 12, draws: int = 300) -> Iterator[Row]:
-    """Seek from random starts beside no aberration, where the slopes vanish by symmetry.
+    """Seek from random starts near no aberration, where the slopes vanish by symmetry.
 
     Estimated depths of noisy captures must keep to their bounds. For points that the search did not see the gain is
     stated without a limit.

@@ -1,6 +1,6 @@
 """Fits of a camera of 16 x 16 lenses to noisy captures of white and of letters, again and again, at accuracy 0.
 
-The data are a wall and the three letters, whose brightest pixels get so many photons, with Poisson noise by a seed.
+The data are a wall and the three letters, whose brightest pixels get some photons, with Poisson noise by a seed.
 Pitch, offset and angle of the array, its distance, that of the detector and both focal lengths are fitted together. The
 captures' derivatives are computed once, at the true camera, and stored; with them held, each fit proceeds by
 Gauss-Newton steps of which each takes one capture (chord iterations). These end at the same camera as steps with
@@ -138,7 +138,7 @@ def noise(
 
 
 def wall(camera: PlenopticCamera, per_lens: int) -> tuple[Array, Array]:
-    """Return points of a wall, so many to a lens along an axis, two lenses beyond the detector's border."""
+    """Return points of a wall, `per_lens` to a lens along an axis, two lenses beyond the detector's border."""
     step = camera.detector_width / round(camera.detector_width / camera.mla_pitch) / per_lens
     half = round(camera.detector_width / 2 / step) + 2 * per_lens
     place = (np.arange(-half, half) + 0.63) * step
@@ -147,7 +147,7 @@ def wall(camera: PlenopticCamera, per_lens: int) -> tuple[Array, Array]:
 
 
 def letters(lenses: int, per_lens: int) -> tuple[Array, Array]:
-    """Return points of the letters, so many to a lens along an axis, for the camera of the paper at half its size."""
+    """Return points of the letters, `per_lens` to a lens along an axis, for the paper's camera at half its size."""
     side = 0.128 * lenses
     camera = PlenopticCamera(detector_width=side, resolution=(64 * lenses,) * 2)
     points, weights = letter_points(camera, side / 8.192, per_lens**2)
@@ -184,7 +184,7 @@ class Study:
         return [View(image, points, weights / top) for image, (points, weights), top in given]
 
     def expected(self, x: Array) -> Array:
-        """Return what the camera with these numbers records at accuracy 0."""
+        """Return what the camera with these parameters records at accuracy 0."""
         camera = changed(self.camera, self.numbers, x)
         blank = np.zeros((len(self.lights), *camera.shape))
         return Model(camera, self.views(blank, self.lights), WAVELENGTH, 0.0).images()
@@ -216,7 +216,7 @@ class Study:
         np.savez(file, key=self.key, slopes=self.slopes)
 
     def _rows(self, images: Array) -> tuple[Array, Pixels]:
-        """Return the weighted derivatives, (pixels, numbers), and the noise that fits weight by."""
+        """Return the weighted derivatives, (pixels, parameters), and the noise that fits weight by."""
         pixels = Pixels.of(self.views(images, self.lights), images, PixelNoise(self.photons))
         return (self.slopes / pixels.weight).reshape(len(self.numbers), -1).T, pixels
 
@@ -228,18 +228,18 @@ class Study:
         return summary(self.camera, self.labels, self.true, self.unit, limits, rows, left, pixels, 1)
 
     def deviations(self, images: Array) -> Array:
-        """Return the stated standard deviations of the numbers."""
+        """Return the stated standard deviations of the parameters."""
         return np.array(list(self.stated(images).deviations.values()))
 
     def first_steps(self, seeds: int) -> Array:
-        """Return the step from the true camera for each noise over the stated deviations, (seeds, numbers)."""
+        """Return the step from the true camera for each noise over the stated deviations, (seeds, parameters)."""
         rows, pixels = self._rows(self.images)
         inverse = self.unit[:, None] * np.linalg.pinv(rows) / self.deviations(self.images)[:, None]
         noises = (self.noisy(seed + 1) - self.images for seed in range(seeds))
         return np.stack([inverse @ (noise / pixels.weight).ravel() for noise in noises])
 
     def settle(self, x: Array, seen: Array, steps: int) -> dict[str, Any]:
-        """Go to where the derivatives that are held tell that the squared residuals are least."""
+        """Go to where, by the derivatives that are held, the squared residuals are least."""
         for _ in range(steps):
             images = self.expected(x)
             rows, pixels = self._rows(images)

@@ -30,8 +30,8 @@ TIMED = {"letters": "f.emitter.radiance.value", "still_life": "window.emitter.ra
 
 @case(
     "gradients.accuracy",
-    "Derivatives of captures by signed rays: forward beside differences of captures with the same rays, reverse beside "
-    "forward, the coefficients of fog beside closed forms",
+    "Derivatives of captures by signed rays: forward against differences of captures with the same rays, reverse "
+    "against forward, the coefficients of fog against closed forms",
     page="docs/derivatives.md",
     quick={"lenses": 4, "only": ("letters",)},
 )
@@ -85,7 +85,7 @@ def foggy(lenses: int, medium: dict[str, Any], child: dict[str, Any], **objects:
 
 
 def letters(lenses: int) -> Any:
-    """Return the letters before so many lenses across."""
+    """Return the letters before an array of `lenses` across."""
     size = {"resolution": 16 * lenses, "detector_width": 0.064 * lenses, "letter_scale": lenses / 128}
     return load_scene("letters", parameters={name: str(value) for name, value in size.items()})
 

@@ -37,7 +37,7 @@ _Point = tuple[float, float, float]
 
 @case(
     "growth",
-    "Growth of time and memory: fitted exponents beside those of theory",
+    "Growth of time and memory: fitted exponents against those of theory",
     {
         "of": "{measure}", "work": "{work}", "exponent": "{exponent:.2f}", "expected": "{expected}",
         "": "{unit} at {points}",
@@ -52,7 +52,7 @@ def growth(
     """Fit every growth; limits are a quarter above the exponents that theory expects."""
     fields = [size for size in sizes if size <= _LARGEST_FIELD]
     shared = f"the sum of point spreads, accuracy {DEFAULT_ACCURACY:g}, with points"
-    # The work, what it is given beside the count, and the exponents of time and memory that theory expects.
+    # The work, its other arguments than the count, and the exponents of time and memory that theory expects.
     works: dict[str, tuple[Sequence[int], Callable[..., float], tuple[Any, ...], str, str]] = {
         "the angular-spectrum step with pixels across": (sizes, _step, (runs,), "2 over log N", "at most 2"),
         "the ray capture, 1 sample a pixel, with pixels across": (sizes, _ray_capture, (runs,), "2", "at most 2"),

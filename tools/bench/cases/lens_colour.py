@@ -160,7 +160,7 @@ def cameras(names: tuple[str, ...], aperture: float, resolution: int) -> dict[st
 
 @case(
     "lens-colour.lateral",
-    "How far a square's blue lies from its red in captures, beside rays traced through lens and microlenses",
+    "How far a square's blue lies from its red in captures, against rays traced through lens and microlenses",
     {
         "lens": "{lens}", "capture": "{model}", "found (pixels)": "{found[0]:+.3f}, {found[1]:+.3f}",
         "traced": "{traced[0]:+.3f}, {traced[1]:+.3f}", "off": "{off:.3f}", "s": "{seconds:.1f}",

@@ -1,4 +1,4 @@
-"""Real main lenses beside Optiland, another ray tracer, and waves through them."""
+"""Real main lenses against Optiland, another ray tracer, and waves through them."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def rays() -> Iterator[Row]:
 
 
 def paraxial_numbers(lens: Prescription, peer: Any) -> list[Row]:
-    """Return focal length, pupils and F-number beside those of `record_optiland.results`, at its primary wavelength."""
+    """Return focal length, pupils and F-number, and those of `record_optiland.results`, at its primary wavelength."""
     numbers = paraxial(lens, peer["wavelength"])
     # The peer is stopped down otherwise; its pupils' ratio is the lens's own.
     pairs = {
@@ -255,7 +255,7 @@ def behind(name: str | None, radius: float = 5.0, **numbers: Any) -> PlenopticCa
 
 @case(
     "lenses.wave-fit",
-    "The path of points all over the paper's detector, at 200 to 300 mm, beside its fit",
+    "The path of points all over the paper's detector, at 200 to 300 mm, against its fit",
     {"lens": "{lens}", "RMS (waves)": "{waves:.1e}", "seconds": "{seconds:.1f}"},
     (at_most("waves", 0.01),),
     page="docs/main_lenses.md",
@@ -341,7 +341,7 @@ def energy(*, count: int = 6) -> Iterator[Row]:
 
 @case(
     "lenses.letters",
-    "Wave captures of the letters through lenses: time beside that of the thin lens, and the estimate",
+    "Wave captures of the letters through lenses: time against that of the thin lens, and the estimate",
     {
         "lens": "{lens}", "estimate (s)": "{estimate:.1f}", "s": "{seconds:.1f}",
         "times the thin lens's": "{ratio:.2f}",

@@ -1,4 +1,4 @@
-"""Decoded light fields beside what they should show."""
+"""Decoded light fields against what they should show."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ POINTS = {205.0: (0, 0), 220.0: (-1, -1), 240.0: (1, -1), 262.0: (-1, 1), 290.0:
 
 @case(
     "light-fields.scenes",
-    "The letters and the still life decoded: the centre view beside `perspective`, shift-and-add beside the ray "
-    "reconstruction, the depth map beside the true depth",
+    "The letters and the still life decoded: the centre view against `perspective`, shift-and-add against the ray "
+    "reconstruction, the depth map against the true depth",
     quick={"spp": 2, "reference_spp": 16, "scenes": ("letters",)},
 )
 def scenes(output: Path, *, spp: int = 64, reference_spp: int = 1024, scenes: tuple[str, ...] = ()) -> Iterator[Row]:
@@ -81,7 +81,7 @@ def scenes(output: Path, *, spp: int = 64, reference_spp: int = 1024, scenes: tu
         yield figure(f"{name}: depth, median error of all bins", np.median(error), unit="% of range")
 
 
-@case("light-fields.parallax", "Where views show small discs beside the formula", quick={"spp": 16})
+@case("light-fields.parallax", "Where views show small discs against the formula", quick={"spp": 16})
 def parallax(*, spp: int = 512) -> Iterator[Row]:
     """Compare all views that are fully lit."""
     capture = points_capture(spp)

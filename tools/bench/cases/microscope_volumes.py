@@ -1,4 +1,4 @@
-"""Volumes deconvolved behind an objective: beads over depth, steps beside pyolaf's, and the Fourier arrangement."""
+"""Volumes deconvolved behind an objective: beads over depth, steps against pyolaf's, and the Fourier arrangement."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def beads(camera: PlenopticCamera, depths: np.ndarray) -> np.ndarray:
 
 
 def _cells(camera: PlenopticCamera, count: int) -> tuple[int, float]:
-    """Return how many cells there are along an axis for so many beads, and their width."""
+    """Return the count of cells along an axis for a count of beads, and their width."""
     across = math.ceil(math.sqrt(count))
     return across, 2 * REACH * camera.detector_width / 20 / across
 
@@ -72,7 +72,7 @@ def width(profile: np.ndarray, bin_size: float) -> float:
 
 @case(
     "microscope.beads",
-    "Beads, one in each plane, in a volume deconvolved from one capture of exact point spreads: widths beside "
+    "Beads, one in each plane, in a volume deconvolved from one capture of exact point spreads: widths against "
     "Broxton's limit, the distance of points just resolved",
     {
         "depth (um)": "{depth:.3g}", "position (bins)": "{error:.3f}", "width (um)": "{width:.3g}",
@@ -122,7 +122,7 @@ def deconvolved_beads(*, planes: int = 4, lenses: int = 21, iterations: int = 30
 
 @case(
     "microscope.steps",
-    "A step of Richardson and Lucy, a projection forward and one back, beside pyolaf's with as many samples",
+    "A step of Richardson and Lucy, a projection forward and one back, against pyolaf's with as many samples",
     page="docs/microscope.md",
     needs=("pyolaf",),
     quick={"planes": 1, "lenses": 9},
@@ -229,8 +229,8 @@ def seen(plane: Reconstruction, bead: np.ndarray, power: float, light_of_bin: fl
 
 @case(
     "microscope.fourier",
-    "The Fourier microscope's deconvolution: its response beside exact spreads, and a known volume of beads, also with "
-    "2000 photons in the brightest pixel, stopped by the method itself",
+    "The Fourier microscope's deconvolution: its response against exact spreads, and a known volume of beads, also "
+    "with 2000 photons in the brightest pixel, stopped by the method itself",
     page="docs/microscope.md",
     quick={"planes": 2, "beads": 1, "oversample": 1, "iterations": 10},
 )

@@ -1,4 +1,4 @@
-"""The light-field microscope's waves: objectives beside the Debye integral, the array beside pyolaf."""
+"""The light-field microscope's waves: objectives against the Debye integral, the array against pyolaf."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ class Peer:
     needs=("pyolaf",),
     quick={"finest": 5},
 )  # fmt: skip
-def beside_pyolaf(*, finest: int = 7) -> Iterator[Row]:
+def against_pyolaf(*, finest: int = 7) -> Iterator[Row]:
     """Compare six points, with odd numbers of pyolaf's samples across a pixel from 3 on.
 
     pyolaf takes the depth towards the objective as positive; its apodisation is sqrt(cos) (1 + cos), of which ours

@@ -1,4 +1,4 @@
-"""Signed rays beside exact sums of point spreads, over the blur on the microlens array.
+"""Signed rays against exact sums of point spreads, over the blur on the microlens array.
 
 A wall of points, an even grid over some lenses, is captured twice: by signed rays, and point by point with the fields'
 squares added (`CaptureOperator`, method "patch", accuracy 0). The walls have about as much edge as area, and so show
@@ -59,7 +59,7 @@ BLURS = (0.0, 0.5, -1.0, 2.0, -4.5)
 
 @case(
     "phase-space",
-    "Signed rays beside exact sums of point spreads of a wall, relative L2 over the detector without the rays' noise",
+    "Signed rays against exact sums of point spreads of a wall, relative L2 over the detector without the rays' noise",
     {
         "camera": "{camera}", "coefficients": "{coefficients}", "MiB": "{memory:.0f}", "planning (s)": "{planning:.0f}",
         "blur (lenses)": "{blur:g}", "signed rays": "{difference:.2%}", "their noise": "{noise:.2%}",
@@ -85,7 +85,7 @@ def walls(
     margin: int = 4,
     off_axis: float = 0.0,
 ) -> Iterator[Row]:
-    """Compare walls of so many lenses, with points across a lens and rays from each cell of a grid of parts of pixels.
+    """Compare walls of some lenses, with points across a lens and rays from each cell of a grid of parts of pixels.
 
     Blurs are radii in lenses, of either sign; ``off_axis`` is where the wall's centre is, in lenses along x and y.
     """

@@ -1,4 +1,4 @@
-"""Point spreads by patches beside the full field, and the full field beside its own limit."""
+"""Point spreads by patches against the full field, and the full field against its own limit."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def points() -> Iterator[tuple[str, PlenopticCamera, Point, float]]:
     quick={"count": 1, "side": 0.3},
 )  # fmt: skip
 def convergence(*, count: int = 6, side: float = 1.4) -> Iterator[Row]:
-    """Compare crops of so many millimetres."""
+    """Compare crops of a side in millimetres."""
     for camera, wavelength, x, y, g in (
         (PAPER, 633.0, 0.0, 0.0, 240.0), (PAPER, 633.0, 1.5, -1.2, 240.0), (PAPER, 633.0, 0.2, 0.1, 210.0),
         (PAPER, 633.0, -1.5, 1.5, 280.0), (SECOND, 532.0, 0.5, 0.4, 175.0), (SECOND, 532.0, 0.5, 0.4, 150.0),

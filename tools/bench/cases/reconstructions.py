@@ -182,7 +182,7 @@ FULL_SIZE = {"coherent": {"method": "coherent"}, "auto": {"method": "partial", "
 
 @case(
     "reconstruction.full-size",
-    "Ray captures by cameras like the Lytro and the Raytrix R12, refocused by waves in a process each",
+    "Ray captures by cameras like the Lytro and the Raytrix R12, refocused in the wave model in a process each",
     {
         "camera": "{camera}", "bins": "{columns} x {rows}", "method": "{method}", "g (mm)": "{distance:g}",
         "CPU s": "{processor:.0f}", "GiB": "{memory:.2f}", "not reached": "{unreached:.1%}",

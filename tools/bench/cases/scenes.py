@@ -94,7 +94,7 @@ def bars_seen_through() -> Iterator[Row]:
 
 
 def energies() -> Iterator[Row]:
-    """Compare the sums of captures by rays and by waves."""
+    """Compare the sums of ray and wave captures."""
     scenes: dict[str, Callable[[], Any]] = {
         "absorbing fog": in_fog,
         "lamp behind glass": lambda: lamp_behind_glass(False),
@@ -171,7 +171,7 @@ GROUPS: dict[str, Callable[[], Iterator[Row]]] = {
 
 @case(
     "scenes.light-paths",
-    "Wave captures of skies, transparent cards, mirrors, glass, fog and hidden pupils beside ray captures",
+    "Wave captures of skies, transparent cards, mirrors, glass, fog and hidden pupils against ray captures",
     {"what": "{name}", "measured": "{measured:.3f}", "limit": "{stated}"},
     (at_most("off", "limit"),),
     page="docs/models.md",
@@ -185,7 +185,7 @@ def light_paths(*, only: tuple[str, ...] = ()) -> Iterator[Row]:
 
 @case(
     "scenes.pupil-light",
-    "Scenes whose light differs over the pupil or within a lens, by signed rays, beside ray captures convolved with a "
+    "Scenes whose light differs over the pupil or within a lens, by signed rays, against ray captures convolved with a "
     "microlens's diffraction: quarters of micro-images, without noise",
     {
         "scene": "{scene}", "quarters of micro-images": "{difference:.2%}", "noise": "{noise:.2%}",
@@ -197,7 +197,7 @@ def light_paths(*, only: tuple[str, ...] = ()) -> Iterator[Row]:
     quick={"only": ("floor",), "ray_spp": 64, "wave_spp": 16},
 )  # fmt: skip
 def pupil_light_scenes(*, only: tuple[str, ...] = (), ray_spp: int = 1024, wave_spp: int = 256) -> Iterator[Row]:
-    """Capture each scene by rays and by waves, twice each."""
+    """Capture each scene in both models, twice each."""
     for name, (make, limit) in pick(pupil_light.SCENES, only).items():
         scene = make()
 
@@ -274,7 +274,7 @@ SCENES = {
     page="docs/theory/phase_space.md",
     quick={"only": ("F in focus",), "lenses": 4, "points": 16, "rays": 32},
 )  # fmt: skip
-def points_beside_signed_rays(
+def points_against_signed_rays(
     output: Path,
     *,
     only: tuple[str, ...] = (),

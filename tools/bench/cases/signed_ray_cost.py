@@ -1,4 +1,4 @@
-"""Time, memory and noise of captures by signed rays beside ray captures."""
+"""Time, memory and noise of captures by signed rays against ray captures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Captures: samples per second beside `thinlens`, the command, whole scenes, sums on several processes, their parts."""
+"""Captures: samples per second, the command, whole scenes, sums on several processes, and their parts."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from ..timing import in_process, once, paired, peak_memory
 
 @case(
     "speed.rays",
-    "Samples per second of ray captures beside Mitsuba's own `thinlens`: the same film, the same scene, `path`",
+    "Samples per second of ray captures against Mitsuba's own `thinlens`: the same film, the same scene, `path`",
     SPEED,
     page="docs/numbers.md",
     quick={"resolution": 512, "runs": 2},
@@ -143,7 +143,7 @@ def _capture(name: str, spp: int, size: int, file: Path) -> Row:
 
 @case(
     "speed.workers",
-    "Sums of point spreads on worker processes beside one process, with the same bits",
+    "Sums of point spreads on worker processes against one process, with the same bits",
     {**SPEED, "pixels of other bits": "{other}"},
     (at_most("other", 0),),
     page="docs/numbers.md",

@@ -1,4 +1,4 @@
-"""Reconstructions on one core at the paper's size, beside bare FFTs, a pass over the image, and the paper's seconds.
+"""Reconstructions on one core at the paper's size, against bare FFTs, a pass over the image, and the paper's seconds.
 
 Two captures: one with every pixel lit, where nothing can be skipped, and the letters. "FFTs" are the Fourier transforms
 that the coherent method performs, of the same lengths and in the same number, along the axes of whole arrays.
@@ -33,7 +33,7 @@ DISTANCES = [210.0, 240.0, 280.0]
 
 @case(
     "speed.reconstructions",
-    "Reconstructions on one core at the paper's size, beside bare FFTs, a pass over the image, whole-bin "
+    "Reconstructions on one core at the paper's size, against bare FFTs, a pass over the image, whole-bin "
     "shift-and-add, and the paper's seconds",
     SPEED,
     page="docs/numbers.md",

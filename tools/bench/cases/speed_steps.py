@@ -1,4 +1,4 @@
-"""The step by the angular spectrum beside the bare pair of FFTs and other libraries, and the route on a GPU."""
+"""The step by the angular spectrum against the bare pair of FFTs and other libraries, and the route on a GPU."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _PAIR = "bare FFT pair"
 
 @case(
     "speed.steps",
-    "The angular-spectrum step beside a pair of FFTs (ours over the pair) and other libraries (how many times ours is "
+    "The angular-spectrum step against a pair of FFTs (ours over the pair) and other libraries (how many times ours is "
     "faster), on one thread and on all, in a process each",
     SPEED,
     (at_most("difference", _AGREEMENT),),
@@ -135,7 +135,7 @@ def _numpy(size: int, threads: int) -> Step:
 
 
 _COPIED = 2**27
-"""Samples of the field whose copy tells the speed of the memory."""
+"""Samples of the field whose copy measures the speed of the memory."""
 
 _BYTES_PER_SAMPLE = 80
 """Two transforms that each read and write a field twice (rows, columns), and one pass for the transfer function."""
@@ -143,7 +143,7 @@ _BYTES_PER_SAMPLE = 80
 
 @case(
     "speed.gpu",
-    "On a CUDA device: steps beside bare transforms and the memory's speed, whole captures and reconstructions",
+    "On a CUDA device: steps against bare transforms and the memory's speed, whole captures and reconstructions",
     SPEED,
     (at_most("difference", 1e-5),),
     page="docs/numbers.md",

@@ -1,4 +1,4 @@
-"""Sums of point spreads: shared beside unshared, beside bare FFTs and other libraries, and adjoints."""
+"""Sums of point spreads: shared against unshared, against bare FFTs and other libraries, and adjoints."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _PARTS = (
 
 @case(
     "speed.sharing",
-    "Sums of point spreads of the default accuracy beside sums in which nothing is shared: how many times faster, and "
+    "Sums of point spreads of the default accuracy against sums in which nothing is shared: how many times faster, and "
     "the error, on parts of scenes",
     SPEED,
     (at_most("difference", DEFAULT_ACCURACY),),
@@ -70,7 +70,7 @@ def _compare_accuracies(what: str, points: ScenePoints) -> Row:
 
 @case(
     "speed.estimates",
-    "Estimates of whole captures by points of the default accuracy beside those in which nothing is shared",
+    "Estimates of whole captures by points of the default accuracy against those in which nothing is shared",
     SPEED,
     quick={"only": ("still_life",)},
 )
@@ -139,7 +139,7 @@ def bare(*, runs: int = 5, count: int = 128, distances: tuple[float, ...] = (210
 
 
 def _transforms(batch: PatchBatch, count: int) -> Callable[[], None]:
-    """Do nothing but the transforms of so many points like a batch's."""
+    """Do nothing but the transforms of a count of points like a batch's."""
     work, n, m = Workspace(batch), batch.samples, batch.mla_samples
     work.rows[:], work.columns[:], work.field[:] = 0, 0, 0
 
@@ -167,7 +167,7 @@ def _transforms(batch: PatchBatch, count: int) -> Callable[[], None]:
 
 @case(
     "speed.peers",
-    "Point spreads per second, one radiator at 280 mm, nothing shared, beside a full-field loop by HCIPy and pyolaf's "
+    "Point spreads per second, one radiator at 280 mm, nothing shared, against a full-field loop by HCIPy and pyolaf's "
     "patterns",
     SPEED,
     quick={"count": 8},

@@ -54,7 +54,7 @@ REFERENCE = 400.0
 
 @case(
     "walls",
-    "White walls and ramps that fill the view, refocused by every method: the worst bin beside the known radiance",
+    "White walls and ramps that fill the view, refocused by every method: the worst bin against the known radiance",
     {
         "lattice": "{lattice}", "lenses": "{lenses}", "g (mm)": "{distance:g}", "capture": "{model}",
         "method": "{method}", "wall": "{wall}", "worst bin": "{worst:.4f}", "limit": "{limit:g}",

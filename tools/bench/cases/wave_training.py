@@ -5,7 +5,7 @@ what pinhole cameras at nine positions of the pupil see behind the lens in the m
 Mitsuba's own `perspective`. One model is trained on wave captures and its twin on ray captures of the same scenes, each
 with the ridge penalty that is best for captures of its own kind that were held back; both are judged on wave captures
 of scenes that neither has seen. Every seed has scenes, noise and a split of its own. A third is trained on ray captures
-convolved with the diffraction spot of a microlens. Beside the twins stand the model of the rays judged on rays (what
+convolved with the diffraction spot of a microlens. Next to the twins stand the model of the rays judged on rays (what
 light without diffraction would allow) and the best single pixel, without any model.
 """
 

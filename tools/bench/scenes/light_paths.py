@@ -135,12 +135,12 @@ def by_signed_rays(scene: Any, spp: int = 64) -> Capture:
 
 
 def captures(scene: Any, spp: int = 64) -> tuple[Capture, Capture]:
-    """Return the captures of a scene by rays and by waves."""
+    """Return the ray and the wave capture of a scene."""
     return render_capture(scene, model="ray", spp=2 * spp), by_signed_rays(scene, spp)
 
 
 def energy(by_rays: Capture, by_waves: Capture) -> float:
-    """Return the sum of the capture by waves over that by rays."""
+    """Return the sum of the wave capture over that of the ray capture."""
     return float(by_waves.image.sum(dtype=float) / by_rays.image.sum(dtype=float))
 
 

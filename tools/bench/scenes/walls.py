@@ -19,7 +19,7 @@ _RAMP_END = 1.9
 """Half width of a ramp over that of the field: beyond, its radiance stays what it is there, above zero."""
 
 _MARGIN = 2.0
-"""By how many half fields a wall goes on beyond what the camera sees by rays: diffraction brings light from there."""
+"""By how many half fields a wall extends beyond what rays see: diffraction brings light from there."""
 
 _SKY_TEXELS = 8192
 
