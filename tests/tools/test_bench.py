@@ -84,6 +84,21 @@ def test_unknown_names_and_options_are_refused_in_one_line(probe, words, message
     assert capsys.readouterr().err.startswith(message)
 
 
+def test_a_case_that_cannot_run_here_leaves_the_others_to_run(probe, tmp_path, capsys):
+    @case("probe.two", "nothing", needs=("no_such_package",))
+    def measure():
+        """Yield nothing."""
+        yield from ()
+
+    try:
+        assert main(["run", "probe", "--output", str(tmp_path)]) == 2
+    finally:
+        del registry.CASES["probe.two"]
+    found = capsys.readouterr()
+    assert "probe.two: NOT RUN: it needs no_such_package" in found.err
+    assert "2 cases; FAILED: none; not run: probe.two" in found.out and results(tmp_path)["rows"]
+
+
 def test_parts_of_names_pick_entries():
     known = {"square": 1, "square, turned": 2, "hexagonal": 3}
     assert pick(known, []) == known

@@ -27,7 +27,7 @@ PAGES = ("README.md", "docs/**/*.md")
 
 
 def main(words: list[str] | None = None) -> int:
-    """Do what the command line asks; 1 where a figure is beyond its limit."""
+    """Do what the command line asks; 1 where a figure is beyond its limit, 2 where something cannot be done."""
     parser = argparse.ArgumentParser(prog="python -m tools.bench", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     commands.add_parser("list", help="name all cases, what they measure, their limits and options")
@@ -44,16 +44,22 @@ def main(words: list[str] | None = None) -> int:
             return show_list()
         if given.command == "docs":
             return write_docs(ROOT, given.output, given.check)
-        names = [word for word in given.names if "=" not in word]
-        cases = registry.find(names)
-        chosen = registry.options(cases, [word for word in given.names if "=" in word])
-        failed = [each.name for each in cases if run(each, chosen[each.name], given.quick, given.output)]
-        if len(cases) > 1:
-            print(f"{len(cases)} cases, FAILED: {', '.join(failed) or 'none'}")
-        return int(bool(failed))
+        cases = registry.find(word for word in given.names if "=" not in word)
+        chosen = registry.options(cases, (word for word in given.names if "=" in word))
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
+    failed, refused = [], []
+    for each in cases:
+        try:
+            if run(each, chosen[each.name], given.quick, given.output):
+                failed.append(each.name)
+        except InputError as error:
+            refused.append(each.name)
+            print(f"{each.name}: NOT RUN: {error}", file=sys.stderr, flush=True)
+    if len(cases) > 1:
+        print(f"{len(cases)} cases; FAILED: {', '.join(failed) or 'none'}; not run: {', '.join(refused) or 'none'}")
+    return 1 if failed else 2 if refused else 0
 
 
 def show_list() -> int:
@@ -75,7 +81,7 @@ def run(case: Case, options: dict[str, Any], quick: bool, output: Path) -> bool:
     """Run a case, print its rows as they come and store them; return whether it failed."""
     missing = [name for name in case.needs if importlib.util.find_spec(name) is None]
     if missing:
-        raise InputError(f"{case.name}: needs {', '.join(missing)}, of the extras `peers` and `lenses`")
+        raise InputError(f"it needs {', '.join(missing)}, of the extras `peers` and `lenses`")
     folder = output / case.name
     folder.mkdir(parents=True, exist_ok=True)
     mi.set_variant(case.variant)

@@ -49,7 +49,7 @@ _Point = tuple[float, float, float]
 def growth(
     *, sizes: tuple[int, ...] = (512, 1024, 2048, 4096, 8192), runs: int = 5, only: tuple[str, ...] = ()
 ) -> Iterator[Row]:
-    """Fit every growth; limits are a quarter above the exponents that theory expects."""
+    """Fit every growth; limits are a quarter above the exponents that theory expects, for threads a half."""
     fields = [size for size in sizes if size <= _LARGEST_FIELD]
     shared = f"the sum of point spreads, accuracy {DEFAULT_ACCURACY:g}, with points"
     # The work, its other arguments than the count, and the exponents of time and memory that theory expects.
@@ -99,7 +99,7 @@ def _rows(
             "work": what,
             "exponent": float(np.polyfit(np.log(counts), np.log(values / divisors), 1)[0]) if len(counts) > 1 else None,
             "expected": expected,
-            "most": float(expected.removeprefix("at most ").removesuffix(" over log N")) + 0.25,
+            "most": float(expected.removeprefix("at most ").removesuffix(" over log N")) + (0.5 if unit == "s" else 0.25),
             "unit": measure,
             "points": listed,
             "values": list(zip(counts, values, strict=True)),

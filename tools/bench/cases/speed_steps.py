@@ -152,7 +152,7 @@ _BYTES_PER_SAMPLE = 80
 def gpu(*, sizes: tuple[int, ...] = (1024, 2048, 4096, 8192), runs: int = 5) -> Iterator[Row]:
     """Measure on the device, and refuse where there is none."""
     if not dr.has_backend(dr.JitBackend.CUDA):
-        raise InputError("speed.gpu: no CUDA device on this machine")
+        raise InputError("no CUDA device on this machine")
     expected = {size: _moved(beam(size)) for size in sizes}
     before = mi.variant()
     mi.set_variant("cuda_ad_mono")
