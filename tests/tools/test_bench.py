@@ -99,6 +99,16 @@ def test_a_case_that_cannot_run_here_leaves_the_others_to_run(probe, tmp_path, c
     assert "2 cases; FAILED: none; not run: probe.two" in found.out and results(tmp_path)["rows"]
 
 
+def test_options_are_read_by_the_types_of_their_defaults(probe):
+    assert registry.options([probe], ["errors=1,inf", "least=2"]) == {
+        "probe.one": {"errors": (1.0, float("inf")), "least": 2.0}
+    }
+    (letters,) = registry.find(["deconvolution.letters"])
+    assert registry.options([letters], ["letters=8,#", "iterations=3"])["deconvolution.letters"] == {
+        "letters": ("8", "#"), "iterations": 3
+    }  # fmt: skip
+
+
 def test_parts_of_names_pick_entries():
     known = {"square": 1, "square, turned": 2, "hexagonal": 3}
     assert pick(known, []) == known

@@ -36,8 +36,8 @@ def main(words: list[str] | None = None) -> int:
     run_parser.add_argument("--quick", action="store_true", help="small sizes, to see that a case works")
     docs_parser = commands.add_parser("docs", help="write the tables of the pages from the last full results")
     docs_parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if a table would change")
-    for each in (run_parser, docs_parser):
-        each.add_argument("--output", type=Path, default=RESULTS, help="folder of results (default: %(default)s)")
+    for sub in (run_parser, docs_parser):
+        sub.add_argument("--output", type=Path, default=RESULTS, help="folder of results (default: %(default)s)")
     given = parser.parse_args(words)
     try:
         if given.command == "list":

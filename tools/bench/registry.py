@@ -162,7 +162,10 @@ def find(names: Iterable[str]) -> list[Case]:
 
 
 def options(cases: list[Case], words: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Return the options that words such as ``spp=16`` set, for each case that has them; one of them must."""
+    """Return the options that words such as ``spp=16`` set, for each case that has them; one of them must.
+
+    Lists are separated by commas; those without entries by default hold names.
+    """
     found: dict[str, dict[str, Any]] = {each.name: {} for each in cases}
     for word in words:
         name, _, text = word.partition("=")
@@ -193,7 +196,7 @@ def _similar(name: str, known: Iterable[str]) -> str:
 
 def _parsed(name: str, text: str, default: Any) -> Any:
     if isinstance(default, tuple):
-        return tuple(_parsed(name, part, default[0] if default else None) for part in text.split(",") if part)
+        return tuple(_parsed(name, part, default[0] if default else "") for part in text.split(",") if part)
     try:
         value = float(text) if text.lstrip("-") == "inf" else ast.literal_eval(text)
     except (ValueError, SyntaxError):

@@ -235,9 +235,9 @@ def confidence(
                 yield {"scene": name, "camera": camera, "photons": photons or "no noise", **judged(found, old)}
     arrays = {f"{key}, {part}": values for key, found in results.items() for part, values in found.items()}
     np.savez(output / "depths.npz", **arrays)
-    known = [np.isfinite(found["truth"]) for found in results.values()]
+    inside = [np.isfinite(found["truth"]) for found in results.values()]
     sure, guess, truth = (
-        np.concatenate([found[part][here] for found, here in zip(results.values(), known, strict=True)])
+        np.concatenate([found[part][here] for found, here in zip(results.values(), inside, strict=True)])
         for part in ("confidence", "guess", "truth")
     )
     tenths = rates(sure, np.abs(guess / truth - 1) < NEAR_BY, np.zeros(len(truth)))

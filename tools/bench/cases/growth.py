@@ -99,7 +99,8 @@ def _rows(
             "work": what,
             "exponent": float(np.polyfit(np.log(counts), np.log(values / divisors), 1)[0]) if len(counts) > 1 else None,
             "expected": expected,
-            "most": float(expected.removeprefix("at most ").removesuffix(" over log N")) + (0.5 if unit == "s" else 0.25),
+            "most": float(expected.removeprefix("at most ").removesuffix(" over log N"))
+            + (0.5 if unit == "s" else 0.25),
             "unit": measure,
             "points": listed,
             "values": list(zip(counts, values, strict=True)),
