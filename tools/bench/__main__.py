@@ -112,11 +112,11 @@ def run(case: Case, options: dict[str, Any], quick: bool, output: Path) -> bool:
 
 def write_docs(root: Path, results: Path, check: bool = False) -> int:
     """Write the tables of all pages from full results with the options that each mark states."""
-    cases, changed = registry.load(), False
+    changed = False
 
     def table(name: str, words: list[str]) -> str | None:
+        (case,) = registry.find([name])
         file = results / f"{name}.json"
-        case = cases[name]
         if not file.exists():
             return None
         found = json.loads(file.read_text())

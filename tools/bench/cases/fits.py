@@ -28,7 +28,7 @@ WAVELENGTH = 633.0
     },
     (at_most("square_off", 0.25), at_most("bound_off", 0.2)),
     page="docs/fitting.md",
-    quick={"seeds": 3, "points": 3},
+    quick={"seeds": 1, "points": 2, "accuracy": 0.1},
 )  # fmt: skip
 def spread(
     *,

@@ -68,7 +68,7 @@ BLURS = (0.0, 0.5, -1.0, 2.0, -4.5)
     (at_most("difference", 0.025),),
     page="docs/theory/phase_space.md",
     pivot=Pivot("{camera}", "blur of {blur:g} lenses", "{difference:.2%}"),
-    quick={"blurs": (0.0,), "lenses": 1, "points": 12, "samples": 128},
+    quick={"blurs": (0.0,), "lenses": 1, "points": 12, "samples": 512},
 )  # fmt: skip
 def walls(
     output: Path,

@@ -320,7 +320,7 @@ def points_against_signed_rays(
     },
     (at_most("off", 0.1), at_most("not_noise", 0)),
     page="docs/numbers.md",
-    quick={"lenses": 4, "samples": (64, 16)},
+    quick={"lenses": 8, "samples": (256, 64)},
 )  # fmt: skip
 def noise(*, lenses: int = 12, samples: tuple[int, ...] = (1024, 16)) -> Iterator[Row]:
     """Compare all pixels, the middle of micro-images and their rim; the first of the samples should be the most."""
