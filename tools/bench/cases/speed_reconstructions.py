@@ -37,7 +37,7 @@ DISTANCES = [210.0, 240.0, 280.0]
     "shift-and-add, and the paper's seconds",
     SPEED,
     page="docs/numbers.md",
-    quick={"resolution": 512, "runs": 1},
+    quick={"resolution": 2048, "runs": 1},
 )
 def reconstructions(*, runs: int = 5, resolution: int = 4096) -> Iterator[Row]:
     """Time everything in one process."""
