@@ -232,7 +232,7 @@ def seen(plane: Reconstruction, bead: np.ndarray, power: float, light_of_bin: fl
     "The Fourier microscope's deconvolution: its response against exact spreads, and a known volume of beads, also "
     "with 2000 photons in the brightest pixel, stopped by the method itself",
     page="docs/microscope.md",
-    quick={"planes": 2, "beads": 1, "oversample": 1, "iterations": 10},
+    quick={"planes": 2, "beads": 1, "iterations": 10},
 )
 def fourier(
     output: Path, *, planes: int = 9, beads: int = 5, oversample: int = 2, iterations: int = 60
