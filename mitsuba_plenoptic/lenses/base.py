@@ -15,7 +15,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
 import drjit as dr
 import numpy as np
@@ -23,6 +23,9 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..optics import rays
+
+if TYPE_CHECKING:
+    from .round_pupil import RoundMap
 
 Pair = tuple[Any, Any]
 """x and y in the camera frame, of places or of slopes."""
@@ -65,7 +68,7 @@ BUILDERS: dict[type, Callable[[LensNumbers], MainLens]] = {}
 
 
 def builds(description: type) -> Callable[[Builder], Builder]:
-    """Mark the function that makes the main lens of cameras whose `main_lens` is of some type."""
+    """Mark the function that makes the main lens of cameras whose `main_lens` is of some type; None's is a thin one."""
 
     def mark(function: Builder) -> Builder:
         BUILDERS[description] = function
@@ -77,7 +80,7 @@ def builds(description: type) -> Callable[[Builder], Builder]:
 class MainLens(Protocol):
     """What the camera asks of its main lens. Lengths are millimetres, wavelengths nanometres.
 
-    `waves_of` returns the lens that has the methods from `cone` on for some points, and all others.
+    What is about waves is asked of the lens that `waves_of` returns, which serves the points that it was given.
     """
 
     @property
@@ -111,6 +114,10 @@ class MainLens(Protocol):
     @property
     def entrance(self) -> Entrance:
         """The scene's side of it."""
+
+    @property
+    def round_map(self) -> RoundMap | None:
+        """A map from the pupil, seen off the axis, onto the round one near the axis; None where both are the same."""
 
     def start_bounds(self, field: float) -> tuple[float, tuple[float, ...]]:
         """Return a radius and the z between which all rays start that reach the MLA up to a distance from the axis."""
@@ -357,6 +364,8 @@ class UniformLens:
 
     is_open_evenly = True
     changes_evenly = True
+
+    round_map = None
 
     @property
     def reach(self) -> Any:

@@ -162,7 +162,7 @@ def telecentric_arrival(
     stop, mla : SampledField
         Both have the power 1, but for what misses the detector's window.
     """
-    if lens.objective.is_fourier:
+    if lens.objective.images_stop:
         return _at_stop_image(lens, position, wavelength, grids, weights)
     return _at_native_image(lens, position, wavelength, grids, weights)
 
