@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics.phase import in_millimetres
-from .base import FinitePupil
+from .common import FinitePupil
 from .open_pupil import open_area
 from .pupil_fit import PupilFit
 from .pupil_polynomials import LensLight, Place, Polynomial

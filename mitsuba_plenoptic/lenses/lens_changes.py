@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..lattice import turn
 from ..optics.phase import in_millimetres
 from ..runtime.limits import single_threaded_blas
-from .base import FinitePupil
+from .common import FinitePupil
 from .fitted_lens import FittedLens
 from .lens_system import LensSystem
 from .open_pupil import at_all, edges, places

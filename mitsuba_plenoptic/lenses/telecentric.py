@@ -31,7 +31,8 @@ from numpy.typing import NDArray
 
 from ..objective import Objective
 from ..optics.phase import in_millimetres
-from .base import LensNumbers, UniformLens, builds
+from .base import LensNumbers, builds
+from .common import UniformLens
 
 _Pair = tuple[Any, Any]
 

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from ..optics import rays
 from ..optics.phase import in_millimetres, parabola
 from ..thin_lens import vergence
-from .base import FinitePupil, LensNumbers, UniformLens, builds
+from .base import LensNumbers, builds
+from .common import FinitePupil, UniformLens
 from .distortion import undistort
 from .wavefront import Wavefront
 
