@@ -100,9 +100,9 @@ class LensData:
         """
         return 0.0, 1.0
 
-    def focus_distance(self, camera: Any) -> float:
+    def focus_distance(self, focal_length: float, mla_distance: float) -> float:
         """Return the distance of the object plane that is in focus on the array."""
-        return conjugate_distance(camera.focal_length, camera.mla_distance)
+        return conjugate_distance(focal_length, mla_distance)
 
     def image_blur(self, camera: Any, distance: float) -> float:
         """Return the diameter on the array of the image of a point at a distance, by rays."""

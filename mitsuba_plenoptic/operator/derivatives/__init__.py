@@ -1,11 +1,11 @@
 """Derivatives of captures with respect to the numbers of the camera."""
 
 from .differentials import Differentials
-from .numbers import ABERRATIONS, NUMBERS, brightness_slopes, check_changes, check_names, light_slopes, values_of
+from .numbers import NUMBERS, WAVELENGTH, brightness_slopes, check_changes, check_names, light_slopes, values_of
 
 __all__ = [
-    "ABERRATIONS",
     "NUMBERS",
+    "WAVELENGTH",
     "Differentials",
     "brightness_slopes",
     "check_changes",
