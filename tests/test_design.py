@@ -8,7 +8,6 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
-from any_scenes import facing, radiating, scene_of
 from scene_cases import disk
 
 from mitsuba_plenoptic import (
@@ -24,6 +23,7 @@ from mitsuba_plenoptic import (
 from mitsuba_plenoptic.lightfield import white_image
 from mitsuba_plenoptic.report.experiment import agreement, thin_lens_image
 from mitsuba_plenoptic.thin_lens import image_distance
+from tools.bench.scenes.light_paths import facing, radiating, scene_of
 
 # The paper's camera, whose lenses see the main lens's image 3 z before them, or behind them.
 KEPLERIAN = {

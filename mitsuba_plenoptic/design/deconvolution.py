@@ -15,7 +15,7 @@ Near focus all lenses see the same, and the lens pitch decides; Broxton's formul
 
 This is the limit of single lenses, and of captures with noise. The response does not end there: light from the borders
 of neighbouring lenses meets on the detector and interferes, so that of lines of up to 1.5 times the limit 1 to 3 % of
-the contrast arrives, out of which captures without noise bring it back (`tools/deconvolution_accuracy.py`).
+the contrast arrives, out of which captures without noise bring it back (`tools/bench/cases/deconvolution.py`).
 
 In the Fourier arrangement each lens sees the whole object, through its own part of the stop of the width :math:`M w /
 f_F`, which is twice its numerical aperture. It lets lines up to :math:`\nu_c = M w / f_F \lambda` through, and at the

@@ -43,7 +43,7 @@ _ASKED, _AVERAGED = 3.0, 2.0
 VIEWS, LENSES = 20.0, 3.0
 
 # What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood
-# on captures of the scenes that `tools/confidence_fit.py` lists, within its bounds, and rounded.
+# on captures of the scenes that the case `depth.weights` of `tools/bench` lists, within its bounds, and rounded.
 WEIGHTS = (-2.7, 0.7, 3.2, -1.0, -0.3)
 
 

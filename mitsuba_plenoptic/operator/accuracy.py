@@ -1,7 +1,7 @@
 """What an allowed error of an image permits: how much light to cut, and how unlike wavefronts may be that count as one.
 
 The two rules are fitted to captures of walls and scenes by the camera of the paper, measured against images in which
-nothing is shared and nothing but the last 0.1 % of the light is cut (`tools/benchmark.py --only sharing`).
+nothing is shared and nothing but the last 0.1 % of the light is cut (the case `speed.sharing` of `tools/bench`).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _BANDS = (
 """Bands, each with the allowed error of many points below which it is used."""
 
 _FINEST = Band(cone=2.5, margin=200, bends=5, orders=32, edge=3.0, smooth=True)
-"""Band of derivatives that are judged one by one (`tools/derivative_accuracy.py`)."""
+"""Band of derivatives that are judged one by one (`tools/bench/cases/derivatives.py`)."""
 
 _EXACT = 0.004
 """Allowed error below which it is used."""

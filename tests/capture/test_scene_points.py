@@ -5,7 +5,6 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
-from any_scenes import PANES, THIN_FOG, facing, radiating, scene_of, sensor
 from wave_cases import error
 
 from mitsuba_plenoptic import InputError, estimate_capture, render_capture
@@ -13,6 +12,7 @@ from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.io.checkpoints import Checkpoint
 from mitsuba_plenoptic.lenses.factory import main_lens
 from mitsuba_plenoptic.operator.units import radiance_weight
+from tools.bench.scenes.light_paths import PANES, THIN_FOG, facing, radiating, scene_of, sensor
 
 BLACK = {"type": "diffuse", "reflectance": 0.0}
 

@@ -4,12 +4,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from any_scenes import facing, radiating, scene_of, sensor
 
 from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.capture import signed_rays
 from mitsuba_plenoptic.capture.noise import Mended
 from mitsuba_plenoptic.system.phase_space import PhaseSpace
+from tools.bench.scenes.light_paths import facing, radiating, scene_of, sensor
 
 POINT = {"type": "point", "position": [0.0, 40.0, 0.0], "intensity": 3e4}
 RADIANCE, ROUGHNESS = "wall.emitter.radiance.value", "wall.bsdf.alpha.value"

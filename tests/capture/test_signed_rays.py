@@ -6,12 +6,12 @@ import pickle
 import mitsuba as mi
 import numpy as np
 import pytest
-from any_scenes import bars_through, facing, radiating, scene_of, sensor
 from scipy.ndimage import gaussian_filter
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, render_capture
 from mitsuba_plenoptic.io.checkpoints import Checkpoint
 from mitsuba_plenoptic.system.lens_kinds import LensKinds, irregularities
+from tools.bench.scenes.light_paths import bars_through, facing, radiating, scene_of, sensor
 
 BLACK = {"type": "diffuse", "reflectance": 0.0}
 

@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import drjit as dr
-import lens_accuracy
 import numpy as np
 import pytest
 from drjit.llvm.ad import Float, Float64
@@ -15,6 +14,7 @@ from mitsuba_plenoptic.lenses import sequential
 from mitsuba_plenoptic.lenses.lens_system import LensSystem
 from mitsuba_plenoptic.prescription import BUNDLED, Prescription, bundled_prescription, paraxial
 from mitsuba_plenoptic.report.lens_drawing import field_figures
+from tools.bench.cases import lenses
 
 RECORDS = Path(__file__).parents[1] / "optiland_records"
 OPTILAND = json.loads((RECORDS / "results.json").read_text())["lenses"]
@@ -166,9 +166,9 @@ def test_distortion_is_that_of_a_grid_of_chief_rays():
 @pytest.mark.parametrize("name", ["double_gauss", "cooke_triplet", "tessar"])
 def test_rays_and_paths_are_optilands(name):
     lens, peer = bundled_prescription(name), OPTILAND[name]
-    for row in lens_accuracy.intercepts_and_paths(lens, peer) + lens_accuracy.intercepts_and_paths(lens, peer, Float64):
+    for row in lenses.intercepts_and_paths(lens, peer) + lenses.intercepts_and_paths(lens, peer, Float64):
         assert row["millimetres"] < 1e-6 and row["waves"] < 2e-3
-    for row in lens_accuracy.paraxial_numbers(lens, peer):
+    for row in lenses.paraxial_numbers(lens, peer):
         assert row["ours"] == pytest.approx(row["optiland"], rel=1e-7)
 
 
@@ -179,7 +179,7 @@ def test_lens_files_are_read_as_optiland_reads_them(name):
     assert (len(lens.surfaces), lens.wavelength) == (peer["surfaces"], pytest.approx(peer["wavelength"]))
     for wavelength, indices in peer["indices"].items():
         assert lens.indices(float(wavelength)) == pytest.approx(indices, abs=1e-9)
-    for row in lens_accuracy.intercepts_and_paths(lens, peer):
+    for row in lenses.intercepts_and_paths(lens, peer):
         assert row["millimetres"] < 1e-6 and row["waves"] < 2e-3
-    for row in lens_accuracy.paraxial_numbers(lens, peer):
+    for row in lenses.paraxial_numbers(lens, peer):
         assert row["ours"] == pytest.approx(row["optiland"], rel=1e-7)

@@ -1,10 +1,5 @@
 """Point spread functions: the full field against closed forms and itself, the patch against the full field."""
 
-import json
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.special import j1
@@ -17,6 +12,7 @@ from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.operator.point_spread import point_fields, point_spread_function
 from mitsuba_plenoptic.operator.pupil_weights import PupilWeights
 from mitsuba_plenoptic.system.optical_system import OpticalSystem
+from tools.bench.cases import point_spreads
 
 SMALL = small_camera(16)
 # Other numbers throughout; 20.2 pixels to a lens, fewer rows than columns.
@@ -24,7 +20,6 @@ OTHER = PlenopticCamera(
     focal_length=50, aperture_radius=4, mla_distance=70, mla_focal_length=0.4, mla_pitch=0.05,
     detector_width=0.75, resolution=(303, 250),
 )  # fmt: skip
-TOOL = Path(__file__).parents[2] / "tools" / "point_spread_accuracy.py"
 
 
 @pytest.mark.parametrize(
@@ -199,12 +194,11 @@ def test_a_field_too_large_for_memory_is_refused_with_the_estimate():
 
 
 @pytest.mark.slow
-def test_accuracy_on_whole_detectors(tmp_path):
-    """As the tool measures it: the patch against the full field, and the full field against itself on other grids."""
-    subprocess.run([sys.executable, TOOL, "--output", tmp_path], check=True, stdout=subprocess.DEVNULL)
-    results = json.loads((tmp_path / "point_spread_accuracy.json").read_text())
-    assert len(results["patch"]) == 17 and len(results["full_field"]) == 6
-    for case in results["patch"]:
-        assert case["error"] < 0.005, case
-    for case in results["full_field"]:
-        assert max(case["finer"], case["wider"]) < 0.01, case
+def test_accuracy_on_whole_detectors():
+    """As it is measured: the patch against the full field, and the full field against itself on other grids."""
+    patch, full_field = list(point_spreads.patch()), list(point_spreads.convergence())
+    assert len(patch) == 17 and len(full_field) == 6
+    for row in patch:
+        assert row["error"] < 0.005, row
+    for row in full_field:
+        assert max(row["finer"], row["wider"]) < 0.01, row

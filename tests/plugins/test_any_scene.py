@@ -5,7 +5,11 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 import pytest
-from any_scenes import (
+from scipy.ndimage import convolve1d
+from wave_cases import WAVELENGTH, error
+
+from mitsuba_plenoptic import design, reconstruct
+from tools.bench.scenes.light_paths import (
     TRANSPARENT,
     bars_through,
     by_signed_rays,
@@ -22,10 +26,6 @@ from any_scenes import (
     slanted,
     square_behind,
 )
-from scipy.ndimage import convolve1d
-from wave_cases import WAVELENGTH, error
-
-from mitsuba_plenoptic import design, reconstruct
 
 
 @pytest.fixture(scope="module")

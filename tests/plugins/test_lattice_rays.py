@@ -8,8 +8,6 @@ import warnings
 import mitsuba as mi
 import numpy as np
 import pytest
-from any_scenes import scene_of
-from lattice_accuracy import centroids
 from scene_cases import disk
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, design, load_scene, read_capture, reconstruct, render_capture
@@ -17,6 +15,8 @@ from mitsuba_plenoptic.camera.parameters import PARAMETERS
 from mitsuba_plenoptic.io.captures import Capture, write_capture
 from mitsuba_plenoptic.lightfield import white_image
 from mitsuba_plenoptic.report.experiment import agreement, best_shift, thin_lens_image
+from tools.bench.cases.arrays import centroids
+from tools.bench.scenes.light_paths import scene_of
 
 ROOT3 = math.sqrt(3)
 HEXAGONAL = {"mla_lattice": "hexagonal"}

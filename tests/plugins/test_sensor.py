@@ -6,12 +6,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from any_scenes import scene_of
 from scene_cases import disk
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, design, render_capture
 from mitsuba_plenoptic.lightfield import white_image
 from mitsuba_plenoptic.optics.rays import chief_detector_point
+from tools.bench.scenes.light_paths import scene_of
 
 VARIANTS = [
     name

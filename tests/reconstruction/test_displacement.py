@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,19 +10,13 @@ import pytest
 from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct
 from mitsuba_plenoptic.lightfield.white import white_image
 from mitsuba_plenoptic.reconstruction.radiance import brought_back, displacements, is_known
+from tools.bench.scenes import walls
 
-TOOLS = Path(__file__).resolve().parents[2] / "tools"
 CAMERA = PlenopticCamera(detector_width=0.768, resolution=(192, 192))
 FOCUSED = PlenopticCamera(detector_width=0.768, resolution=(192, 192), detector_distance=0.4)
 
 
-@pytest.fixture
-def walls(monkeypatch):
-    monkeypatch.syspath_prepend(str(TOOLS))
-    return importlib.import_module("walls")
-
-
-def error(image, camera, walls):
+def error(image, camera):
     return float(np.abs(image - walls.known_radiance(camera, "ramp")).max())
 
 
@@ -57,7 +49,7 @@ def test_displacements_are_told_of_both_axes_and_cut_at_a_lens():
 
 
 @pytest.mark.parametrize("distance", [150.0, 1000.0])
-def test_a_ramp_that_interference_displaces_is_drawn_back(walls, monkeypatch, distance):
+def test_a_ramp_that_interference_displaces_is_drawn_back(monkeypatch, distance):
     """Divided by white alone, by hand, it is off to first order, as the gentle slope shows; drawn back it is not."""
     monkeypatch.setattr(walls, "SLOPE", 0.1)
     monkeypatch.setattr(walls, "_RAMP_END", 4.0)
@@ -66,18 +58,18 @@ def test_a_ramp_that_interference_displaces_is_drawn_back(walls, monkeypatch, di
     options = {"method": "coherent", "wavelength": walls.WAVELENGTH}
     divided = reconstruct(ramp, distance, **options).image / reconstruct(white, distance, **options).image
     image = reconstruct(ramp, distance, white=white, **options).image
-    assert error(image, CAMERA, walls) < 0.6 * error(divided, CAMERA, walls)
+    assert error(image, CAMERA) < 0.6 * error(divided, CAMERA)
 
 
 @pytest.mark.slow
-def test_a_ramp_that_waves_record_is_drawn_back_by_every_method(walls):
+def test_a_ramp_that_waves_record_is_drawn_back_by_every_method():
     camera = PlenopticCamera(detector_width=1.536, resolution=(768, 768))
     ramp = walls.capture(camera, math.inf, "ramp", "wave", 16)
     white = walls.capture(camera, 400.0, "white", "wave", 16)
     for options in ({"method": "ray"}, {"method": "coherent"}, {"method": "partial"}):
         divided = reconstruct(ramp, math.inf, **options).image / reconstruct(white, math.inf, **options).image
-        assert error(divided, camera, walls) > 0.024
-        assert error(reconstruct(ramp, math.inf, white=white, **options).image, camera, walls) < 0.022
+        assert error(divided, camera) > 0.024
+        assert error(reconstruct(ramp, math.inf, white=white, **options).image, camera) < 0.022
 
 
 def test_several_distances_read_what_each_reads_alone():

@@ -1,9 +1,7 @@
 """The route through CUDA: with a stand-in for CuPy, so that every line of it runs anywhere; and on a device."""
 
-import json
 import sys
 
-import benchmark
 import device_stand_in
 import drjit as dr
 import mitsuba as mi
@@ -21,6 +19,7 @@ from mitsuba_plenoptic.optics.free_space import propagate
 from mitsuba_plenoptic.reconstruction import ray
 from mitsuba_plenoptic.runtime import backend as _backend
 from mitsuba_plenoptic.runtime.jobs import Job
+from tools.bench.cases.speed_steps import gpu
 
 # The inputs are random: the field fills its window, and the captures have light beside the micro-images.
 pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")
@@ -135,15 +134,13 @@ def test_the_estimate_waits_for_the_device(device, monkeypatch):
     assert cost.seconds > 0 and waits == [device.backend] * len(waits) and len(waits) >= 2
 
 
-def test_the_benchmark_of_the_device_runs_or_says_that_there_is_none(tmp_path, monkeypatch):
-    words = ["--only", "gpu", "--size", "1024", "--runs", "1", "--output", str(tmp_path)]
-    monkeypatch.setattr(sys, "argv", ["benchmark", *words])
-    benchmark.main()
-    rows = json.loads((tmp_path / "benchmark.json").read_text())["rows"]["gpu"]
+def test_the_measurement_of_the_device_runs_or_states_that_there_is_none():
     if dr.has_backend(dr.JitBackend.CUDA):
+        rows = list(gpu(sizes=(1024,), runs=1))
         assert len(rows) == 8 and all(row["ours"] > 0 for row in rows)
     else:
-        assert len(rows) == 1 and "no CUDA device here" in rows[0]["note"]
+        with pytest.raises(InputError, match="no CUDA device"):
+            next(iter(gpu()))
 
 
 def test_without_cupy_waves_on_cuda_are_refused_with_the_remedy(monkeypatch):

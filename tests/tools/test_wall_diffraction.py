@@ -1,24 +1,16 @@
-"""What diffraction leaves of a ramp, as the tools tell it, against a plain sum over pairs of pupil points."""
+"""What diffraction leaves of a ramp, as the cases compute it, against a plain sum over pairs of pupil points."""
 
 from __future__ import annotations
-
-import importlib
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera
+from tools.bench.scenes import walls
+from tools.bench.scenes.wall_diffraction import expected
 
-TOOLS = Path(__file__).resolve().parents[2] / "tools"
 CAMERA = PlenopticCamera(detector_width=0.768, resolution=(192, 192))
 WAVELENGTH = 633.0
-
-
-@pytest.fixture
-def tools(monkeypatch):
-    monkeypatch.syspath_prepend(str(TOOLS))
-    return importlib.import_module("diffraction"), importlib.import_module("walls")
 
 
 def by_pairs(camera, distance, column, row, radiance, count=48):
@@ -41,9 +33,8 @@ def by_pairs(camera, distance, column, row, radiance, count=48):
 
 
 @pytest.mark.parametrize("distance", [150.0, 1000.0, np.inf])
-def test_a_ramp_is_the_sum_over_pairs_of_pupil_points(tools, distance):
-    diffraction, walls = tools
-    image = diffraction.expected(CAMERA, distance, WAVELENGTH, "ramp")
+def test_a_ramp_is_the_sum_over_pairs_of_pupil_points(distance):
+    image = expected(CAMERA, distance, WAVELENGTH, "ramp")
     known = walls.known_radiance(CAMERA, "ramp")
     for column, row in ((0, 0), (1, 6), (11, 3)):
         value = by_pairs(CAMERA, distance, column, row, lambda slope: walls.radiance(slope, "ramp"))
@@ -51,8 +42,7 @@ def test_a_ramp_is_the_sum_over_pairs_of_pupil_points(tools, distance):
     assert np.abs(image - known).max() > 0.01
 
 
-def test_nothing_is_left_out_of_white_or_in_focus(tools):
-    diffraction, walls = tools
-    np.testing.assert_allclose(diffraction.expected(CAMERA, 1000.0, WAVELENGTH, "white"), 1, atol=1e-9)
-    sharp = diffraction.expected(CAMERA, CAMERA.focus_distance, WAVELENGTH, "ramp")
+def test_nothing_is_left_out_of_white_or_in_focus():
+    np.testing.assert_allclose(expected(CAMERA, 1000.0, WAVELENGTH, "white"), 1, atol=1e-9)
+    sharp = expected(CAMERA, CAMERA.focus_distance, WAVELENGTH, "ramp")
     np.testing.assert_allclose(sharp, np.tile(walls.known_radiance(CAMERA, "ramp"), (12, 1)), atol=1e-6)

@@ -1,0 +1,191 @@
+"""The light-field microscope's waves: objectives against the Debye integral, the array against pyolaf."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+from scipy.special import j0
+
+from mitsuba_plenoptic import CaptureOperator, Objective, PlenopticCamera
+from mitsuba_plenoptic.operator.point_spread import point_fields
+
+from .. import Row, at_most, case
+from ..measures import relative
+
+WAVELENGTH = 550.0
+OBJECTIVES = {
+    "20x/0.5, air": (Objective(20, 0.5), (-0.03, 0.0, 0.01)),
+    "20x/1.0, water": (Objective(20, 1.0, 1.33), (-0.01, 0.0, 0.006)),
+    "40x/1.3, oil": (Objective(40, 1.3, 1.515, tube_focal_length=180), (-0.004, 0.0, 0.002)),
+}
+"""Objectives, and depths of points in millimetres."""
+
+PITCH, MICROLENS, LENSES, PIXELS = 0.15, 3.0, 11, 15
+"""Pitch and focal length of the microlenses in millimetres, lenses across the detector, and pixels across a lens."""
+
+DEPTHS, PLACES = (-0.03, 0.0, 0.015), ((0, 0), (4, -6))
+"""Depths in millimetres, and places of the image in pixels."""
+
+
+def debye(objective: Objective, radius: np.ndarray, depth: float) -> np.ndarray:
+    r"""Return the intensity in the native image plane of a point on the axis, by 400 nodes of Gauss and Legendre.
+
+    It is :math:`|\\int_0^\\alpha \\sqrt{\\cos\\theta} J_0(k n r \\sin\\theta / M) e^{i k n d \\cos\\theta} \\sin\\theta
+    d\\theta|^2` (Gu, "Advanced Optical Imaging Theory", section 6.2), normalised by Parseval's theorem.
+    """
+    nodes, weights = leggauss(400)
+    angle, weights = (nodes + 1) * objective.half_angle / 2, weights * objective.half_angle / 2
+    k = 2 * np.pi * objective.immersion / (WAVELENGTH * 1e-6)
+    pupil = np.sqrt(np.cos(angle)) * np.sin(angle) * np.exp(1j * k * depth * (np.cos(angle) - 1)) * weights
+    amplitude = j0(np.outer(radius * k / objective.magnification, np.sin(angle))) @ pupil
+    power = 2 * np.pi * (1 - np.cos(objective.half_angle)) * (objective.magnification / k) ** 2
+    return np.abs(amplitude) ** 2 / power
+
+
+@case(
+    "microscope.objectives",
+    "The intensity behind objectives alone against the Debye integral by quadrature",
+    {
+        "objective": "{objective}", "depth (mm)": "{depth:.3g}", "position (mm)": "{place}",
+        "relative L2": "{error:.4%}",
+    },
+    (at_most("error", 1e-3),),
+    page="docs/microscope.md",
+    quick={"count": 2},
+)  # fmt: skip
+def objectives(*, count: int = 18) -> Iterator[Row]:
+    """Compare points on the axis and beside it."""
+    points = (
+        (name, objective, depth, place)
+        for name, (objective, depths) in OBJECTIVES.items()
+        for depth in depths
+        for place in ((0.0, 0.0), (0.008, -0.005))
+    )
+    for name, objective, depth, place in itertools.islice(points, count):
+        yield {"objective": name, "depth": depth, "place": place, "error": alone(objective, depth, place)}
+
+
+def alone(objective: Objective, depth: float, place: tuple[float, float]) -> float:
+    """Return the relative error of the intensity that comes to the microlenses."""
+    camera = PlenopticCamera(
+        main_lens=objective, mla_pitch=PITCH, mla_focal_length=MICROLENS, detector_width=1.5, resolution=(100, 100)
+    )
+    field = point_fields(camera, (*place, depth), wavelength=WAVELENGTH).mla
+    rows, columns = np.indices(field.samples.shape)
+    x, y = (
+        start + number * field.pitch + objective.magnification * X
+        for start, number, X in zip(field.origin, (columns, rows), place, strict=True)
+    )
+    radius = np.hypot(x, y)
+    grid = np.linspace(0, radius.max() * 1.001, 20_001)
+    reference = np.interp(radius, grid, debye(objective, grid, depth))
+    return float(np.linalg.norm(np.abs(field.samples) ** 2 - reference) / np.linalg.norm(reference))
+
+
+def microscope() -> PlenopticCamera:
+    """Return the microscope that is compared with pyolaf, one lens on its axis."""
+    return PlenopticCamera(
+        main_lens=Objective(20, 0.5),
+        mla_pitch=PITCH,
+        mla_focal_length=MICROLENS,
+        mla_offset=(PITCH / 2, PITCH / 2),
+        detector_width=LENSES * PITCH,
+        resolution=(LENSES * PIXELS,) * 2,
+    )
+
+
+def obliquity(cells: int = 128) -> np.ndarray:
+    """Return the factor (1 + cos)^2 / 4 on the power over the stop, by which pyolaf's apodisation differs."""
+    centres = (np.arange(cells) + 0.5) / cells * 2 - 1
+    sine = 0.5 * np.minimum(np.hypot(centres, centres[:, None]), 1)
+    return (1 + np.sqrt(1 - sine**2)) ** 2 / 4
+
+
+def ours(depth: float, place: tuple[int, int], like_pyolaf: bool) -> np.ndarray:
+    """Return the fractions of a point's light on the detector's pixels; `place` is that of its image, in pixels."""
+    camera = microscope()
+    X, Y = (-pixels * camera.pixel_size / 20 for pixels in place)
+    weights = obliquity()[None] if like_pyolaf else None
+    operator = CaptureOperator(
+        camera, [(X, Y, depth)], wavelength=WAVELENGTH, method="full_field", pupil_weights=weights
+    )
+    return operator.forward([1.0])
+
+
+class Peer:
+    """pyolaf's microscope, with `finer` samples across a pixel, an odd number."""
+
+    def __init__(self, finer: int) -> None:
+        from pyolaf import lf
+
+        self._lf, self.finer = lf, finer
+        # Its lengths are micrometres.
+        sample = 1e3 * PITCH / PIXELS / finer
+        across, lens = LENSES * PIXELS * finer, PIXELS * finer
+        axis = (np.arange(across) - across // 2) * sample
+        within = (np.arange(lens) - lens // 2) * sample
+        centres = np.arange(LENSES + 2) * lens - (LENSES + 2) // 2 * lens
+        px = np.stack(np.meshgrid(centres, centres, indexing="ij"), -1).astype(float)
+        lam = WAVELENGTH * 1e-3
+        self.camera: dict[str, Any] = {
+            "NA": 0.5, "n": 1.0, "M": 20.0, "WaveLength": lam, "k": 2 * np.pi / lam, "dof": 200e3 / 20,
+            "fm": 1e3 * MICROLENS, "lensPitch": 1e3 * PITCH,
+        }  # fmt: skip
+        self.resolution: dict[str, Any] = {
+            "yspace": axis, "xspace": axis, "yMLspace": within, "xMLspace": within, "sensorRes": [sample, sample],
+            "sensMask": np.ones((lens, lens)), "maskFlag": 1, "usedLensletCenters": {"px": px},
+        }  # fmt: skip
+        one = lf.LFM_ulensTransmittance(self.camera, self.resolution)
+        self._array = lf.LFM_mlaTransmittance(self.camera, self.resolution, one)
+        self._fields: dict[float, np.ndarray] = {}
+
+    def spread(self, depth: float, place: tuple[int, int]) -> np.ndarray:
+        """Return the light of a point on the detector's pixels, not normalised."""
+        if depth not in self._fields:
+            self._fields[depth] = self._lf.LFM_calcPSF(0, 0, -1e3 * depth, self.camera, self.resolution)
+        shifted = self._lf.imShift2(self._fields[depth], place[1] * self.finer, place[0] * self.finer)
+        numbers = self.resolution["sensorRes"], 1e3 * MICROLENS, self.camera["WaveLength"]
+        field = self._lf.prop2Sensor(shifted * self._array, *numbers, False)
+        pixels = LENSES * PIXELS
+        return (np.abs(field) ** 2).reshape(pixels, self.finer, pixels, self.finer).sum((1, 3))
+
+
+@case(
+    "microscope.pyolaf",
+    "Point spreads through the array against pyolaf, each over its sum, where pyolaf's last refinement changes it by "
+    "less than 1 %",
+    {
+        "depth (mm)": "{depth}", "position (pixels)": "{place}", "pyolaf's changes": "{changes}",
+        "ours": "{ours:.2%}", "ours without its obliquity": "{plain:.2%}", "ours from each": "{each}",
+    },
+    (at_most("judged", 0.02),),
+    page="docs/microscope.md",
+    needs=("pyolaf",),
+    quick={"finest": 5},
+)  # fmt: skip
+def against_pyolaf(*, finest: int = 7) -> Iterator[Row]:
+    """Compare six points, with odd numbers of pyolaf's samples across a pixel from 3 on.
+
+    pyolaf takes the depth towards the objective as positive; its apodisation is sqrt(cos) (1 + cos), of which ours
+    leaves the second factor, an obliquity, to the source; it samples the phase of the microlenses; its intensities are
+    samples, of which those within a pixel are added here; its point spreads are not normalised.
+    """
+    peers = [Peer(finer) for finer in range(3, finest + 1, 2)]
+    for depth, place in itertools.product(DEPTHS, PLACES):
+        spreads = [each / each.sum() for each in (peer.spread(depth, place) for peer in peers)]
+        mine, plain = (each / each.sum() for each in (ours(depth, place, like) for like in (True, False)))
+        changes = [relative(a, b) for a, b in itertools.pairwise(spreads)]
+        difference = relative(mine, spreads[-1])
+        yield {
+            "depth": depth,
+            "place": place,
+            "changes": ", ".join(f"{value:.2%}" for value in changes),
+            "ours": difference,
+            "plain": relative(plain, spreads[-1]),
+            "each": ", ".join(f"{relative(spread, mine):.2%}" for spread in spreads),
+            "judged": difference if changes[-1] < 0.01 else None,
+        }

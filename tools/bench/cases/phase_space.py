@@ -1,0 +1,228 @@
+"""Signed rays against exact sums of point spreads, over the blur on the microlens array.
+
+A wall of points, an even grid over some lenses, is captured twice: by signed rays, and point by point with the fields'
+squares added (`CaptureOperator`, method "patch", accuracy 0). The walls have about as much edge as area, and so show
+more error than a scene. Rays follow the parabolic lenses that waves pass. The noise of the rays is found from two
+captures and subtracted; the light that the reference itself loses is stated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mitsuba_plenoptic import CaptureOperator, Job, PlenopticCamera
+from mitsuba_plenoptic.capture.signed_colours import Node
+from mitsuba_plenoptic.capture.signed_rays import SignedRaySum
+from mitsuba_plenoptic.lenses.factory import main_lens
+from mitsuba_plenoptic.lenses.telecentric import TelecentricLens
+from mitsuba_plenoptic.operator.units import brightness_at, brightness_of, radiance_weight
+from mitsuba_plenoptic.runtime.jobs import Task
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
+from mitsuba_plenoptic.system.phase_space import PhaseSpace
+from mitsuba_plenoptic.thin_lens import conjugate_distance
+
+from .. import Pivot, Row, at_most, case, pick
+from ..measures import relative, without_noise, write_comparison
+from ..timing import once
+
+WAVELENGTH = 633.0
+
+CAMERAS = {
+    "square": PlenopticCamera(),
+    "turned": PlenopticCamera(mla_rotation=7.0),
+    "hexagonal": PlenopticCamera(mla_lattice="hexagonal", mla_rotation=7.0),
+    "discs": PlenopticCamera(mla_lattice="hexagonal", mla_aperture="circle", mla_fill=0.5),
+    "cells with gaps": PlenopticCamera(mla_fill=0.5),
+    "double Gauss f8": PlenopticCamera.preset("paper_double_gauss"),
+    "f4": PlenopticCamera(aperture_radius=10.0),
+    "double Gauss f4": PlenopticCamera.preset("paper_double_gauss").replace(aperture_radius=10.0),
+    "Tessar f8": PlenopticCamera(main_lens="tessar", focal_length=80.0, aperture_radius=5.0, mla_distance=120.0),
+    "astigmatic": PlenopticCamera(wavefront=(0, 0, 0, 0, 0, 0.3)),
+    "defocused": PlenopticCamera(wavefront=(0, 0, 0, 0.4)),
+    "comatic": PlenopticCamera(wavefront=(0, 0, 0, 0, 0, 0, 0.2)),
+    "objective": PlenopticCamera.preset("lfm"),
+    "water": PlenopticCamera.preset("lfm_water"),
+    "raytrix": PlenopticCamera.preset("raytrix"),
+    "raytrix double Gauss": PlenopticCamera.preset("raytrix_double_gauss"),
+    "second": PlenopticCamera(
+        focal_length=50.0, aperture_radius=4.0, mla_distance=70.0, mla_focal_length=0.4, mla_pitch=0.05
+    ),
+}
+
+BLURS = (0.0, 0.5, -1.0, 2.0, -4.5)
+
+
+@case(
+    "phase-space",
+    "Signed rays against exact sums of point spreads of a wall, relative L2 over the detector without the rays' noise",
+    {
+        "camera": "{camera}", "coefficients": "{coefficients}", "MiB": "{memory:.0f}", "planning (s)": "{planning:.0f}",
+        "blur (lenses)": "{blur:g}", "signed rays": "{difference:.2%}", "their noise": "{noise:.2%}",
+        "energy": "{energy:.4f}", "reference's energy": "{exact_energy:.4f}", "s": "{seconds:.0f}",
+    },
+    (at_most("difference", 0.025),),
+    page="docs/theory/phase_space.md",
+    pivot=Pivot("{camera}", "blur of {blur:g} lenses", "{difference:.2%}"),
+    quick={"blurs": (0.0,), "lenses": 1, "points": 12, "samples": 512},
+)  # fmt: skip
+def walls(
+    output: Path,
+    *,
+    cameras: tuple[str, ...] = ("square",),
+    blurs: tuple[float, ...] = BLURS,
+    degree: int = 4,
+    window: int = 9,
+    radial: int = 12,
+    lenses: int = 3,
+    points: int = 16,
+    samples: int = 1024,
+    parts: int = 1,
+    margin: int = 4,
+    off_axis: float = 0.0,
+) -> Iterator[Row]:
+    """Compare walls of some lenses, with points across a lens and rays from each cell of a grid of parts of pixels.
+
+    Blurs are radii in lenses, of either sign; ``off_axis`` is where the wall's centre is, in lenses along x and y.
+    """
+    for name, camera in pick(CAMERAS, cameras).items():
+        plan, planning, _ = once(lambda c=camera: planned(c, degree, window, radial, parts))
+        memory = sum(part.nbytes for part in plan.table) / 2**20
+        for blur in blurs:
+            (image, exact, noise, whole), seconds, _ = once(
+                lambda p=plan, c=camera, b=blur: pair(p, c, b, lenses, points, samples, parts, margin, off_axis)
+            )
+            yield {
+                "camera": name, "coefficients": len(plan.exponents), "memory": memory, "planning": planning,
+                "blur": blur, "difference": without_noise(relative(image, exact), noise), "noise": noise,
+                "energy": float(image.sum() / whole), "exact_energy": float(exact.sum() / whole), "seconds": seconds,
+            }  # fmt: skip
+            write_comparison(output / f"{name}_{blur:g}_signed_exact_difference_times_10.png", image, exact, gain=10)
+
+
+def planned(camera: PlenopticCamera, degree: int, window: int, radial: int, parts: int) -> PhaseSpace:
+    """Return the kernels of a camera."""
+    plan = PhaseSpace(camera, WAVELENGTH, degree=degree, window=window, radial=radial)
+    plan.kernels(camera.pixel_size / parts, 2.5 * camera.mla_pitch)
+    return plan
+
+
+def pair(
+    plan: PhaseSpace,
+    camera: PlenopticCamera,
+    blur: float,
+    lenses: int,
+    points: int,
+    samples: int,
+    parts: int,
+    margin: int,
+    off_axis: float,
+) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """Return both captures of a wall, the relative noise of the one by signed rays, and the wall's light."""
+    wall = Wall(camera, blur, lenses, points, off_axis)
+    view = around(camera, wall, margin)
+    one, other = (capture(plan, view, wall, samples, parts, seed) for seed in (1, 2))
+    return (one + other) / 2, reference(view, wall), relative(one, other) / 2, float(wall.weight.sum())
+
+
+class Wall:
+    """Points on an even grid of a plane, each of the weight of its cell of the grid in lenses.
+
+    As the pupil passes no frequencies above its diffraction limit, points closer than half a period are for the capture
+    the smooth radiance that `radiance` gives.
+    """
+
+    def __init__(self, camera: PlenopticCamera, blur: float, lenses: int, per_lens: int, off_axis: float) -> None:
+        pitch = camera.mla_pitch
+        self.blur = abs(blur)
+        lens = camera.objective
+        if lens is not None:
+            self.distance = blur * pitch / (lens.magnification * math.tan(lens.half_angle))
+        else:
+            self.distance = 1 / (
+                1 / camera.focal_length - (1 - blur * pitch / camera.pupil_radius) / camera.mla_distance
+            )
+        self.step = pitch / per_lens
+        self._scale, self._objective = _scale(camera, self.distance), lens
+        self.axis = (np.arange(lenses * per_lens) + 0.5) * self.step - lenses * pitch / 2
+        self.centre = off_axis * pitch
+        place = np.stack(np.meshgrid(self.axis, self.axis), -1).reshape(-1, 2) + self.centre
+        self.points = np.column_stack([place * self._scale, np.full(len(place), self.distance)])
+        # What surfaces vignette is dark.
+        is_open = brightness_at(OpticalSystem(camera, WAVELENGTH), self.points) / brightness_of(
+            camera, main_lens(camera)
+        )
+        self.weight = radiance_weight(camera, main_lens(camera), self.step**2) * is_open
+        # The points' spectrum, cut half-way between what the pupil passes and its first repetition.
+        self._fine, count = self.step / 16, 1 << 16
+        frequency = np.fft.rfftfreq(count, self._fine)
+        cut = 0.5 / self.step
+        ramp = np.clip((frequency - 0.94 * cut) / (0.12 * cut), 0, 1)
+        spectrum = np.exp(-2j * np.pi * np.outer(frequency, self.axis)).sum(1) * (0.5 + 0.5 * np.cos(np.pi * ramp))
+        line = np.fft.irfft(spectrum, count) * self.step / self._fine
+        self._line, self._count = mi.Float(np.roll(line, count // 2)), count
+
+    def light(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], active: Any, seed: int) -> list[Any]:
+        """Return the radiance along rays from the main lens."""
+        x, y = ((p + (self.distance - point[2]) * s) / self._scale for p, s in zip(point[:2], slope, strict=True))
+        light = self.radiance(x, y)
+        if self._objective is not None:
+            # Points that radiate evenly in all directions, by the sine condition.
+            lens = TelecentricLens(self._objective)
+            light *= dr.norm(mi.Vector3f(*slope, 1)) * (math.pi * lens.pupil_radius**2 / lens.passed_power)
+        return [dr.select(active, light, 0)]
+
+    def radiance(self, x: Any, y: Any) -> Any:
+        """Return the radiance where the line through the main lens's centre meets the array at x and y."""
+        result = mi.Float(1)
+        for place in (x, y):
+            t = (place - self.centre) / self._fine + self._count // 2
+            low = dr.floor(t)
+            index = mi.UInt(dr.clip(low, 0, self._count - 2))
+            result *= dr.lerp(
+                dr.gather(mi.Float, self._line, index), dr.gather(mi.Float, self._line, index + 1), t - low
+            )
+        return result
+
+
+def _scale(camera: PlenopticCamera, distance: float) -> float:
+    """Return what places in a plane of the scene are over those on the array, seen from the pupil's middle."""
+    if camera.objective is not None:
+        return -1 / camera.objective.magnification
+    image = conjugate_distance(camera.focal_length, distance)
+    behind = camera.pupil_distance - camera.mla_distance
+    return -distance / image * (image + behind) / camera.pupil_distance
+
+
+def around(camera: PlenopticCamera, wall: Wall, margin: int) -> PlenopticCamera:
+    """Return the camera with a detector that is cropped to where the wall's light goes."""
+    half = math.ceil(
+        (wall.blur + len(wall.axis) * wall.step / camera.mla_pitch / 2 + margin) * camera.mla_pitch / camera.pixel_size
+    )
+    centre = round(wall.centre * camera.micro_image_pitch / camera.mla_pitch / camera.pixel_size)
+    size = 2 * (abs(centre) + half)
+    return camera.replace(
+        detector_width=size * camera.pixel_size,
+        resolution=(size, size),
+        crop_offset=(centre + size // 2 - half,) * 2,
+        crop_size=(2 * half, 2 * half),
+    )
+
+
+def reference(camera: PlenopticCamera, wall: Wall) -> np.ndarray:
+    """Add the point spreads."""
+    operator = CaptureOperator(camera, wall.points, wavelength=WAVELENGTH, accuracy=0.0)
+    return np.asarray(operator.forward(wall.weight), dtype=float)
+
+
+def capture(plan: PhaseSpace, camera: PlenopticCamera, wall: Wall, samples: int, parts: int, seed: int) -> np.ndarray:
+    """Capture the wall by signed rays."""
+    work = SignedRaySum(camera, wall.light, [Node(plan, (0,), np.ones((1, 1)))], parts=parts, spp=samples, seed=seed)
+    items = int(work.items.sum())
+    return Job().run([Task(items, lambda: work, lambda image: image)], (*camera.shape, 1), items)[..., 0].astype(float)

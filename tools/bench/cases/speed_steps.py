@@ -1,0 +1,266 @@
+"""The step by the angular spectrum against the bare pair of FFTs and other libraries, and the route on a GPU."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import scipy.fft
+
+from mitsuba_plenoptic import InputError, load_scene, reconstruct, render_capture
+from mitsuba_plenoptic.optics.free_space import propagate
+from mitsuba_plenoptic.runtime.backend import Backend, backend
+from mitsuba_plenoptic.runtime.fft import resting_drjit, worker_count
+
+from .. import Row, at_most, case
+from ..measures import relative
+from ..speed import PAPER_SECONDS, SPEED, beam, compared
+from ..timing import in_process, paired
+
+PITCH, DISTANCE, WAVELENGTH = 4e-3, 5.0, 633.0
+
+_PEERS = (
+    "HCIPy (pads to twice the size), cached transfer function",
+    "torchoptics, asm_pad = 0",
+    "NumPy, cached transfer function",
+)
+
+_AGREEMENT = 1e-4
+
+# Bytes that a library's step takes for each sample, with its cached transfer function: peaks measured at 2048 x 2048.
+_BYTES = {_PEERS[0]: 290, _PEERS[1]: 110, _PEERS[2]: 55}
+
+_LARGE = 4096
+"""Samples across above which the libraries are timed once: their steps take a minute each."""
+
+Step = Callable[[np.ndarray], np.ndarray]
+
+_PAIR = "bare FFT pair"
+
+
+@case(
+    "speed.steps",
+    "The angular-spectrum step against a pair of FFTs (ours over the pair) and other libraries (how many times ours is "
+    "faster), on one thread and on all, in a process each",
+    SPEED,
+    (at_most("difference", _AGREEMENT),),
+    page="docs/numbers.md",
+    quick={"sizes": (512,), "runs": 2},
+)
+def steps(*, sizes: tuple[int, ...] = (1024, 2048, 4096, 8192), runs: int = 5, memory: float = 8.0) -> Iterator[Row]:
+    """Compare at several sizes; a library that needs more GiB than allowed is left out."""
+    for threads in sorted({1, worker_count()}):
+        for size in sizes:
+            yield from in_process(_compare, size, threads, runs, memory, cores=threads)
+
+
+def _compare(size: int, threads: int, runs: int, memory: float) -> list[Row]:
+    field = beam(size)
+    fields = {name: field.copy() for name in (_PAIR, "ours")}
+
+    def pair() -> None:
+        with resting_drjit():
+            spectrum = scipy.fft.fft2(fields[_PAIR], overwrite_x=True, workers=threads)
+            fields[_PAIR] = scipy.fft.ifft2(spectrum, overwrite_x=True, workers=threads)
+
+    def ours() -> None:
+        fields["ours"] = propagate(fields["ours"], PITCH, DISTANCE, WAVELENGTH, overwrite=True)
+
+    expected = propagate(field, PITCH, DISTANCE, WAVELENGTH)
+    peers: dict[str, Callable[[], object]] = {}
+    notes, differences = {}, {}
+    for name, make in zip(_PEERS, (_hcipy, _torchoptics, _numpy), strict=True):
+        needed = _BYTES[name] * size**2 / 2**30
+        if needed > memory:
+            notes[name] = f"left out: it takes about {needed:.0f} GiB, memory={memory:g} allows less"
+            continue
+        try:
+            step = make(size, threads)
+        except ImportError as missing:
+            notes[name] = f"not installed ({missing.name})"
+            continue
+        carrier = np.exp(2j * np.pi * ((DISTANCE / (WAVELENGTH * 1e-6)) % 1))
+        answer = step(field)
+        differences[name] = min(relative(answer * factor, expected) for factor in (1, carrier.conj()))
+        notes[name] = f"{answer.dtype}" + ("; timed once" if size > _LARGE else "")
+        peers[name] = lambda step=step: step(field)
+    timings = paired({"ours": ours, _PAIR: pair, **({} if size > _LARGE else peers)}, runs)
+    if size > _LARGE and peers:
+        timings |= {name: each for name, each in paired({"ours": ours, **peers}, 1).items() if name != "ours"}
+    what = f"angular-spectrum step, {size} x {size}, {threads} thread{'s' * (threads > 1)}"
+    rows = [compared(what, "ms", timings["ours"], _PAIR, timings[_PAIR], "ours over the pair", scale=1e3)]
+    for name in _PEERS:
+        if name in timings:
+            row = compared(what, "ms", timings["ours"], name, timings[name], notes[name], scale=1e3, faster=True)
+            rows.append({**row, "difference": differences[name]})
+        else:
+            rows.append({"what": what, "against": name, "note": notes[name]})
+    return rows
+
+
+def _hcipy(size: int, threads: int) -> Step:
+    """HCIPy's step, which pads to twice the size."""
+    hcipy = importlib.import_module("hcipy")
+    grid = hcipy.make_uniform_grid([size, size], [size * PITCH] * 2)
+    step = hcipy.AngularSpectrumPropagator(grid, DISTANCE, num_oversampling=1)
+
+    def run(field: np.ndarray) -> np.ndarray:
+        wave = hcipy.Wavefront(hcipy.Field(field.ravel(), grid), WAVELENGTH * 1e-6)
+        return np.asarray(step.forward(wave).electric_field).reshape(size, size)
+
+    return run
+
+
+def _torchoptics(size: int, threads: int) -> Step:
+    torchoptics, torch = importlib.import_module("torchoptics"), importlib.import_module("torch")
+    torch.set_num_threads(threads)
+
+    def run(field: np.ndarray) -> np.ndarray:
+        wave = torchoptics.Field(torch.from_numpy(field), WAVELENGTH * 1e-6, 0.0, PITCH)
+        return wave.propagate_to_z(DISTANCE, propagation_method="ASM", asm_pad=(0, 0)).data.numpy()
+
+    return run
+
+
+def _numpy(size: int, threads: int) -> Step:
+    frequency = np.fft.fftfreq(size, PITCH) * WAVELENGTH * 1e-6
+    square = frequency[:, None] ** 2 + frequency**2
+    turns = DISTANCE / (WAVELENGTH * 1e-6) * (np.sqrt(np.maximum(1 - square, 0)) - 1)
+    transfer = (np.exp(2j * np.pi * turns) * (square < 1)).astype(np.complex64)
+    return lambda field: np.fft.ifft2(np.fft.fft2(field) * transfer)
+
+
+_COPIED = 2**27
+"""Samples of the field whose copy measures the speed of the memory."""
+
+_BYTES_PER_SAMPLE = 80
+"""Two transforms that each read and write a field twice (rows, columns), and one pass for the transfer function."""
+
+
+@case(
+    "speed.gpu",
+    "On a CUDA device: steps against bare transforms and the memory's speed, whole captures and reconstructions",
+    SPEED,
+    (at_most("difference", 1e-5),),
+    page="docs/numbers.md",
+    quick={"sizes": (1024,), "runs": 1},
+)
+def gpu(*, sizes: tuple[int, ...] = (1024, 2048, 4096, 8192), runs: int = 5) -> Iterator[Row]:
+    """Measure on the device, and refuse where there is none."""
+    if not dr.has_backend(dr.JitBackend.CUDA):
+        raise InputError("no CUDA device on this machine")
+    expected = {size: _moved(beam(size)) for size in sizes}
+    before = mi.variant()
+    mi.set_variant("cuda_ad_mono")
+    try:
+        yield from gpu_steps(expected, runs)
+        yield from gpu_letters({}, runs)
+    finally:
+        mi.set_variant(before)
+
+
+def _moved(field: Any) -> Any:
+    return propagate(field, PITCH, DISTANCE, WAVELENGTH, overwrite=True)
+
+
+def gpu_steps(expected: dict[int, np.ndarray], runs: int, copied: int = _COPIED) -> Iterator[Row]:
+    """Compare the step with the bare pair of transforms, and its kernels with their memory traffic."""
+    libraries = backend()
+    speed = _copy_speed(libraries, copied)
+    yield {"what": "memory of the device: a copy, read and written", "unit": "GB/s", "ours": speed / 1e9}
+    for size, answer in expected.items():
+        fields = {name: libraries.arrays.asarray(beam(size)) for name in (_PAIR, "ours")}
+
+        def pair(fields: dict[str, Any] = fields) -> None:
+            field = libraries.transforms.fft2(fields[_PAIR], overwrite_x=True)
+            fields[_PAIR] = libraries.transforms.ifft2(field, overwrite_x=True)
+
+        def ours(fields: dict[str, Any] = fields) -> None:
+            fields["ours"] = _moved(fields["ours"])
+
+        difference = relative(libraries.to_host(_moved(libraries.arrays.asarray(beam(size)))), answer)
+        timings = paired({"ours": _waited(libraries, ours), _PAIR: _waited(libraries, pair)}, runs)
+        what = f"angular-spectrum step, {size} x {size}, CUDA"
+        row = compared(what, "ms", timings["ours"], f"{_PAIR}, CuPy", timings[_PAIR], "ours over the pair", scale=1e3)
+        yield {**row, "difference": difference}
+        kernels = _on_device(libraries, pair) + _kernels(libraries, ours)
+        limit = _BYTES_PER_SAMPLE * size**2 / speed
+        yield {
+            "what": f"{what}, kernels", "unit": "ms", "ours": 1e3 * kernels, "against": "its traffic as a copy",
+            "theirs": 1e3 * limit, "ratio": kernels / limit, "note": "without the host's part; ours over the traffic",
+        }  # fmt: skip
+
+
+def gpu_letters(parameters: dict[str, str], runs: int) -> Iterator[Row]:
+    """Time whole captures of the letters by both models, and their reconstructions."""
+    libraries = backend()
+    scene = load_scene("letters", parameters=parameters)
+    captures: dict[str, Any] = {}
+
+    def render(model: str) -> None:
+        captures[model] = render_capture(scene, model=model, spp=16)
+
+    works: dict[str, Callable[[], object]] = {model: lambda model=model: render(model) for model in ("ray", "wave")}
+    timings = paired({name: _waited(libraries, work) for name, work in works.items()}, runs)
+    size = " x ".join(map(str, captures["wave"].camera.resolution))
+    for model, timing in timings.items():
+        what = f"`render letters --model {model} --spp 16`, {size}, CUDA"
+        yield {"what": what, "unit": "s", "ours": timing.seconds}
+    capture = captures["wave"]
+    methods: dict[str, dict[str, Any]] = {
+        "ray, point version": {"footprint": "point"},
+        "coherent": {"method": "coherent"},
+        "partially coherent, K = 2": {"method": "partial", "interleave": 2},
+    }
+    works = {name: lambda options=options: reconstruct(capture, 280.0, **options) for name, options in methods.items()}
+    timings = paired({name: _waited(libraries, work) for name, work in works.items()}, runs)
+    for name, timing in timings.items():
+        paper = PAPER_SECONDS[name]
+        yield {
+            "what": f"{name}, letters, {size}, CUDA", "unit": "s", "ours": timing.seconds, "against": "the paper",
+            "theirs": paper, "ratio": paper / timing.seconds, "note": "times faster",
+        }  # fmt: skip
+
+
+def _waited(libraries: Backend, work: Callable[[], object]) -> Callable[[], None]:
+    """Do some work and wait until the device has done it."""
+
+    def whole() -> None:
+        work()
+        libraries.synchronize()
+
+    return whole
+
+
+def _copy_speed(libraries: Backend, samples: int) -> float:
+    """Bytes per second that a copy reads and writes."""
+    source = libraries.arrays.zeros(samples, np.complex64)
+    target = libraries.arrays.zeros(samples, np.complex64)
+    return 16 * samples / min(
+        _on_device(libraries, lambda: libraries.arrays.copyto(target, source)) for _ in range(5)
+    )  # fmt: skip
+
+
+def _on_device(libraries: Backend, work: Callable[[], object]) -> float:
+    """Seconds between events on the device around some work, once warm."""
+    cuda = libraries.arrays.cuda
+    for _ in range(2):
+        start, end = cuda.Event(), cuda.Event()
+        start.record()
+        work()
+        end.record()
+        end.synchronize()
+    return float(cuda.get_elapsed_time(start, end)) / 1e3
+
+
+def _kernels(libraries: Backend, work: Callable[[], object]) -> float:
+    """Seconds that Dr.Jit's kernels take in some work."""
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.kernel_history_clear()
+        work()
+        libraries.synchronize()
+        return sum(float(entry["execution_time"]) for entry in dr.kernel_history()) / 1e3

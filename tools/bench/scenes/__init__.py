@@ -1,0 +1,1 @@
+"""Scenes that cases and tests share."""
