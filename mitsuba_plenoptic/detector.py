@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .errors import InputError, require_choice, require_count, require_number, shown, suggest_keywords
+from .errors import InputError, refuse_if, require_choice, require_count, require_number, shown, suggest_keywords
 from .io.captures import Capture
 from .mosaic import MOSAICS, filters, require_demosaiced
 
@@ -166,13 +166,14 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     seed = require_count("seed", seed, minimum=0)
     generator = np.random.default_rng(seed)
     require_demosaiced(capture)
-    if "exposure" in capture.metadata:
-        raise InputError("capture: a detector has recorded it already; expose what was rendered")
+    refuse_if("exposure" in capture.metadata, "capture: a detector has recorded it already; expose what was rendered")
     image, wavelength = capture.image, capture.wavelength
     extra: dict[str, Any] = {}
     if detector.mosaic is not None:
-        if image.ndim != 3 or image.shape[2] != 3:
-            raise InputError(f"mosaic = {detector.mosaic}: the capture has 1 channel: filters need three")
+        refuse_if(
+            image.ndim != 3 or image.shape[2] != 3,
+            f"mosaic = {detector.mosaic}: the capture has 1 channel: filters need three",
+        )
         image = np.take_along_axis(image, filters(capture.camera, detector.mosaic)[..., None], 2)[..., 0]
         extra, wavelength = {"wavelength": wavelength}, None
     assert detector.gain is not None and detector.black_level is not None

@@ -41,6 +41,12 @@ class InputError(ValueError):
         super().__init__(printable(message, _LONGEST))
 
 
+def refuse_if(broken: object, message: str) -> None:
+    """Raise an `InputError` where a rule is broken; the message is made either way, so it must be quick to make."""
+    if broken:
+        raise InputError(message)
+
+
 def printable(text: str, longest: int | None = None) -> str:
     """Make one line that no terminal acts on: white space becomes a space, other control characters escapes."""
     if longest is not None and len(text) > longest:

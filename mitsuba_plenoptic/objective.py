@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from .bounds import require_length
-from .errors import InputError, require_choice, require_known, require_number, shown, suggest_keywords
+from .errors import InputError, refuse_if, require_choice, require_known, require_number, shown, suggest_keywords
 
 ARRANGEMENTS = ("image", "fourier")
 
@@ -72,16 +72,16 @@ class Objective:
         checked("magnification", maximum=_STRONGEST)
         checked("immersion", minimum=1, maximum=_LARGEST_INDEX)
         checked("numerical_aperture")
-        if self.numerical_aperture >= self.immersion:
-            raise InputError(
-                f"main_lens: numerical_aperture = {self.numerical_aperture:g}: it must be less than the index of the "
-                f"immersion, {self.immersion:g}"
-            )
-        if self.image_aperture > _WIDEST:
-            raise InputError(
-                f"main_lens: numerical_aperture = {self.numerical_aperture:g} with magnification = "
-                f"{self.magnification:g}: their quotient must be at most {_WIDEST:g}, as the image side is paraxial"
-            )
+        refuse_if(
+            self.numerical_aperture >= self.immersion,
+            f"main_lens: numerical_aperture = {self.numerical_aperture:g}: it must be less than the index of the "
+            f"immersion, {self.immersion:g}",
+        )
+        refuse_if(
+            self.image_aperture > _WIDEST,
+            f"main_lens: numerical_aperture = {self.numerical_aperture:g} with magnification = "
+            f"{self.magnification:g}: their quotient must be at most {_WIDEST:g}, as the image side is paraxial",
+        )
         put("tube_focal_length", require_length("main_lens: tube_focal_length", self.tube_focal_length))
         require_choice("main_lens: arrangement", self.arrangement, ARRANGEMENTS)
         name, given = "main_lens: fourier_focal_length", self.fourier_focal_length
@@ -175,6 +175,5 @@ class Objective:
             raise InputError(f"main_lens = {shown(value)}: an objective has {', '.join(known)}")
         require_known("main_lens: ", value, known)
         for name in known[:2]:
-            if name not in value:
-                raise InputError(f"main_lens: {name}: it is missing from the objective")
+            refuse_if(name not in value, f"main_lens: {name}: it is missing from the objective")
         return cls(**value)

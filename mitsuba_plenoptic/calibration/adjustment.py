@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..errors import InputError
+from ..errors import refuse_if
 from ..runtime.limits import single_threaded_blas
 from .model import NAMES, Observations, predict, predict_centres
 
@@ -185,8 +185,10 @@ def adjust(
     chosen = np.array([NAMES.index(name) for name in free], dtype=int)
     weights = np.ones(len(problem.corners)) if weights is None else weights
     cost = problem.cost(numbers, poses, weights)
-    if not np.isfinite(cost):
-        raise InputError("calibration: the camera cannot see the board at the start: its numbers do not fit the data")
+    refuse_if(
+        not np.isfinite(cost),
+        "calibration: the camera cannot see the board at the start: its numbers do not fit the data",
+    )
     damping, steps = 1e-3, 0
     camera_scale, pose_scale = np.zeros(len(chosen)), np.zeros((len(poses), 6))
     while steps < most_steps:

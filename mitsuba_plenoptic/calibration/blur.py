@@ -21,7 +21,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..lattice.base import Lattice
 from .adjustment import Solution
 from .model import AT, Observations
@@ -77,8 +77,10 @@ def fit_blur(
         column, _ = lattice.unit_centre(0.0, row)
         kind = np.asarray(lattice.lens_type(np.round(seen.lens[:, 0] - column), row), dtype=int)
     counts = np.bincount(kind, minlength=types)
-    if (counts < 2).any() or np.ptp(ratio) < _LEAST_SPREAD:
-        raise InputError("corners: rho: blur radii are given, but of too few lenses or all at one depth to tell focus")
+    refuse_if(
+        (counts < 2).any() or np.ptp(ratio) < _LEAST_SPREAD,
+        "corners: rho: blur radii are given, but of too few lenses or all at one depth to tell focus",
+    )
     matrix = np.column_stack([*np.eye(types)[kind].T, ratio])
     line = np.linalg.lstsq(matrix, radius)[0]
     left = radius - matrix @ line
@@ -95,8 +97,7 @@ def fit_blur(
     scale = line[-1]
     over = 1 - line[:-1] / scale
     z = float(numbers[AT["detector_distance"]])
-    if not (over > 0).all():
-        raise InputError("corners: rho: the focal lengths that fit the blur radii best are not positive")
+    refuse_if(not (over > 0).all(), "corners: rho: the focal lengths that fit the blur radii best are not positive")
     # Observations of one corner of one picture err together, as such radii are mostly found from its depth.
     group = np.unique(np.column_stack([seen.pose, seen.board]), axis=0, return_inverse=True)[1].ravel()
     inverse = np.linalg.inv(matrix.T @ matrix)

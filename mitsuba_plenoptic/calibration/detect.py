@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..io.captures import require_pixels
 from ..io.files import atomic_output
 from ..lightfield.grid import lens_types
@@ -97,10 +97,10 @@ def detect_corners(
     picture = _picture(image, white, centres, name)
     found = find_board(picture, board)
     corner, lens, saddles = _refined(picture, found, camera)
-    if not len(corner):
-        raise InputError(
-            f"{name}: a board of {board.columns}x{board.rows} is seen in it, but none of its corners sharply"
-        )
+    refuse_if(
+        not len(corner),
+        f"{name}: a board of {board.columns}x{board.rows} is seen in it, but none of its corners sharply",
+    )
     columns = {index: centres[index][lens] for index in ("k", "l")}
     columns |= {"u": saddles.place[:, 0], "v": saddles.place[:, 1]}
     columns |= {"cluster": corner, "frame": np.full(len(corner), frame)}
@@ -156,8 +156,7 @@ def _picture(image: np.ndarray, white: np.ndarray, centres: Table, name: str) ->
     if inside.sum() < 16:
         raise InputError(f"{name}: {inside.sum()} of {centres.name} lie in it: 16 micro-images are needed at least")
     full = float(np.median(light[row[inside], column[inside]]))
-    if not full > 0:
-        raise InputError("white: it is dark in the middle of its micro-images")
+    refuse_if(not full > 0, "white: it is dark in the middle of its micro-images")
     weight = (light / full).clip(max=1)
     weight[weight < _DARK] = 0
     divided = values / np.where(weight > 0, light / full, 1)
@@ -188,8 +187,7 @@ def evenly_lit(light: np.ndarray, centre: np.ndarray, radius: float) -> float:
 
 def _grey(name: str, image: np.ndarray) -> np.ndarray:
     values = np.asarray(image, dtype=np.float64)
-    if values.ndim not in (2, 3):
-        raise InputError(f"{name} of shape {values.shape}: it must be an image")
+    refuse_if(values.ndim not in (2, 3), f"{name} of shape {values.shape}: it must be an image")
     require_pixels(name, values)
     return values if values.ndim == 2 else values.mean(axis=2)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError, suggest_keywords
+from ..errors import InputError, refuse_if, suggest_keywords
 from .adjustment import Problem, Solution, adjust, adjust_poses, both_axes, deviation, huber, outlying, robust_lines
 from .blur import Blur, fit_blur
 from .deviations import deviations, moved_solutions
@@ -228,11 +228,11 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     final = adjust(problem, on_pixel_grid(found.numbers), found.poses, rest, weights)
     known = deviations(problem, final, weights)
     f, uncertain = final.numbers[AT["focal_length"]], known.values[AT["focal_length"]]
-    if not uncertain < _OPEN * abs(f):
-        raise InputError(
-            f"corners: they leave the focal length open, {f:.4g} +- {uncertain:.2g} mm: give centres of micro-images, "
-            "or add poses in which the board is tilted by 20 degrees or more"
-        )
+    refuse_if(
+        not uncertain < _OPEN * abs(f),
+        f"corners: they leave the focal length open, {f:.4g} +- {uncertain:.2g} mm: give centres of micro-images, "
+        "or add poses in which the board is tilted by 20 degrees or more",
+    )
     _require_matching_pupil(problem, final, weights, start, board, float(np.hypot(*grid[1])))
     try:
         camera = camera_of(final.numbers, start)

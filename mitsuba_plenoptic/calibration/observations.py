@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..errors import InputError, require_count, require_number
+from ..errors import InputError, refuse_if, require_count, require_number
 from ..io.files import read_text
 from ..lightfield.exchange.lftoolbox import grid_of_model
 from .adjustment import both_axes, robust_lines
@@ -68,8 +68,10 @@ class Board:
     def parse(cls, text: str, square: float) -> Board:
         """Read ``COLUMNSxROWS``, for example ``9x5``."""
         columns, x, rows = text.partition("x")
-        if not (x and columns.isdecimal() and rows.isdecimal() and len(text) < 10):
-            raise InputError(f"board = {text}: write inner corners along and across it, as 9x5")
+        refuse_if(
+            not (x and columns.isdecimal() and rows.isdecimal() and len(text) < 10),
+            f"board = {text}: write inner corners along and across it, as 9x5",
+        )
         return cls(int(columns), int(rows), square)
 
     def places(self, corner: np.ndarray) -> np.ndarray:
@@ -149,8 +151,7 @@ def read_table(path: str | Path, names: tuple[str, ...], optional: tuple[str, ..
         raise InputError(f"{path}: it has no column {missing[0]}; it needs {', '.join(names)}")
     names += tuple(name for name in optional if name in header)
     lines = [line for line in rest.splitlines() if line.strip()]
-    if not lines:
-        raise InputError(f"{path}: it has no rows")
+    refuse_if(not lines, f"{path}: it has no rows")
     try:
         rows = np.loadtxt(lines, delimiter=",", usecols=[header.index(name) for name in names], ndmin=2)
     except ValueError as error:
@@ -260,8 +261,10 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
     for odd_rows in (-0.5, 0.0, 0.5):
         places = LensIndex(odd_rows, 1, (0, 0)).unit(table["k"], table["l"])
         matrix = np.column_stack([np.ones(len(places)), places])
-        if np.linalg.matrix_rank(matrix) < 3:
-            raise InputError(f"{table.name}: all lenses lie on one line; corners of at least two rows are needed")
+        refuse_if(
+            np.linalg.matrix_rank(matrix) < 3,
+            f"{table.name}: all lenses lie on one line; corners of at least two rows are needed",
+        )
         grid, distance, good = robust_lines(both_axes(matrix), pixel)
         grid = grid.reshape(2, 3).T
         error = float(np.sqrt((distance[good] ** 2).mean()))

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import refuse_if
 from ..io.files import atomic_output
 from ..lightfield import LensGrid, estimate_lens_grid
 from .adjustment import OUTLIER
@@ -89,8 +89,7 @@ def find_centres(*whites: np.ndarray) -> Centres:
         If a picture shows no lattice of micro-images, or they differ in size.
     """
     sizes = {np.shape(white)[:2] for white in whites}
-    if len(sizes) != 1:
-        raise InputError(f"white images: they have {len(sizes)} sizes of pictures: one is needed, of one camera")
+    refuse_if(len(sizes) != 1, f"white images: they have {len(sizes)} sizes of pictures: one is needed, of one camera")
     grid = estimate_lens_grid(whites[0])
     images = [np.asarray(white, dtype=np.float64) for white in whites]
     images = [image.mean(axis=2) if image.ndim == 3 else image for image in images]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from ..errors import InputError
+from ..errors import refuse_if
 from ..io.captures import read_capture
 from ..io.files import require_apart, require_different, require_writable
 from ..lightfield import white_image
@@ -109,8 +109,7 @@ def calibrate(
 
 def _refuse(work: str, **options: object) -> None:
     for name, value in options.items():
-        if value:
-            raise InputError(f"--{name}: {work} does not take it; leave it out")
+        refuse_if(value, f"--{name}: {work} does not take it; leave it out")
 
 
 def _board(board: str | None, square: float | None) -> Board:

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from ..bounds import require_wavelength
 from ..design import design_warnings
-from ..errors import InputError, printable
+from ..errors import printable, refuse_if
 from ..io.captures import Capture, read_capture
 from ..presets import PRESETS
 from ..report.design_sheet import Row, design_sheet
@@ -60,8 +60,10 @@ def info(
     if wavelength is not None:
         wavelength = require_wavelength(wavelength)
     parameters = parse_definitions(define)
-    if parameters and source.lower().endswith(".exr"):
-        raise InputError(f"-D: {source} is no scene, and has no scene parameters; leave it out")
+    refuse_if(
+        parameters and source.lower().endswith(".exr"),
+        f"-D: {source} is no scene, and has no scene parameters; leave it out",
+    )
     capture = read_capture(source) if source.lower().endswith(".exr") else None
     camera = capture.camera if capture else load_camera(source, parameters)[0]
     if capture and wavelength is None and isinstance(capture.wavelength, float):

@@ -14,7 +14,7 @@ from ..camera import PlenopticCamera
 from ..capture.render import plenoptic_sensor
 from ..capture.scene import check_scene_file, load_scene, scene_names, scene_path
 from ..design import design_warnings
-from ..errors import InputError, did_you_mean
+from ..errors import InputError, did_you_mean, refuse_if
 from ..io.captures import Capture, read_capture
 from ..io.raw import RAW_SUFFIXES, read_raw, scaled_from, tells_detector
 from ..plugins.other_camera import with_camera
@@ -39,14 +39,14 @@ def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamer
     # Some scenes are called as a camera; parameters are theirs.
     preset = preset and not (parameters and source in scene_names())
     if preset or source.lower().endswith((".json", ".js")):
-        if parameters:
-            raise InputError(f"-D: {source} is no scene, and has no scene parameters; leave it out")
+        refuse_if(parameters, f"-D: {source} is no scene, and has no scene parameters; leave it out")
         # Brings libraries that take a while to load.
         from ..calibration import read_camera
 
         return read_camera(source)
-    if source.lower().endswith(".exr"):
-        raise InputError(f"{source}: it is an image; a camera is a preset, a JSON file or a scene")
+    refuse_if(
+        source.lower().endswith(".exr"), f"{source}: it is an image; a camera is a preset, a JSON file or a scene"
+    )
     if not Path(source).exists() and source not in scene_names():
         names = scene_names()
         raise InputError(
@@ -54,8 +54,7 @@ def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamer
             f"({', '.join(names)}) of that name{did_you_mean(source, [*PRESETS, *names])}"
         )
     sensors = load_scene(source, parameters=parameters).sensors()
-    if not sensors:
-        raise InputError(f"{source}: it has no sensor; add one of type 'plenoptic'")
+    refuse_if(not sensors, f"{source}: it has no sensor; add one of type 'plenoptic'")
     return PlenopticCamera.from_sensor(sensors[0]), None
 
 
@@ -152,8 +151,7 @@ def parse_definitions(definitions: list[str] | None) -> dict[str, str]:
     parameters = {}
     for text in definitions or []:
         name, equals, value = text.partition("=")
-        if not name or not equals:
-            raise InputError(f"-D {text}: write it as -D NAME=VALUE")
+        refuse_if(not name or not equals, f"-D {text}: write it as -D NAME=VALUE")
         parameters[name] = value
     return parameters
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, require_choice, require_known, require_number, shown
+from ..errors import InputError, refuse_if, require_choice, require_known, require_number, shown
 
 _SCALES = ("linear", "log")
 
@@ -70,8 +70,7 @@ def parse(name: str, value: Any) -> Any:
             f"{name} = {shown(dict(value))}: a range is {{from: A, to: B}}, a choice {{one_of: [A, B, ...]}}"
         )
     low, high = (require_number(f"{name}: {key}", value[key]) for key in ("from", "to"))
-    if not low < high:
-        raise InputError(f"{name}: from = {low:g}, to = {high:g}: 'from' must be less than 'to'")
+    refuse_if(not low < high, f"{name}: from = {low:g}, to = {high:g}: 'from' must be less than 'to'")
     log = require_choice(f"{name}: scale", value.get("scale", "linear"), _SCALES) == "log"
     if log and low <= 0:
         raise InputError(f"{name}: from = {low:g}: it must be greater than 0 on a scale of logarithms")

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from ..camera import PlenopticCamera
 from ..design import depth_ranges
-from ..errors import InputError, require_count, require_number, shown
+from ..errors import InputError, refuse_if, require_count, require_number, shown
 
 _TEXELS = (64, 512)
 """Texels along an edge, at least and at most."""
@@ -77,8 +77,7 @@ class Light:
     def __post_init__(self) -> None:
         for name in ("sky", "lamp"):
             require_number(f"light: {name}", getattr(self, name), minimum=0, maximum=1e6)
-        if self.sky == self.lamp == 0:
-            raise InputError("light: sky = 0 and lamp = 0: scenes would be dark")
+        refuse_if(self.sky == self.lamp == 0, "light: sky = 0 and lamp = 0: scenes would be dark")
 
     def emitters(self, random: np.random.Generator, distance: float) -> dict[str, Any]:
         """Describe the lights for ``mi.load_dict``; the lamp stands beside or above the camera, at random."""
@@ -133,16 +132,18 @@ class Shapes:
     def between(self, camera: PlenopticCamera) -> tuple[float, float]:
         """Return the nearest and the farthest distance of objects before a camera."""
         found = [limits for limits in depth_ranges(camera) if limits]
-        if not found and None in (self.near, self.far):
-            raise InputError("near, far: give both, as the camera resolves no distance by itself")
+        refuse_if(
+            not found and None in (self.near, self.far),
+            "near, far: give both, as the camera resolves no distance by itself",
+        )
         near = min(limits[0] for limits in found) if self.near is None else self.near
         far = max(limits[1] for limits in found) if self.far is None else self.far
         far = min(far, _FARTHEST * max(near, camera.focal_length))
-        if not camera.focal_length < near < far:
-            raise InputError(
-                f"near = {near:g}, far = {far:g}: they must follow one another beyond the focal length "
-                f"{camera.focal_length:g}"
-            )
+        refuse_if(
+            not camera.focal_length < near < far,
+            f"near = {near:g}, far = {far:g}: they must follow one another beyond the focal length "
+            f"{camera.focal_length:g}",
+        )
         return float(near), float(far)
 
     def scene(self, camera: PlenopticCamera, light: Light, random: np.random.Generator) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError, shown
+from ..errors import InputError, refuse_if, shown
 from ..io.files import read_text
 from ..report.stage_store import scene_fingerprint, write_json
 from ..runtime.limits import software
@@ -106,8 +106,7 @@ def locked(folder: Path) -> Iterator[None]:
             mine = False
         except OSError as error:
             raise InputError(f"{folder}: it cannot be locked: {error.strerror}") from None
-        if not mine:
-            raise InputError(f"{folder}: another process is making this data set; wait until it has ended")
+        refuse_if(not mine, f"{folder}: another process is making this data set; wait until it has ended")
         try:
             yield
         finally:

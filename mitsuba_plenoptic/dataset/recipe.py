@@ -15,7 +15,7 @@ from ..camera import PlenopticCamera
 from ..capture.render import MOST_SAMPLES
 from ..capture.scene import scene_path
 from ..detector import Detector
-from ..errors import InputError, require_choice, require_count, require_known, require_number, shown
+from ..errors import InputError, refuse_if, require_choice, require_count, require_known, require_number, shown
 from ..io.captures import MODELS
 from ..io.ground_truth import QUANTITIES, require_quantities
 from ..io.yaml_file import read_yaml
@@ -280,8 +280,7 @@ def _section(name: str, content: Mapping[str, Any], known: tuple[str, ...]) -> d
 def _require_names(name: str, values: Mapping[Any, Any], known: tuple[str, ...], needed: tuple[str, ...] = ()) -> None:
     require_known(f"{name}: ", values, known)
     for key in needed:
-        if key not in values:
-            raise InputError(f"{name}: {key} is missing")
+        refuse_if(key not in values, f"{name}: {key} is missing")
 
 
 @contextlib.contextmanager

@@ -11,7 +11,7 @@ import math
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..objective import Objective
 from ..optics.phase import in_millimetres
 
@@ -132,6 +132,5 @@ def microscope_warnings(camera: PlenopticCamera, wavelength: float | None = None
 
 def _fourier(camera: PlenopticCamera) -> Objective:
     lens = objective_of(camera)
-    if not lens.is_fourier:
-        raise InputError("main_lens: arrangement = image: this is a number of the Fourier arrangement")
+    refuse_if(not lens.is_fourier, "main_lens: arrangement = image: this is a number of the Fourier arrangement")
     return lens

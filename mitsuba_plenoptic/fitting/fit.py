@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_choice, require_number, suggest_keywords
+from ..errors import InputError, refuse_if, require_choice, require_number, suggest_keywords
 from ..io.checkpoints import Checkpoint, digest
 from ..operator.accuracy import check_accuracy
 from ..operator.pupil_weights import PupilWeights
@@ -171,8 +171,7 @@ def _model_of(
     """Return what makes the model of a camera near the first."""
     if require_choice("method", method, METHODS) == "waves":
         return partial(Model, views=views, wavelength=wavelength, accuracy=accuracy)
-    if accuracy:
-        raise InputError(f"accuracy = {accuracy:g}: it is for fits by waves; leave it out")
+    refuse_if(accuracy, f"accuracy = {accuracy:g}: it is for fits by waves; leave it out")
     return RayModels(camera, views, wavelength).at
 
 

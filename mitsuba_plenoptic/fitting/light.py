@@ -15,7 +15,7 @@ from ..camera import PlenopticCamera
 from ..capture.render import chosen_integrator, plenoptic_sensor
 from ..capture.scene_light import SceneLight
 from ..capture.scene_points import find_points, require_matte
-from ..errors import InputError, require_count, require_number
+from ..errors import InputError, refuse_if, require_count, require_number
 from ..io.captures import as_array, require_pixels
 from ..operator.units import brightness_at
 from ..plugins.other_camera import with_camera
@@ -68,13 +68,14 @@ class View:
 
     def __post_init__(self) -> None:
         image = as_array("image", self.image)
-        if image.ndim != 2:
-            raise InputError(f"image of shape {image.shape}: a camera is fitted to images of one channel")
+        refuse_if(image.ndim != 2, f"image of shape {image.shape}: a camera is fitted to images of one channel")
         require_pixels("image", image)
         points = check_positions(self.points, virtual=self.virtual)
         weights = np.asarray(as_array("weights", self.weights), np.float64)
-        if weights.shape != (len(points),) or not np.isfinite(weights).all():
-            raise InputError(f"weights of shape {weights.shape}: they must be ({len(points)},) finite numbers")
+        refuse_if(
+            weights.shape != (len(points),) or not np.isfinite(weights).all(),
+            f"weights of shape {weights.shape}: they must be ({len(points)},) finite numbers",
+        )
         negative = np.flatnonzero(weights < 0)
         if len(negative):
             first = negative[0]
@@ -82,15 +83,14 @@ class View:
                 f"weights: {len(negative)} of them are negative, the first, {weights[first]:g}, at {first}: light is "
                 "at least 0"
             )
-        if not weights.any():
-            raise InputError("weights: all of them are 0: there is no light")
+        refuse_if(not weights.any(), "weights: all of them are 0: there is no light")
         noise = self.noise
         if noise is not None and not isinstance(noise, PixelNoise):
             noise = np.asarray(as_array("noise", noise), np.float64)
-            if noise.shape not in ((), image.shape) or not (np.isfinite(noise) & (noise > 0)).all():
-                raise InputError(
-                    f"noise of shape {noise.shape}: it must be positive and finite, one number or one for each pixel"
-                )
+            refuse_if(
+                noise.shape not in ((), image.shape) or not (np.isfinite(noise) & (noise > 0)).all(),
+                f"noise of shape {noise.shape}: it must be positive and finite, one number or one for each pixel",
+            )
         mask = None if self.mask is None else np.asarray(self.mask)
         if mask is not None and (mask.dtype != bool or mask.shape != image.shape):
             raise InputError(
@@ -115,11 +115,11 @@ def check_views(camera: PlenopticCamera, views: Sequence[View], default: PixelNo
 
     `default` is the noise of views that have none.
     """
-    if not views:
-        raise InputError("views: give at least one capture of known light")
+    refuse_if(not views, "views: give at least one capture of known light")
     for view in views:
-        if view.image.shape != camera.shape:
-            raise InputError(f"image of shape {view.image.shape}: the camera records {camera.shape}")
+        refuse_if(
+            view.image.shape != camera.shape, f"image of shape {view.image.shape}: the camera records {camera.shape}"
+        )
         check_light(view, default)
 
 
@@ -168,9 +168,7 @@ def known_view(
     wavelength = require_wavelength(wavelength)
     light = SceneLight(seen, sensor, child, wavelength if mi.is_spectral else None)
     found = find_points([light], camera, require_count("points_per_lens", points_per_lens), seed=seed)
-    if found.weights.shape[1] != 1:
-        raise InputError("scene: a camera is fitted to images of one channel; use a mono variant")
-    if not len(found.positions):
-        raise InputError("scene: the camera sees nothing that shines")
+    refuse_if(found.weights.shape[1] != 1, "scene: a camera is fitted to images of one channel; use a mono variant")
+    refuse_if(not len(found.positions), "scene: the camera sees nothing that shines")
     weights = found.weights[:, 0] / brightness_at(camera, found.positions, wavelength)
     return View(image, found.positions, weights, noise, found.pupil_weights, mask, saturation)

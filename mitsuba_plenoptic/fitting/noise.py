@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, require_number
+from ..errors import InputError, refuse_if, require_number
 from ..io.captures import Capture
 from ..io.raw import response_of
 from ..mosaic import require_demosaiced
@@ -139,10 +139,11 @@ def check_light(view: View, default: PixelNoise | None = None) -> None:
         dark = 0.0 if noise is None else np.asarray(noise, np.float64)
         least = np.inf if noise is None else dark
     kept, image = view.kept, view.image
-    if not kept.any():
-        raise InputError("image: all of its pixels are left out: by its mask, or as saturated")
-    if image.sum(where=kept, dtype=np.float64) <= _LIGHT * np.sqrt(np.sum(np.square(dark) * kept)):
-        raise InputError("image: it is black: nothing can be found by it")
+    refuse_if(not kept.any(), "image: all of its pixels are left out: by its mask, or as saturated")
+    refuse_if(
+        image.sum(where=kept, dtype=np.float64) <= _LIGHT * np.sqrt(np.sum(np.square(dark) * kept)),
+        "image: it is black: nothing can be found by it",
+    )
     negative = kept & (image < -_NEGATIVE * least)
     if negative.any():
         row, column = np.argwhere(negative)[0]

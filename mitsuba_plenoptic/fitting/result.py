@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import refuse_if
 from .light import View
 from .noise import Pixels
 
@@ -100,8 +100,7 @@ def summary(
 ) -> Fit:
     """Gather what a fit found; `rows` are the weighted derivatives for changes of one unit of `Fit.scales`."""
     for label, told in zip(labels, np.abs(rows).max(axis=0).tolist(), strict=True):
-        if not told:
-            raise InputError(f"{label}: the captures do not depend on it, so that it cannot be fitted")
+        refuse_if(not told, f"{label}: the captures do not depend on it, so that it cannot be fitted")
     slope = residuals @ rows
     low, high = ((x - limits[0]) / unit, (limits[1] - x) / unit)
     gap = np.where(slope > 0, low, high)
@@ -132,8 +131,7 @@ def summary(
         return dict(zip(labels, given.tolist(), strict=True))
 
     expected = float(pixels.share.sum()) - effective
-    if expected <= 0:
-        raise InputError(f"photons: too few are expected in the pixels that count to fit {len(x)} numbers to them")
+    refuse_if(expected <= 0, f"photons: too few are expected in the pixels that count to fit {len(x)} numbers to them")
     return Fit(
         camera,
         by_label(x),

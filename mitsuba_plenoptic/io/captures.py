@@ -12,7 +12,7 @@ import numpy as np
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError, require_choice, shown, suggest_keywords
+from ..errors import InputError, refuse_if, require_choice, shown, suggest_keywords
 from .exr import read_exr, write_exr
 
 MODELS = ("ray", "wave")
@@ -68,8 +68,7 @@ class Capture:
                 f"{self.camera.shape[1]} columns"
             )
         channels = image.shape[2] if image.ndim == 3 else 1
-        if channels not in (1, 3):
-            raise InputError(f"image of shape {image.shape}: a capture has 1 channel or 3")
+        refuse_if(channels not in (1, 3), f"image of shape {image.shape}: a capture has 1 channel or 3")
         require_pixels("image", image)
         object.__setattr__(self, "image", np.asarray(image, dtype=np.float32))
         require_choice("model", self.model, MODELS)
@@ -83,8 +82,10 @@ class Capture:
             raise InputError(f"metadata = {shown(self.metadata)}: it must be a dictionary")
         if self.noise is not None:
             noise = as_array("noise", self.noise)
-            if noise.dtype.kind not in "fiu" or noise.shape != image.shape:
-                raise InputError(f"noise of type {noise.dtype} and shape {noise.shape}: it must be as the image")
+            refuse_if(
+                noise.dtype.kind not in "fiu" or noise.shape != image.shape,
+                f"noise of type {noise.dtype} and shape {noise.shape}: it must be as the image",
+            )
             require_pixels("noise", noise)
             if noise.min(initial=0) < 0:
                 raise InputError(f"noise: {np.count_nonzero(noise < 0)} of its pixels are negative")
@@ -115,8 +116,7 @@ def as_array(name: str, values: Any) -> np.ndarray:
         array = np.asarray(values)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name}: it must be an array: {error}") from None
-    if array.dtype.kind not in "fiu":
-        raise InputError(f"{name} of type {array.dtype}: it must hold real numbers")
+    refuse_if(array.dtype.kind not in "fiu", f"{name} of type {array.dtype}: it must hold real numbers")
     return array
 
 

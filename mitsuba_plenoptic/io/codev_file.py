@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..prescription import Glass, Prescription
 from ..prescription.glass import catalogue_glass
 from .lens_designs import UNITS, DesignSurface, Line, read_text, to_prescription
@@ -115,8 +115,9 @@ class _Reader:
 
     def prescription(self) -> Prescription:
         """Return the lens between object and image."""
-        if not self.ended or len(self.surfaces) < 3:
-            raise InputError(f"{self.path}: there must be SO, the lens's surfaces and SI")
+        refuse_if(
+            not self.ended or len(self.surfaces) < 3, f"{self.path}: there must be SO, the lens's surfaces and SI"
+        )
         if self.unit is None:
             raise InputError(f"{self.path}: DIM is missing: the unit of its lengths is not known")
         if self.primary is None and len(self.wavelengths) == 1:

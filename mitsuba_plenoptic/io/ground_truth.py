@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_choice, shown
+from ..errors import InputError, refuse_if, require_choice, shown
 from .exr import read_exr_parts, write_exr_parts
 
 QUANTITIES = {"depth": "Z", "position": "XYZ", "normal": "XYZ", "albedo": "RGB", "shape_index": "I"}
@@ -70,8 +70,7 @@ def require_quantities(names: Iterable[str]) -> tuple[str, ...]:
     found = tuple(dict.fromkeys(names))
     for name in found:
         require_choice("aov", name, QUANTITIES)
-    if not found:
-        raise InputError(f"aov: name at least one of {', '.join(QUANTITIES)}")
+    refuse_if(not found, f"aov: name at least one of {', '.join(QUANTITIES)}")
     return found
 
 
@@ -147,8 +146,7 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
         v, u, t, s = sizes
         for part, shape in ((_PIXELS, camera.shape), (_VIEWS, (v * t, u * s))):
             for plane in parts[part].values():
-                if plane.shape != shape:
-                    raise InputError(f"its part {part} has the shape {plane.shape}: it must be {shape}")
+                refuse_if(plane.shape != shape, f"its part {part} has the shape {plane.shape}: it must be {shape}")
         shapes, to_world = attributes.get("shapes"), _matrix(attributes.get("to_world"))
         if not isinstance(shapes, list) or not all(isinstance(shape, str) for shape in shapes):
             raise InputError(f"shapes = {shown(shapes)}: they must be names")

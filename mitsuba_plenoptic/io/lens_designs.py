@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..errors import InputError, shown
+from ..errors import InputError, refuse_if, shown
 from ..prescription import Glass, Prescription
 from .files import require_size
 
@@ -90,10 +90,10 @@ def to_prescription(
     """Return the prescription of a file's surfaces, object and image left out."""
     plain = []
     for number, surface in enumerate(surfaces, start=1):
-        if not surface.semi_aperture > 0:
-            raise InputError(
-                f"{path}: surface {number} has no semi-aperture: the file must give up to where light passes"
-            )
+        refuse_if(
+            not surface.semi_aperture > 0,
+            f"{path}: surface {number} has no semi-aperture: the file must give up to where light passes",
+        )
         entry = {
             "thickness": 0.0 if number == len(surfaces) else surface.thickness * unit,
             "semi_aperture": surface.semi_aperture * unit,

@@ -18,7 +18,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_number
+from ..errors import InputError, refuse_if, require_number
 from ..runtime.limits import require_memory
 from .captures import Capture
 from .files import atomic_output, require_file, require_writable
@@ -58,8 +58,7 @@ def write_raw(path: str | Path, capture: Capture) -> None:
     }
     text = json.dumps({_KEY: about})
     if path.suffix.lower() == ".png":
-        if numbers.ndim == 3:
-            raise InputError(f"{path}: raw pictures of three channels are written as .tiff")
+        refuse_if(numbers.ndim == 3, f"{path}: raw pictures of three channels are written as .tiff")
         information = PngInfo()
         information.add_text(_KEY, text)
         with atomic_output(path) as temporary:
@@ -118,8 +117,10 @@ def digital_numbers(capture: Capture) -> NDArray[np.uint16]:
     exact = (capture.image.astype(np.float64) * unit + dark) * gain + black
     numbers = np.rint(exact)
     # Single precision tells a number of 16 bits from its neighbours.
-    if np.abs(exact - numbers).max(initial=0) > 0.1 or numbers.min(initial=0) < 0 or numbers.max(initial=0) > 65535:
-        raise InputError("capture: its values are no digital numbers of its detector; write it as .exr")
+    refuse_if(
+        np.abs(exact - numbers).max(initial=0) > 0.1 or numbers.min(initial=0) < 0 or numbers.max(initial=0) > 65535,
+        "capture: its values are no digital numbers of its detector; write it as .exr",
+    )
     return numbers.astype(np.uint16)
 
 
@@ -131,8 +132,7 @@ def _values(numbers: NDArray[Any], exposure: dict[str, Any]) -> NDArray[np.float
 def response_of(exposure: dict[str, Any]) -> tuple[float, float, float, float]:
     """Return gain, black level, dark electrons, and electrons in a pixel of value 1, of what `expose` has kept."""
     for name in ("gain", "black_level", "dark_electrons", "quantum_efficiency", "photons"):
-        if name not in exposure:
-            raise InputError(f"exposure: {name}: it is missing")
+        refuse_if(name not in exposure, f"exposure: {name}: it is missing")
     gain, efficiency, photons = (
         require_number(name, exposure[name], positive=True) for name in ("gain", "quantum_efficiency", "photons")
     )

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from .files import read_text
 
 _LARGEST_FILE = 2**22
@@ -25,8 +25,7 @@ def read_table(path: str | Path) -> NDArray[np.float64]:
         rows = np.loadtxt(lines, delimiter=",", ndmin=2) if lines else np.empty((0, 0))
     except ValueError as error:
         raise InputError(f"{path}: it is no table of numbers: {error}") from None
-    if not len(rows):
-        raise InputError(f"{path}: it has no rows of numbers")
+    refuse_if(not len(rows), f"{path}: it has no rows of numbers")
     if not np.isfinite(rows).all():
         row = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
         raise InputError(f"{path}, row {row + 1}: all numbers must be finite")
@@ -69,9 +68,10 @@ def stored_array(group: Any, name: str) -> Any:
     stored = group[name] if isinstance(link, h5py.HardLink) else None
     if not isinstance(stored, h5py.Dataset) or stored.is_virtual or stored.external:
         raise InputError(f"{name} is not an array in the file itself: links to other files are not followed")
-    if stored.dtype.kind not in "fiu" or stored.dtype.itemsize > 8:
-        raise InputError(f"{name} is not an array of numbers")
+    refuse_if(stored.dtype.kind not in "fiu" or stored.dtype.itemsize > 8, f"{name} is not an array of numbers")
     # A chunk is decompressed whole, however little of it the array uses.
-    if stored.chunks and math.prod(stored.chunks) > max(stored.size, 1) + _SMALL:
-        raise InputError(f"{name} is stored in chunks of {stored.chunks}, larger than itself")
+    refuse_if(
+        stored.chunks and math.prod(stored.chunks) > max(stored.size, 1) + _SMALL,
+        f"{name} is stored in chunks of {stored.chunks}, larger than itself",
+    )
     return stored

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from .files import read_text
 
 LARGEST_FILE = 2**16
@@ -24,13 +24,11 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
         keys = [key.value for key, _ in node.value]
         for key in keys:
-            if keys.count(key) > 1:
-                raise InputError(f"{key} is given twice")
+            refuse_if(keys.count(key) > 1, f"{key} is given twice")
         return super().construct_mapping(node, deep)
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            raise InputError("aliases (*name) are not allowed")
+        refuse_if(self.check_event(yaml.AliasEvent), "aliases (*name) are not allowed")
         return super().compose_node(parent, index)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..prescription import Glass, Prescription
 from ..prescription.glass import catalogue_glass
 from .lens_designs import UNITS, DesignSurface, Line, read_text, to_prescription
@@ -97,14 +97,16 @@ class _Reader:
 
     def prescription(self) -> Prescription:
         """Return the lens between object and image."""
-        if len(self.surfaces) < 3:
-            raise InputError(
-                f"{self.path}: {len(self.surfaces)} surfaces: there must be an object, a lens and an image"
-            )
+        refuse_if(
+            len(self.surfaces) < 3,
+            f"{self.path}: {len(self.surfaces)} surfaces: there must be an object, a lens and an image",
+        )
         if self.unit is None:
             raise InputError(f"{self.path}: UNIT is missing: the unit of its lengths is not known")
-        if self.primary not in self.wavelengths:
-            raise InputError(f"{self.path}: wavelength {self.primary}, the primary one by PWAV, is missing")
+        refuse_if(
+            self.primary not in self.wavelengths,
+            f"{self.path}: wavelength {self.primary}, the primary one by PWAV, is missing",
+        )
         for number, line in self.glasses.items():
             self.surfaces[number].glass = self._glass(line)
         for surface, kind, lines in zip(self.surfaces, self.kinds, self.parameters, strict=True):

@@ -9,7 +9,7 @@ import scipy
 import xarray as xr
 
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError, shown, suggest_keywords
+from ..errors import InputError, refuse_if, shown, suggest_keywords
 from ..io.captures import Capture, as_array, require_pixels, require_suitable_white
 from ..io.ground_truth import COORDINATES, GroundTruth, channel_planes
 from ..mosaic import require_demosaiced
@@ -169,8 +169,10 @@ def _coordinates(
 ) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
     """Return ground truth as coordinates of the light field of its camera."""
     planes = {COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
-    if truth.camera != camera or any(plane.shape != shape for plane in planes.values()):
-        raise InputError("truth: it is of another camera than the light field")
+    refuse_if(
+        truth.camera != camera or any(plane.shape != shape for plane in planes.values()),
+        "truth: it is of another camera than the light field",
+    )
     whole = {"shape_index": np.int32}
     return {name: (DIMS, plane.astype(whole.get(name, plane.dtype))) for name, plane in planes.items()}
 
@@ -188,8 +190,10 @@ def _require_memory(image: np.ndarray, bins: LensGrid, lenses: LensGrid, half: i
 
 def _image(name: str, values: np.ndarray) -> np.ndarray:
     image = as_array(name, values)
-    if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3)):
-        raise InputError(f"{name} of shape {image.shape}: it must be an image of 1 or 3 channels")
+    refuse_if(
+        image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3)),
+        f"{name} of shape {image.shape}: it must be an image of 1 or 3 channels",
+    )
     require_pixels(name, image)
     return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False)
 
@@ -205,8 +209,7 @@ def _white(white: Capture | np.ndarray, image: np.ndarray) -> np.ndarray:
 def _brightness(middle: np.ndarray) -> np.float32:
     """Typical value of a white image in the middle of its micro-images."""
     lit = middle[middle > 0]
-    if not lit.size:
-        raise InputError("white: it is black in the middle of every micro-image")
+    refuse_if(not lit.size, "white: it is black in the middle of every micro-image")
     return np.float32(np.median(lit))
 
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, argument, require_choice, suggest_keywords
+from ..errors import InputError, argument, refuse_if, require_choice, suggest_keywords
 from ..io.captures import Capture, require_suitable_white
 from ..mosaic import MOSAICS, filters, mosaic_of, require_demosaiced
 from .grid import lens_numbers
@@ -104,8 +104,10 @@ def _certainty(capture: Capture, white: Capture | None) -> NDArray[np.float32]:
     if white is None:
         return np.repeat(white_image(capture.camera)[..., None], 3, axis=2)
     require_demosaiced(white)
-    if white.image.shape[:2] != capture.image.shape:
-        raise InputError(f"white of shape {white.image.shape}: it must have the pixels of the capture")
+    refuse_if(
+        white.image.shape[:2] != capture.image.shape,
+        f"white of shape {white.image.shape}: it must have the pixels of the capture",
+    )
     require_suitable_white(white, [capture.camera])
     image = np.atleast_3d(white.image)
     if capture.camera.main_lens is None:

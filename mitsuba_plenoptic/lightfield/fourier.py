@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 import xarray as xr
 
-from ..errors import InputError, require_number
+from ..errors import refuse_if, require_number
 from ..runtime.limits import require_memory
 from .geometry import channel_planes, require_light_field, view_steps
 from .views import as_view
@@ -75,8 +75,10 @@ class FourierRefocuser:
         InputError
             If the disparity is larger than prepared for.
         """
-        if abs(disparity) > self._max_disparity * (1 + 1e-9):
-            raise InputError(f"disparity = {disparity:g}: this refocuser was made for at most {self._max_disparity:g}")
+        refuse_if(
+            abs(disparity) > self._max_disparity * (1 + 1e-9),
+            f"disparity = {disparity:g}: this refocuser was made for at most {self._max_disparity:g}",
+        )
         frequencies = scipy.fft.fftfreq(self._field[0]), scipy.fft.rfftfreq(self._field[1])
         down, across = (
             np.exp(2j * math.pi * disparity * np.outer(steps, frequency)).astype(np.complex64)

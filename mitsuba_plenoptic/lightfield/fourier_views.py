@@ -17,7 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..lenses.telecentric import TelecentricLens
 from ..objective import Objective
 from ..runtime.limits import require_memory
@@ -51,11 +51,11 @@ class LensViews:
     def of(cls, camera: PlenopticCamera, lens: Objective) -> LensViews:
         """Find the lenses in the image of the stop."""
         lattice, p = camera.lattice, camera.pixel_size
-        if abs(math.sin(math.radians(2 * camera.mla_rotation))) > _SAME:
-            raise InputError(
-                f"mla_rotation = {camera.mla_rotation:g}: views of a Fourier microscope lie in columns and rows, those "
-                "of the detector; turn the array by a whole number of right angles"
-            )
+        refuse_if(
+            abs(math.sin(math.radians(2 * camera.mla_rotation))) > _SAME,
+            f"mla_rotation = {camera.mla_rotation:g}: views of a Fourier microscope lie in columns and rows, those "
+            "of the detector; turn the array by a whole number of right angles",
+        )
         half = tuple(math.floor(width / (2 * p) - 0.5) for width in _room(camera))
         if min(half) < 1:
             raise InputError(f"mla_pitch = {min(camera.mla_pitches):g}: a view needs three pixels of {p:g} or more")
@@ -64,8 +64,7 @@ class LensViews:
         x, y = (np.asarray(values, np.float64) for values in lattice.centre(*numbers.T.astype(np.float64)))
         fraction = _in_stop(camera, lens, x, y)
         seen = fraction >= MINIMUM_WEIGHT
-        if not seen.any():
-            raise InputError(f"mla_offset = {camera.mla_offset}: no lens lies in the image of the stop")
+        refuse_if(not seen.any(), f"mla_offset = {camera.mla_offset}: no lens lies in the image of the stop")
         tolerance = _SAME * min(camera.mla_pitches)
         across, column = _lines(x[seen], tolerance)
         down, row = _lines(y[seen], tolerance)

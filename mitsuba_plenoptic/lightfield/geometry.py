@@ -24,7 +24,7 @@ import numpy as np
 import xarray as xr
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, advice, require_number, shown
+from ..errors import InputError, advice, refuse_if, require_number, shown
 from ..io.captures import require_pixels
 from ..optics import rays
 from ..thin_lens import image_distance
@@ -74,8 +74,7 @@ def light_field(
         seen = values.any(axis=tuple(range(2, values.ndim)), keepdims=True)
         weight = np.broadcast_to(seen.reshape(*seen.shape[:4]), values.shape[:4]).astype(np.float32)
     # Written so that NaN is refused.
-    if weight.size and not (weight.min() >= 0 and weight.max() <= 1):
-        raise InputError("light field: a weight is not from 0 to 1")
+    refuse_if(weight.size and not (weight.min() >= 0 and weight.max() <= 1), "light field: a weight is not from 0 to 1")
     coordinates: dict[str, Any] = {"weight": (DIMS, weight)}
     for axis, (angular, spatial) in enumerate((("u", "s"), ("v", "t"))):
         views, size = values.shape[DIMS.index(angular)], values.shape[DIMS.index(spatial)]
@@ -169,12 +168,11 @@ def require_light_field(lf: Any) -> xr.DataArray:
     """
     if not isinstance(lf, xr.DataArray):
         raise InputError(f"light field of type {type(lf).__name__}: it must be an xarray.DataArray, as decode() gives")
-    if lf.dims[:4] != DIMS or lf.dims[4:] not in ((), ("c",)) or "weight" not in lf.coords:
-        raise InputError(
-            f"light field with dimensions {lf.dims}: they must be v, u, t, s[, c], with a coordinate weight"
-        )
-    if lf.dtype.kind not in "fiu":
-        raise InputError(f"light field of type {lf.dtype}: it must hold real numbers")
+    refuse_if(
+        lf.dims[:4] != DIMS or lf.dims[4:] not in ((), ("c",)) or "weight" not in lf.coords,
+        f"light field with dimensions {lf.dims}: they must be v, u, t, s[, c], with a coordinate weight",
+    )
+    refuse_if(lf.dtype.kind not in "fiu", f"light field of type {lf.dtype}: it must hold real numbers")
     require_pixels("light field", lf.values)
     return lf
 

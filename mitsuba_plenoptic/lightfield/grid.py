@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..bounds import MOST_PIXELS
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_count, require_number, require_pair
+from ..errors import refuse_if, require_count, require_number, require_pair
 from ..optics import rays
 from ..runtime.limits import require_memory
 
@@ -127,8 +127,7 @@ def bin_grid(camera: PlenopticCamera) -> LensGrid:
         pixel = _pixel(camera, centre, axis)
         if camera.crop_size[axis] != camera.resolution[axis]:
             pixel = pixel[(pixel >= 0) & (pixel <= camera.crop_size[axis])]
-        if not pixel.size:
-            raise InputError(f"crop_size = {camera.crop_size}: no micro-image is centred in the recorded window")
+        refuse_if(not pixel.size, f"crop_size = {camera.crop_size}: no micro-image is centred in the recorded window")
         start.append(float(pixel[0]))
         count.append(pixel.size)
     return LensGrid((spacing, spacing), (start[0], start[1]), (count[1], count[0]))
@@ -154,8 +153,10 @@ def lens_grid(camera: PlenopticCamera) -> LensGrid:
     lattice = camera.lattice
     if lattice.axis_aligned and lattice.aspect == 1 and lattice.offset == (0, 0):
         return bin_grid(camera)
-    if not len(micro_image_centres(camera, 0)):
-        raise InputError(f"crop_size = {camera.crop_size}: no micro-image is centred in the recorded window")
+    refuse_if(
+        not len(micro_image_centres(camera, 0)),
+        f"crop_size = {camera.crop_size}: no micro-image is centred in the recorded window",
+    )
     scale = rays.chief_detector_point(1 / camera.pixel_size, camera.mla_distance, camera.detector_distance)
     vectors, shifted = lattice_rows(np.array(lattice.basis) * scale)
     x, y = lattice.centre(0.0, 0.0)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import xarray as xr
 
-from ..errors import InputError, require_choice, require_number, suggest_keywords
+from ..errors import refuse_if, require_choice, require_number, suggest_keywords
 from ..runtime.jobs import Progress, counted
 from ..runtime.limits import require_memory
 from .fourier import FourierRefocuser
@@ -111,8 +111,7 @@ def focal_stack(
     """
     lf = require_light_field(lf)
     distances = [require_number("distance", value, finite=False) for value in distances]
-    if not distances:
-        raise InputError("distances = []: give at least one")
+    refuse_if(not distances, "distances = []: give at least one")
     require_choice("method", method, METHODS)
     disparities = [disparity_at(lf, value) for value in distances]
     refocus_at: Callable[[float], xr.DataArray]

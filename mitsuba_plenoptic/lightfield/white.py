@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..optics import rays
 from ..runtime.limits import require_memory
 from ..system.pupil import PupilFraction
@@ -148,8 +148,7 @@ def white_radiance(light: np.ndarray, computed: np.ndarray, radius: np.ndarray) 
     whole = (computed > 0) & (computed >= _WHOLE * computed.max(initial=0))
     ratio = light[whole] / computed[whole, None]
     brightest = ratio.max(axis=0, initial=0)
-    if not (brightest > 0).all():
-        raise InputError("white: it is dark: it must be a capture of something evenly white")
+    refuse_if(not (brightest > 0).all(), "white: it is dark: it must be a capture of something evenly white")
     least = (ratio / brightest).min(axis=1)
     limit = _DARKEST if least.min() < _DARKEST else _DIM
     _require_most(
@@ -169,8 +168,7 @@ def white_radiance(light: np.ndarray, computed: np.ndarray, radius: np.ndarray) 
 
 def _require_most(fraction: float, least: float, text: str, rule: str) -> None:
     """Refuse a white with too small a fraction of what it should have, and warn of less than a half."""
-    if fraction < least:
-        raise InputError(f"{text}: {rule}")
+    refuse_if(fraction < least, f"{text}: {rule}")
     if fraction < _DIM:
         warnings.warn(f"{text}: {rule}", stacklevel=2)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_count, shown
+from ..errors import InputError, refuse_if, require_count, shown
 from ..fitting.model import Number, changed, numbers_of, values
 from .spreads import Gradient
 
@@ -92,8 +92,10 @@ def maximise(
     numbers, low, high = _numbers(camera, bounds)
     start, names = values(camera, numbers), tuple(dict.fromkeys(number.name for number in numbers))
     for number, value, least, most in zip(numbers, start, low, high, strict=True):
-        if not least <= value <= most:
-            raise InputError(f"bounds: {number.label} starts at {value:g}: it must lie from {least:g} to {most:g}")
+        refuse_if(
+            not least <= value <= most,
+            f"bounds: {number.label} starts at {value:g}: it must lie from {least:g} to {most:g}",
+        )
     best: list[Any] = [-np.inf, camera]
     tried = 0
 
@@ -141,9 +143,7 @@ def _numbers(
             raise InputError(f"bounds: {shown(name)}: the camera has {labels}")
         numbers += chosen
         limits += [pair] * len(chosen)
-    if not numbers:
-        raise InputError("bounds: name at least one number that varies")
-    if len({number.label for number in numbers}) < len(numbers):
-        raise InputError("bounds: a number has two of them")
+    refuse_if(not numbers, "bounds: name at least one number that varies")
+    refuse_if(len({number.label for number in numbers}) < len(numbers), "bounds: a number has two of them")
     low, high = np.array(limits, np.float64).T
     return numbers, low, high

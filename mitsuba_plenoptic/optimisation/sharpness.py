@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, did_you_mean, require_count, require_number
+from ..errors import InputError, did_you_mean, refuse_if, require_count, require_number
 from ..reconstruction import RayRefocus
 from .spreads import DESIGN_ACCURACY, Gradient, Spreads, require_held
 
@@ -116,8 +116,7 @@ class RefocusedContrast:
         for refocus, image in zip(self._refocus, images, strict=True):
             bins = refocus.forward(image.astype(np.float32)).astype(np.float64)
             light, slope = bins.sum(), np.zeros_like(bins)
-            if not light > 0:
-                raise InputError("points: one of them sends no light to the recorded pixels")
+            refuse_if(not light > 0, "points: one of them sends no light to the recorded pixels")
             for amplitudes, waves, across in (
                 (self._along_x @ bins.sum(0), self._along_x, False),
                 (self._along_y @ bins.sum(1), self._along_y, True),

@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from ..bounds import LONGEST, SHORTEST, require_wavelength
-from ..errors import InputError, did_you_mean, require_known, require_number, shown
+from ..errors import InputError, did_you_mean, refuse_if, require_known, require_number, shown
 from . import lenses
 from .glass import LINE_D, Glass
 
@@ -100,11 +100,11 @@ class Surface:
         if not isinstance(value, dict):
             raise InputError(f"{where} = {shown(value)}: it must be numbers by name, such as radius")
         require_known(f"{where}: ", value, sorted(_NAMES))
-        if "semi_aperture" not in value:
-            raise InputError(f"{where}: semi_aperture: it is missing; it tells up to where light passes")
+        refuse_if(
+            "semi_aperture" not in value, f"{where}: semi_aperture: it is missing; it tells up to where light passes"
+        )
         radius = require_number(f"{where}: radius", value.get("radius", math.inf), finite=False)
-        if abs(radius) < SHORTEST:
-            raise InputError(f"{where}: radius = {radius:g}: it must not be 0; a plane has no radius")
+        refuse_if(abs(radius) < SHORTEST, f"{where}: radius = {radius:g}: it must not be 0; a plane has no radius")
         asphere = value.get("asphere", ())
         if not isinstance(asphere, (list, tuple)) or len(asphere) > MOST_COEFFICIENTS:
             raise InputError(f"{where}: asphere = {shown(asphere)}: it must be at most {MOST_COEFFICIENTS} numbers")
@@ -118,11 +118,10 @@ class Surface:
             conic=require_number(f"{where}: conic", value.get("conic", 0.0), minimum=-LONGEST, maximum=LONGEST),
             asphere=tuple(require_number(f"{where}: asphere", entry) for entry in asphere),
         )
-        if (1 + made.conic) * (made.semi_aperture * made.curvature) ** 2 >= 1:
-            raise InputError(
-                f"{where}: semi_aperture = {made.semi_aperture:g}: the surface of radius {made.radius:g} ends before "
-                "that"
-            )
+        refuse_if(
+            (1 + made.conic) * (made.semi_aperture * made.curvature) ** 2 >= 1,
+            f"{where}: semi_aperture = {made.semi_aperture:g}: the surface of radius {made.radius:g} ends before that",
+        )
         return made
 
 
@@ -192,8 +191,7 @@ class Prescription:
             if not isinstance(flag, bool):
                 raise InputError(f"main_lens: surface {number + 1}: stop = {shown(flag)}: it must be true or false")
             stops += [number] if flag else []
-        if len(stops) != 1:
-            raise InputError(f"main_lens: {len(stops)} surfaces have stop: true: it must be just one of them")
+        refuse_if(len(stops) != 1, f"main_lens: {len(stops)} surfaces have stop: true: it must be just one of them")
         if surfaces[-1].glass is not None:
             raise InputError(f"main_lens: surface {len(surfaces)}: glass: air must follow the last surface")
         texts = {name: value.get(name, "") for name in ("name", "source")}

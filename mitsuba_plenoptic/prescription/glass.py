@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..bounds import require_wavelength
-from ..errors import InputError, require_known, require_number, shown
+from ..errors import InputError, refuse_if, require_known, require_number, shown
 
 LINE_D, LINE_F, LINE_C = 587.5618, 486.1327, 656.2725
 """Wavelengths in nanometres at which catalogues give index and Abbe number: helium d, hydrogen F and C."""
@@ -258,8 +258,7 @@ class _Entry(NamedTuple):
         material = importlib.import_module("optiland.materials").MaterialFile(str(path))
         # A wavelength at the end of the data stays within them, whatever its digits.
         wavelengths = [one for one in _CATALOGUE.tolist() if self.low - 1e-6 <= one <= self.high + 1e-6]
-        if len(wavelengths) < 2:
-            raise InputError(f"glass {name}: its data reach from {self.low:g} to {self.high:g} nm only")
+        refuse_if(len(wavelengths) < 2, f"glass {name}: its data reach from {self.low:g} to {self.high:g} nm only")
         indices = [float(np.ravel(material.n(wavelength * 1e-3))[0]) for wavelength in wavelengths]
         pairs = [number for pair in zip(wavelengths, indices, strict=True) for number in pair]
         return Glass("table", tuple(pairs), name)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from .data import Prescription
 
 
@@ -79,10 +79,10 @@ def paraxial(prescription: Prescription, wavelength: float | None = None) -> Par
     if not -C > 1e-12:
         told = "infinite" if abs(C) <= 1e-12 else f"{-1 / C:.4g} mm"
         raise InputError(f"main_lens: its focal length is {told}: it must be positive, so that it forms an image")
-    if min(abs(before[0, 0]), abs(after[1, 1])) < 1e-9:
-        raise InputError(
-            "main_lens: one of its pupils is at infinity: object- or image-side telecentric lenses are not supported"
-        )
+    refuse_if(
+        min(abs(before[0, 0]), abs(after[1, 1])) < 1e-9,
+        "main_lens: one of its pupils is at infinity: object- or image-side telecentric lenses are not supported",
+    )
     radius = prescription.surfaces[prescription.stop].semi_aperture
     values = (
         -1 / C,
@@ -95,6 +95,5 @@ def paraxial(prescription: Prescription, wavelength: float | None = None) -> Par
         radius / abs(before[0, 0]),
         radius / abs(after[1, 1]),
     )
-    if not all(map(math.isfinite, values)):
-        raise InputError("main_lens: its numbers leave what a float holds")
+    refuse_if(not all(map(math.isfinite, values)), "main_lens: its numbers leave what a float holds")
     return Paraxial(*map(float, values))

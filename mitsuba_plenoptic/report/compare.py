@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError
+from ..errors import refuse_if
 from .experiment import Settings, open_store, run_experiment
 from .figures import draw_comparison
 from .framing import brightest_zoom
@@ -20,8 +20,7 @@ def compare(settings: Settings, output: Path, *, stages: StageOptions | None = N
     The ray capture has parabolic lenses, whose aberrations are those of the wave capture's thin phases, so that
     diffraction is the only difference.
     """
-    if not settings.distances:
-        raise InputError("distance: give at least one to refocus to")
+    refuse_if(not settings.distances, "distance: give at least one to refocus to")
     store = open_store(output, stages)
     experiment = run_experiment(settings, store)
     numbers = measure(experiment)

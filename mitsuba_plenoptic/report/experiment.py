@@ -15,7 +15,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..capture.render import render_capture
 from ..capture.scene import load_scene
-from ..errors import InputError
+from ..errors import refuse_if
 from ..io.captures import Capture
 from ..reconstruction import Reconstruction, reconstruct
 from ..reconstruction.arguments import require_distances
@@ -178,8 +178,10 @@ class Experiment:
 
 def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     """Capture and refocus, taking from the store what is already there."""
-    if "mono" not in settings.variant:
-        raise InputError(f"variant = {settings.variant!r}: a comparison is made in one colour; use a mono variant")
+    refuse_if(
+        "mono" not in settings.variant,
+        f"variant = {settings.variant!r}: a comparison is made in one colour; use a mono variant",
+    )
     set_variant(settings.variant)
     scene = load_with_sensor(settings.scene, settings.parameters)
     sensor = scene.sensors()[0]
@@ -188,8 +190,9 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     sensor.lens_model = "parabolic"
     sensor.parameters_changed()
     camera = PlenopticCamera.from_sensor(sensor)
-    if camera.is_cropped:
-        raise InputError(f"{settings.scene}: a comparison needs the full detector; remove the film's crop window")
+    refuse_if(
+        camera.is_cropped, f"{settings.scene}: a comparison needs the full detector; remove the film's crop window"
+    )
     distances = sorted({*settings.distances, *settings.slider})
     require_distances(distances, camera)
 
@@ -205,8 +208,7 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
             render_capture(scene, model="ray", spp=settings.spp, noise=settings.noise, progress=progress)
         ),
     )
-    if not ray.image.any():
-        raise InputError(f"{settings.scene}: the capture is black: its camera sees no light")
+    refuse_if(not ray.image.any(), f"{settings.scene}: the capture is black: its camera sees no light")
 
     def by_waves(name: str, **options: Any) -> tuple[Capture, str]:
         options["wavelength"] = settings.wavelength
@@ -264,16 +266,17 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
 def load_with_sensor(name: str, parameters: Mapping[str, str]) -> Any:
     """Load a scene and refuse one without a sensor."""
     scene = load_scene(name, parameters=parameters)
-    if not scene.sensors():
-        raise InputError(f"{name}: it has no sensor; add one of type 'plenoptic'")
+    refuse_if(not scene.sensors(), f"{name}: it has no sensor; add one of type 'plenoptic'")
     return scene
 
 
 def open_store(output: Path, stages: StageOptions | None) -> StageStore:
     """Check, before the work, that the output folder can be made; it is made with the first stage."""
     there = next(path for path in (output, *output.absolute().parents) if path.exists())
-    if not there.is_dir() or not os.access(there, os.W_OK):
-        raise InputError(f"{output}: the folder cannot be made: {there} is not a folder that can be written to")
+    refuse_if(
+        not there.is_dir() or not os.access(there, os.W_OK),
+        f"{output}: the folder cannot be made: {there} is not a folder that can be written to",
+    )
     return StageStore(output / "data", stages)
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from ..errors import InputError
+from ..errors import refuse_if
 from ..io.exr import image_channels, write_exr_parts
 from ..io.files import require_writable
 from ..io.ground_truth import COORDINATES
@@ -44,8 +44,7 @@ def reconstruction_paths(path: str | Path, distances: Sequence[float]) -> list[P
         return [path]
     names = [f"{path.stem}_{distance:.12g}{path.suffix}" for distance in distances]
     for name, distance in zip(names, distances, strict=True):
-        if names.count(name) > 1:
-            raise InputError(f"distance = {distance:g}: it is given twice")
+        refuse_if(names.count(name) > 1, f"distance = {distance:g}: it is given twice")
     return [require_writable(path.with_name(name)) for name in names]
 
 

@@ -22,7 +22,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from . import llvm
 
 _P = ParamSpec("_P")
@@ -44,11 +44,11 @@ if hasattr(os, "register_at_fork"):
 
 def require_own_process() -> None:
     """Make sure that Dr.Jit's threads are this process's own: without them it waits for ever, sooner or later."""
-    if _forked:
-        raise InputError(
-            "process: it was forked from one in which Dr.Jit was at work, and has none of its threads; start it with "
-            "multiprocessing.get_context('spawn')"
-        )
+    refuse_if(
+        _forked,
+        "process: it was forked from one in which Dr.Jit was at work, and has none of its threads; start it with "
+        "multiprocessing.get_context('spawn')",
+    )
 
 
 def one_at_a_time(function: Callable[_P, _R]) -> Callable[_P, _R]:

@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import refuse_if
 from .batches import Batch, BatchMap, Box, PartialSum, Threads, add
 
 Progress = Callable[[int, int], None]
@@ -131,8 +131,7 @@ class Job:
                 image = task.combine(self._sum(task, state, done, items))
                 state = Snapshot(number, np.add(state.image, image, out=state.image))
             done += task.items
-        if state.sums > number:
-            raise InputError(f"checkpoint: it is damaged: {state.sums} sums are no part of {number}")
+        refuse_if(state.sums > number, f"checkpoint: it is damaged: {state.sums} sums are no part of {number}")
         return state.image
 
     def _sum(self, task: Task, state: Snapshot, before: int, items: int) -> NDArray[np.float32]:
@@ -140,11 +139,11 @@ class Job:
         work = task.plan()
         shape = (work.channels, work.box.rows, work.box.columns)
         start = state.partial or PartialSum(0, work.arrays.zeros(shape, np.float32))
-        if start.sums.shape != shape or not 0 <= start.batches <= len(work.items):
-            raise InputError(
-                f"checkpoint: {start.batches} batches of shape {start.sums.shape}: this sum has {len(work.items)} of "
-                f"shape {shape}"
-            )
+        refuse_if(
+            start.sums.shape != shape or not 0 <= start.batches <= len(work.items),
+            f"checkpoint: {start.batches} batches of shape {start.sums.shape}: this sum has {len(work.items)} of "
+            f"shape {shape}",
+        )
         left = work.items[start.batches :].tolist()
         total = replace(start, sums=work.arrays.asarray(start.sums))
         batches, done = work.batches(start.batches), before + task.items - sum(left)

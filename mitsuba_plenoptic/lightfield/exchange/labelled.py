@@ -7,7 +7,7 @@ from pathlib import Path
 
 import xarray as xr
 
-from ...errors import InputError
+from ...errors import InputError, refuse_if
 from ...io.files import atomic_output, require_file, require_size
 from ...runtime.limits import require_memory
 from ..geometry import camera_of, require_light_field
@@ -66,14 +66,16 @@ def read_labelled(path: str | Path) -> xr.DataArray:
             require_memory(_PER_BYTE * require_file(path).stat().st_size, f"{path}: a light field")
             with path.open("rb") as file:
                 begins = file.read(3)
-            if begins != b"CDF":
-                raise InputError(
-                    f"{path}: it is not NetCDF 3; open other formats with xarray and convert them in Python"
-                )
+            refuse_if(
+                begins != b"CDF",
+                f"{path}: it is not NetCDF 3; open other formats with xarray and convert them in Python",
+            )
             stored = xr.load_dataarray(path, engine="scipy")
         else:
-            if not (path / "zarr.json").is_file() and not (path / ".zgroup").is_file():
-                raise InputError(f"{path}: there is no such folder of Zarr")
+            refuse_if(
+                not (path / "zarr.json").is_file() and not (path / ".zgroup").is_file(),
+                f"{path}: there is no such folder of Zarr",
+            )
             require_zarr(path)
             _require_zarr_memory(path)
             stored = xr.load_dataarray(path, engine="zarr")

@@ -16,7 +16,7 @@ import numpy as np
 from ...bounds import require_wavelength
 from ...camera import PlenopticCamera
 from ...capture.render import is_wave_capture, render_capture
-from ...errors import InputError, argument, require_choice, require_number
+from ...errors import InputError, argument, refuse_if, require_choice, require_number
 from ...io.captures import Capture
 from ...io.checkpoints import Checkpoint
 from ...io.yaml_file import read_yaml
@@ -48,8 +48,7 @@ def parse_grid(texts: Iterable[str]) -> dict[str, list[Any]]:
     grids = []
     for text in texts:
         name, equals, values = text.partition("=")
-        if not name or not equals:
-            raise InputError(f"--vary {text}: write it as --vary NAME=VALUE,VALUE,...")
+        refuse_if(not name or not equals, f"--vary {text}: write it as --vary NAME=VALUE,VALUE,...")
         grids.append({name: [part.strip() for part in values.split(",")] if values.strip() else []})
     return merge_grids(*grids)
 
@@ -59,8 +58,7 @@ def merge_grids(*grids: Mapping[str, list[Any]]) -> dict[str, list[Any]]:
     merged: dict[str, list[Any]] = {}
     for grid in grids:
         for name in grid:
-            if name in merged:
-                raise InputError(f"grid: {name} is given twice")
+            refuse_if(name in merged, f"grid: {name} is given twice")
         merged |= grid
     return merged
 
@@ -71,17 +69,13 @@ def check_grid(grid: Mapping[Any, Any]) -> dict[str, tuple[float, ...]]:
     for name, values in grid.items():
         if not isinstance(name, str) or not name.isidentifier():
             raise InputError(f"grid: {name!r} is not a name")
-        if not len(values):
-            raise InputError(f"grid: {name} has no values")
+        refuse_if(not len(values), f"grid: {name} has no values")
         checked[name] = tuple(_number(name, value) for value in values)
         for value, count in Counter(checked[name]).items():
-            if count > 1:
-                raise InputError(f"grid: {name} = {value:g} is given twice")
-    if not checked:
-        raise InputError("grid: it is empty; give at least one name with values")
+            refuse_if(count > 1, f"grid: {name} = {value:g} is given twice")
+    refuse_if(not checked, "grid: it is empty; give at least one name with values")
     count = math.prod(len(values) for values in checked.values())
-    if count > _MOST_POINTS:
-        raise InputError(f"grid: it has {count} points; at most {_MOST_POINTS} are allowed")
+    refuse_if(count > _MOST_POINTS, f"grid: it has {count} points; at most {_MOST_POINTS} are allowed")
     return checked
 
 
