@@ -1,4 +1,4 @@
-"""``mitsuba-plenoptic info``: the design sheet of a camera."""
+"""``mitsuba-plenoptic info`` and ``doctor``: the design sheet of a camera, and the state of the installation."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from ..errors import printable, refuse_if
 from ..io.captures import Capture, read_capture
 from ..presets import PRESETS
 from ..report.design_sheet import Row, design_sheet
+from ..report.installation import inspect_installation
 from .inputs import load_camera, parse_definitions
 from .options import Definitions, number
 
@@ -105,3 +106,21 @@ def _table(rows: list[Row]) -> Table:
         for row in members:
             table.add_row(f"  {row.quantity}", escape(row.value), row.unit, f"[dim]{escape(row.note)}[/dim]")
     return table
+
+
+def doctor() -> None:
+    """Check the installation: versions, LLVM, Mitsuba variants, threads and GPU.
+
+    The exit status is 0 if captures can be rendered here and 1 if not.
+    """
+    found = inspect_installation()
+    for title, lines in found.sections.items():
+        typer.echo(f"\n{typer.style(title, bold=True)}")
+        for name, value in lines:
+            typer.echo(f"  {name:<26} {value}")
+    typer.echo()
+    if found.problem:
+        typer.echo(f"Problem: {found.problem}.")
+    if not found.ready:
+        raise typer.Exit(1)
+    typer.echo("Ready to render.")
