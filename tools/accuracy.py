@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from mitsuba_plenoptic.report.experiment import agreement
-from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.report.output_files import write_png
 
 Row = dict[str, Any]
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from mitsuba_plenoptic import load_scene, read_capture, reconstruct, render_capture, write_capture
 from mitsuba_plenoptic.report.experiment import thin_lens_image
-from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.report.output_files import write_png
 
 DISTANCES = {"8": 210.0, "#": 280.0}
 OVERSAMPLE = 4

@@ -28,7 +28,7 @@ from verdict import Verdict
 
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.optimisation import DepthInformation, Design, RefocusedContrast, maximise
-from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.report.output_files import write_png
 
 WITHIN = 0.005
 """Distance of the ends from the best of the scan."""

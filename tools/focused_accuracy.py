@@ -20,8 +20,8 @@ from scipy.ndimage import map_coordinates
 from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.design import effective_resolution, suitable_oversample
 from mitsuba_plenoptic.report.experiment import thin_lens_image
-from mitsuba_plenoptic.report.images import write_png
 from mitsuba_plenoptic.report.measurements import square_sharpness
+from mitsuba_plenoptic.report.output_files import write_png
 
 DISTANCE = 240.0
 WAVELENGTH = 633.0

@@ -23,7 +23,7 @@ from mitsuba_plenoptic.lightfield import decode, view_mosaic
 from mitsuba_plenoptic.operator.units import radiance_weight
 from mitsuba_plenoptic.reconstruction import Reconstruction, Volume
 from mitsuba_plenoptic.reconstruction.deconvolution.fourier import FourierResponse
-from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.report.output_files import write_png
 from mitsuba_plenoptic.report.volumes import write_volume_overview
 
 WAVELENGTH, PHOTONS = 550.0, 2000.0

@@ -21,7 +21,7 @@ import mitsuba as mi
 import numpy as np
 
 from mitsuba_plenoptic import estimate_capture, load_scene, render_capture
-from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.report.output_files import write_png
 
 LIMITS = {
     ("still_life", "llvm_ad_mono"): (150.0, 4.0),

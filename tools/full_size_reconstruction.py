@@ -23,7 +23,7 @@ import mitsuba as mi
 import numpy as np
 
 from mitsuba_plenoptic import load_scene, read_capture, reconstruct, render_capture, write_capture
-from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.report.output_files import write_png
 
 METHODS = {"coherent": {"method": "coherent"}, "auto": {"method": "partial", "interleave": "auto"}}
 LIMIT = 8.0

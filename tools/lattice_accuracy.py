@@ -17,7 +17,7 @@ from mitsuba_plenoptic import Capture, design, load_scene, reconstruct, render_c
 from mitsuba_plenoptic.lightfield import estimate_lens_grid
 from mitsuba_plenoptic.lightfield.grid import micro_image_centres
 from mitsuba_plenoptic.report.experiment import agreement, thin_lens_image
-from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.report.output_files import write_png
 
 LATTICES = {
     "square": {},

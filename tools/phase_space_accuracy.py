@@ -26,7 +26,7 @@ from mitsuba_plenoptic.capture.signed_colours import Node
 from mitsuba_plenoptic.capture.signed_rays import SignedRaySum
 from mitsuba_plenoptic.lenses.telecentric import TelecentricLens
 from mitsuba_plenoptic.operator.units import brightness_at, brightness_of, radiance_weight
-from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.report.output_files import write_png
 from mitsuba_plenoptic.runtime.jobs import Job, Task
 from mitsuba_plenoptic.system.phase_space import PhaseSpace
 from mitsuba_plenoptic.thin_lens import conjugate_distance

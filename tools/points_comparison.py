@@ -22,7 +22,7 @@ import numpy as np
 
 from mitsuba_plenoptic import PlenopticCamera, load_scene, render_capture, scene_path
 from mitsuba_plenoptic.plugins.other_camera import with_camera
-from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.report.output_files import write_png
 
 PIXELS = 32
 """Pixels of a lens at full resolution."""

@@ -29,7 +29,7 @@ import numpy as np
 
 from mitsuba_plenoptic import Capture, load_scene, read_capture, reconstruct, render_capture
 from mitsuba_plenoptic.report.experiment import agreement, best_shift, thin_lens_image
-from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.report.output_files import write_png
 
 DISTANCES = (210.0, 240.0, 280.0)
 LETTERS = {"8": (210.0, 3.2), "F": (240.0, 0.0), "#": (280.0, -3.2)}  # distance, and x at 240 mm

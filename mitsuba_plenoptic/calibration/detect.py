@@ -20,11 +20,10 @@ from ..io.files import atomic_output
 from ..lightfield.grid import lens_types
 from ..runtime.limits import require_memory
 from .blur import CutBlur
-from .boards import BoardView, Picture, find_board
+from .boards import BoardView, Picture, Saddles, find_board, find_saddles
 from .model import predict_centres
 from .numbers import numbers_of
 from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, Board, LensIndex, Table
-from .saddle import Saddles, find_saddles
 
 # Pixels of less than this fraction of the light in the middle of micro-images are not used.
 _DARK = 0.25

@@ -10,7 +10,6 @@ from ..camera import PlenopticCamera, require_camera
 from ..errors import InputError, refuse_if, suggest_keywords
 from .adjustment import Problem, Solution, adjust, adjust_poses, both_axes, deviation, huber, outlying, robust_lines
 from .blur import Blur, fit_blur
-from .deviations import deviations, moved_solutions
 from .model import AT, NAMES, Observations, predict_centres
 from .numbers import camera_of, numbers_of, on_pixel_grid
 from .observations import (
@@ -23,6 +22,7 @@ from .observations import (
     observations,
     require_on_detector,
 )
+from .residuals import deviations, moved_solutions
 from .start import board_images, start_values, upright_poses
 
 # How often it is decided anew which rows are outliers.

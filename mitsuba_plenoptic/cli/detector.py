@@ -7,13 +7,12 @@ from typing import Annotated
 
 import typer
 
-from ..detector import Detector
+from ..detector import MOSAICS, Detector
 from ..detector import expose as record
 from ..errors import InputError
 from ..io.captures import read_capture, write_capture
 from ..io.files import require_apart, require_writable
 from ..io.raw import RAW_SUFFIXES, write_raw
-from ..mosaic import MOSAICS
 from .inputs import named_camera, read_recorded, require_linear
 from .options import CameraFile, CaptureFile, CaptureOutput, Linear, RawOutput, number
 

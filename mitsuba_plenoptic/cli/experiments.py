@@ -60,7 +60,7 @@ def compare(
       --distance 258 -D resolution=2048 -D detector_width=4.096
     """
     # Figures need libraries that take a second to load, which other commands need not wait for.
-    from ..report.compare import compare as compute
+    from ..report.comparison import compare as compute
     from ..report.experiment import Settings
     from ..report.metrics import ssim_text
 
@@ -225,7 +225,7 @@ def reproduce(
       mitsuba-plenoptic reproduce --preset paper -o paper
     """
     # Figures need libraries that take a second to load, which other commands need not wait for.
-    from ..report.reproduce import reproduce as compute
+    from ..report.comparison import reproduce as compute
 
     with stage_lines(resume) as stages:
         results = compute(output, preset=preset, stages=stages)

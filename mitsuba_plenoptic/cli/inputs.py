@@ -19,7 +19,7 @@ from ..io.captures import Capture, read_capture
 from ..io.raw import RAW_SUFFIXES, read_raw, scaled_from, tells_detector
 from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
-from ..report.images import Brightness
+from ..report.output_files import Brightness
 from ..runtime.batches import BatchMap
 from ..runtime.cluster import Cluster
 from ..runtime.variant import DEFAULT_VARIANT

@@ -15,8 +15,7 @@ from ..io.captures import Capture
 from ..io.ground_truth import GroundTruth
 from ..lightfield import ground_truth
 from ..plugins.other_camera import with_camera
-from .draws import generator
-from .recipe import Plan, Recipe
+from .recipe import Plan, Recipe, generator
 
 VIEWS = "views_"
 """Before the names of quantities of the decoded views; those without it are of the pixels."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from .reader import DataSet
+from .shards import DataSet
 
 try:
     import torch

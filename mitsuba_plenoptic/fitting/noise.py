@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..detector import require_demosaiced
 from ..errors import InputError, refuse_if, require_number
 from ..io.captures import Capture
 from ..io.raw import response_of
-from ..mosaic import require_demosaiced
 
 if TYPE_CHECKING:
     from .light import View

@@ -14,7 +14,7 @@ from ..objective import Objective
 from ..prescription import BUNDLED, Prescription, bundled_prescription
 from .codev_file import read_codev
 from .files import atomic_output, require_file
-from .yaml_file import read_yaml
+from .plain_data import read_yaml
 from .zemax_file import read_zemax
 
 DESIGNS = {".zmx": read_zemax, ".seq": read_codev}

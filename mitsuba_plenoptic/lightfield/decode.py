@@ -9,10 +9,10 @@ import scipy
 import xarray as xr
 
 from ..camera import PlenopticCamera, require_camera
+from ..detector import require_demosaiced
 from ..errors import InputError, refuse_if, shown, suggest_keywords
 from ..io.captures import Capture, as_array, require_pixels, require_suitable_white
 from ..io.ground_truth import COORDINATES, GroundTruth, channel_planes
-from ..mosaic import require_demosaiced
 from ..runtime.limits import require_memory
 from .fourier_views import decode_views
 from .geometry import DIMS, light_field

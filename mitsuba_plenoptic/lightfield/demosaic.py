@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..detector import MOSAICS, filters, mosaic_of, require_demosaiced
 from ..errors import InputError, argument, refuse_if, require_choice, suggest_keywords
 from ..io.captures import Capture, require_suitable_white
-from ..mosaic import MOSAICS, filters, mosaic_of, require_demosaiced
 from .grid import lens_numbers
 from .white import scaled_white, white_image
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if, require_count, shown
 from ..fitting.model import Number, changed, numbers_of, values
-from .spreads import Gradient
+from .figures import Gradient
 
 _TOLERANCE = 1e-6
 """Relative change of the figure that ends a search."""

@@ -10,6 +10,7 @@ from typing import Any, overload
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..detector import require_demosaiced
 from ..errors import (
     InputError,
     argument,
@@ -24,7 +25,6 @@ from ..io.captures import Capture, as_array, require_pixels, require_suitable_wh
 from ..io.checkpoints import Checkpoint
 from ..lenses.wave_cameras import require_ideal
 from ..lightfield.white import scaled_white
-from ..mosaic import require_demosaiced
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap

@@ -10,9 +10,9 @@ import numpy as np
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
+from ..detector import require_demosaiced
 from ..errors import InputError, argument, require_choice, require_count, require_number, shown
 from ..io.captures import Capture, as_array
-from ..mosaic import require_demosaiced
 from ..optics.phase import in_millimetres
 from ..runtime.limits import largest_fitting, require_memory
 from ..thin_lens import image_distance

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, require_choice
 from ..io.files import atomic_output, require_writable
-from ..lightfield.exchange.labelled import require_zarr
+from ..lightfield.exchange.files import require_zarr
 from ..runtime.limits import require_memory
 from .result import Reconstruction
 

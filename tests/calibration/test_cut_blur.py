@@ -7,7 +7,7 @@ import pytest
 
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.calibration.blur import CutBlur
-from mitsuba_plenoptic.calibration.saddle import find_saddles
+from mitsuba_plenoptic.calibration.boards import find_saddles
 
 CAMERA = PlenopticCamera.preset("raytrix").replace(mla_aperture="circle")
 COUNT, SIDE = 20, 23

@@ -15,8 +15,8 @@ from scipy import stats
 from mitsuba_plenoptic import InputError, design
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.dataset import parse_recipe, read_recipe
-from mitsuba_plenoptic.dataset.draws import draw, parse
 from mitsuba_plenoptic.dataset.generators import Light, Shapes
+from mitsuba_plenoptic.dataset.recipe import draw, parse
 
 
 def drawn(value, count=2000):

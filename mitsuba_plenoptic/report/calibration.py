@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from ...calibration import Board, Calibration, ResidualMap, Table, residual_map
-from ...calibration.model import UNITS
-from ...calibration.observations import placed
-from ...calibration.residuals import field_cells, group_means
-from ...io.files import atomic_output
+from ..calibration import Board, Calibration, ResidualMap, Table, residual_map
+from ..calibration.model import UNITS
+from ..calibration.observations import placed
+from ..calibration.residuals import field_cells, group_means
+from ..io.files import atomic_output
+from .page import template
 
 # Cells across the detector of which the mean residual is drawn, and how much it is enlarged there.
 _CELLS = 24
@@ -31,14 +31,6 @@ def write_calibration_report(
     path: str | Path, calibration: Calibration, board: Board, corners: Table, centres: Table | None
 ) -> None:
     """Write the report on a calibration."""
-    folder = Path(__file__).parent
-    environment = Environment(
-        loader=FileSystemLoader([folder, folder.parent / "page"]),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     size, seen = calibration.camera.crop_size, calibration.evaluation
     outliers = seen.outliers
     lens = residual_map(calibration, board, corners, "lens", 1)
@@ -55,7 +47,7 @@ def write_calibration_report(
         means = group_means(-calibration.centre_residuals[kept], cell)[1]
         maps.append(("Centres of micro-images", _arrows(middle, means, size)))
     radius = np.hypot(*(corners.pixel - (np.array(size) - 1) / 2).T)
-    page = environment.get_template("calibration.html").render(
+    page = template("calibration.html").render(
         calibration=calibration,
         seen=seen,
         outliers=outliers + 2,
