@@ -47,6 +47,15 @@ def refuse_if(broken: object, message: str) -> None:
         raise InputError(message)
 
 
+@contextlib.contextmanager
+def naming(thing: object) -> Iterator[None]:
+    """Begin the message of an `InputError` with the thing that it is about, such as the path of a file."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{thing}: {error}") from None
+
+
 def printable(text: str, longest: int | None = None) -> str:
     """Make one line that no terminal acts on: white space becomes a space, other control characters escapes."""
     if longest is not None and len(text) > longest:

@@ -1,4 +1,4 @@
-r"""Corners of checkerboards in raw pictures: a sharp view of the board of a focused camera, and where OpenCV finds the board in it.
+r"""Corners of checkerboards in raw pictures: a sharp view of a focused camera's board, and where OpenCV finds it.
 
 With C the centre of a micro-image, a point is seen in it at :math:`p = C + \sigma (C - Q)`: Q is where the point would
 be seen through a lens on the line to the main lens's centre, and :math:`\sigma` its disparity, the same for all points

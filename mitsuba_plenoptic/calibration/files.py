@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_count, require_number, shown
+from ..errors import InputError, naming, require_count, require_number, shown
 from ..io.files import atomic_output, read_text
 from ..lenses.distortion import undistort
 from ..presets import PRESETS
@@ -99,12 +99,10 @@ def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
         values = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: it is no JSON file: {error}") from None
-    try:
+    with naming(path):
         if isinstance(values, dict) and {"mla", "main_lens", "sensor"} <= set(values):
             return libpleno_camera(values), None
         return PlenopticCamera.from_json(text), _index(values)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _index(values: dict[str, Any]) -> LensIndex | None:

@@ -17,7 +17,7 @@ from ..camera import PlenopticCamera
 from ..capture.render import MOST_SAMPLES
 from ..capture.scene import scene_path
 from ..detector import Detector
-from ..errors import InputError, refuse_if, require_choice, require_count, require_known, require_number, shown
+from ..errors import InputError, naming, refuse_if, require_choice, require_count, require_known, require_number, shown
 from ..io.captures import MODELS
 from ..io.ground_truth import QUANTITIES, require_quantities
 from ..io.plain_data import read_yaml
@@ -184,10 +184,8 @@ def read_recipe(path: str | Path) -> Recipe:
     content = read_yaml(path)
     if not isinstance(content, dict):
         raise InputError(f"{path}: a recipe must be a mapping of names, with 'count', 'camera' and 'scenes'")
-    try:
+    with naming(path):
         return parse_recipe({"name": path.stem, **content}, path.parent)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
@@ -287,10 +285,8 @@ def _require_names(name: str, values: Mapping[Any, Any], known: tuple[str, ...],
 @contextlib.contextmanager
 def _within(what: str) -> Iterator[None]:
     """Say in a message what it is about."""
-    try:
+    with naming(what):
         yield
-    except InputError as error:
-        raise InputError(f"{what}: {error}") from None
 
 
 _SCALES = ("linear", "log")

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError, refuse_if, require_choice, shown, suggest_keywords
+from ..errors import InputError, naming, refuse_if, require_choice, shown, suggest_keywords
 from .exr import read_exr, write_exr
 
 MODELS = ("ray", "wave")
@@ -204,7 +204,7 @@ def read_capture(path: str | Path) -> Capture:
         If the file does not exist, is damaged, or is not a capture.
     """
     image, noise, attributes = read_exr(path)
-    try:
+    with naming(path):
         if attributes.get("kind") != "capture":
             raise InputError(f"it holds a {shown(attributes.get('kind'))}, not a capture")
         if not isinstance(attributes.get("camera"), dict):
@@ -217,5 +217,3 @@ def read_capture(path: str | Path) -> Capture:
             metadata=attributes.get("metadata", {}),
             noise=noise,
         )
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if, require_choice, shown
+from ..errors import InputError, naming, refuse_if, require_choice, shown
 from .exr import read_exr_parts, write_exr_parts
 
 QUANTITIES = {"depth": "Z", "position": "XYZ", "normal": "XYZ", "albedo": "RGB", "shape_index": "I"}
@@ -134,7 +134,7 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
         If the file does not exist, is damaged, or is something else.
     """
     parts, attributes = read_exr_parts(path)
-    try:
+    with naming(path):
         if attributes.get("kind") != "ground truth":
             raise InputError(f"it holds a {shown(attributes.get('kind'))}, not ground truth")
         camera = PlenopticCamera.from_dict(attributes.get("camera", {}))
@@ -153,8 +153,6 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
         pixels, views = (_quantities(parts[part], len(shapes)) for part in (_PIXELS, _VIEWS))
         views = {name: array.reshape(v, t, u, s, *array.shape[2:]).swapaxes(1, 2) for name, array in views.items()}
         return GroundTruth(camera, pixels, views, tuple(shapes), to_world)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _matrix(value: Any) -> np.ndarray:

@@ -18,7 +18,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if, require_number
+from ..errors import InputError, naming, refuse_if, require_number
 from ..runtime.limits import require_memory
 from .captures import Capture
 from .files import atomic_output, require_file, require_writable
@@ -91,7 +91,7 @@ def read_raw(path: str | Path) -> Capture:
             raise TypeError("camera and exposure are no objects")
     except (ValueError, TypeError, KeyError, RecursionError):
         raise InputError(f"{path}: it tells no camera and detector; a raw picture needs its camera") from None
-    try:
+    with naming(path):
         return Capture(
             image=_values(numbers, about["metadata"]["exposure"]),
             camera=PlenopticCamera.from_dict(about["camera"]),
@@ -99,8 +99,6 @@ def read_raw(path: str | Path) -> Capture:
             model=about.get("model", ""),
             metadata=about["metadata"],
         )
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def tells_detector(path: str | Path) -> bool:

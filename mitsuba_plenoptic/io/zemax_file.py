@@ -83,12 +83,10 @@ class _Reader:
         header = getattr(self, f"_header_{keyword.lower()}", None)
         of_surface = getattr(self, f"_surface_{keyword.lower()}", None)
         if header is None and (of_surface is None or not self.surfaces):
-            if not closing:
-                raise line.refused(f"{keyword} is not understood, and leaving it out could change the lens")
+            line.refuse_if(not closing, f"{keyword} is not understood, and leaving it out could change the lens")
             return
         own = keyword, *(line.words[1:2] if keyword in ("PARM", "WAVM") else ())
-        if own in self.taken:
-            raise line.refused(f"{' '.join(own)} is given twice")
+        line.refuse_if(own in self.taken, f"{' '.join(own)} is given twice")
         self.taken.add(own)
         if header is not None:
             header(line)
@@ -126,47 +124,45 @@ class _Reader:
             order, term = int(line.value(1)), line.value(2)
             if not term:
                 continue
-            if order == 1:
-                raise line.refused("there must be no term of the second power: put it into the curvature")
-            if not 2 <= order <= 8:
-                raise line.refused("an even asphere has the parameters 1 to 8")
+            line.refuse_if(order == 1, "there must be no term of the second power: put it into the curvature")
+            line.refuse_if(not 2 <= order <= 8, "an even asphere has the parameters 1 to 8")
             terms[order - 2] = term
         return terms
 
     def _glass(self, line: Line) -> Glass:
         name, way = line.word(1), int(line.value(2, _FIXED))
-        if name == "MIRROR":
-            raise line.refused("mirrors are not read")
+        line.refuse_if(name == "MIRROR", "mirrors are not read")
         if way == _MODEL:
-            if line.value(6, 0.0):
-                raise line.refused(
-                    "a model glass's deviation of the partial dispersion must be 0; name a glass instead"
-                )
+            line.refuse_if(
+                line.value(6, 0.0),
+                "a model glass's deviation of the partial dispersion must be 0; name a glass instead",
+            )
             index, abbe = line.value(4), line.value(5)
             return Glass("abbe", (index, abbe), "model") if abbe else Glass("index", (index,), "model")
-        if way not in (_FIXED, _PICKED_UP, _SUBSTITUTE):
-            raise line.refused("only fixed, substitute, picked up and model glasses are read")
+        line.refuse_if(
+            way not in (_FIXED, _PICKED_UP, _SUBSTITUTE), "only fixed, substitute, picked up and model glasses are read"
+        )
         where = f"{self.path}, line {line.number}: glass"
         return catalogue_glass(name, where, self.makers or None)
 
     def _header_mode(self, line: Line) -> None:
-        if line.words[1:] != ("SEQ",):
-            raise line.refused("only sequential lenses are read")
+        line.refuse_if(line.words[1:] != ("SEQ",), "only sequential lenses are read")
 
     def _header_name(self, line: Line) -> None:
         self.name = " ".join(line.words[1:])
 
     def _header_unit(self, line: Line) -> None:
-        if line.word(1) not in UNITS:
-            raise line.refused(f"the unit must be one of {', '.join(UNITS)}")
+        line.refuse_if(line.word(1) not in UNITS, f"the unit must be one of {', '.join(UNITS)}")
         self.unit = UNITS[line.word(1)]
 
     def _header_gcat(self, line: Line) -> None:
         self.makers = list(line.words[1:])
 
     def _header_envd(self, line: Line) -> None:
-        if line.value(3, 0.0) and (line.value(1), line.value(2)) != (20.0, 1.0):
-            raise line.refused("indices are those at 20 degrees and 1 atmosphere")
+        line.refuse_if(
+            line.value(3, 0.0) and (line.value(1), line.value(2)) != (20.0, 1.0),
+            "indices are those at 20 degrees and 1 atmosphere",
+        )
 
     def _header_wavm(self, line: Line) -> None:
         self.wavelengths[int(line.value(1))] = line.value(2)
@@ -180,20 +176,20 @@ class _Reader:
         self.primary = int(line.value(1))
 
     def _header_mnum(self, line: Line) -> None:
-        if line.value(1) != 1:
-            raise line.refused("only files of one configuration are read")
+        line.refuse_if(line.value(1) != 1, "only files of one configuration are read")
 
     def _header_surf(self, line: Line) -> None:
-        if line.value(1) != len(self.surfaces):
-            raise line.refused(f"surfaces must be numbered from 0; this is number {len(self.surfaces)}")
+        line.refuse_if(
+            line.value(1) != len(self.surfaces),
+            f"surfaces must be numbered from 0; this is number {len(self.surfaces)}",
+        )
         self.surfaces.append(DesignSurface())
         self.kinds.append("STANDARD")
         self.parameters.append([])
         self.taken.clear()
 
     def _surface_type(self, line: Line, surface: DesignSurface) -> None:
-        if line.word(1) not in _SURFACES:
-            raise line.refused(f"only surfaces of the types {' and '.join(_SURFACES)} are read")
+        line.refuse_if(line.word(1) not in _SURFACES, f"only surfaces of the types {' and '.join(_SURFACES)} are read")
         self.kinds[-1] = line.word(1)
 
     def _surface_curv(self, line: Line, surface: DesignSurface) -> None:
@@ -221,8 +217,7 @@ class _Reader:
         surface.semi_aperture = surface.semi_aperture or line.value(1)
 
     def _surface_clap(self, line: Line, surface: DesignSurface) -> None:
-        if line.value(1):
-            raise line.refused("obscurations are not read: the inner radius of the aperture must be 0")
+        line.refuse_if(line.value(1), "obscurations are not read: the inner radius of the aperture must be 0")
         surface.semi_aperture = line.value(2)
 
     _surface_flap = _surface_clap

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from ...camera import PlenopticCamera
-from ...errors import InputError, argument, refuse_if
+from ...errors import InputError, argument, naming, refuse_if
 from ...io.captures import Capture, read_capture
 from ...io.files import atomic_output, require_file, require_size, require_writable
 from ...io.ground_truth import NAME, SUFFIX, GroundTruth, read_ground_truth
@@ -271,12 +271,10 @@ def read_labelled(path: str | Path) -> xr.DataArray:
     except Exception as error:
         # NetCDF, Zarr and xarray report damage by many types of exception; all mean the same to the user.
         raise InputError(f"{path}: it cannot be read as a light field: {error}") from None
-    try:
+    with naming(path):
         lf = require_light_field(stored)
         if lf.attrs.get("camera"):
             camera_of(lf)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     return lf
 
 
