@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .errors import InputError, require_count, require_number, require_pair, shown
+from .errors import InputError, require_count, require_number, require_pair, short_repr
 
 SHORTEST, LONGEST = 1e-9, 1e9
 """Bounds of every length in scene units: a picometre and a thousand kilometres in millimetres.
@@ -79,7 +79,7 @@ def require_lengths(name: str, value: Any, counts: Collection[int], rule: str) -
     value = _plain(value)
     lengths = tuple(require_length(name, number) for number in (value if isinstance(value, (tuple, list)) else [value]))
     if len(lengths) not in counts:
-        raise InputError(f"{name} = {shown(value)}: it must be {rule}")
+        raise InputError(f"{name} = {short_repr(value)}: it must be {rule}")
     return lengths
 
 
@@ -103,7 +103,7 @@ def require_wavefront(value: Any, name: str = "wavefront") -> tuple[float, ...]:
     """Return Zernike coefficients in waves, up to 66 of them, as a tuple."""
     value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) > MOST_ABERRATIONS:
-        raise InputError(f"{name} = {shown(value)}: it must be at most {MOST_ABERRATIONS} numbers")
+        raise InputError(f"{name} = {short_repr(value)}: it must be at most {MOST_ABERRATIONS} numbers")
     return require_numbers(name, value, len(value), STRONGEST_ABERRATION)
 
 
@@ -111,13 +111,15 @@ def require_response(value: Any, name: str = "pixel_response") -> tuple[float, .
     """Return pairs of an angle in degrees, rising from 0, and a response from 0 to 1, as one tuple of numbers."""
     value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) % 2 or len(value) == 2:
-        raise InputError(f"{name} = {shown(value)}: it must be two or more pairs of an angle in degrees and a response")
+        raise InputError(
+            f"{name} = {short_repr(value)}: it must be two or more pairs of an angle in degrees and a response"
+        )
     numbers = tuple(require_number(name, number, minimum=0, maximum=WIDEST_ANGLE) for number in value)
     angles, responses = numbers[::2], numbers[1::2]
     if numbers and (angles[0] != 0 or any(a >= b for a, b in itertools.pairwise(angles))):
-        raise InputError(f"{name} = {shown(value)}: its angles must rise from 0")
+        raise InputError(f"{name} = {short_repr(value)}: its angles must rise from 0")
     if any(response > 1 for response in responses):
-        raise InputError(f"{name} = {shown(value)}: its responses must be from 0 to 1")
+        raise InputError(f"{name} = {short_repr(value)}: its responses must be from 0 to 1")
     return numbers
 
 
@@ -125,7 +127,7 @@ def require_numbers(name: str, value: Any, count: int, largest: float) -> tuple[
     """Return so many numbers as a tuple, none larger in magnitude than `largest`."""
     value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) != count:
-        raise InputError(f"{name} = {shown(value)}: it must be {count} numbers")
+        raise InputError(f"{name} = {short_repr(value)}: it must be {count} numbers")
     return tuple(require_number(name, number, minimum=-largest, maximum=largest) for number in value)
 
 

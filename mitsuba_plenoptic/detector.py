@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .camera import PlenopticCamera
-from .errors import InputError, refuse_if, require_choice, require_count, require_number, shown, suggest_keywords
+from .errors import InputError, refuse_if, require_choice, require_count, require_number, short_repr, suggest_keywords
 from .io.captures import Capture
 
 # Bounds of what is counted or multiplied, so that no product leaves what a float holds.
@@ -162,7 +162,7 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
         has not three channels.
     """
     if not isinstance(capture, Capture) or not isinstance(detector, Detector):
-        raise InputError(f"expose({shown(capture)}, {shown(detector)}): it takes a Capture and a Detector")
+        raise InputError(f"expose({short_repr(capture)}, {short_repr(detector)}): it takes a Capture and a Detector")
     photons = _positive("photons", photons)
     seed = require_count("seed", seed, minimum=0)
     generator = np.random.default_rng(seed)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from .bounds import require_length
-from .errors import InputError, refuse_if, require_choice, require_known, require_number, shown, suggest_keywords
+from .errors import InputError, refuse_if, require_choice, require_known, require_number, short_repr, suggest_keywords
 
 ARRANGEMENTS = ("image", "fourier")
 
@@ -90,7 +90,7 @@ class Objective:
                 raise InputError(f"{name}: it is missing; arrangement = fourier needs the lens before the array")
             put("fourier_focal_length", require_length(name, given))
         elif given is not None:
-            raise InputError(f"{name} = {shown(given)}: it is for arrangement = fourier; leave it out")
+            raise InputError(f"{name} = {short_repr(given)}: it is for arrangement = fourier; leave it out")
 
     @property
     def name(self) -> str:
@@ -172,7 +172,7 @@ class Objective:
         """
         known = [field.name for field in fields(cls)]
         if not isinstance(value, dict):
-            raise InputError(f"main_lens = {shown(value)}: an objective has {', '.join(known)}")
+            raise InputError(f"main_lens = {short_repr(value)}: an objective has {', '.join(known)}")
         require_known("main_lens: ", value, known)
         for name in known[:2]:
             refuse_if(name not in value, f"main_lens: {name}: it is missing from the objective")

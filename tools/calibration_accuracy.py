@@ -34,9 +34,9 @@ from mitsuba_plenoptic.calibration import (
     Table,
     calibrate,
     camera_centres,
+    cross_validate,
     detect_corners,
     find_centres,
-    left_out_errors,
     read_camera,
     read_centres,
     read_corners,
@@ -115,7 +115,7 @@ def real_camera(folder: Path, verdict: Verdict, parts: Collection[str]) -> None:
     apart = max(abs(ours / other - 1) for ours, other in zip(ours_f, theirs_f, strict=True))
     verdict.judge("R12-A, z over focal lengths of microlenses from COMPOTE's, relative", apart, 0.02)
     displaced_by_type(corners, centres, found)
-    left_out = left_out_errors(corners, BOARD, found, centres)
+    left_out = cross_validate(corners, BOARD, found, centres)
     compote, theirs, depths = Compote(values), [], []
     print(f"{'frame':>6} {'rows':>6} {'ours':>8} {'left out':>9} {'COMPOTE':>8}   px")
     for place, frame in enumerate(seen.frames):

@@ -11,7 +11,7 @@ folder that ``--output`` names; with them held, each fit goes on by Gauss-Newton
 the noise changes.
 
 Most fits start within two deviations of the true camera. ``--far`` of them start as one would who knows little: 2 % off
-in every length, by 1 degree and 0.3 pitches; the lattice is then found in the white capture, `fitting.come_near` finds
+in every length, by 1 degree and 0.3 pitches; the lattice is then found in the white capture, `fitting.coarse_fit` finds
 a camera by rays, and the same steps follow. They must end where the fit of the same noise from near ends.
 
 Over so few seeds the mean of the squared errors is known to the square root of 2 / seeds only (0.22 for 40). The first
@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 from verdict import Verdict
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.fitting import Fit, PixelNoise, View, come_near, lattice_from_white
+from mitsuba_plenoptic.fitting import Fit, PixelNoise, View, coarse_fit, lattice_from_white
 from mitsuba_plenoptic.fitting.model import Model, changed, limits_of, numbers_of, scales, values
 from mitsuba_plenoptic.fitting.noise import Pixels
 from mitsuba_plenoptic.fitting.result import summary
@@ -249,7 +249,7 @@ def far_difference(study: Study, seen: Array, rng: np.random.Generator, near: di
     start = lattice_from_white(study.camera.replace(**off), seen[0])
     views = study.views(seen, study.lights)
     began = time.monotonic()
-    coarse = values(come_near(start, views, NAMES, wavelength=WAVELENGTH), study.numbers)
+    coarse = values(coarse_fit(start, views, NAMES, wavelength=WAVELENGTH), study.numbers)
     deviations = study.deviations(study.images)
     print(f"from {np.round((values(start, study.numbers) - study.true) / deviations)}", flush=True)
     print(f"to {np.round((coarse - study.true) / deviations)}, {time.monotonic() - began:.0f} s", flush=True)

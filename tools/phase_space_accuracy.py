@@ -27,7 +27,7 @@ from mitsuba_plenoptic.capture.signed_rays import SignedRaySum
 from mitsuba_plenoptic.lenses.telecentric import TelecentricLens
 from mitsuba_plenoptic.operator.units import brightness_at, brightness_of, radiance_weight
 from mitsuba_plenoptic.report.output_files import write_png
-from mitsuba_plenoptic.runtime.jobs import Job, Task
+from mitsuba_plenoptic.runtime.jobs import Job, SumTask
 from mitsuba_plenoptic.system.phase_space import PhaseSpace
 from mitsuba_plenoptic.thin_lens import conjugate_distance
 
@@ -203,7 +203,9 @@ def capture(plan: PhaseSpace, camera: PlenopticCamera, wall: Wall, samples: int,
     """Capture the wall by signed rays."""
     work = SignedRaySum(camera, wall.light, [Node(plan, (0,), np.ones((1, 1)))], parts=parts, spp=samples, seed=seed)
     items = int(work.items.sum())
-    return Job().run([Task(items, lambda: work, lambda image: image)], (*camera.shape, 1), items)[..., 0].astype(float)
+    return (
+        Job().run([SumTask(items, lambda: work, lambda image: image)], (*camera.shape, 1), items)[..., 0].astype(float)
+    )
 
 
 def error(image: np.ndarray, exact: np.ndarray) -> float:

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from verdict import Verdict
 
 from mitsuba_plenoptic import PlenopticCamera, render_capture
-from mitsuba_plenoptic.calibration import Board, LensIndex, calibrate, camera_centres, detect_corners, joined
+from mitsuba_plenoptic.calibration import Board, LensIndex, calibrate, camera_centres, concatenate, detect_corners
 from mitsuba_plenoptic.calibration import boards as board_scene
 from mitsuba_plenoptic.calibration.model import Observations, predict
 from mitsuba_plenoptic.calibration.numbers import numbers_of
@@ -84,7 +84,7 @@ def round_trip(verdict: Verdict, seeds: int = 40) -> None:
             picture = render_capture(scene, spp=ROUND_TRIP_SAMPLES, seed=seed * len(poses) + frame).image
             noisy = generator.poisson(ROUND_TRIP_PHOTONS * picture.clip(0).astype(float)) / ROUND_TRIP_PHOTONS
             tables.append(detect_corners(noisy, white, centres, board, frame=frame))
-        corners = joined(tables)
+        corners = concatenate(tables)
         found = calibrate(corners, board, start)
         left.append(found.evaluation.error)
         seen, _ = observations(corners, board, LensIndex(0.5, 1, (0, 0)))

@@ -156,7 +156,7 @@ def _triangle(rows: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Solution:
+class Adjusted:
     """Numbers that fit best."""
 
     # (17,).
@@ -177,7 +177,7 @@ def adjust(
     weights: np.ndarray | None = None,
     *,
     most_steps: int = _MOST_STEPS,
-) -> Solution:
+) -> Adjusted:
     """Minimise the weighted sum of squares over some of the camera's numbers and all poses.
 
     Shapes: `weights` (n,).
@@ -208,12 +208,12 @@ def adjust(
                 break
             damping *= 8
             if damping > _MOST_DAMPING:
-                return Solution(numbers, poses, cost, steps)
+                return Adjusted(numbers, poses, cost, steps)
         gain = cost - new_cost
         numbers, poses, cost, damping = new, new_poses, new_cost, max(damping / 10, 1e-12)
         if gain <= _DONE * cost:
             break
-    return Solution(numbers, poses, cost, steps)
+    return Adjusted(numbers, poses, cost, steps)
 
 
 def adjust_poses(problem: Problem, numbers: np.ndarray, poses: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -251,7 +251,7 @@ def _solve(
     return step, np.array(pose_steps)
 
 
-def information(problem: Problem, solution: Solution, free: Sequence[str], weights: np.ndarray) -> np.ndarray:
+def information(problem: Problem, solution: Adjusted, free: Sequence[str], weights: np.ndarray) -> np.ndarray:
     """Return R with R^T R the information (inverse covariance for unit deviations) on the free numbers.
 
     The poses are not held: what they leave undecided is not counted.

@@ -23,7 +23,7 @@ from scipy.ndimage import map_coordinates
 from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if
 from ..lattice.base import Lattice
-from .adjustment import Solution
+from .adjustment import Adjusted
 from .model import AT, Observations
 from .observations import placed
 
@@ -64,7 +64,7 @@ def fit_blur(
     poses: np.ndarray,
     lattice: Lattice,
     types: int,
-    moved: Sequence[Solution] = (),
+    moved: Sequence[Adjusted] = (),
 ) -> Blur:
     """Fit the focal lengths of the microlenses to signed blur radii.
 

@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, naming, require_count, require_number, shown
+from ..errors import InputError, naming, require_count, require_number, short_repr
 from ..io.files import atomic_output, read_text
 from ..lenses.distortion import undistort
 from ..presets import PRESETS
-from .fit import Calibration
 from .model import NAMES
 from .numbers import camera_of
 from .observations import Board, LensIndex
+from .result import Calibration
 
 _LARGEST_FILE = 2**24
 
@@ -115,10 +115,10 @@ def _index(values: dict[str, Any]) -> LensIndex | None:
         odd_rows, row_sign, (k, l) = given["odd_rows"], given["row_sign"], given["first"]  # noqa: E741
     except (TypeError, KeyError, ValueError):
         raise InputError(
-            f"calibration = {shown(record)}: it has no lens_index of odd_rows, row_sign and first"
+            f"calibration = {short_repr(record)}: it has no lens_index of odd_rows, row_sign and first"
         ) from None
     if odd_rows not in (-0.5, 0, 0.5) or row_sign not in (-1, 1):
-        raise InputError(f"lens_index = {shown(given)}: odd_rows is -0.5, 0 or 0.5 and row_sign is -1 or 1")
+        raise InputError(f"lens_index = {short_repr(given)}: odd_rows is -0.5, 0 or 0.5 and row_sign is -1 or 1")
     first = require_count("first", k, minimum=-(2**20)), require_count("first", l, minimum=-(2**20))
     return LensIndex(float(odd_rows), int(row_sign), first)
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ..camera import PlenopticCamera, require_camera
 from ..errors import InputError, refuse_if, suggest_keywords
-from .adjustment import Problem, Solution, adjust, adjust_poses, both_axes, deviation, huber, outlying, robust_lines
-from .blur import Blur, fit_blur
+from .adjustment import Adjusted, Problem, adjust, adjust_poses, both_axes, deviation, huber, outlying, robust_lines
+from .blur import fit_blur
 from .model import AT, NAMES, Observations, predict_centres
 from .numbers import camera_of, numbers_of, on_pixel_grid
 from .observations import (
@@ -22,7 +22,7 @@ from .observations import (
     observations,
     require_on_detector,
 )
-from .residuals import deviations, moved_solutions
+from .result import Calibration, Evaluation, deviations, moved_solutions
 from .start import board_images, start_values, upright_poses
 
 # How often it is decided anew which rows are outliers.
@@ -46,129 +46,6 @@ _OPEN = 0.25
 # much wider than the lenses' distance that image may be: the f-number need not be exact.
 _MOST_BEYOND = 1.6
 _MOST_OVERLAP = 1.5
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """How well a camera explains corners, every row counted.
-
-    Attributes
-    ----------
-    residuals : (n, 2) array
-        Predicted minus observed pixels, in the order of the file.
-    frames : (poses,) int array
-        Numbers of the poses' frames.
-    pose : (n,) int array
-        Which of them each row belongs to.
-    poses : (poses, 6) array
-        Rotation vector (radians) and place of the board's first corner in mm, from the board's to the camera frame.
-    """
-
-    residuals: np.ndarray
-    frames: np.ndarray
-    pose: np.ndarray
-    poses: np.ndarray
-
-    @property
-    def error(self) -> float:
-        """RMS of the distances between predicted and observed places in pixels."""
-        return float(np.sqrt((self.residuals**2).sum(1).mean()))
-
-    @property
-    def pose_errors(self) -> np.ndarray:
-        """The same of each pose."""
-        return np.sqrt(np.bincount(self.pose, (self.residuals**2).sum(1)) / np.bincount(self.pose))
-
-    @property
-    def outliers(self) -> np.ndarray:
-        """Rows, from 0, of residuals beyond six times what is typical."""
-        distance = np.hypot(*self.residuals.T)
-        return np.flatnonzero(outlying(distance))
-
-    @property
-    def error_without_outliers(self) -> float:
-        """RMS of the distances of all rows but the outliers."""
-        return self.without_outliers().error
-
-    def without_outliers(self) -> Evaluation:
-        """Return the same of all rows but the outliers."""
-        kept = np.delete(np.arange(len(self.residuals)), self.outliers)
-        return replace(self, residuals=self.residuals[kept], pose=self.pose[kept])
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """What a calibration found.
-
-    Attributes
-    ----------
-    camera : PlenopticCamera
-        The camera, with the principal point rounded to half a pixel: it is the centre of the full detector, of which
-        the crop window is recorded.
-    index : LensIndex
-        How the data count lenses.
-    evaluation : Evaluation
-        Residuals and poses.
-    numbers, deviations : dict
-        The camera's numbers by the names of `model.NAMES`, and their standard deviations.
-    correlation : (17, 17) array
-        Of the numbers' errors.
-    centre_residuals : (n, 2) array
-        Of the centres that were given.
-    steps : int
-        How often the linear system was solved.
-    blur : Blur, optional
-        What blur radii tell of the microlenses' focal lengths, where the corners have them.
-    disagreement : float
-        By how much the frames disagree about the numbers, over what their residuals' scatter explains.
-    by_frames : bool
-        Whether that is more than chance allows, so that the deviations are those of leaving out frames.
-    centre_outliers : (m,) int array
-        Rows, from 0, of centres that were not fitted: doubtful ones and those that lie off the others' lattice.
-    """
-
-    camera: PlenopticCamera
-    index: LensIndex
-    evaluation: Evaluation
-    numbers: dict[str, float]
-    deviations: dict[str, float]
-    correlation: np.ndarray
-    centre_residuals: np.ndarray
-    steps: int
-    blur: Blur | None = None
-    disagreement: float = 1.0
-    by_frames: bool = False
-    centre_outliers: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
-
-    @property
-    def centre_error(self) -> float | None:
-        """RMS of the distances between predicted and observed centres in pixels; None without centres."""
-        if not len(self.centre_residuals):
-            return None
-        return float(np.sqrt((self.centre_residuals**2).sum(1).mean()))
-
-    def weak_directions(self, count: int = 3) -> list[tuple[float, dict[str, float]]]:
-        """Return what the data tell worst: combinations of numbers that can change together.
-
-        Parameters
-        ----------
-        count : int
-            How many of them.
-
-        Returns
-        -------
-        list of (float, dict)
-            Deviation of the combination over that of numbers that were independent, greatest first; and by how many of
-            its deviations each number changes, those that matter.
-        """
-        values, vectors = np.linalg.eigh(self.correlation)
-        return [
-            (
-                float(np.sqrt(values[-rank])),
-                {NAMES[i]: float(v) for i, v in enumerate(vectors[:, -rank]) if abs(v) > 0.2},
-            )
-            for rank in range(1, count + 1)
-        ]
 
 
 @suggest_keywords
@@ -299,7 +176,7 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
     return Evaluation(problem.residuals(numbers, poses), frames, seen.pose, poses)
 
 
-def left_out_errors(
+def cross_validate(
     corners: Table, board: Board, calibration: Calibration, centres: Table | None = None
 ) -> dict[int, float]:
     """Calibrate without each pose in turn, and predict it: its pose is refitted, nothing else.
@@ -330,7 +207,7 @@ def left_out_errors(
     errors = {}
     for out, frame in enumerate(frames):
         problem = _poses(whole, seen.pose != out)
-        weights = _weights(problem, Solution(numbers, np.delete(poses, out, 0), 0.0, 0), np.delete(frames, out))
+        weights = _weights(problem, Adjusted(numbers, np.delete(poses, out, 0), 0.0, 0), np.delete(frames, out))
         found = adjust(problem, numbers, np.delete(poses, out, 0), weights=weights)
         alone = _poses(Problem(seen, whole.pixel_size, whole.row_ratio), seen.pose == out)
         refitted = adjust(alone, found.numbers, poses[out : out + 1], ())
@@ -374,7 +251,7 @@ def _distance(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np.nd
 
 
 def _require_matching_pupil(
-    problem: Problem, found: Solution, weights: np.ndarray, start: PlenopticCamera, board: Board, pitch: float
+    problem: Problem, found: Adjusted, weights: np.ndarray, start: PlenopticCamera, board: Board, pitch: float
 ) -> None:
     """Refuse distances in the camera at which the pupil's images are not as large as micro-images are seen to be.
 
@@ -399,7 +276,7 @@ def _require_matching_pupil(
     )
 
 
-def _weights(problem: Problem, found: Solution, frames: np.ndarray) -> np.ndarray:
+def _weights(problem: Problem, found: Adjusted, frames: np.ndarray) -> np.ndarray:
     """Return the weights of corners: less for those far from their prediction, 0 for outliers."""
     distance = _distance(problem, found.numbers, found.poses)
     weights = np.where(outlying(distance), 0.0, huber(distance))

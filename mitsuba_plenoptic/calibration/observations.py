@@ -135,7 +135,7 @@ class Table:
         return Table(self.name, {name: values[chosen] for name, values in self.columns.items()})
 
 
-def joined(tables: Sequence[Table]) -> Table:
+def concatenate(tables: Sequence[Table]) -> Table:
     """Return the rows of tables with the same columns, one after the other."""
     first = tables[0]
     return Table(first.name, {name: np.concatenate([table[name] for table in tables]) for name in first.columns})

@@ -23,7 +23,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime.jobs import Job, Task
+from ..runtime.jobs import Job, SumTask
 from .scene_light import LightDerivatives
 from .signed_camera import CameraAdjoint, CameraTangents, Values, parameters_of
 from .signed_capture import SignedCapture, Sum
@@ -156,4 +156,4 @@ class SignedGradients:
         work = self._sum(kind, light)
         items = int(work.items.sum())
         shape = *self.capture.camera.shape, self.capture.colours.spectrum.channels
-        return Job().run([Task(items, lambda: work, lambda image: image)], shape, items)
+        return Job().run([SumTask(items, lambda: work, lambda image: image)], shape, items)

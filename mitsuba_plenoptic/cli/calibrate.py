@@ -185,7 +185,7 @@ def _detect(
         )
         seen = len(np.unique(found[-1]["cluster"]))
         typer.echo(f"frame {frame}, {path.name}: {seen} corners, seen {len(found[-1]['k'])} times")
-    calibration.write_corners(output, calibration.joined(found))
+    calibration.write_corners(output, calibration.concatenate(found))
     typer.echo(f"{output}: {sum(len(table['k']) for table in found)} corners in {len(paths)} pictures")
 
 

@@ -124,7 +124,7 @@ def fit(
     with Checkpoint(checkpoint, "resume" if resume else "refuse") as steps:
         with progress_bar("Cameras") as progress, stopped_by_hand(steps, progress):
             if afar and not resume:
-                first = fitting.come_near(first, views, names, wavelength=known, progress=progress)
+                first = fitting.coarse_fit(first, views, names, wavelength=known, progress=progress)
             found = fitting.fit(
                 first,
                 views,

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from ..camera import PlenopticCamera
 from ..design import depth_ranges
-from ..errors import InputError, refuse_if, require_count, require_number, shown
+from ..errors import InputError, refuse_if, require_count, require_number, short_repr
 
 _TEXELS = (64, 512)
 """Texels along an edge, at least and at most."""
@@ -66,8 +66,8 @@ _BEHIND = 1.02
 
 
 @dataclass(frozen=True)
-class Light:
-    """Light of generated scenes."""
+class Illumination:
+    """Illumination of generated scenes."""
 
     # Radiance from everywhere, from 0 to 1e6.
     sky: float = 0.5
@@ -93,7 +93,7 @@ class Light:
 class SceneGenerator(Protocol):
     """Makes random scenes before a camera."""
 
-    def scene(self, camera: PlenopticCamera, light: Light, random: np.random.Generator) -> dict[str, Any]:
+    def scene(self, camera: PlenopticCamera, light: Illumination, random: np.random.Generator) -> dict[str, Any]:
         """Describe a scene for ``mi.load_dict``, without a sensor; a camera at the origin looks along +z."""
 
 
@@ -127,7 +127,7 @@ class Shapes:
         require_number("plain", self.plain, minimum=0, maximum=1)
         require_number("tilt", self.tilt, minimum=0, maximum=80)
         if not isinstance(self.kinds, (list, tuple)) or not self.kinds or not set(self.kinds) <= set(KINDS):
-            raise InputError(f"kinds = {shown(self.kinds)}: it must be a list of some of {', '.join(KINDS)}")
+            raise InputError(f"kinds = {short_repr(self.kinds)}: it must be a list of some of {', '.join(KINDS)}")
 
     def between(self, camera: PlenopticCamera) -> tuple[float, float]:
         """Return the nearest and the farthest distance of objects before a camera."""
@@ -146,7 +146,7 @@ class Shapes:
         )
         return float(near), float(far)
 
-    def scene(self, camera: PlenopticCamera, light: Light, random: np.random.Generator) -> dict[str, Any]:
+    def scene(self, camera: PlenopticCamera, light: Illumination, random: np.random.Generator) -> dict[str, Any]:
         """Describe a scene for ``mi.load_dict``, without a sensor; a camera at the origin looks along +z."""
         near, far = self.between(camera)
         extent = np.array([camera.detector_width, camera.detector_height])

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError, refuse_if, shown
+from ..errors import InputError, refuse_if, short_repr
 from ..io.files import read_text
 from ..report.stage_store import scene_fingerprint, write_json
 from ..runtime.limits import software
@@ -80,7 +80,9 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     except (ValueError, KeyError, TypeError, RecursionError):
         raise InputError(f"{path}: it is not the manifest of a data set") from None
     if not all(isinstance(number, int) and number > 0 for number in numbers):
-        raise InputError(f"{path}: count, samples_per_shard = {shown(numbers)}: they must be whole numbers above 0")
+        raise InputError(
+            f"{path}: count, samples_per_shard = {short_repr(numbers)}: they must be whole numbers above 0"
+        )
     return dict(content)
 
 
@@ -122,8 +124,8 @@ def claim(folder: Path, recipe: Recipe) -> Layout:
         for name in sorted(set(now) | {key for key in before if key.partition(".")[0] in facts}):
             if before.get(name) != now.get(name) and name != _GROWING:
                 raise InputError(
-                    f"{folder}: it holds samples of another recipe: {name} was {shown(before.get(name))}, is "
-                    f"{shown(now.get(name))}; choose another folder"
+                    f"{folder}: it holds samples of another recipe: {name} was {short_repr(before.get(name))}, is "
+                    f"{short_repr(now.get(name))}; choose another folder"
                 )
         if found["count"] > recipe.count:
             raise InputError(f"count = {recipe.count}: {folder} holds {found['count']} samples; it may only grow")

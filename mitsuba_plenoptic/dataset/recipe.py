@@ -17,13 +17,22 @@ from ..camera import PlenopticCamera
 from ..capture.render import MOST_SAMPLES
 from ..capture.scene import scene_path
 from ..detector import Detector
-from ..errors import InputError, naming, refuse_if, require_choice, require_count, require_known, require_number, shown
+from ..errors import (
+    InputError,
+    naming,
+    refuse_if,
+    require_choice,
+    require_count,
+    require_known,
+    require_number,
+    short_repr,
+)
 from ..io.captures import MODELS
 from ..io.ground_truth import QUANTITIES, require_quantities
 from ..io.plain_data import read_yaml
 from ..presets import PRESETS
 from ..runtime.variant import DEFAULT_VARIANT
-from .generators import GENERATORS, Light, SceneGenerator
+from .generators import GENERATORS, Illumination, SceneGenerator
 
 MOST_COUNT = 10**6
 
@@ -51,14 +60,14 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Plan:
+class SamplePlan:
     """What is drawn for one sample."""
 
     index: int
     # Which of the recipe's scenes.
     source: int
     camera: PlenopticCamera
-    light: Light
+    light: Illumination
     maker: SceneGenerator | None
     parameters: Mapping[str, str]
     # As for `expose`; None without noise.
@@ -113,7 +122,7 @@ class Recipe:
     samples_per_shard: int
     content: Mapping[str, Any]
 
-    def plan(self, index: int) -> Plan:
+    def plan(self, index: int) -> SamplePlan:
         """Draw what varies for a sample.
 
         Parameters
@@ -153,8 +162,8 @@ class Recipe:
                 photons = require_number("photons", settings.pop("photons"), minimum=1e-9, maximum=1e9)
                 detector = Detector(**settings)
         options = {model: drawn[model] for model in self.models}
-        light = Light(**drawn["light"])
-        return Plan(index, number, camera, light, maker, parameters, detector, photons, options, drawn)
+        light = Illumination(**drawn["light"])
+        return SamplePlan(index, number, camera, light, maker, parameters, detector, photons, options, drawn)
 
     def check(self) -> None:
         """Draw the first thousand samples, and refuse values that are out of range before anything is rendered."""
@@ -206,12 +215,12 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
     _require_names("recipe", content, _KEYS, needed=("count", "camera", "scenes"))
     models = content.get("models", list(MODELS))
     if not isinstance(models, list) or not models or len(set(map(str, models))) < len(models):
-        raise InputError(f"models = {shown(models)}: it must be a list of some of {', '.join(MODELS)}")
+        raise InputError(f"models = {short_repr(models)}: it must be a list of some of {', '.join(MODELS)}")
     for model in models:
         require_choice("models", model, MODELS)
     for section in MODELS:
         if section in content and section not in models:
-            raise InputError(f"{section}: models = {shown(models)} has no {section} captures; leave it out")
+            raise InputError(f"{section}: models = {short_repr(models)} has no {section} captures; leave it out")
     camera = _section("camera", content, (*PlenopticCamera().to_dict(), "focus_distance", "preset"))
     if "preset" in camera:
         require_choice("camera: preset", camera["preset"], tuple(PRESETS))
@@ -220,10 +229,10 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
         raise InputError("noise: photons is missing: photons that hit a pixel of value 1")
     scenes = content["scenes"]
     if not isinstance(scenes, list) or not scenes:
-        raise InputError(f"scenes = {shown(scenes)}: it must be a list of scenes and generators")
+        raise InputError(f"scenes = {short_repr(scenes)}: it must be a list of scenes and generators")
     truth = content.get("truth", ["depth", "normal"])
     if not isinstance(truth, list):
-        raise InputError(f"truth = {shown(truth)}: it must be a list of some of {', '.join(QUANTITIES)}")
+        raise InputError(f"truth = {short_repr(truth)}: it must be a list of some of {', '.join(QUANTITIES)}")
     recipe = Recipe(
         name=str(content.get("name", "dataset")),
         count=require_count("count", content["count"], maximum=MOST_COUNT),
@@ -232,7 +241,7 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
         variant=str(content.get("variant", DEFAULT_VARIANT)),
         camera=camera,
         scenes=tuple(_source(number, entry, folder) for number, entry in enumerate(scenes)),
-        light=_section("light", content, tuple(f.name for f in fields(Light))),
+        light=_section("light", content, tuple(f.name for f in fields(Illumination))),
         noise=noise,
         ray={"spp": 16, **_section("ray", content, ("spp",))},
         wave={"spp": 16, "method": "signed_rays", **_section("wave", content, _WAVE)},
@@ -248,7 +257,7 @@ def _source(number: int, entry: Any, folder: Path) -> Source:
     """Make one entry of the list of scenes."""
     name = f"scenes: entry {number + 1}"
     if not isinstance(entry, Mapping) or ("generator" in entry) == ("scene" in entry):
-        raise InputError(f"{name} = {shown(entry)}: it must have either 'generator' or 'scene'")
+        raise InputError(f"{name} = {short_repr(entry)}: it must have either 'generator' or 'scene'")
     share = require_number(f"{name}: share", entry.get("share", 1), positive=True, maximum=1e9)
     if "generator" in entry:
         kind = require_choice(f"{name}: generator", entry["generator"], tuple(GENERATORS))
@@ -259,7 +268,7 @@ def _source(number: int, entry: Any, folder: Path) -> Source:
     _require_names(name, entry, ("scene", "share", "parameters"))
     values = entry.get("parameters", {})
     if not isinstance(values, Mapping):
-        raise InputError(f"{name}: parameters = {shown(values)}: they must be values by name")
+        raise InputError(f"{name}: parameters = {short_repr(values)}: they must be values by name")
     scene = str(entry["scene"])
     with _within(name):
         path = folder / scene if (folder / scene).is_file() else scene_path(scene)
@@ -271,7 +280,7 @@ def _section(name: str, content: Mapping[str, Any], known: tuple[str, ...]) -> d
     """Parse a section whose names are known."""
     section = content.get(name, {})
     if not isinstance(section, Mapping):
-        raise InputError(f"{name} = {shown(section)}: it must be values by name")
+        raise InputError(f"{name} = {short_repr(section)}: it must be values by name")
     _require_names(name, section, known)
     return {key: parse(f"{name}: {key}", value) for key, value in section.items()}
 
@@ -336,12 +345,12 @@ def parse(name: str, value: Any) -> Any:
     if set(value) == {"one_of"}:
         choices = value["one_of"]
         if not isinstance(choices, list) or not choices:
-            raise InputError(f"{name}: one_of = {shown(choices)}: it must be a list of values")
+            raise InputError(f"{name}: one_of = {short_repr(choices)}: it must be a list of values")
         return OneOf(tuple(choices))
     require_known(f"{name}: ", value, ("from", "to", "scale", "step", "one_of"))
     if "one_of" in value or not {"from", "to"} <= set(value):
         raise InputError(
-            f"{name} = {shown(dict(value))}: a range is {{from: A, to: B}}, a choice {{one_of: [A, B, ...]}}"
+            f"{name} = {short_repr(dict(value))}: a range is {{from: A, to: B}}, a choice {{one_of: [A, B, ...]}}"
         )
     low, high = (require_number(f"{name}: {key}", value[key]) for key in ("from", "to"))
     refuse_if(not low < high, f"{name}: from = {low:g}, to = {high:g}: 'from' must be less than 'to'")

@@ -15,7 +15,7 @@ from ..io.captures import Capture
 from ..io.ground_truth import GroundTruth
 from ..lightfield import ground_truth
 from ..plugins.other_camera import with_camera
-from .recipe import Plan, Recipe, generator
+from .recipe import Recipe, SamplePlan, generator
 
 VIEWS = "views_"
 """Before the names of quantities of the decoded views; those without it are of the pixels."""
@@ -78,7 +78,7 @@ class Sample:
         )
 
 
-def open_sample(recipe: Recipe, plan: Plan) -> Any:
+def open_sample(recipe: Recipe, plan: SamplePlan) -> Any:
     """Make or load the scene of a sample, seen by its camera."""
     source = recipe.scenes[plan.source]
     if plan.maker:

@@ -92,7 +92,7 @@ _AT_BOUND = 1e-3
 """A number is at a bound if it is nearer than this part of what lies between its bounds."""
 
 
-def come_near(
+def coarse_fit(
     camera: PlenopticCamera,
     views: View | Sequence[View],
     names: Iterable[str] | str,
@@ -153,7 +153,7 @@ def come_near(
     if stuck.any():
         named = ", ".join(f"{numbers[one].label} = {x[one]:.6g}" for one in np.flatnonzero(stuck))
         warnings.warn(
-            f"come_near: at a bound: {named}: start nearer, give other bounds, or seek fewer numbers", stacklevel=2
+            f"coarse_fit: at a bound: {named}: start nearer, give other bounds, or seek fewer numbers", stacklevel=2
         )
     return found
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError, naming, refuse_if, require_choice, shown, suggest_keywords
+from ..errors import InputError, naming, refuse_if, require_choice, short_repr, suggest_keywords
 from .exr import read_exr, write_exr
 
 MODELS = ("ray", "wave")
@@ -74,12 +74,12 @@ class Capture:
         require_choice("model", self.model, MODELS)
         if isinstance(self.wavelength, (tuple, list)):
             if len(self.wavelength) != channels:
-                raise InputError(f"wavelength = {shown(self.wavelength)}: the image has {channels} channels")
+                raise InputError(f"wavelength = {short_repr(self.wavelength)}: the image has {channels} channels")
             object.__setattr__(self, "wavelength", tuple(require_wavelength(value) for value in self.wavelength))
         elif self.wavelength is not None:
             object.__setattr__(self, "wavelength", require_wavelength(self.wavelength))
         if not isinstance(self.metadata, dict):
-            raise InputError(f"metadata = {shown(self.metadata)}: it must be a dictionary")
+            raise InputError(f"metadata = {short_repr(self.metadata)}: it must be a dictionary")
         if self.noise is not None:
             noise = as_array("noise", self.noise)
             refuse_if(
@@ -95,7 +95,7 @@ class Capture:
         """Describe the capture in one line."""
         rows, columns = self.camera.shape
         colours = " x 3" if self.image.ndim == 3 else ""
-        light = "" if self.wavelength is None else f", {shown(self.wavelength)} nm"
+        light = "" if self.wavelength is None else f", {short_repr(self.wavelength)} nm"
         noise = "" if self.noise is None else f", noise {self.relative_noise:.2%}"
         return (
             f"Capture({columns} x {rows}{colours} pixels by {self.model}s{light}, mean {self.image.mean():.4g}{noise})"
@@ -151,8 +151,8 @@ def require_suitable_white(white: Capture, cameras: Sequence[PlenopticCamera]) -
     theirs, ours = white.camera.to_dict(), cameras[-1].to_dict()
     number = next(number for number in {**ours, **theirs} if theirs.get(number) != ours.get(number))
     raise InputError(
-        f"white: its camera has {number} = {shown(theirs.get(number))}, that of the capture "
-        f"{shown(ours.get(number))}: it must be by the camera of the capture"
+        f"white: its camera has {number} = {short_repr(theirs.get(number))}, that of the capture "
+        f"{short_repr(ours.get(number))}: it must be by the camera of the capture"
     )
 
 
@@ -206,7 +206,7 @@ def read_capture(path: str | Path) -> Capture:
     image, noise, attributes = read_exr(path)
     with naming(path):
         if attributes.get("kind") != "capture":
-            raise InputError(f"it holds a {shown(attributes.get('kind'))}, not a capture")
+            raise InputError(f"it holds a {short_repr(attributes.get('kind'))}, not a capture")
         if not isinstance(attributes.get("camera"), dict):
             raise InputError("its header has no camera")
         return Capture(

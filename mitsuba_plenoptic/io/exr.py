@@ -40,7 +40,7 @@ _LOSSLESS = (
 )
 
 
-class Part(NamedTuple):
+class ExrPart(NamedTuple):
     """What the header of one part of an OpenEXR file says: its data window, its channels, and all attributes."""
 
     origin: tuple[int, int]  # column and row
@@ -183,7 +183,7 @@ def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], 
     return found, attributes
 
 
-def _attributes(part: Part) -> dict[str, Any]:
+def _attributes(part: ExrPart) -> dict[str, Any]:
     """Return what the attribute of this package holds."""
     attributes = json.loads(part.header.get(ATTRIBUTE, "null"))
     if not isinstance(attributes, dict):
@@ -191,7 +191,7 @@ def _attributes(part: Part) -> dict[str, Any]:
     return attributes
 
 
-def read_parts(path: Path) -> list[Part]:
+def read_parts(path: Path) -> list[ExrPart]:
     """Read the headers of an OpenEXR file, without its pixels."""
     _require_small_header(path)
     try:
@@ -223,11 +223,11 @@ def _require_small_header(path: Path) -> None:
     raise InputError(f"{path}: its header claims more than {_LARGEST_HEADER} bytes: it may have at most as many")
 
 
-def _part(header: dict[str, Any]) -> Part:
+def _part(header: dict[str, Any]) -> ExrPart:
     (left, top), (right, bottom) = (map(int, corner) for corner in header["dataWindow"])
     names = tuple(channel.name for channel in header["channels"])
     # Closing the file empties its own dictionary.
-    return Part((left, top), right - left + 1, bottom - top + 1, names, dict(header))
+    return ExrPart((left, top), right - left + 1, bottom - top + 1, names, dict(header))
 
 
 def _damaged(path: Path, error: Exception) -> InputError:
@@ -243,12 +243,12 @@ def _damaged(path: Path, error: Exception) -> InputError:
     return InputError(f"{path}: it cannot be read as an OpenEXR image, or is damaged: {reason}")
 
 
-def _require_lossless(part: Part) -> None:
+def _require_lossless(part: ExrPart) -> None:
     if part.header["type"] != OpenEXR.scanlineimage or part.header["compression"] not in _LOSSLESS:
         raise ValueError("its pixels are tiled or deep, or their compression is lossy or unknown")
 
 
-def _image_channels(part: Part) -> tuple[str, ...]:
+def _image_channels(part: ExrPart) -> tuple[str, ...]:
     _require_lossless(part)
     for names in (("Y",), ("R", "G", "B")):
         if set("YRGB").intersection(part.channels) == set(names):

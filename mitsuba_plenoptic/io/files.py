@@ -13,7 +13,7 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-from ..errors import InputError, refuse_if, shown
+from ..errors import InputError, refuse_if, short_repr
 
 _NO_ROOM = 2**16
 """Bytes that are free on a disk that is taken for full."""
@@ -90,7 +90,7 @@ def read_text(path: str | Path, largest: int) -> str:
 
 def _path(path: str | Path) -> Path:
     if not isinstance(path, (str, Path)) or "\0" in str(path):
-        raise InputError(f"path = {shown(path)}: it must be the name of a file")
+        raise InputError(f"path = {short_repr(path)}: it must be the name of a file")
     return Path(path)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, naming, refuse_if, require_choice, shown
+from ..errors import InputError, naming, refuse_if, require_choice, short_repr
 from .exr import read_exr_parts, write_exr_parts
 
 QUANTITIES = {"depth": "Z", "position": "XYZ", "normal": "XYZ", "albedo": "RGB", "shape_index": "I"}
@@ -136,20 +136,20 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
     parts, attributes = read_exr_parts(path)
     with naming(path):
         if attributes.get("kind") != "ground truth":
-            raise InputError(f"it holds a {shown(attributes.get('kind'))}, not ground truth")
+            raise InputError(f"it holds a {short_repr(attributes.get('kind'))}, not ground truth")
         camera = PlenopticCamera.from_dict(attributes.get("camera", {}))
         if set(parts) != {_PIXELS, _VIEWS}:
-            raise InputError(f"its parts are {shown(sorted(parts))}: they must be {_PIXELS} and {_VIEWS}")
+            raise InputError(f"its parts are {short_repr(sorted(parts))}: they must be {_PIXELS} and {_VIEWS}")
         sizes = attributes.get("views")
         if not isinstance(sizes, list) or len(sizes) != 4 or not all(isinstance(n, int) and n > 0 for n in sizes):
-            raise InputError(f"views = {shown(sizes)}: they must be four numbers")
+            raise InputError(f"views = {short_repr(sizes)}: they must be four numbers")
         v, u, t, s = sizes
         for part, shape in ((_PIXELS, camera.shape), (_VIEWS, (v * t, u * s))):
             for plane in parts[part].values():
                 refuse_if(plane.shape != shape, f"its part {part} has the shape {plane.shape}: it must be {shape}")
         shapes, to_world = attributes.get("shapes"), _matrix(attributes.get("to_world"))
         if not isinstance(shapes, list) or not all(isinstance(shape, str) for shape in shapes):
-            raise InputError(f"shapes = {shown(shapes)}: they must be names")
+            raise InputError(f"shapes = {short_repr(shapes)}: they must be names")
         pixels, views = (_quantities(parts[part], len(shapes)) for part in (_PIXELS, _VIEWS))
         views = {name: array.reshape(v, t, u, s, *array.shape[2:]).swapaxes(1, 2) for name, array in views.items()}
         return GroundTruth(camera, pixels, views, tuple(shapes), to_world)
@@ -161,7 +161,7 @@ def _matrix(value: Any) -> np.ndarray:
     except (TypeError, ValueError):
         matrix = np.empty(0)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise InputError(f"to_world = {shown(value)}: it must be 4 x 4 numbers")
+        raise InputError(f"to_world = {short_repr(value)}: it must be 4 x 4 numbers")
     return matrix
 
 
@@ -170,7 +170,7 @@ def _quantities(planes: Mapping[str, np.ndarray], shapes: int) -> dict[str, np.n
     names = [name for name in QUANTITIES if any(key.startswith(f"{name}.") for key in planes)]
     keys = {name: [f"{name}.{letter}" for letter in QUANTITIES[name]] for name in names}
     if not names or set().union(*keys.values()) != set(planes):
-        raise InputError(f"its channels are {shown(sorted(planes))}: they must be whole quantities")
+        raise InputError(f"its channels are {short_repr(sorted(planes))}: they must be whole quantities")
     found = {
         name: np.stack([planes[key] for key in of_name], axis=-1) if len(of_name) > 1 else planes[of_name[0]]
         for name, of_name in keys.items()

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..errors import InputError, naming, refuse_if, shown
+from ..errors import InputError, naming, refuse_if, short_repr
 from ..prescription import Glass, Prescription
 from .files import require_size
 
@@ -31,7 +31,7 @@ class Line:
 
     def refused(self, rule: str) -> InputError:
         """Return the exception that names file, line, command and rule."""
-        return InputError(f"{self.path}, line {self.number}: {shown(' '.join(self.words))}: {rule}")
+        return InputError(f"{self.path}, line {self.number}: {short_repr(' '.join(self.words))}: {rule}")
 
     def refuse_if(self, broken: object, rule: str) -> None:
         """Refuse the command where it breaks a rule."""

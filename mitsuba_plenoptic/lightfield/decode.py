@@ -10,7 +10,7 @@ import xarray as xr
 
 from ..camera import PlenopticCamera, require_camera
 from ..detector import require_demosaiced
-from ..errors import InputError, refuse_if, shown, suggest_keywords
+from ..errors import InputError, refuse_if, short_repr, suggest_keywords
 from ..io.captures import Capture, as_array, require_pixels, require_suitable_white
 from ..io.ground_truth import COORDINATES, GroundTruth, channel_planes
 from ..runtime.limits import require_memory
@@ -125,7 +125,7 @@ def _checked(
     if camera is not None:
         require_camera(camera)
     if grid is not None and not isinstance(grid, LensGrid):
-        raise InputError(f"grid = {shown(grid)}: it must be a LensGrid")
+        raise InputError(f"grid = {short_repr(grid)}: it must be a LensGrid")
     if camera is None and grid is None:
         raise InputError(
             "camera = None: a plain array needs its camera, or the grid of its micro-images and a white image"

@@ -24,7 +24,7 @@ import numpy as np
 import xarray as xr
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, advice, refuse_if, require_number, shown
+from ..errors import InputError, advice, refuse_if, require_number, short_repr
 from ..io.captures import require_pixels
 from ..optics import rays
 from ..thin_lens import image_distance
@@ -155,7 +155,9 @@ def _record(lf: xr.DataArray, name: str) -> dict[str, Any]:
     try:
         return dict(json.loads(lf.attrs[name]))
     except (TypeError, ValueError) as error:
-        raise InputError(f"light field: its attribute {name} = {shown(lf.attrs[name])} is no JSON: {error}") from None
+        raise InputError(
+            f"light field: its attribute {name} = {short_repr(lf.attrs[name])} is no JSON: {error}"
+        ) from None
 
 
 def require_light_field(lf: Any) -> xr.DataArray:

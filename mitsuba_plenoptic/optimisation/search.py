@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if, require_count, shown
+from ..errors import InputError, refuse_if, require_count, short_repr
 from ..fitting.model import Number, changed, numbers_of, values
 from .figures import Gradient
 
@@ -135,12 +135,14 @@ def _numbers(
     numbers, limits = [], []
     for name, pair in bounds.items():
         if np.shape(pair) != (2,) or not pair[0] < pair[1]:
-            raise InputError(f"bounds: {shown(name)} = {shown(pair)}: it must be the lowest and the highest value")
+            raise InputError(
+                f"bounds: {short_repr(name)} = {short_repr(pair)}: it must be the lowest and the highest value"
+            )
         found = numbers_of(camera, str(name).split(".", 1)[0])
         chosen = [number for number in found if name in (number.name, number.label)]
         if not chosen:
             labels = ", ".join(number.label for number in found)
-            raise InputError(f"bounds: {shown(name)}: the camera has {labels}")
+            raise InputError(f"bounds: {short_repr(name)}: the camera has {labels}")
         numbers += chosen
         limits += [pair] * len(chosen)
     refuse_if(not numbers, "bounds: name at least one number that varies")

@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from ..bounds import LONGEST, SHORTEST, require_wavelength
-from ..errors import InputError, did_you_mean, refuse_if, require_known, require_number, shown
+from ..errors import InputError, did_you_mean, refuse_if, require_known, require_number, short_repr
 from . import lenses
 from .glass import LINE_D, Glass
 
@@ -98,7 +98,7 @@ class Surface:
             If a name is unknown, a value out of range, or the surface ends within its semi-aperture.
         """
         if not isinstance(value, dict):
-            raise InputError(f"{where} = {shown(value)}: it must be numbers by name, such as radius")
+            raise InputError(f"{where} = {short_repr(value)}: it must be numbers by name, such as radius")
         require_known(f"{where}: ", value, sorted(_NAMES))
         refuse_if(
             "semi_aperture" not in value, f"{where}: semi_aperture: it is missing; it tells up to where light passes"
@@ -107,7 +107,9 @@ class Surface:
         refuse_if(abs(radius) < SHORTEST, f"{where}: radius = {radius:g}: it must not be 0; a plane has no radius")
         asphere = value.get("asphere", ())
         if not isinstance(asphere, (list, tuple)) or len(asphere) > MOST_COEFFICIENTS:
-            raise InputError(f"{where}: asphere = {shown(asphere)}: it must be at most {MOST_COEFFICIENTS} numbers")
+            raise InputError(
+                f"{where}: asphere = {short_repr(asphere)}: it must be at most {MOST_COEFFICIENTS} numbers"
+            )
         made = cls(
             radius=radius,
             thickness=require_number(f"{where}: thickness", value.get("thickness", 0.0), minimum=0, maximum=LONGEST),
@@ -176,11 +178,11 @@ class Prescription:
             require_known("main_lens: ", value, ("surfaces", "name", "source", "wavelength"))
         if not isinstance(value, dict) or "surfaces" not in value:
             raise InputError(
-                f"main_lens = {shown(value)}: it must have surfaces, and may have name, source, wavelength"
+                f"main_lens = {short_repr(value)}: it must have surfaces, and may have name, source, wavelength"
             )
         listed = value["surfaces"]
         if not isinstance(listed, (list, tuple)) or not 1 <= len(listed) <= MOST_SURFACES:
-            raise InputError(f"main_lens: surfaces = {shown(listed)}: it must be a list of 1 to {MOST_SURFACES}")
+            raise InputError(f"main_lens: surfaces = {short_repr(listed)}: it must be a list of 1 to {MOST_SURFACES}")
         surfaces = tuple(
             Surface.from_plain(surface, f"main_lens: surface {number}")
             for number, surface in enumerate(listed, start=1)
@@ -189,7 +191,9 @@ class Prescription:
         for number, surface in enumerate(listed):
             flag = surface.get("stop", False)
             if not isinstance(flag, bool):
-                raise InputError(f"main_lens: surface {number + 1}: stop = {shown(flag)}: it must be true or false")
+                raise InputError(
+                    f"main_lens: surface {number + 1}: stop = {short_repr(flag)}: it must be true or false"
+                )
             stops += [number] if flag else []
         refuse_if(len(stops) != 1, f"main_lens: {len(stops)} surfaces have stop: true: it must be just one of them")
         if surfaces[-1].glass is not None:
@@ -197,7 +201,7 @@ class Prescription:
         texts = {name: value.get(name, "") for name in ("name", "source")}
         for name, text in texts.items():
             if not isinstance(text, str):
-                raise InputError(f"main_lens: {name} = {shown(text)}: it must be text")
+                raise InputError(f"main_lens: {name} = {short_repr(text)}: it must be text")
         made = cls(
             surfaces,
             stops[0],
@@ -273,7 +277,7 @@ def bundled_prescription(name: str) -> Prescription:
     stem = name.removesuffix(".yaml")
     if stem not in BUNDLED:
         raise InputError(
-            f"main_lens = {shown(name)}: there is no such file, and the bundled lenses are {', '.join(BUNDLED)}"
+            f"main_lens = {short_repr(name)}: there is no such file, and the bundled lenses are {', '.join(BUNDLED)}"
             f"{did_you_mean(stem, BUNDLED)}"
         )
     text = (resources.files(lenses) / f"{stem}.yaml").read_text(encoding="utf-8")

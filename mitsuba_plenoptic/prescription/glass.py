@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..bounds import require_wavelength
-from ..errors import InputError, refuse_if, require_known, require_number, shown
+from ..errors import InputError, refuse_if, require_known, require_number, short_repr
 
 LINE_D, LINE_F, LINE_C = 587.5618, 486.1327, 656.2725
 """Wavelengths in nanometres at which catalogues give index and Abbe number: helium d, hydrogen F and C."""
@@ -57,13 +57,13 @@ class Glass:
     def __post_init__(self) -> None:
         count = _COUNTS[self.form]
         if count is not None and len(self.numbers) != count:
-            raise InputError(f"glass: {self.form} = {shown(self.numbers)}: it must be {count} numbers")
+            raise InputError(f"glass: {self.form} = {short_repr(self.numbers)}: it must be {count} numbers")
         if self.form == "table":
             wavelengths = self.numbers[::2]
             if len(self.numbers) % 2 or len(wavelengths) < 2 or np.any(np.diff(wavelengths) <= 0):
                 raise InputError(
-                    f"glass: table = {shown(self.numbers)}: it must be two or more pairs of wavelength and index, by "
-                    "rising wavelength"
+                    f"glass: table = {short_repr(self.numbers)}: it must be two or more pairs of "
+                    "wavelength and index, by rising wavelength"
                 )
         if self.form == "abbe" and self.numbers[1] <= 0:
             raise InputError(f"glass: abbe = {self.numbers[1]:g}: it must be greater than 0")
@@ -186,18 +186,18 @@ class Glass:
             {"index", "abbe"},
         ):
             raise InputError(
-                f"{where} = {shown(value)}: it must have index, index and abbe, sellmeier, schott or table, and may "
-                "have name"
+                f"{where} = {short_repr(value)}: it must have index, index and abbe, sellmeier, schott or "
+                "table, and may have name"
             )
         form = "abbe" if "abbe" in forms else next(iter(forms))
         entries = [forms["index"], forms["abbe"]] if form == "abbe" else forms[form]
         if form == "index":
             entries = [entries]
         if not isinstance(entries, (list, tuple)):
-            raise InputError(f"{where}: {form} = {shown(entries)}: it must be a list of numbers")
+            raise InputError(f"{where}: {form} = {short_repr(entries)}: it must be a list of numbers")
         if form == "table":
             if not all(isinstance(pair, (list, tuple)) and len(pair) == 2 for pair in entries):
-                raise InputError(f"{where}: table = {shown(entries)}: it must be pairs of wavelength and index")
+                raise InputError(f"{where}: table = {short_repr(entries)}: it must be pairs of wavelength and index")
             entries = [number for pair in entries for number in pair]
         return cls(form, tuple(require_number(f"{where}: {form}", entry) for entry in entries), name)
 
@@ -217,8 +217,8 @@ def catalogue_glass(
         importlib.import_module("optiland.materials")
     except ImportError:
         raise InputError(
-            f"{where} = {shown(name)}: glasses by name need Optiland; pip install 'mitsuba-plenoptic[lenses]', or give "
-            "index and abbe"
+            f"{where} = {short_repr(name)}: glasses by name need Optiland; pip install 'mitsuba-plenoptic[lenses]', "
+            "or give index and abbe"
         ) from None
     plain = own.lower() if with_hyphens else own.lower().replace("-", "")
     found = {
@@ -229,7 +229,7 @@ def catalogue_glass(
     # Files of other programs write makers with what belongs to them, such as NIKON-HIKARI.
     chosen = list(found) if makers is None else [one for by in makers for one in found if one.lower() in by.lower()][:1]
     if len(chosen) > 1:
-        raise InputError(f"{where} = {shown(name)}: {', '.join(chosen)} have one: write {chosen[0]}:{own}")
+        raise InputError(f"{where} = {short_repr(name)}: {', '.join(chosen)} have one: write {chosen[0]}:{own}")
     if not chosen:
         searched = "no catalogue has" if makers is None else f"{', '.join(makers)}: no such catalogue has"
         # The same name from other makers, who measured a crystal of that name, then longer names.
@@ -238,7 +238,7 @@ def catalogue_glass(
         like = [f"{entry.maker}:{entry.name}" for entry in [*found.values(), *measured, *longer] if plain]
         hint = f", as there is {', '.join(dict.fromkeys(like[:3]))}" if like else ""
         raise InputError(
-            f"{where} = {shown(name)}: {searched} a glass of just that name; give another{hint}, or index and abbe"
+            f"{where} = {short_repr(name)}: {searched} a glass of just that name; give another{hint}, or index and abbe"
         )
     return found[chosen[0]].tabulated(name)
 

@@ -12,7 +12,7 @@ import numpy as np
 from ..calibration import Board, Calibration, ResidualMap, Table, residual_map
 from ..calibration.model import UNITS
 from ..calibration.observations import placed
-from ..calibration.residuals import field_cells, group_means
+from ..calibration.result import field_cells, group_means
 from ..io.files import atomic_output
 from .page import template
 

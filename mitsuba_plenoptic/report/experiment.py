@@ -96,7 +96,7 @@ def agreement(
 OBJECT_COLUMNS = 1024
 
 
-class Method(NamedTuple):
+class RefocusMethod(NamedTuple):
     """A way to refocus: name, title in figures, options of `reconstruct`, and the capture it starts from."""
 
     name: str
@@ -106,13 +106,13 @@ class Method(NamedTuple):
 
 
 METHODS = (
-    Method("ray_of_ray", "Rays, of the ray capture", {"method": "ray", "footprint": "lens"}, "ray"),
-    Method("ray_point", "Rays, one bin a pixel", {"method": "ray", "footprint": "point"}),
-    Method("ray", "Rays, lens footprint", {"method": "ray", "footprint": "lens"}),
-    Method("coherent", "Coherent", {"method": "coherent"}),
-    Method("partial", "Partially coherent", {"method": "partial", "interleave": 2}),
+    RefocusMethod("ray_of_ray", "Rays, of the ray capture", {"method": "ray", "footprint": "lens"}, "ray"),
+    RefocusMethod("ray_point", "Rays, one bin a pixel", {"method": "ray", "footprint": "point"}),
+    RefocusMethod("ray", "Rays, lens footprint", {"method": "ray", "footprint": "lens"}),
+    RefocusMethod("coherent", "Coherent", {"method": "coherent"}),
+    RefocusMethod("partial", "Partially coherent", {"method": "partial", "interleave": 2}),
     # The limit in which no two lenses interfere.
-    Method("limit", "One lens at a time", {"method": "partial", "interleave": "auto"}),
+    RefocusMethod("limit", "One lens at a time", {"method": "partial", "interleave": "auto"}),
 )
 TITLES = {"truth": "Thin lens (truth)", **{method.name: method.title for method in METHODS}}
 

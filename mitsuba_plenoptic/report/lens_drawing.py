@@ -48,7 +48,7 @@ class FieldFigures:
     distortion: float
 
 
-class _Bundles:
+class _DrawnRays:
     """Bundles of rays from places on the MLA to the object plane in focus, at one wavelength."""
 
     def __init__(self, camera: PlenopticCamera, wavelength: float | None) -> None:
@@ -97,8 +97,8 @@ def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.
     x, y : float64 arrays (n,)
         In millimetres; y is across to the axis.
     """
-    middle = _Bundles(camera, None).chief(height)
-    X, Y, is_open = _Bundles(camera, wavelength).all_of(height)
+    middle = _DrawnRays(camera, None).chief(height)
+    X, Y, is_open = _DrawnRays(camera, wavelength).all_of(height)
     return camera.mla_distance * X[is_open], camera.mla_distance * (Y[is_open] - middle)
 
 
@@ -114,7 +114,7 @@ def lateral_colour(camera: PlenopticCamera, height: float, wavelengths: tuple[fl
     wavelengths : (float, float)
         Wavelengths in nanometres.
     """
-    first, second = (_Bundles(camera, wavelength).chief(height) for wavelength in wavelengths)
+    first, second = (_DrawnRays(camera, wavelength).chief(height) for wavelength in wavelengths)
     # What is seen farther out from the same place is imaged nearer to the axis.
     return camera.mla_distance * (second - first)
 
@@ -173,7 +173,7 @@ def field_figures(camera: PlenopticCamera, heights: tuple[float, ...]) -> list[F
     list of FieldFigures
         One for each.
     """
-    bundles, b = _Bundles(camera, None), camera.mla_distance
+    bundles, b = _DrawnRays(camera, None), camera.mla_distance
     figures: list[FieldFigures] = []
     area = 1
     for field in (0.0, *heights):

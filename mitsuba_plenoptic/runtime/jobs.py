@@ -45,7 +45,7 @@ class LongSum(Protocol):
 
 
 @dataclass(frozen=True)
-class Task:
+class SumTask:
     """One of several sums that make an image."""
 
     # Its items, those too that are in no batch.
@@ -67,7 +67,7 @@ class Snapshot:
     partial: PartialSum | None = None
 
 
-class Keeper(Protocol):
+class CheckpointStore(Protocol):
     """Keeps what is done of a job, so that it can go on after a crash: see `io.checkpoints.Checkpoint`."""
 
     def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:
@@ -87,13 +87,13 @@ class Job:
         Called with the items done and their number.
     batch_map : BatchMap, optional
         Computes the batches. Default: threads of this process.
-    keeper : Keeper, optional
+    keeper : CheckpointStore, optional
         Keeps what is done.
     """
 
     progress: Progress | None = None
     batch_map: BatchMap | None = None
-    keeper: Keeper | None = None
+    keeper: CheckpointStore | None = None
 
     @property
     def workers(self) -> BatchMap:
@@ -101,7 +101,11 @@ class Job:
         return self.batch_map or Threads()
 
     def run(
-        self, tasks: Iterable[Task], shape: tuple[int, int, int], items: int, facts: Callable[[], dict[str, Any]] = dict
+        self,
+        tasks: Iterable[SumTask],
+        shape: tuple[int, int, int],
+        items: int,
+        facts: Callable[[], dict[str, Any]] = dict,
     ) -> NDArray[np.float32]:
         """Compute sums one after another, and add their images.
 
@@ -109,7 +113,7 @@ class Job:
 
         Parameters
         ----------
-        tasks : iterable of Task
+        tasks : iterable of SumTask
             The sums.
         shape : (int, int, int)
             Rows, columns and channels of the image.
@@ -134,7 +138,7 @@ class Job:
         refuse_if(state.sums > number, f"checkpoint: it is damaged: {state.sums} sums are no part of {number}")
         return state.image
 
-    def _sum(self, task: Task, state: Snapshot, before: int, items: int) -> NDArray[np.float32]:
+    def _sum(self, task: SumTask, state: Snapshot, before: int, items: int) -> NDArray[np.float32]:
         """Compute one sum, from where it stands."""
         work = task.plan()
         shape = (work.channels, work.box.rows, work.box.columns)

@@ -9,7 +9,7 @@ from wave_cases import HALF, WAVELENGTH, scattered, small_camera
 
 from mitsuba_plenoptic import Capture, CaptureOperator, InputError, PlenopticCamera, fit
 from mitsuba_plenoptic.detector import Detector, expose
-from mitsuba_plenoptic.fitting import View, come_near, kept_noise, lattice_from_white
+from mitsuba_plenoptic.fitting import View, coarse_fit, kept_noise, lattice_from_white
 from mitsuba_plenoptic.fitting.ray_model import PointRays
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.operator.units import brightness_at, brightness_of
@@ -127,7 +127,7 @@ def test_a_camera_is_found_from_afar():
     off = {"focal_length": 0.98, "mla_distance": 1.02, "detector_distance": 1.02}
     start = true.replace(**{name: factor * getattr(true, name) for name, factor in off.items()})
     names = [*off, "mla_offset"]
-    near = come_near(start, view, names)
+    near = coarse_fit(start, view, names)
     found = fit(near, view, names, photons=PHOTONS, method="rays")
     for name in off:
         assert getattr(near, name) == pytest.approx(getattr(true, name), rel=0.005)
@@ -247,17 +247,17 @@ def test_a_number_at_a_bound_has_a_one_sided_deviation(recorded):
 def test_from_afar_no_number_leaves_its_bounds(recorded):
     true, points, image, weights = recorded
     start = true.replace(mla_pitch=0.068)
-    with pytest.warns(UserWarning, match="come_near: at a bound: mla_pitch = "):
-        near = come_near(start, View(image, points, weights), "mla_pitch", bounds={"mla_pitch": (0.067, 0.07)})
+    with pytest.warns(UserWarning, match="coarse_fit: at a bound: mla_pitch = "):
+        near = coarse_fit(start, View(image, points, weights), "mla_pitch", bounds={"mla_pitch": (0.067, 0.07)})
     assert near.mla_pitch == pytest.approx(0.067, abs=1e-5)
     # By default lengths stay within half of where they start; what shows no lattice does not tell the pitch.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        near = come_near(start, View(np.eye(*true.shape), points, weights), ["mla_pitch", "mla_distance"])
+        near = coarse_fit(start, View(np.eye(*true.shape), points, weights), ["mla_pitch", "mla_distance"])
     assert 0.034 <= near.mla_pitch <= 0.102 and 30 <= near.mla_distance <= 90
 
 
-@pytest.mark.parametrize("find", [fit, come_near])
+@pytest.mark.parametrize("find", [fit, coarse_fit])
 @pytest.mark.parametrize("image", [np.zeros(TRUE.shape), np.full(TRUE.shape, -0.1)])
 def test_nothing_is_found_by_black_captures(find, image):
     options = {"photons": PHOTONS} if find is fit else {}

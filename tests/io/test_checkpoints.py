@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from scene_cases import definitions, letters
-from stopped_runs import Keeper, StoppedError, start_command, stopped_before
+from stopped_runs import CheckpointStore, StoppedError, start_command, stopped_before
 from wave_cases import scattered, small_camera
 
 from mitsuba_plenoptic import InputError, load_scene, read_capture, render_capture
@@ -79,14 +79,14 @@ def test_a_sum_goes_on_from_any_batch(method, count):
     operator = CaptureOperator(SMALL, scattered(count, distances=(205, 275)), wavelength=633, method=method)
     weights = np.random.default_rng(1).uniform(0, 1, (count, 2))
     weights[1] = 0
-    keeper = Keeper()
+    keeper = CheckpointStore()
     whole = operator.forward(weights, job=Job(keeper=keeper))
     states = keeper.kept
     assert len(states) >= 2
     assert [state.partial.batches for state in states] == list(range(1, len(states) + 1))
     for state in (states[0], states[len(states) // 2], states[-1]):
         calls = []
-        job = Job(progress=lambda *call, calls=calls: calls.append(call), keeper=Keeper(state))
+        job = Job(progress=lambda *call, calls=calls: calls.append(call), keeper=CheckpointStore(state))
         np.testing.assert_array_equal(operator.forward(weights, job=job), whole)
         assert calls[-1] == (count, count) and (len(calls) == 1) == (state is states[-1])
 

@@ -1,18 +1,19 @@
-"""Residuals of a calibration by lens, field, depth and pose: where a camera misses what was observed."""
+"""The result of a calibration: residuals by lens, field, depth and pose, and standard deviations of the parameters."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.stats import chi2
 
+from ..camera import PlenopticCamera
 from ..errors import require_choice, require_count
-from .adjustment import Problem, Solution
-from .fit import Calibration
+from .adjustment import Adjusted, Problem, outlying
+from .blur import Blur
 from .model import NAMES, predict_centres
 from .numbers import numbers_of
-from .observations import Board, Table, placed
+from .observations import Board, LensIndex, Table, placed
 
 GROUPED_BY = {
     "lens": ("k", "l", "u", "v"),
@@ -21,6 +22,129 @@ GROUPED_BY = {
     "pose": ("frame",),
 }
 """What residuals are grouped by, and the columns that tell each group."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """How well a camera explains corners, every row counted.
+
+    Attributes
+    ----------
+    residuals : (n, 2) array
+        Predicted minus observed pixels, in the order of the file.
+    frames : (poses,) int array
+        Numbers of the poses' frames.
+    pose : (n,) int array
+        Which of them each row belongs to.
+    poses : (poses, 6) array
+        Rotation vector (radians) and place of the board's first corner in mm, from the board's to the camera frame.
+    """
+
+    residuals: np.ndarray
+    frames: np.ndarray
+    pose: np.ndarray
+    poses: np.ndarray
+
+    @property
+    def error(self) -> float:
+        """RMS of the distances between predicted and observed places in pixels."""
+        return float(np.sqrt((self.residuals**2).sum(1).mean()))
+
+    @property
+    def pose_errors(self) -> np.ndarray:
+        """The same of each pose."""
+        return np.sqrt(np.bincount(self.pose, (self.residuals**2).sum(1)) / np.bincount(self.pose))
+
+    @property
+    def outliers(self) -> np.ndarray:
+        """Rows, from 0, of residuals beyond six times what is typical."""
+        distance = np.hypot(*self.residuals.T)
+        return np.flatnonzero(outlying(distance))
+
+    @property
+    def error_without_outliers(self) -> float:
+        """RMS of the distances of all rows but the outliers."""
+        return self.without_outliers().error
+
+    def without_outliers(self) -> Evaluation:
+        """Return the same of all rows but the outliers."""
+        kept = np.delete(np.arange(len(self.residuals)), self.outliers)
+        return replace(self, residuals=self.residuals[kept], pose=self.pose[kept])
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What a calibration found.
+
+    Attributes
+    ----------
+    camera : PlenopticCamera
+        The camera, with the principal point rounded to half a pixel: it is the centre of the full detector, of which
+        the crop window is recorded.
+    index : LensIndex
+        How the data count lenses.
+    evaluation : Evaluation
+        Residuals and poses.
+    numbers, deviations : dict
+        The camera's numbers by the names of `model.NAMES`, and their standard deviations.
+    correlation : (17, 17) array
+        Of the numbers' errors.
+    centre_residuals : (n, 2) array
+        Of the centres that were given.
+    steps : int
+        How often the linear system was solved.
+    blur : Blur, optional
+        What blur radii tell of the microlenses' focal lengths, where the corners have them.
+    disagreement : float
+        By how much the frames disagree about the numbers, over what their residuals' scatter explains.
+    by_frames : bool
+        Whether that is more than chance allows, so that the deviations are those of leaving out frames.
+    centre_outliers : (m,) int array
+        Rows, from 0, of centres that were not fitted: doubtful ones and those that lie off the others' lattice.
+    """
+
+    camera: PlenopticCamera
+    index: LensIndex
+    evaluation: Evaluation
+    numbers: dict[str, float]
+    deviations: dict[str, float]
+    correlation: np.ndarray
+    centre_residuals: np.ndarray
+    steps: int
+    blur: Blur | None = None
+    disagreement: float = 1.0
+    by_frames: bool = False
+    centre_outliers: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
+
+    @property
+    def centre_error(self) -> float | None:
+        """RMS of the distances between predicted and observed centres in pixels; None without centres."""
+        if not len(self.centre_residuals):
+            return None
+        return float(np.sqrt((self.centre_residuals**2).sum(1).mean()))
+
+    def weak_directions(self, count: int = 3) -> list[tuple[float, dict[str, float]]]:
+        """Return what the data tell worst: combinations of numbers that can change together.
+
+        Parameters
+        ----------
+        count : int
+            How many of them.
+
+        Returns
+        -------
+        list of (float, dict)
+            Deviation of the combination over that of numbers that were independent, greatest first; and by how many of
+            its deviations each number changes, those that matter.
+        """
+        values, vectors = np.linalg.eigh(self.correlation)
+        return [
+            (
+                float(np.sqrt(values[-rank])),
+                {NAMES[i]: float(v) for i, v in enumerate(vectors[:, -rank]) if abs(v) > 0.2},
+            )
+            for rank in range(1, count + 1)
+        ]
 
 
 @dataclass(frozen=True)
@@ -131,7 +255,7 @@ class Deviations:
         return np.sqrt(np.diag(self.covariance))
 
 
-def deviations(problem: Problem, found: Solution, weights: np.ndarray) -> Deviations:
+def deviations(problem: Problem, found: Adjusted, weights: np.ndarray) -> Deviations:
     """Return how well a fit's numbers are known, all of them free.
 
     Shapes: `weights` (n,).
@@ -169,7 +293,7 @@ def deviations(problem: Problem, found: Solution, weights: np.ndarray) -> Deviat
     return Deviations(covariance / np.outer(scale, scale), float(np.sqrt(disagreement)), bool(by_frames))
 
 
-def moved_solutions(problem: Problem, found: Solution, weights: np.ndarray, covariance: np.ndarray) -> list[Solution]:
+def moved_solutions(problem: Problem, found: Adjusted, weights: np.ndarray, covariance: np.ndarray) -> list[Adjusted]:
     """Return solutions a standard deviation away along each independent combination of numbers, the poses refitted.
 
     The squared changes of anything else that follows from numbers and poses add up to its variance.
@@ -180,5 +304,5 @@ def moved_solutions(problem: Problem, found: Solution, weights: np.ndarray, cova
     moved = []
     for step in (vectors * np.sqrt(values.clip(0))).T * scale:
         poses = [-np.linalg.solve(head[:, :6], head[:, 6:-1] @ step) for head in heads]
-        moved.append(Solution(found.numbers + step, found.poses + poses, found.cost, 0))
+        moved.append(Adjusted(found.numbers + step, found.poses + poses, found.cost, 0))
     return moved
