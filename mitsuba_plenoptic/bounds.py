@@ -35,7 +35,7 @@ STRONGEST_ABERRATION = 1000.0
 """Waves, root mean square over the pupil, of one of them at most."""
 
 FULL_TURN = 360.0
-"""Bound of a rotation in degrees, either way."""
+"""Bound of a rotation in degrees, in either direction."""
 
 STEEPEST_TILT = 5.0
 """Degrees by which an array may be tilted."""
@@ -124,7 +124,7 @@ def require_response(value: Any, name: str = "pixel_response") -> tuple[float, .
 
 
 def require_numbers(name: str, value: Any, count: int, largest: float) -> tuple[float, ...]:
-    """Return so many numbers as a tuple, none larger in magnitude than `largest`."""
+    """Return a tuple of `count` numbers, none larger in magnitude than `largest`."""
     value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) != count:
         raise InputError(f"{name} = {short_repr(value)}: it must be {count} numbers")

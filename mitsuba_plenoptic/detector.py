@@ -1,4 +1,4 @@
-"""What an image sensor makes of a noise-free capture: photon noise, dark noise, saturation and digital numbers."""
+"""An image sensor's effect on a noise-free capture: photon noise, dark noise, saturation and digital numbers."""
 
 from __future__ import annotations
 

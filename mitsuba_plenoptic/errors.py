@@ -32,7 +32,7 @@ _SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = _LONGEST_VALUE - 4
 
 
 class InputError(ValueError):
-    """A user's mistake, told in one line that names the thing, its value and the rule.
+    """A user's mistake, described in one line that names the thing, its value and the rule.
 
     Whatever files and arguments put into the message, it stays one line of printable characters.
     """
@@ -42,7 +42,7 @@ class InputError(ValueError):
 
 
 def refuse_if(broken: object, message: str) -> None:
-    """Raise an `InputError` where a rule is broken; the message is made either way, so it must be quick to make."""
+    """Raise an `InputError` where a rule is broken; the message is made in any case, so it must be quick to make."""
     if broken:
         raise InputError(message)
 

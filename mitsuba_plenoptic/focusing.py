@@ -46,8 +46,8 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
     Raises
     ------
     InputError
-        If the camera has no such lens, the group is none, its surfaces would cross others, or there is no place for it
-        at which the distance is in focus; where there are several, the one nearest to where it stands is taken.
+        If the camera has no such lens, the group does not exist, its surfaces would cross others, or there is no room
+        for it at which the distance is in focus; where there are several, the one nearest to where it stands is taken.
     """
     lens = camera.prescription
     if lens is None:

@@ -94,7 +94,7 @@ class Objective:
 
     @property
     def name(self) -> str:
-        """What messages call it: ``20x/0.5 objective``."""
+        """Its name in messages: ``20x/0.5 objective``."""
         return f"{self.magnification:g}x/{self.numerical_aperture:g} objective"
 
     @property

@@ -90,7 +90,7 @@ _MOST_DAMPING = 1e10
 
 @dataclass(frozen=True)
 class Problem:
-    """What is fitted."""
+    """Observations that are fitted together."""
 
     # Corners seen through lenses.
     corners: Observations

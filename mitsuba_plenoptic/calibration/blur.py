@@ -8,7 +8,7 @@ radius
 
 in the plane of the detector, which changes its sign where the point is in focus. With z/a known from a calibration, the
 radii of the lenses of one type lie on a line. What programs call the radius of a blur differs by a factor, and in its
-sign; the slope of the line tells both, and its place where z/a = 0, over the slope, tells z/f.
+sign; the slope of the line gives both, and its value at z/a = 0, divided by the slope, gives z/f.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _LEAST_SPREAD = 0.01
 
 @dataclass(frozen=True)
 class Blur:
-    """What blur radii tell of a camera's microlenses.
+    """Focal lengths of a camera's microlenses from blur radii.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ def fit_blur(
     counts = np.bincount(kind, minlength=types)
     refuse_if(
         (counts < 2).any() or np.ptp(ratio) < _LEAST_SPREAD,
-        "corners: rho: blur radii are given, but of too few lenses or all at one depth to tell focus",
+        "corners: rho: blur radii are given, but of too few lenses or all at one depth to determine focus",
     )
     matrix = np.column_stack([*np.eye(types)[kind].T, ratio])
     line = np.linalg.lstsq(matrix, radius)[0]

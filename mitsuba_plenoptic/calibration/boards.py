@@ -115,7 +115,7 @@ def _disparities(picture: Picture, tree: cKDTree) -> np.ndarray:
 
 
 def _places(picture: Picture, step: float) -> np.ndarray:
-    """Return a grid of places, (rows, columns, 2), so many pixels apart."""
+    """Return a grid of positions (rows, columns, 2) with a given spacing in pixels."""
     rows, columns = picture.image.shape
     return np.stack(np.meshgrid(np.arange(0, columns, step), np.arange(0, rows, step)), axis=-1)
 
@@ -139,7 +139,7 @@ def _seen(picture: Picture, place: np.ndarray, lens: np.ndarray, disparity: floa
     return mean, spread
 
 
-# What lies behind the board is hidden by its margin of so many squares.
+# What lies behind the board is hidden by its margin, in squares.
 _MARGIN = 1.0
 
 
@@ -214,7 +214,7 @@ _BLOCK = 2048
 _BLUR = 1.2
 _LEAST_BLUR, _MOST_BLUR = 0.3, 6.0
 
-# Radius of the window about a corner: so many pixels at least, and this fraction of the micro-image's radius at most.
+# Radius of the window about a corner: pixels at least, and the fraction of the micro-image's radius at most.
 _LEAST_WINDOW, _WINDOW = 2.0, 0.6
 
 # A corner moves by no more than this from where it was looked for, in pixels.
@@ -223,7 +223,7 @@ _FARTHEST = 3.0
 
 @dataclass(frozen=True)
 class Saddles:
-    """What was found about each place: arrays of one row each."""
+    """Candidates for corners: arrays with one row each."""
 
     # Column and row; the centre of the first pixel is 0; (n, 2).
     place: np.ndarray

@@ -1,8 +1,8 @@
 """Corners of a checkerboard in raw pictures of a focused plenoptic camera, as `calibrate` takes them.
 
 OpenCV finds the board in a view of the whole scene (`board_view`). From there each corner is looked for in all the
-micro-images that should show it, and met in each to a fraction of a pixel (`saddle`); what is found tells better where
-to look.
+micro-images that should show it, and met in each to a fraction of a pixel (`saddle`); the corners found show more
+exactly where to look.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, Board, LensIndex, Tab
 _DARK = 0.25
 
 # Micro-images are evenly lit as far from their centres as they give this fraction of their middle's light on average.
-# Beyond, the main lens's rim cuts the blur of what is seen, which moves it outwards. Where this is less than so much of
-# the micro-images' radius, there is too little without the rest.
+# Beyond, the main lens's rim cuts the blur of what is seen, which moves it outwards. Where this is less than this
+# fraction of the micro-images' radius, there is too little without the rest.
 _EVEN, _LEAST_EVEN = 0.97, 0.6
 
-# Corners nearer than so many pixels to a micro-image's rim are not looked for.
+# Corners nearer than this to a micro-image's rim, in pixels, are not searched for.
 _RIM = 3.0
 
 # How often corners are looked for, from where they were found the time before.
 _PASSES = 3
 
-# What is kept: a deviation of so many pixels at most, a fraction of the median contrast at least, and a place that the
-# other lenses agree with within so many times the typical distance, or so many pixels.
+# Limits of an accepted corner: its deviation in pixels at most, its fraction of the median contrast at least, and how
+# far it may lie from where the other lenses see it: a multiple of the typical distance, or pixels.
 _DEVIATION = 0.5
 _CONTRAST = 0.3
 _OUTLIER, _NEAR = 6.0, 0.3
@@ -217,9 +217,9 @@ def _refined(
             good &= saddles.contrast > _CONTRAST * np.median(saddles.contrast[good])
         corner, lens = corner[good], lens[good]
         saddles = Saddles(saddles.place[good], saddles.deviation[good], saddles.contrast[good], saddles.blur[good])
-        place, disparity, kept = _agreed(picture, corner, lens, saddles.place, place, disparity)
-    saddles = Saddles(saddles.place[kept], saddles.deviation[kept], saddles.contrast[kept], saddles.blur[kept])
-    return corner[kept], lens[kept], saddles
+        place, disparity, agreed = _agreed(picture, corner, lens, saddles.place, place, disparity)
+    saddles = Saddles(saddles.place[agreed], saddles.deviation[agreed], saddles.contrast[agreed], saddles.blur[agreed])
+    return corner[agreed], lens[agreed], saddles
 
 
 def _shown(cut: CutBlur, kind: np.ndarray, disparity: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
@@ -254,7 +254,7 @@ def _agreed(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return place and disparity of each corner anew, and which of what is seen agrees with them."""
     place, disparity = place.copy(), disparity.copy()
-    kept = np.zeros(len(seen), dtype=bool)
+    agreed = np.zeros(len(seen), dtype=bool)
     for number in range(len(place)):
         mine = np.flatnonzero(corner == number)
         centre = picture.centre[lens[mine]]
@@ -275,8 +275,8 @@ def _agreed(
             chosen = miss < max(_NEAR, _OUTLIER * np.median(miss[chosen]) / 1.17741)
         else:
             disparity[number], place[number] = slope, about - shift / slope
-            kept[mine[chosen]] = True
-    return place, disparity, kept
+            agreed[mine[chosen]] = True
+    return place, disparity, agreed
 
 
 def write_corners(path: str | Path, corners: Table) -> None:

@@ -184,7 +184,7 @@ def _numbers(values: Any) -> list[float]:
 
 
 def _inverse_distortion(distortion: np.ndarray, reach: float) -> np.ndarray:
-    """Return the coefficients that best take a distortion away, over a disc; theirs point the other way in x and y."""
+    """Return the coefficients that best remove a distortion over a disc; theirs have opposite signs in x and y."""
     radius, angle = np.meshgrid(np.linspace(0.02, 1, 40) * reach, np.linspace(0, 2 * np.pi, 24, endpoint=False))
     x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
     k1, k2, k3, p1, p2 = distortion * [1, 1, 1, -1, -1]

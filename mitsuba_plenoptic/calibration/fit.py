@@ -31,7 +31,8 @@ _MOST_ROUNDS = 10
 # A frame with fewer of its rows left is not one that the others' camera sees.
 _LEFT_OF_FRAME = 0.5
 
-# Detected centres err together over about so many lenses along each axis, so that they tell less than their number.
+# Errors of detected centres are correlated over about this many lenses along each axis: the centres weigh accordingly
+# less.
 _CORRELATED = 16
 
 # Pitches of a hexagonal lattice along and across rows that differ by a greater factor: turned by 30 degrees it can be
@@ -58,14 +59,14 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     Parameters
     ----------
     corners : Table
-        As `read_corners` gives them. A column ``rho`` of blur radii tells the microlenses' focal lengths.
+        As `read_corners` gives them. A column ``rho`` of blur radii determines the microlenses' focal lengths.
     board : Board
         The board.
     start : PlenopticCamera
-        For what the data do not tell: detector, lattice, f-number, focal lengths of the microlenses, models. All other
-        numbers are found from the data alone.
+        Provides what the data do not determine: detector, lattice, f-number, focal lengths of the microlenses, models.
+        All other numbers are found from the data alone.
     centres : Table, optional
-        Centres of micro-images, fitted jointly: without them pitch and focal length are badly told apart.
+        Centres of micro-images, fitted jointly: without them pitch and focal length are strongly correlated.
 
     Raises
     ------
@@ -89,8 +90,8 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     problem = Problem(seen, start.pixel_size, start.lattice.row_ratio)
     numbers, poses, good = start_values(problem, board, frames, grid, middle)
     if centres:
-        kept, weight = _kept_centres(centres, index, problem.residuals(numbers, poses)[good])
-        problem = _with_centres(problem, centres, kept, index, weight)
+        used, weight = _kept_centres(centres, index, problem.residuals(numbers, poses)[good])
+        problem = _with_centres(problem, centres, used, index, weight)
     weights = np.where(good, huber(_distance(problem, numbers, poses)), 0.0)
     found, steps = adjust(problem, numbers, poses, weights=weights), 0
     for _ in range(_MOST_ROUNDS):
@@ -117,14 +118,14 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         raise InputError(f"corners: the numbers that fit them best are no camera; cover more of it: {error}") from None
     centre_residuals, centre_outliers = np.zeros((0, 2)), np.zeros(0, dtype=int)
     if centres:
-        every = _with_centres(problem, centres, np.ones(len(kept), dtype=bool), index, weight)
-        centre_residuals, centre_outliers = every.centre_residuals(final.numbers), np.flatnonzero(~kept)
+        every = _with_centres(problem, centres, np.ones(len(used), dtype=bool), index, weight)
+        centre_residuals, centre_outliers = every.centre_residuals(final.numbers), np.flatnonzero(~used)
     blur = None
     if BLUR_COLUMN in corners.columns:
-        kept, types = weights > 0, len(start.mla_focal_lengths)
+        used, types = weights > 0, len(start.mla_focal_lengths)
         moved = moved_solutions(problem, final, weights, known.covariance)
-        radius, numbers = corners[BLUR_COLUMN][kept], final.numbers
-        blur = fit_blur(radius, seen.keep(kept), numbers, final.poses, camera.lattice, types, moved)
+        radius, numbers = corners[BLUR_COLUMN][used], final.numbers
+        blur = fit_blur(radius, seen.keep(used), numbers, final.poses, camera.lattice, types, moved)
         camera = camera.replace(mla_focal_length=blur.focal_lengths)
     return Calibration(
         camera,
@@ -201,8 +202,8 @@ def cross_validate(
     camera = calibration.camera
     whole = Problem(seen, camera.pixel_size, camera.lattice.row_ratio)
     if centres:
-        kept, weight = _kept_centres(centres, calibration.index, calibration.evaluation.residuals)
-        whole = _with_centres(whole, centres, kept, calibration.index, weight)
+        used, weight = _kept_centres(centres, calibration.index, calibration.evaluation.residuals)
+        whole = _with_centres(whole, centres, used, calibration.index, weight)
     numbers, poses = np.array(list(calibration.numbers.values())), calibration.evaluation.poses
     errors = {}
     for out, frame in enumerate(frames):
@@ -215,18 +216,18 @@ def cross_validate(
     return errors
 
 
-def _poses(problem: Problem, kept: np.ndarray) -> Problem:
+def _poses(problem: Problem, used: np.ndarray) -> Problem:
     """Return a problem with some of the poses only."""
     seen = problem.corners
-    _, pose = np.unique(seen.pose[kept], return_inverse=True)
-    some = replace(seen.keep(kept), pose=pose)
+    _, pose = np.unique(seen.pose[used], return_inverse=True)
+    some = replace(seen.keep(used), pose=pose)
     return Problem(some, problem.pixel_size, problem.row_ratio, problem.centres, problem.centre_weight)
 
 
-def _with_centres(problem: Problem, centres: Table, kept: np.ndarray, index: LensIndex, weight: float) -> Problem:
+def _with_centres(problem: Problem, centres: Table, used: np.ndarray, index: LensIndex, weight: float) -> Problem:
     """Add some of the centres to a problem."""
     nothing = np.zeros((0, 2))
-    seen = Observations(index.unit(centres["k"], centres["l"])[kept], centres.pixel[kept], nothing, nothing)
+    seen = Observations(index.unit(centres["k"], centres["l"])[used], centres.pixel[used], nothing, nothing)
     return Problem(problem.corners, problem.pixel_size, problem.row_ratio, seen, weight)
 
 
@@ -237,11 +238,11 @@ def _kept_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tu
     """
     i, j = (index.unit(centres["k"], centres["l"]) / _CORRELATED).T
     matrix = np.column_stack([np.ones(len(i)), i, j, i * i, i * j, j * j])
-    _, distance, kept = robust_lines(both_axes(matrix), centres.pixel)
+    _, distance, used = robust_lines(both_axes(matrix), centres.pixel)
     if DOUBTFUL_COLUMN in centres.columns:
-        kept &= centres[DOUBTFUL_COLUMN] == 0
-    own = [max(deviation(each), 1e-3) for each in (np.hypot(*residuals.T), distance[kept])]
-    return kept, own[0] / own[1] / _CORRELATED
+        used &= centres[DOUBTFUL_COLUMN] == 0
+    own = [max(deviation(each), 1e-3) for each in (np.hypot(*residuals.T), distance[used])]
+    return used, own[0] / own[1] / _CORRELATED
 
 
 def _distance(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:

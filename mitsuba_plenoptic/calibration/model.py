@@ -10,7 +10,7 @@ through q where
 
 .. math:: (c + (b - h) t) (1 - \gamma) + \gamma U(c - h t) = q, \qquad \gamma = g' / b,
 
-which is linear in t but for the tilt. The detector point is :math:`c - (z + h) t`.
+which is linear in t except for the tilt. The detector point is :math:`c - (z + h) t`.
 
 Distances virtual to the array, as in a Galilean camera, need no case of their own.
 """
@@ -43,7 +43,7 @@ UNITS = {
     "p1": "mm^-1",
     "p2": "mm^-1",
 }
-"""The camera's numbers that are fitted, with their units: those of `PlenopticCamera`, but for the offset, which is the
+"""The camera's numbers that are fitted, with their units: those of `PlenopticCamera`, except the offset, which is the
 place of the centre of lens (0, 0), and the principal point, the pixel on the axis."""
 
 NAMES = tuple(UNITS)
@@ -58,7 +58,7 @@ _NEWTON_STEPS = 2
 
 @dataclass(frozen=True)
 class Observations:
-    """What a fit compares with: all arrays have one row for each observation."""
+    """Observed corners or centres: all arrays have one row for each observation."""
 
     # Place of the lens in the unit frame of its lattice, in pitches along the rows and rows across them; (n, 2).
     lens: np.ndarray

@@ -33,10 +33,10 @@ DOUBTFUL_COLUMN = "doubtful"
 _WHOLE = {"k", "l", "cluster", "frame", DOUBTFUL_COLUMN}
 _LARGEST = 2**20
 
-# A lattice is another where that leaves so much less of the pixels' distances from its grid.
+# Another lattice is chosen only if it reduces the pixels' distances from the grid by this factor.
 _OTHER_LATTICE = 0.8
 
-# Lenses of fewer pixels show no corner, nor do their centres tell anything.
+# Lenses of fewer pixels resolve no corner, and their centres are of no use.
 _CLOSEST = 2
 
 # A table with a greater part of its pixels off the detector is of another detector; fewer are outliers.
@@ -177,7 +177,7 @@ def _checked(path: Path, columns: dict[str, np.ndarray], header: int) -> Table:
 
 
 def read_corners(path: str | Path, board: Board, size: tuple[int, int]) -> Table:
-    """Read corners of a board on a detector of so many columns and rows.
+    """Read corners of a board on a detector of a given size.
 
     Parameters
     ----------

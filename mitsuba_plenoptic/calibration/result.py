@@ -21,7 +21,7 @@ GROUPED_BY = {
     "depth": ("nearest", "farthest"),
     "pose": ("frame",),
 }
-"""What residuals are grouped by, and the columns that tell each group."""
+"""Groups of residuals, each with the columns that identify a group."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +68,13 @@ class Evaluation:
 
     def without_outliers(self) -> Evaluation:
         """Return the same of all rows but the outliers."""
-        kept = np.delete(np.arange(len(self.residuals)), self.outliers)
-        return replace(self, residuals=self.residuals[kept], pose=self.pose[kept])
+        inliers = np.delete(np.arange(len(self.residuals)), self.outliers)
+        return replace(self, residuals=self.residuals[inliers], pose=self.pose[inliers])
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What a calibration found.
+    """The result of a calibration.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class Calibration:
     steps : int
         How often the linear system was solved.
     blur : Blur, optional
-        What blur radii tell of the microlenses' focal lengths, where the corners have them.
+        The microlenses' focal lengths from blur radii, where the corners have them.
     disagreement : float
         By how much the frames disagree about the numbers, over what their residuals' scatter explains.
     by_frames : bool
@@ -124,7 +124,7 @@ class Calibration:
         return float(np.sqrt((self.centre_residuals**2).sum(1).mean()))
 
     def weak_directions(self, count: int = 3) -> list[tuple[float, dict[str, float]]]:
-        """Return what the data tell worst: combinations of numbers that can change together.
+        """Return the parameters that the data determine worst: combinations that can change together.
 
         Parameters
         ----------
@@ -193,7 +193,7 @@ def residual_map(calibration: Calibration, board: Board, corners: Table, by: str
     Raises
     ------
     InputError
-        If `by` is none of these, or `parts` is not from 1 to 1000.
+        If `by` is not one of these, or `parts` is not from 1 to 1000.
     """
     require_choice("by", by, GROUPED_BY)
     require_count("parts", parts, minimum=1, maximum=1000)

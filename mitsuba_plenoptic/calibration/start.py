@@ -1,8 +1,8 @@
 r"""Start values of a calibration from the data alone.
 
 Through a lens at c a point whose image lies at q, the distance a before the microlens array, is seen at
-:math:`p = c (1 + z/a) - q z / a`: linear in c, so that the lenses which see one corner tell z/a, and with it q. How far
-the images q of a board's corners lie apart tells its magnification M, and as :math:`a = b - f (1 + M)`,
+:math:`p = c (1 + z/a) - q z / a`: linear in c, so that the lenses which see one corner determine z/a, and with it q.
+How far the images q of a board's corners lie apart gives its magnification M, and as :math:`a = b - f (1 + M)`,
 
 .. math:: a / z = (b - f) / z - (f / z) M
 
@@ -42,7 +42,7 @@ _EXPLAINED = 0.35
 def start_values(
     problem: Problem, board: Board, frames: np.ndarray, grid: np.ndarray, principal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find numbers from which a fit finds its way.
+    """Find parameters from which a fit converges.
 
     Shapes: `grid` (3, 2), `principal` (2,); the result (17,), (poses, 6), (n,).
     """

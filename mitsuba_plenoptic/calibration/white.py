@@ -101,9 +101,9 @@ def find_centres(*whites: np.ndarray) -> Centres:
     lens, start = np.stack([column[inside], row[inside]], axis=-1), first[inside]
     found = [_all_centred(image, start, radius) for image in images]
     centre, light = np.mean([each[0] for each in found], axis=0), np.mean([each[1] for each in found], axis=0)
-    kept = np.all([each[1] > _FAINT * np.median(each[1]) for each in found], axis=0)
-    kept &= np.hypot(*(centre - start).T) < radius / 2
-    lens, centre, light = lens[kept], centre[kept], light[kept]
+    used = np.all([each[1] > _FAINT * np.median(each[1]) for each in found], axis=0)
+    used &= np.hypot(*(centre - start).T) < radius / 2
+    lens, centre, light = lens[used], centre[used], light[used]
     residuals = centre - _plain_grid(grid, lens, centre)
     light = light / light.max()
     return Centres(grid, lens, centre - 0.5, light, residuals, _doubtful(lens, residuals, light))

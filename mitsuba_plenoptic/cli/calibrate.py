@@ -65,8 +65,8 @@ def calibrate(
     """Calibrate a real camera from corners of a checkerboard and white images.
 
     Corners are a table k, l, u, v, cluster, frame: lens along its row, row,
-    pixel, number of the corner, picture. Start values come from the data, but
-    for what [bold]--camera[/bold] tells: detector, lattice and f-number.
+    pixel, number of the corner, picture. Start values come from the data, except
+    for what [bold]--camera[/bold] provides: detector, lattice and f-number.
 
     [bold]Examples:[/bold]
 
@@ -242,7 +242,7 @@ def _calibrate(
         typer.echo(f"blur radii {found.blur.error:.4f} px RMS, {found.blur.scale:.4g} px for the whole lens")
     for weakness, parts in found.weak_directions():
         terms = ", ".join(f"{name} {part:+.2f}" for name, part in parts.items())
-        typer.echo(f"told badly, {weakness:.1f} times the deviations: {terms}")
+        typer.echo(f"poorly determined, {weakness:.1f} times the deviations: {terms}")
     if found.by_frames:
         typer.echo(
             f"frames disagree {found.disagreement:.1f} times as much as their own scatter explains, so that the "

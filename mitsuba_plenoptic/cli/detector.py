@@ -88,7 +88,7 @@ def demosaic(
         str | None,
         typer.Option(
             metavar="|".join(MOSAICS),
-            show_default="as the capture tells",
+            show_default="as the capture states",
             help="Colour filters of the first pixels of two rows.",
         ),
     ] = None,
@@ -109,7 +109,7 @@ def demosaic(
     """Estimate all three colours of every pixel, micro-image by micro-image.
 
     Nothing is taken from a neighbouring lens's micro-image or from the dark
-    between them. A raw picture (.png or .tiff) that 'expose' wrote tells all
+    between them. A raw picture (.png or .tiff) that 'expose' wrote holds all
     that is needed; one of a real camera needs its [bold]--camera[/bold].
 
     [bold]Examples:[/bold]

@@ -45,12 +45,12 @@ def compare(
         str, typer.Option(metavar="NAME", help="Mitsuba variant of one colour: llvm_ad_mono or cuda_ad_mono.")
     ] = "llvm_ad_mono",
 ) -> None:
-    """Capture a scene by rays and by waves, refocus it in every way, and compare.
+    """Capture a scene by rays and by waves, refocus it by every method, and compare.
 
     Writes figures, captures and reconstructions, all numbers and report.html,
     which shows them in a browser. The ray capture has parabolic lenses, so that
     diffraction is its only difference from the wave capture. A run that was
-    stopped goes on where it stood.
+    stopped resumes where it was.
 
     [bold]Examples:[/bold]
 
@@ -121,8 +121,8 @@ def sweep(
 ) -> None:
     """Render a scene over a grid of cameras and wavelengths, refocus to distances.
 
-    Writes one labelled dataset, which xarray opens. Every point is kept in a
-    folder beside it (FILE.points): a sweep that was stopped, or whose grid has
+    Writes one labelled dataset, which xarray opens. Every point is stored in a
+    folder next to it (FILE.points): a sweep that was stopped, or whose grid has
     grown, computes only what is missing.
 
     [bold]Examples:[/bold]
@@ -165,7 +165,9 @@ def dataset(
     output: OutputFolder,
     workers: Annotated[
         int | None,
-        typer.Option(metavar="N", show_default="this process", help="Render on so many processes of this machine."),
+        typer.Option(
+            metavar="N", show_default="this process", help="Number of processes of this machine to render on."
+        ),
     ] = None,
     scheduler: Annotated[
         str | None,
@@ -178,7 +180,7 @@ def dataset(
 ) -> None:
     """Make a data set: random scenes captured by rays and by waves, with ground truth.
 
-    Run it again to go on after it was stopped, or to let it grow to a larger
+    Run it again to resume after it was stopped, or to let it grow to a larger
     count: the files have the same bits. The folder holds shards (HDF5), a data
     card (README.md), a preview, and checksums.
 
@@ -194,7 +196,7 @@ def dataset(
         try:
             made = make_dataset(wanted, output, batch_map=batch_map, progress=progress)
         except KeyboardInterrupt:
-            _log.info("stopped at %.0f %%: the same command goes on", 100 * progress.fraction)
+            _log.info("stopped at %.0f %%: the same command resumes", 100 * progress.fraction)
             raise
     size = sum(path.stat().st_size for path in output.rglob("*") if path.is_file())
     typer.echo(f"{output}: {len(made)} samples, {size / 2**20:.0f} MiB, described in {output / 'README.md'}")
@@ -214,9 +216,9 @@ def reproduce(
     """Compute the paper's figures, timing and conclusions again.
 
     Writes figures, captures and reconstructions, all numbers and report.html,
-    which shows them in a browser. What the folder already holds and is still
-    valid is kept, so that a run that was stopped goes on where it stood, even
-    in the midst of the wave capture.
+    which shows them in a browser. Valid results that the folder already
+    holds are reused: a run that was stopped resumes where it was, even within
+    the wave capture.
 
     [bold]Examples:[/bold]
 

@@ -22,7 +22,7 @@ from .terminal import stopped_by_hand
 if TYPE_CHECKING:
     from ..fitting import Fit, PixelNoise
 
-# Directions that are printed: the worst told.
+# Directions that are printed: the worst determined.
 _NAMED = 3
 
 
@@ -87,7 +87,7 @@ def fit(
         raise typer.BadParameter(f"{len(captures)} captures and {len(scenes)} scenes", param_hint="--scene")
     require_apart(require_writable(output, ".json"), *captures, mask)
     read = [read_capture(path) for path in captures]
-    kept = [_kept_noise(path, capture, photons) for path, capture in zip(captures, read, strict=True)]
+    noises = [_recorded_noise(path, capture, photons) for path, capture in zip(captures, read, strict=True)]
     left_out = None if mask is None else np.atleast_3d(read_picture(mask)).any(-1)
     for path, capture in zip(captures, read, strict=True):
         if left_out is not None and left_out.shape != capture.camera.shape:
@@ -107,7 +107,7 @@ def fit(
     if photons is not None:
         require_number("photons", photons, positive=True)
     views = []
-    for name, capture, (noise, full) in zip(scenes, read, kept, strict=True):
+    for name, capture, (noise, full) in zip(scenes, read, noises, strict=True):
         scene = load_scene(name, variant=DEFAULT_VARIANT, parameters=parse_definitions(define))
         view = fitting.known_view(
             capture.image,
@@ -139,7 +139,7 @@ def fit(
         _write(output, found)
 
 
-def _kept_noise(path: Path, capture: Capture, photons: float | None) -> tuple[PixelNoise | None, float | None]:
+def _recorded_noise(path: Path, capture: Capture, photons: float | None) -> tuple[PixelNoise | None, float | None]:
     """Return the noise and the saturation that a capture keeps, and refuse it where noise is not known, or twice."""
     from .. import fitting
 
@@ -166,5 +166,5 @@ def _write(output: Path, found: Fit) -> None:
     for direction in found.directions[:_NAMED] if len(found.values) > 1 else ():
         parts = sorted(direction.parts.items(), key=lambda part: -abs(part[1]))
         terms = ", ".join(f"{part:+.2f} {name}" for name, part in parts if abs(part) > 0.1)
-        typer.echo(f"told to {direction.deviation:.2g}: {terms}")
+        typer.echo(f"determined to {direction.deviation:.2g}: {terms}")
     typer.echo(f"{output}: the fitted camera")

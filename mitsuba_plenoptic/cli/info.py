@@ -46,7 +46,7 @@ def info(
 ) -> None:
     """Print what follows from a camera's parameters, and what is poor about the design.
 
-    Nothing is rendered. A capture also tells how it was made.
+    Nothing is rendered. For a capture, how it was made is printed too.
 
     [bold]Examples:[/bold]
 

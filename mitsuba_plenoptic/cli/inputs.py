@@ -1,4 +1,4 @@
-"""What the options name, checked and made: files to write, cameras, scenes and their parameters, workers."""
+"""Values of options, checked and loaded: files to write, cameras, scenes and their parameters, workers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..capture.scene import check_scene_file, load_scene, scene_names, scene_pat
 from ..design import design_warnings
 from ..errors import InputError, did_you_mean, refuse_if
 from ..io.captures import Capture, read_capture
-from ..io.raw import RAW_SUFFIXES, read_raw, scaled_from, tells_detector
+from ..io.raw import RAW_SUFFIXES, read_raw, scaled_from, states_detector
 from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
 from ..report.output_files import Brightness
@@ -61,14 +61,14 @@ def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamer
 def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, black_level: float = 0) -> Capture:
     """Read a capture, or a raw picture of a known camera; the camera that is given takes the place of a capture's.
 
-    Of a raw picture that tells its camera and detector, as `write_raw` writes it, nothing else is needed.
+    A raw picture that states its camera and detector, as `write_raw` writes it, needs nothing else.
     """
     if path.suffix.lower() in RAW_SUFFIXES:
-        if tells_detector(path):
+        if states_detector(path):
             found = read_raw(path)
             return found if camera is None else dataclasses.replace(found, camera=camera)
         if camera is None:
-            raise InputError(f"{path}: it tells no camera and detector; such a raw picture needs its --camera")
+            raise InputError(f"{path}: it states no camera and detector; such a raw picture needs its --camera")
         # Brings libraries that take a while to load.
         from ..lightfield.exchange import read_picture
 
@@ -101,7 +101,7 @@ def named_camera(source: str | None) -> PlenopticCamera | None:
 def open_scene(
     scene: str, parameters: dict[str, str], variant: str | None, camera: str | None = None, number: int = 0
 ) -> Any:
-    """Load a scene to be rendered, in the variant of its film's colours unless told, and say what is poor about it."""
+    """Load a scene to be rendered, in the variant of its film's colours by default, and warn of a poor design."""
     other = named_camera(camera)
     colours = None if variant else _colours_of_film(scene, parameters)
     loaded = load_scene(scene, variant=variant or (_COLOURS if colours else DEFAULT_VARIANT), parameters=parameters)
@@ -129,7 +129,7 @@ def open_scene(
 def _colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
     """Return the colours that a scene's film records, None if it records none.
 
-    Mitsuba's films record rgb unless told otherwise, and so does the one of a sensor that names none.
+    Mitsuba's films record rgb by default, and so does the one of a sensor that names none.
     """
     path = Path(scene) if Path(scene).exists() else scene_path(scene)
     text = re.sub(r"<!--.*?-->", "", check_scene_file(path, parameters), flags=re.DOTALL)

@@ -217,8 +217,8 @@ def depth(
     fraction = f"{100 * float(sure.mean()):.0f} % of the bins with a confidence above half"
     if float(sure.mean()) < _LITTLE:
         warnings.warn(
-            "depth: hardly any bin tells it: the scene has too little texture, or is nearer than --near or farther "
-            "than --far; look at the confidence before you use a depth",
+            "depth: hardly any bin determines it: the scene has too little texture, or is nearer than --near or "
+            "farther than --far; look at the confidence before you use a depth",
             stacklevel=2,
         )
     span = f", from {float(where.min()):.4g} to {float(where.max()):.4g} mm" if bool(sure.any()) else ""

@@ -72,7 +72,7 @@ Resume = Annotated[
     ),
 ]
 
-# Of commands that always go on where they stood.
+# For commands that always resume.
 ResumeOnly = Annotated[
     bool,
     typer.Option(
@@ -85,7 +85,8 @@ ResumeOnly = Annotated[
 Workers = Annotated[
     int | None,
     number(
-        "By waves: sum on so many processes of this machine; the capture has the same bits.", "threads of one process"
+        "By waves: number of processes of this machine to sum on; the capture has the same bits.",
+        "threads of one process",
     ),
 ]
 
@@ -121,7 +122,7 @@ White = Annotated[
     typer.Option(
         metavar="FILE",
         show_default="computed from the camera",
-        help="White image of the same camera, .exr, .png or .tiff. Of a raw picture it tells where the micro-images "
+        help="White image of the same camera, .exr, .png or .tiff. For a raw picture it shows where the micro-images "
         "are.",
     ),
 ]
@@ -131,7 +132,7 @@ Truth = Annotated[
     typer.Option(
         "--truth",
         metavar="FILE.truth.exr",
-        show_default="the one beside the capture, if 'render --aov' wrote it",
+        show_default="the one next to the capture, if 'render --aov' wrote it",
         help="Ground truth of the capture.",
     ),
 ]
@@ -144,8 +145,8 @@ Exposure = Annotated[
 Percentile = Annotated[
     float | None,
     number(
-        "Of a .png: a value that so many percent do not surpass becomes white, so that a lamp does not make the rest "
-        "black; 100: the brightest.",
+        "Of a .png: the value that this percentage does not surpass becomes white, so that a lamp does not make the "
+        "rest black; 100: the brightest.",
         "99.5",
         unit="PERCENT",
     ),

@@ -21,7 +21,7 @@ _PER_LENS = 4
 """Texels to a lens, where that many are allowed."""
 
 _DETAIL = (0.2, 2.0)
-"""Size of a pattern's details, in lenses, evenly in its logarithm: from below what the lenses tell apart to coarse."""
+"""Size of a pattern's details, in lenses, evenly in its logarithm: from below the lenses' resolution to coarse."""
 
 _DARKEST, _BRIGHTEST = 0.02, 0.95
 """Bounds of a reflectance."""
@@ -80,7 +80,7 @@ class Illumination:
         refuse_if(self.sky == self.lamp == 0, "light: sky = 0 and lamp = 0: scenes would be dark")
 
     def emitters(self, random: np.random.Generator, distance: float) -> dict[str, Any]:
-        """Describe the lights for ``mi.load_dict``; the lamp stands beside or above the camera, at random."""
+        """Describe the lights for ``mi.load_dict``; the lamp stands next to or above the camera, at random."""
         angle = random.uniform(0, 2 * math.pi)
         place = 0.5 * distance * np.array([math.cos(angle), math.sin(angle), 0.0])
         squared = float(np.sum(np.square(place - [0, 0, distance])))

@@ -29,7 +29,7 @@ LARGEST_LIST = 2**27
 _LOCK = ".lock"
 
 _GROWING = "recipe.count"
-"""What may differ, if it grows."""
+"""The entry that may differ, if it grows."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 def locked(folder: Path) -> Iterator[None]:
     """Make the folder of a data set and keep other processes from making it, too.
 
-    The lock belongs to this process: the system releases it however the process ends. There is none on Windows.
+    The lock belongs to this process: the system releases it however the process ends. Windows has no such lock.
     """
     path = folder / _LOCK
     try:
@@ -140,7 +140,7 @@ def claim(folder: Path, recipe: Recipe) -> Layout:
 
 
 def recorded_checksums(folder: Path) -> dict[str, str]:
-    """Return the checksums that were written for a data set, by file; none if there are none."""
+    """Return the checksums that were written for a data set, by file; an empty dictionary if there are no checksums."""
     path = folder / CHECKSUMS
     if not path.exists():
         return {}

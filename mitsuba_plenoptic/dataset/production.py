@@ -1,4 +1,4 @@
-"""Making a data set: sample by sample, so that a run that was killed goes on where it stood."""
+"""Making a data set: sample by sample, so that a killed run resumes where it was."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class SampleTask:
 
     @property
     def samples(self) -> int:
-        """Of fields: so many that it travels alone."""
+        """Of fields: above these a sample travels alone."""
         return 2**62
 
     def prepare(self) -> Callable[[], int]:
@@ -49,10 +49,10 @@ class SampleTask:
 def make_dataset(
     recipe: Recipe, folder: str | Path, *, batch_map: BatchMap | None = None, progress: Progress | None = None
 ) -> DataSet:
-    """Make a data set, or go on making it.
+    """Make a data set, or resume making it.
 
     Every sample is a file of its own until all of its shard are there. A run that was killed, at whatever moment,
-    goes on when it is started again, and ends with the bytes of one that was not. A data set of the same recipe with a
+    resumes when it is started again, and ends with the bytes of one that was not. A data set of the same recipe with a
     smaller count grows. Samples that are there are compared with their digests first; damaged ones are named in the log
     and rendered again. One process at a time makes a data set.
 
@@ -87,27 +87,27 @@ def make_dataset(
 
 def _produce(recipe: Recipe, layout: Layout, batch_map: BatchMap | None, progress: Progress | None) -> None:
     # Whatever is there is compared with its digests before anything of it is dropped.
-    kept = {
+    finished = {
         number: whole_samples(layout.shard(number)).intersection(layout.members(number))
         for number in range(layout.shards)
     }
     recorded = recorded_checksums(layout.folder)
-    unchanged = {number for number in kept if _as_recorded(layout, number, recorded)}
+    unchanged = {number for number in finished if _as_recorded(layout, number, recorded)}
     missing = []
-    for number, there in kept.items():
+    for number, there in finished.items():
         for index in layout.members(number):
             if index not in there and index not in whole_samples(layout.sample(index)):
                 layout.sample(index).unlink(missing_ok=True)
                 missing.append(index)
-    _clear(layout, kept)
+    _clear(layout, finished)
     done = recipe.count - len(missing)
     tasks = [SampleTask(recipe, index, layout.sample(index)) for index in missing]
     results: Iterable[int] = batch_map(tasks) if batch_map and tasks else (task.prepare()() for task in tasks)
     waiting = set(missing)
 
     def pack() -> None:
-        for number in [number for number in kept if not waiting.intersection(layout.members(number))]:
-            there = kept.pop(number)
+        for number in [number for number in finished if not waiting.intersection(layout.members(number))]:
+            there = finished.pop(number)
             if there != set(layout.members(number)) or number not in unchanged:
                 _pack(layout, number, there)
 
@@ -146,7 +146,7 @@ def _make(recipe: Recipe, index: int, path: Path) -> int:
 
 
 def _try_scenes(recipe: Recipe) -> None:
-    """Load one scene of each source, so that what is wrong with a file is told before anything is rendered."""
+    """Load one scene of each source, so that an error in a file is reported before anything is rendered."""
     left = set(range(len(recipe.scenes)))
     for index in range(min(recipe.count, 1000)):
         plan = recipe.plan(index)
@@ -157,16 +157,16 @@ def _try_scenes(recipe: Recipe) -> None:
             return
 
 
-def _clear(layout: Layout, kept: Mapping[int, set[int]]) -> None:
+def _clear(layout: Layout, finished: Mapping[int, set[int]]) -> None:
     """Remove what processes that were killed left behind, and samples that are in shards already."""
     for path in (layout.sample(0).parent, layout.shard(0).parent):
         for leftover in path.glob(".*"):
             shutil.rmtree(leftover, ignore_errors=True)
     for name in (CARD, PREVIEW, CHECKSUMS):
         remove_leftovers(layout.folder / name)
-        # They tell of a data set that is complete.
+        # They describe a complete data set.
         (layout.folder / name).unlink(missing_ok=True)
-    for index in set().union(*kept.values()):
+    for index in set().union(*finished.values()):
         layout.sample(index).unlink(missing_ok=True)
 
 

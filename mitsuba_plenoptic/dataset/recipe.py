@@ -61,7 +61,7 @@ class Source:
 
 @dataclass(frozen=True)
 class SamplePlan:
-    """What is drawn for one sample."""
+    """The parameters drawn for one sample."""
 
     index: int
     # Which of the recipe's scenes.
@@ -177,7 +177,7 @@ class Recipe:
 
 
 def read_recipe(path: str | Path) -> Recipe:
-    """Read a recipe from a YAML or JSON file; scenes that it names lie beside it.
+    """Read a recipe from a YAML or JSON file; scenes that it names lie in the same folder.
 
     Parameters
     ----------

@@ -135,7 +135,9 @@ class DataSet:
         self._process = os.getpid()
         for number in range(self._layout.shards):
             if not self._layout.shard(number).is_file():
-                raise InputError(f"{self._layout.shard(number)}: it is missing: make the data set again to go on")
+                raise InputError(
+                    f"{self._layout.shard(number)}: it is missing: run the command that makes the data set again"
+                )
 
     def __len__(self) -> int:
         return self._layout.count

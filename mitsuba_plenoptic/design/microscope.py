@@ -1,4 +1,4 @@
-r"""What follows from the numbers of a light-field microscope, a camera whose main lens is an `Objective`.
+r"""Quantities of a light-field microscope, a camera whose main lens is an `Objective`.
 
 Lengths in the object are those in the native image plane over the magnification M. In the Fourier arrangement each lens
 of the width w sees the object through its part of the stop, :math:`NA_l = M w / 2 f_F`, from a direction of its own

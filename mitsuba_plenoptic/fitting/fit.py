@@ -63,12 +63,14 @@ def fit(
     Parameters
     ----------
     camera : PlenopticCamera
-        Where to start; the numbers that are not fitted are right. It must be near: spots of the model that lie beside
-        those of a capture by more than their width do not find them. `lattice_from_white` brings a lattice near.
+        Where to start; the numbers that are not fitted are right. It must be near: spots of the model that do not
+        overlap those of a capture by more than their width do not find them. `lattice_from_white` brings a lattice
+        near.
     views : View, or sequence of View
         Captures by one camera, and their light.
     names : str or iterable of str
-        What is fitted: names of the numbers by which captures are differentiated, as of `CaptureOperator.derivative`.
+        Names of the parameters that are fitted, those by which captures are differentiated, as for
+        `CaptureOperator.derivative`.
     wavelength : float
         In nanometres.
     photons : float, optional
@@ -84,7 +86,7 @@ def fit(
     progress : callable, optional
         Called with the cameras that have been tried and the most that are.
     checkpoint : Checkpoint, optional
-        Keeps the best camera of a long fit, so that the same fit goes on from there after a stop.
+        Keeps the best camera of a long fit, so that the same fit resumes from there after a stop.
 
     Raises
     ------
@@ -113,7 +115,7 @@ def fit(
     x = start
     if checkpoint:
         asked = {"method": method, "wavelength": wavelength, "photons": photons, "accuracy": accuracy}
-        # Where a fit goes on is as good as where it began.
+        # A fit may continue from its last camera as well as from the first.
         sought = {number.name for number in numbers}
         held = {name: value for name, value in camera.to_dict().items() if name not in sought}
         facts = {"numbers": [number.label for number in numbers], "bounds": dict(bounds or {}), "camera": held}
@@ -156,7 +158,7 @@ def fit(
 
 
 class _Model(Protocol):
-    """What a camera records of some views."""
+    """The captures of some views by a camera."""
 
     def images(self) -> NDArray[np.float64]:
         """Return the expected pixels of all views, (views, rows, columns)."""
@@ -176,7 +178,7 @@ def _model_of(
 
 
 class _Trials:
-    """Cameras that are tried, of which the last one is kept."""
+    """Cameras that are tried, of which the last one is remembered."""
 
     def __init__(
         self,
@@ -230,7 +232,7 @@ def _digest(views: list[View]) -> str:
     for view in views:
         pupil = PupilWeights.of(view.pupil_weights, len(view.points))
         noise = astuple(view.noise) if isinstance(view.noise, PixelNoise) else view.noise
-        arrays += [view.image, view.points, view.weights, view.kept, None if noise is None else np.asarray(noise)]
+        arrays += [view.image, view.points, view.weights, view.used, None if noise is None else np.asarray(noise)]
         arrays += [None if view.saturation is None else np.asarray(view.saturation)]
         arrays += [None] * 3 if pupil is None else [pupil.table, pupil.index, pupil.slant]
     return digest(*arrays)

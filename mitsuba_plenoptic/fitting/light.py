@@ -104,10 +104,10 @@ class View:
             object.__setattr__(self, name, value)
 
     @property
-    def kept(self) -> NDArray[np.bool_]:
+    def used(self) -> NDArray[np.bool_]:
         """Pixels that count by the mask and by what they show, (rows, columns)."""
-        kept = np.ones(self.image.shape, bool) if self.mask is None else ~self.mask
-        return kept if self.saturation is None else kept & (self.image < self.saturation)
+        used = np.ones(self.image.shape, bool) if self.mask is None else ~self.mask
+        return used if self.saturation is None else used & (self.image < self.saturation)
 
 
 def check_views(camera: PlenopticCamera, views: Sequence[View], default: PixelNoise | None = None) -> None:

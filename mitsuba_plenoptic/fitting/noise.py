@@ -91,7 +91,7 @@ def kept_noise(capture: Capture) -> tuple[PixelNoise | None, float | None]:
 
 @dataclass(frozen=True)
 class Pixels:
-    """What is expected of the noise of all pixels of some views, (views, rows, columns)."""
+    """The expected noise of all pixels of some views, (views, rows, columns)."""
 
     # Deviations by which residuals are divided; infinite where a pixel does not count.
     weight: NDArray[np.float64]
@@ -120,14 +120,14 @@ def _pixels(view: View, expected: NDArray[np.float64], default: PixelNoise | Non
     else:
         counts, unit = np.zeros_like(expected), 1.0
         weight = variance = counts + np.square(noise)
-    kept = view.kept
+    used = view.used
     if view.saturation is not None:
         # By what is expected alone, so that noise does not decide which pixels near saturation count.
-        kept = kept & (expected + _CLEAR * np.sqrt(variance) / unit < view.saturation)
-    share = np.where(kept, variance / weight, 0.0)
+        used = used & (expected + _CLEAR * np.sqrt(variance) / unit < view.saturation)
+    share = np.where(used, variance / weight, 0.0)
     # The fourth cumulant of a Poisson distribution is its mean; that of a normal one is zero.
-    spread = np.where(kept, (2 * variance**2 + counts) / weight**2, 0.0)
-    return np.where(kept, np.sqrt(weight) / unit, np.inf), share, spread
+    spread = np.where(used, (2 * variance**2 + counts) / weight**2, 0.0)
+    return np.where(used, np.sqrt(weight) / unit, np.inf), share, spread
 
 
 def check_light(view: View, default: PixelNoise | None = None) -> None:
@@ -138,13 +138,13 @@ def check_light(view: View, default: PixelNoise | None = None) -> None:
     else:
         dark = 0.0 if noise is None else np.asarray(noise, np.float64)
         least = np.inf if noise is None else dark
-    kept, image = view.kept, view.image
-    refuse_if(not kept.any(), "image: all of its pixels are left out: by its mask, or as saturated")
+    used, image = view.used, view.image
+    refuse_if(not used.any(), "image: all of its pixels are left out: by its mask, or as saturated")
     refuse_if(
-        image.sum(where=kept, dtype=np.float64) <= _LIGHT * np.sqrt(np.sum(np.square(dark) * kept)),
+        image.sum(where=used, dtype=np.float64) <= _LIGHT * np.sqrt(np.sum(np.square(dark) * used)),
         "image: it is black: nothing can be found by it",
     )
-    negative = kept & (image < -_NEGATIVE * least)
+    negative = used & (image < -_NEGATIVE * least)
     if negative.any():
         row, column = np.argwhere(negative)[0]
         raise InputError(

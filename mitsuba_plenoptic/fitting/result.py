@@ -1,4 +1,4 @@
-"""What a fit found, what is known of it, and what makes it doubtful."""
+"""The result of a fit, its uncertainty, and reasons to doubt it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SAME = 10
 
 @dataclass(frozen=True)
 class Direction:
-    """A change of all numbers at once that the captures tell to some deviation, apart from other directions.
+    """A joint change of all parameters that the captures determine to some deviation, independent of other directions.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Direction:
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit found.
+    """The result of a fit.
 
     Attributes
     ----------
@@ -59,8 +59,8 @@ class Fit:
     scales : dict
         The unit of each number in `directions`: a hundredth of it, a degree, a pitch, a wave.
     directions : tuple of Direction
-        What can be told, from the worst on: numbers with large parts in a direction of a large deviation cannot be
-        told apart.
+        Directions from the worst determined on: parameters with large parts in a direction of a large deviation cannot
+        be separated.
     at_bounds : dict
         Numbers that lie at a bound, nearer than a hundredth of their deviation: by name "lowest" or "highest". Their
         deviations are one-sided: how far inside the bound the sum of the weighted squares is larger by 1, with the
@@ -99,8 +99,8 @@ def summary(
     steps: int,
 ) -> Fit:
     """Gather what a fit found; `rows` are the weighted derivatives for changes of one unit of `Fit.scales`."""
-    for label, told in zip(labels, np.abs(rows).max(axis=0).tolist(), strict=True):
-        refuse_if(not told, f"{label}: the captures do not depend on it, so that it cannot be fitted")
+    for label, sensitivity in zip(labels, np.abs(rows).max(axis=0).tolist(), strict=True):
+        refuse_if(not sensitivity, f"{label}: the captures do not depend on it, so that it cannot be fitted")
     slope = residuals @ rows
     low, high = ((x - limits[0]) / unit, (limits[1] - x) / unit)
     gap = np.where(slope > 0, low, high)
@@ -168,13 +168,13 @@ def doubts(found: Fit, views: Sequence[View], expected: NDArray[np.float64]) -> 
         return
     hints = ""
     lit, modelled = (
-        sum(float(image[view.kept].sum()) for image, view in zip(images, views, strict=True))
+        sum(float(image[view.used].sum()) for image, view in zip(images, views, strict=True))
         for images in ([view.image for view in views], expected)
     )
     if not 1 / _BRIGHTER < lit / modelled < _BRIGHTER:
         hints = f"; the captures are {lit / modelled:.3g} times as bright as the model: are both in the same unit?"
     for view in views:
-        top = view.image[view.kept].max()
+        top = view.image[view.used].max()
         same = int((view.image == top).sum())
         if view.saturation is None and same > _SAME:
             hints += f"; {same} pixels have the same highest value, {top:g}: if they are saturated, give saturation"

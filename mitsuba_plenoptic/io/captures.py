@@ -26,13 +26,13 @@ BRIGHTEST = 1e30
 @suggest_keywords
 @dataclass(frozen=True, eq=False, repr=False)
 class Capture:
-    """What the detector of a plenoptic camera recorded.
+    """The image that the detector of a plenoptic camera recorded.
 
     Parameters
     ----------
     image : (rows, columns[, 1 or 3]) array
-        Pixel values, mean radiance over the aperture of the pixel's lens; kept as float32. All are finite and at most
-        1e30 in magnitude: a capture with NaN or infinity is never made, by whatever way its pixels come.
+        Pixel values, mean radiance over the aperture of the pixel's lens; stored as float32. All are finite and at most
+        1e30 in magnitude: a capture with NaN or infinity cannot be made.
     camera : PlenopticCamera
         The camera; its `shape` is the image's.
     wavelength : float or tuple of three floats, optional
@@ -42,7 +42,7 @@ class Capture:
     metadata : dict
         How it was made: scene, seed, samples, software versions. Plain JSON values.
     noise : array like the image, optional
-        Standard deviation of each pixel from the samples of which it is made, as `render_capture` estimates it; kept
+        Standard deviation of each pixel from the samples of which it is made, as `render_capture` estimates it; stored
         as float32.
 
     Raises
@@ -174,7 +174,7 @@ def write_capture(path: str | Path, capture: Capture) -> None:
     Raises
     ------
     InputError
-        If it is none, its metadata are no plain data, or the file cannot be written.
+        If it is not a capture, its metadata are not plain data, or the file cannot be written.
     """
     if not isinstance(capture, Capture):
         raise InputError(f"capture of type {type(capture).__name__}: it must be a Capture")

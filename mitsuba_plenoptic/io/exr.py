@@ -41,7 +41,7 @@ _LOSSLESS = (
 
 
 class ExrPart(NamedTuple):
-    """What the header of one part of an OpenEXR file says: its data window, its channels, and all attributes."""
+    """The header of one part of an OpenEXR file: its data window, its channels, and all attributes."""
 
     origin: tuple[int, int]  # column and row
     columns: int
@@ -98,7 +98,7 @@ def _write(
             try:
                 header[ATTRIBUTE] = json.dumps(attributes, sort_keys=True)
             except (TypeError, ValueError) as error:
-                raise InputError(f"{path}: what is told about the image must be plain data for JSON: {error}") from None
+                raise InputError(f"{path}: its attributes must be plain data for JSON: {error}") from None
         planes = {key: np.ascontiguousarray(plane, dtype=np.float32) for key, plane in channels.items()}
         written.append(OpenEXR.Part(header, planes, name))
     try:

@@ -42,7 +42,7 @@ def require_writable(path: str | Path, *suffixes: str) -> Path:
 
 
 def require_apart(path: Path, *sources: Path | None) -> None:
-    """Check that a file that is to be written is none of those that are read, which it would take the place of."""
+    """Check that a file that is to be written is not one of those that are read, which it would replace."""
     for source in sources:
         if source is not None and path.exists() and source.exists() and path.samefile(source):
             raise InputError(f"{path}: it is read, and would be lost; write to another file")
@@ -96,7 +96,7 @@ def _path(path: str | Path) -> Path:
 
 @contextlib.contextmanager
 def atomic_output(path: str | Path, *suffixes: str) -> Iterator[Path]:
-    """Yield a temporary name beside a writable `path` that replaces it once it is written whole, or goes."""
+    """Yield a temporary file next to a writable `path`; it replaces `path` once it is complete, or is removed."""
     path = require_writable(path, *suffixes)
     folder = ""
     try:
@@ -134,12 +134,12 @@ def native_output_dropped() -> Iterator[None]:
     Their exceptions say it again.
     """
     with _one_at_a_time, Path(os.devnull).open("wb") as nowhere, contextlib.redirect_stdout(io.StringIO()):
-        kept = [(number, os.dup(number)) for number in (1, 2)]
+        saved = [(number, os.dup(number)) for number in (1, 2)]
         try:
-            for number, _ in kept:
+            for number, _ in saved:
                 os.dup2(nowhere.fileno(), number)
             yield
         finally:
-            for number, copy in kept:
+            for number, copy in saved:
                 os.dup2(copy, number)
                 os.close(copy)

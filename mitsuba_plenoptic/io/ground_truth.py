@@ -1,4 +1,4 @@
-"""Ground truth: what the rays of a capture and of its views meet, beside the capture on disk."""
+"""Ground truth: what the rays of a capture and of its views meet, in a file next to the capture."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from ..errors import InputError, naming, refuse_if, require_choice, short_repr
 from .exr import read_exr_parts, write_exr_parts
 
 QUANTITIES = {"depth": "Z", "position": "XYZ", "normal": "XYZ", "albedo": "RGB", "shape_index": "I"}
-"""What is known of the place that a ray meets, with its channels."""
+"""Quantities of the point that a ray meets, with their channels."""
 
 SUFFIX = ".truth.exr"
 """In the place of a capture's ``.exr``."""
 
 NAME = "ground_truth"
-"""What names the file in the metadata of its capture."""
+"""Key of the file in the metadata of its capture."""
 
 COORDINATES = {
     f"{name}.{letter}": name if len(letters) == 1 else f"{name}_{letter.lower()}"
     for name, letters in QUANTITIES.items()
     for letter in letters
 }
-"""What light fields call the channels."""
+"""Names of the channels in light fields."""
 
 _PIXELS, _VIEWS = "capture", "views"
 
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """What the camera's rays meet first, named as by Mitsuba's integrator ``aov``.
+    """The surfaces that the camera's rays meet first, named as by Mitsuba's integrator ``aov``.
 
     ``depth`` is the distance from the main lens along the camera's axis, in scene units, taken as millimetres: infinite
     where a ray meets nothing. ``position`` and ``normal`` (of shading) are in the world's frame, ``albedo`` is the
@@ -85,7 +85,7 @@ def channel_planes(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def truth_path(capture: Path) -> Path:
-    """Return where the ground truth of a capture is kept."""
+    """Return the path of a capture's ground truth."""
     return capture.with_name(capture.name.removesuffix(capture.suffix) + SUFFIX)
 
 
@@ -166,7 +166,7 @@ def _matrix(value: Any) -> np.ndarray:
 
 
 def _quantities(planes: Mapping[str, np.ndarray], shapes: int) -> dict[str, np.ndarray]:
-    """Undo `channel_planes`, for a scene of so many shapes."""
+    """Undo `channel_planes`, for a scene of `shapes` shapes."""
     names = [name for name in QUANTITIES if any(key.startswith(f"{name}.") for key in planes)]
     keys = {name: [f"{name}.{letter}" for letter in QUANTITIES[name]] for name in names}
     if not names or set().union(*keys.values()) != set(planes):

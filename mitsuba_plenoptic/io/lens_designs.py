@@ -1,4 +1,4 @@
-"""What the readers of other programs' lens files share: lines that can be refused, and the way to a `Prescription`.
+"""Common parts of the readers of other programs' lens files: their lines, and the `Prescription` made of them.
 
 Both readers know the keywords that they understand and those that do not change the light's path through the lens.
 Anything else is refused by file, line and rule, so that no lens is read as another one.

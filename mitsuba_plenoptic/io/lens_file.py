@@ -29,7 +29,7 @@ def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> Prescr
     source : str or Path
         The file, name or text.
     resolve : callable, optional
-        Finds a file by its name, for example beside a scene.
+        Finds a file by its name, for example in the folder of a scene.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -
         The name of a bundled lens; a YAML or JSON file, a Zemax ``.zmx`` or CODE V ``.seq`` file; or the text of a JSON
         file. The file of a bundled lens, such as ``tessar.yaml``, is found where there is no file of that name.
     resolve : callable, optional
-        Finds a file by its name, for example beside a scene.
+        Finds a file by its name, for example in the folder of a scene.
 
     Raises
     ------

@@ -101,7 +101,7 @@ def h5py_module(purpose: str) -> Any:
 
 
 def stored_array(group: Any, name: str) -> Any:
-    """Return the array of numbers of a name that lies in this very file, or None if there is none.
+    """Return the array of numbers of a name that lies in this very file, or None if there is no such array.
 
     HDF5 can link to other files, keep data in other files and assemble them from other files; of a file from a
     stranger that would read files of the user's.

@@ -80,7 +80,7 @@ def read_raw(path: str | Path) -> Capture:
     Raises
     ------
     InputError
-        If the file does not exist, is damaged, or tells no detector and camera, as those of other programs.
+        If the file does not exist, is damaged, or states no detector and camera, as those of other programs.
     """
     path = require_file(path)
     numbers, text = _read(path)
@@ -90,7 +90,7 @@ def read_raw(path: str | Path) -> Capture:
         if not all(isinstance(part, dict) for part in given):
             raise TypeError("camera and exposure are no objects")
     except (ValueError, TypeError, KeyError, RecursionError):
-        raise InputError(f"{path}: it tells no camera and detector; a raw picture needs its camera") from None
+        raise InputError(f"{path}: it states no camera and detector; a raw picture needs its camera") from None
     with naming(path):
         return Capture(
             image=_values(numbers, about["metadata"]["exposure"]),
@@ -101,8 +101,8 @@ def read_raw(path: str | Path) -> Capture:
         )
 
 
-def tells_detector(path: str | Path) -> bool:
-    """Return whether a picture tells its camera and detector, so that `read_raw` reads it."""
+def states_detector(path: str | Path) -> bool:
+    """Return whether a picture states its camera and detector, so that `read_raw` reads it."""
     return f'"{_KEY}"' in _read(require_file(path))[1]
 
 
@@ -114,7 +114,7 @@ def digital_numbers(capture: Capture) -> NDArray[np.uint16]:
     gain, black, dark, unit = response_of(exposure)
     exact = (capture.image.astype(np.float64) * unit + dark) * gain + black
     numbers = np.rint(exact)
-    # Single precision tells a number of 16 bits from its neighbours.
+    # Single precision separates a number of 16 bits from its neighbours.
     refuse_if(
         np.abs(exact - numbers).max(initial=0) > 0.1 or numbers.min(initial=0) < 0 or numbers.max(initial=0) > 65535,
         "capture: its values are no digital numbers of its detector; write it as .exr",
@@ -128,7 +128,7 @@ def _values(numbers: NDArray[Any], exposure: dict[str, Any]) -> NDArray[np.float
 
 
 def response_of(exposure: dict[str, Any]) -> tuple[float, float, float, float]:
-    """Return gain, black level, dark electrons, and electrons in a pixel of value 1, of what `expose` has kept."""
+    """Return gain, black level, dark electrons, and electrons in a pixel of value 1, from the record of `expose`."""
     for name in ("gain", "black_level", "dark_electrons", "quantum_efficiency", "photons"):
         refuse_if(name not in exposure, f"exposure: {name}: it is missing")
     gain, efficiency, photons = (

@@ -130,9 +130,9 @@ class ZemaxReader:
         return terms
 
     def _glass(self, line: Line) -> Glass:
-        name, way = line.word(1), int(line.value(2, _FIXED))
+        name, kind = line.word(1), int(line.value(2, _FIXED))
         line.refuse_if(name == "MIRROR", "mirrors are not read")
-        if way == _MODEL:
+        if kind == _MODEL:
             line.refuse_if(
                 line.value(6, 0.0),
                 "a model glass's deviation of the partial dispersion must be 0; name a glass instead",
@@ -140,7 +140,8 @@ class ZemaxReader:
             index, abbe = line.value(4), line.value(5)
             return Glass("abbe", (index, abbe), "model") if abbe else Glass("index", (index,), "model")
         line.refuse_if(
-            way not in (_FIXED, _PICKED_UP, _SUBSTITUTE), "only fixed, substitute, picked up and model glasses are read"
+            kind not in (_FIXED, _PICKED_UP, _SUBSTITUTE),
+            "only fixed, substitute, picked up and model glasses are read",
         )
         where = f"{self.path}, line {line.number}: glass"
         return catalogue_glass(name, where, self.makers or None)

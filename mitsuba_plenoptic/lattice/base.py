@@ -1,4 +1,4 @@
-r"""What a microlens lattice is: which lens a point belongs to, where its centre is, and what its aperture lets through.
+r"""Microlens lattices: which lens a point belongs to, where its centre is, and what its aperture lets through.
 
 Everything that has to do with the arrangement of microlenses is asked of a `Lattice`, which `PlenopticCamera.lattice`
 makes. It covers the whole plane and does not end with the detector. Points are given in the camera frame, in the
@@ -39,7 +39,7 @@ class Lattice(abc.ABC):
     Parameters
     ----------
     pitches : (float, float)
-        Pitch along the rows, the distance of neighbouring centres; and across them, the same but for a stretched
+        Pitch along the rows, the distance of neighbouring centres; and across them, the same except for a stretched
         lattice.
     rotation : float
         Degrees, counter-clockwise in the camera frame. As that frame's y falls on rows, this is clockwise in a capture
@@ -62,7 +62,7 @@ class Lattice(abc.ABC):
     # -- what a lattice defines ----------------------------------------------------------------------
 
     name: ClassVar[str]
-    """What the camera's ``mla_lattice`` calls it."""
+    """Its name in the camera's ``mla_lattice``."""
 
     row_ratio: ClassVar[float]
     """Distance of rows over the pitch across them."""
@@ -71,7 +71,7 @@ class Lattice(abc.ABC):
     """Rows from one to the next that stands straight above it."""
 
     lens_types: ClassVar[int]
-    """Types of lenses that a multi-focus array interleaves so that no two neighbours are alike; 1: there are none."""
+    """Types of lenses that a multi-focus array interleaves so that no two neighbours are alike; 1: not supported."""
 
     rectangular: ClassVar[bool]
     """Whether cells are rectangles along the rows."""
@@ -151,7 +151,7 @@ class Lattice(abc.ABC):
         return self.pitches[0] / self.stagger, self.row_distance
 
     def period(self, lens_types: int = 1) -> tuple[Any, Any]:
-        """Return the sides, in the lattice's frame, of a rectangle after which an array of so many types repeats."""
+        """Return the sides, in the lattice's frame, of a rectangle after which an array of `types` types repeats."""
         return self.pitches[0] * lens_types, self.row_distance * self.stagger
 
     @property
@@ -327,8 +327,8 @@ class Lattice(abc.ABC):
         # Centres inside an enlarged cell are to the left of all its sides.
         side = edges[:, 0] * to_corner[..., 1] - edges[:, 1] * to_corner[..., 0]
         distance[(side >= 0).all(1)] = 0
-        kept = distance <= reach
-        index, place = index[kept], place[kept]
+        inside = distance <= reach
+        index, place = index[inside], place[inside]
         return index[np.lexsort((index[:, 0], index[:, 1], np.round(np.hypot(*place.T) / self.pitches[0], 6)))]
 
     def lenses_within(self, low: tuple[float, float], high: tuple[float, float]) -> np.ndarray:
@@ -354,8 +354,8 @@ class Lattice(abc.ABC):
         first, last = first.astype(int), last.astype(int)
         j, i = (index.ravel() for index in np.mgrid[first[1] : last[1] + 1, first[0] : last[0] + 1])
         x, y = self.centre(i.astype(np.float64), j.astype(np.float64))
-        kept = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
-        return np.stack([i[kept], j[kept]], axis=-1)
+        inside = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
+        return np.stack([i[inside], j[inside]], axis=-1)
 
     # -- frames --------------------------------------------------------------------------------------
 

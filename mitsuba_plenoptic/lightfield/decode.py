@@ -222,7 +222,7 @@ def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, 
     views = math.inf
     if camera is not None:
         radius = camera.aperture_radius / camera.pupil_step
-        # Where micro-images do not touch, there is room beyond half way to the next lens.
+        # Where micro-images do not touch, there is room beyond half the distance to the next lens.
         reach = max(reach, lenses.nearest_distance - radius)
         views = math.ceil(radius - 0.5)
     # A sample mixes the pixels whose centres lie within one pixel of it.

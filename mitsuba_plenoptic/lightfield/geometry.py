@@ -1,4 +1,4 @@
-"""What the axes of a light field mean, and how far a point at some distance moves from view to view.
+"""The axes of a light field, and how far a point at some distance moves from view to view.
 
 A light field is an `xarray.DataArray` with the dimensions ``v, u, t, s`` (and ``c`` where it has colour):
 
@@ -102,7 +102,7 @@ def light_field(
 
 
 def pupil_places(camera: PlenopticCamera, views: int) -> np.ndarray:
-    """Return the coordinates on the pupil of so many views, along x or y."""
+    """Return the coordinates on the pupil of `count` views, along x or y."""
     # A pixel one step to the right of its micro-image's centre looks one step to the left on the pupil axis.
     return -(np.arange(views) - (views - 1) / 2) * camera.pupil_step
 
@@ -240,7 +240,7 @@ def disparity(lf: xr.DataArray, distance: float) -> float:
 
 
 def distance_of(lf: xr.DataArray, disparity: Any) -> Any:
-    """Invert `disparity`: the distance at which a point moves so far; infinity where there is none.
+    """Invert `disparity`: the distance at which a point moves so far; infinity where there is no such distance.
 
     Parameters
     ----------

@@ -245,7 +245,7 @@ def reduced(vectors: np.ndarray) -> np.ndarray:
     while True:
         if a @ a > b @ b:
             a, b = b, a
-        # Of a hexagonal lattice the projection is a half, but for rounding, and either of two vectors will do.
+        # Of a hexagonal lattice the projection is a half, except for rounding, and either of two vectors will do.
         projection = (a @ b) / (a @ a)
         if abs(projection) <= 0.5 + 1e-9:
             return np.array([a, b if projection <= 0 else -b])

@@ -138,10 +138,10 @@ def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np
         measured, light = (
             np.concatenate(parts) for parts in zip(*(_centroids(image, block, radius) for block in blocks), strict=True)
         )
-        kept = light > 0.1 * np.median(light)
+        used = light > 0.1 * np.median(light)
         moved = np.hypot(*(measured - centres).T)
-        kept &= moved < 3 * np.median(moved[kept]) + 0.5
-        origin, *new = np.linalg.lstsq(np.column_stack([np.ones(kept.sum()), index[kept]]), measured[kept])[0]
+        used &= moved < 3 * np.median(moved[used]) + 0.5
+        origin, *new = np.linalg.lstsq(np.column_stack([np.ones(used.sum()), index[used]]), measured[used])[0]
         change = np.abs(new - vectors).max() * reach
         vectors = np.array(new)
         if reach < whole:
@@ -150,10 +150,10 @@ def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np
             repeats += 1
             if change < 1e-4:
                 break
-    refuse_if(np.median(moved[kept]) > 0.2 * radius, "white: no regular lattice of micro-images is seen in it")
+    refuse_if(np.median(moved[used]) > 0.2 * radius, "white: no regular lattice of micro-images is seen in it")
     rows, shifted = lattice_rows(vectors, _SAME / whole)
-    steps = np.round(np.linalg.solve(rows.T, (index[kept] @ vectors).T).T * 2) / 2
-    return *_rows_at_right_angles(steps, measured[kept]), shifted
+    steps = np.round(np.linalg.solve(rows.T, (index[used] @ vectors).T).T * 2) / 2
+    return *_rows_at_right_angles(steps, measured[used]), shifted
 
 
 def _centroids(image: np.ndarray, centres: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
@@ -175,10 +175,10 @@ def _centroids(image: np.ndarray, centres: np.ndarray, radius: float) -> tuple[n
 
 
 def _rows_at_right_angles(steps: np.ndarray, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fit origin, rotation and both spacings to centres at so many steps along the rows and across them."""
+    """Fit origin, rotation and both spacings to centres at given steps along the rows and across them."""
     matrix = np.column_stack([np.ones(len(steps)), steps])
     origin, first, second = np.linalg.lstsq(matrix, measured)[0]
-    # Both fitted steps tell the rotation, the longer lever arm better.
+    # Both fitted steps determine the rotation, the one with the longer lever arm better.
     arms = (steps**2).sum(0) * [first @ first, second @ second]
     angles = np.array([math.atan2(first[1], first[0]), math.atan2(-second[0], second[1])])
     angle = float(arms @ angles / arms.sum())

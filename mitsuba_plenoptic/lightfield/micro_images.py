@@ -1,4 +1,4 @@
-"""Micro-images as they were recorded, lens by lens: what a focused camera's depth is told by.
+"""Micro-images as they were recorded, lens by lens: the basis of a focused camera's depth.
 
 A light field has square upright bins, which on other lattices are interpolated between lenses. Of a focused camera that
 destroys what its micro-images hold: detail finer than the pitch of the lenses.

@@ -139,10 +139,12 @@ def _add_shifted(total: np.ndarray, values: np.ndarray, shift: float, axis: int)
     whole, size, before = int(np.floor(shift)), values.shape[axis], (slice(None),) * axis
     part = np.float32(shift - whole)
     for count, factor in ((whole, 1 - part), (whole + 1, part)):
-        kept = size - abs(count)
-        if kept > 0 and factor > 0:
-            source = values[(*before, slice(max(count, 0), max(count, 0) + kept))]
-            total[(*before, slice(max(-count, 0), max(-count, 0) + kept))] += source if factor == 1 else source * factor
+        overlap = size - abs(count)
+        if overlap > 0 and factor > 0:
+            source = values[(*before, slice(max(count, 0), max(count, 0) + overlap))]
+            total[(*before, slice(max(-count, 0), max(-count, 0) + overlap))] += (
+                source if factor == 1 else source * factor
+            )
 
 
 def _gather(values: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:

@@ -46,7 +46,7 @@ def as_view(lf: xr.DataArray, image: np.ndarray) -> xr.DataArray:
 
 
 def pick_views(lf: xr.DataArray, count: int) -> xr.DataArray:
-    """Keep so many views along each axis: those in the middle of as many equal parts of the pupil.
+    """Keep `count` views along each axis: those in the middle of as many equal parts of the pupil.
 
     Parameters
     ----------

@@ -63,7 +63,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     Raises
     ------
     InputError
-        If micro-images are so wide or so much out of focus that it would take an hour, or too much memory.
+        If micro-images are so wide or so far out of focus that it would take an hour, or too much memory.
     """
     camera.require_thin("white images are computed")
     fractions = _Fractions(camera)
@@ -94,7 +94,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
             middle = np.array(camera.resolution) / 2 - camera.crop_offset
             row = middle + (row - middle) / (1 - height[:, None] / camera.mla_distance)
         base = np.floor(row).astype(np.int64)
-        # Places of the pupil that each pixel sees through its lens's centre, but for their sign.
+        # Positions on the pupil that each pixel sees through its lens's centre, except for their sign.
         step = camera.pixel_size * (camera.mla_distance - height) / (camera.detector_distance + height)
         x, y = ((base[:, axis, None] + window + 0.5 - row[:, axis, None]) * step[:, None] for axis in (0, 1))
         fraction = fractions(lens_types(camera, row), height, x, y)
@@ -125,8 +125,8 @@ def scaled_white(white: np.ndarray, computed: np.ndarray, camera: PlenopticCamer
     expected = np.bincount(lenses, model)
     radiance = white_radiance(light, expected, radius)
     # Where a lens's light lies: of white the common part of both images is nearly all.
-    share = light.sum(axis=1) / np.maximum(expected, np.finfo(np.float32).tiny)
-    scaled = white.sum(axis=2).ravel() / np.where(share > 0, share, np.inf)[lenses]
+    light_ratio = light.sum(axis=1) / np.maximum(expected, np.finfo(np.float32).tiny)
+    scaled = white.sum(axis=2).ravel() / np.where(light_ratio > 0, light_ratio, np.inf)[lenses]
     common = float(np.minimum(scaled, model).clip(0).sum() / model.sum())
     _require_most(
         common,
@@ -141,7 +141,8 @@ def white_radiance(light: np.ndarray, computed: np.ndarray, radius: np.ndarray) 
     """Return the radiance of a recorded white for each channel: what it is to be divided by.
 
     It is the median of recorded over computed light among the quarter of the lenses that is nearest to the axis, where
-    main lenses hardly vignette. Within 5 % of 1 it counts as 1: so much may waves lose between microlenses with gaps.
+    main lenses hardly vignette. Within 5 % of 1 it counts as 1: wave captures may lose as much between microlenses with
+    gaps.
 
     Shapes: `light` (lenses, channels), `computed` (lenses,), `radius` (lenses,).
     """

@@ -18,7 +18,7 @@ from ..reconstruction import RayRefocus
 from ..system.sampling import check_positions
 
 DESIGN_ACCURACY = 0.02
-"""Allowed error of the point spreads unless told: designs differ by more."""
+"""Default error allowed for the point spreads: designs differ by more."""
 
 Gradient = dict[str, NDArray[np.float64]]
 
@@ -196,7 +196,7 @@ class _Move:
 
 
 class DepthInformation:
-    r"""How precisely noisy captures tell the depths of points whose other numbers are unknown, too.
+    r"""How precisely noisy captures determine the depths of points whose other numbers are unknown, too.
 
     Of each point the place (X, Y, g) and the brightness w are unknown. With the expected counts of photons I and the
     background B of each pixel Fisher's information is
@@ -216,7 +216,8 @@ class DepthInformation:
     photons : float
         Of each point that pass the pupil.
     background : float
-        Variance of each pixel without light, in photons; it must not be zero, or dark pixels would tell all.
+        Variance of each pixel without light, in photons; it must not be zero, or dark pixels would determine
+        everything.
     wavelength, accuracy, method
         As of `CaptureOperator`.
 

@@ -19,7 +19,7 @@ _TOLERANCE = 1e-6
 
 
 class Figure(Protocol):
-    """What is to be as large as possible."""
+    """The figure of merit, to be as large as possible."""
 
     def value(self, camera: PlenopticCamera) -> float:
         """Return it for a camera."""
@@ -30,7 +30,7 @@ class Figure(Protocol):
 
 @dataclass(frozen=True)
 class Design:
-    """What a search found.
+    """The result of a search.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ def maximise(
 ) -> Design:
     """Find numbers of a camera by which a figure is best, near where they start.
 
-    By SciPy's L-BFGS-B with the figure's own gradient: a local search, of which several starts tell whether there are
+    By SciPy's L-BFGS-B with the figure's own gradient: a local search, several starts of which show whether there are
     other optima.
 
     Parameters
@@ -80,7 +80,7 @@ def maximise(
         Steps of the search at most; each takes one or two gradients.
     progress : callable, optional
         Called with how many cameras have been tried, the last one's figure, and the best camera so far: a search that
-        is stopped goes on when it starts there.
+        is stopped continues when it starts there.
 
     Raises
     ------

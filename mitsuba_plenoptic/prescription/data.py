@@ -22,7 +22,7 @@ MOST_SURFACES = 100
 MOST_COEFFICIENTS = 8
 
 _LEAST = 1e-12
-"""What square roots are taken of, at least, so that rays that miss have numbers and gradients."""
+"""Least argument of square roots, so that rays that miss have numbers and gradients."""
 
 _HEIGHTS = 129
 """Distances from the axis at which neighbouring surfaces must not have crossed."""
@@ -101,7 +101,8 @@ class Surface:
             raise InputError(f"{where} = {short_repr(value)}: it must be numbers by name, such as radius")
         require_known(f"{where}: ", value, sorted(_NAMES))
         refuse_if(
-            "semi_aperture" not in value, f"{where}: semi_aperture: it is missing; it tells up to where light passes"
+            "semi_aperture" not in value,
+            f"{where}: semi_aperture: it is missing; it is the height up to which light passes",
         )
         radius = require_number(f"{where}: radius", value.get("radius", math.inf), finite=False)
         refuse_if(abs(radius) < SHORTEST, f"{where}: radius = {radius:g}: it must not be 0; a plane has no radius")
@@ -142,7 +143,7 @@ class Prescription:
     source : str
         Where it is published.
     wavelength : float
-        Wavelength in nanometres at which rays are followed and focal length and pupils are told; the line d by default.
+        Wavelength in nanometres at which rays are traced and focal length and pupils are given; the line d by default.
     """
 
     surfaces: tuple[Surface, ...]
@@ -272,7 +273,7 @@ def bundled_prescription(name: str) -> Prescription:
     Raises
     ------
     InputError
-        If there is none of that name; the message lists those there are.
+        If there is no lens of that name; the message lists the bundled ones.
     """
     stem = name.removesuffix(".yaml")
     if stem not in BUNDLED:

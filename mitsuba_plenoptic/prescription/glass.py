@@ -70,7 +70,7 @@ class Glass:
 
     @property
     def reach(self) -> tuple[float, float]:
-        """Shortest and longest wavelength in nanometres of which a table tells the index; formulas tell all."""
+        """Shortest and longest wavelength in nanometres over which a table gives the index; formulas have no limit."""
         return (self.numbers[0], self.numbers[-2]) if self.form == "table" else (0.0, np.inf)
 
     def at(self, wavelength: float) -> float:
@@ -172,7 +172,7 @@ class Glass:
         Raises
         ------
         InputError
-            If it is none of these, a number is out of range, or no catalogue has the name.
+            If it is not one of these, a number is out of range, or no catalogue has the name.
         """
         if isinstance(value, str):
             return catalogue_glass(value, where)

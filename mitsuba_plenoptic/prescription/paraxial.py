@@ -77,8 +77,8 @@ def paraxial(prescription: Prescription, wavelength: float | None = None) -> Par
         whole, after = step @ whole, step @ after
     (A, _), (C, D) = whole
     if not -C > 1e-12:
-        told = "infinite" if abs(C) <= 1e-12 else f"{-1 / C:.4g} mm"
-        raise InputError(f"main_lens: its focal length is {told}: it must be positive, so that it forms an image")
+        text = "infinite" if abs(C) <= 1e-12 else f"{-1 / C:.4g} mm"
+        raise InputError(f"main_lens: its focal length is {text}: it must be positive, so that it forms an image")
     refuse_if(
         min(abs(before[0, 0]), abs(after[1, 1])) < 1e-9,
         "main_lens: one of its pupils is at infinity: object- or image-side telecentric lenses are not supported",

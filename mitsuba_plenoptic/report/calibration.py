@@ -42,9 +42,9 @@ def write_calibration_report(
     )
     maps = [("Corners", _arrows(field.key, field.mean, size))]
     if centres is not None:
-        kept = np.delete(np.arange(len(centres.pixel)), calibration.centre_outliers)
-        middle, cell = field_cells(centres.pixel[kept], size[0] / _CELLS)
-        means = group_means(-calibration.centre_residuals[kept], cell)[1]
+        used = np.delete(np.arange(len(centres.pixel)), calibration.centre_outliers)
+        middle, cell = field_cells(centres.pixel[used], size[0] / _CELLS)
+        means = group_means(-calibration.centre_residuals[used], cell)[1]
         maps.append(("Centres of micro-images", _arrows(middle, means, size)))
     radius = np.hypot(*(corners.pixel - (np.array(size) - 1) / 2).T)
     page = template("calibration.html").render(

@@ -25,7 +25,7 @@ from .stage_store import StageOptions
 
 
 def compare(settings: Settings, output: Path, *, stages: StageOptions | None = None) -> dict[str, Any]:
-    """Capture a scene by rays and by waves, refocus it in every way, and report how they differ.
+    """Capture a scene by rays and by waves, refocus it by every method, and report how they differ.
 
     The ray capture has parabolic lenses, whose aberrations are those of the wave capture's thin phases, so that
     diffraction is the only difference.

@@ -1,4 +1,4 @@
-"""What follows from a camera's parameters, as a sheet to read."""
+"""Quantities that follow from a camera's parameters, as a sheet."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> li
     """List a camera's parameters and derived quantities; without a wavelength not those of diffraction."""
     if camera.objective is not None:
         seen = _microscope_groups(camera, camera.objective, wavelength)
-        told = {"Microlenses": _lattice(camera), "Detector": _detector(camera)}
-        return [Row(group, *line) for group, lines in (seen | told).items() for line in lines]
+        common = {"Microlenses": _lattice(camera), "Detector": _detector(camera)}
+        return [Row(group, *line) for group, lines in (seen | common).items() for line in lines]
     groups = {
         "Main lens": _main_lens(camera),
         **(
@@ -77,7 +77,7 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
         rows.append(("distortion", ", ".join(map(_four, camera.distortion)), "", "k1, k2, k3, p1, p2; by rays only"))
     if any(camera.wavefront):
         strength = math.sqrt(sum(part**2 for part in camera.wavefront[3:]))
-        rows.append(("aberrations", _four(strength), "waves", "root mean square at 633 nm, beside tilt"))
+        rows.append(("aberrations", _four(strength), "waves", "root mean square at 633 nm, without tilt"))
     return rows
 
 
@@ -241,7 +241,7 @@ def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> list[_Line
     near, far = design.refocus_range(camera, wavelength)
     limit = "in a micro-image, by its pixels" if wavelength is None else "in a micro-image, with diffraction"
     rows = [
-        ("directions told apart", f"{design.direction_count(camera, wavelength):.3g}", "", limit),
+        ("directions resolved", f"{design.direction_count(camera, wavelength):.3g}", "", limit),
         ("nearest distance", *_distance(near), "with one sample per lens"),
         ("farthest distance", *_distance(far), ""),
     ]
@@ -275,10 +275,10 @@ def _deconvolved(camera: PlenopticCamera, distance: float, wavelength: float) ->
     """Say what deconvolution can resolve at a distance."""
     limit = design.resolution_limit(camera, distance, wavelength)
     if limit.in_focus:
-        told = "in focus: the lens pitch decides, deconvolution does not help"
+        note = "in focus: the lens pitch decides, deconvolution does not help"
     else:
-        told = f"{limit.frequency / limit.lenses:.2g} times one sample a lens"
-    return "resolution, deconvolved", _four(limit.frequency), "lp/mm", f"at {_four(distance)} mm; {told}"
+        note = f"{limit.frequency / limit.lenses:.2g} times one sample a lens"
+    return "resolution, deconvolved", _four(limit.frequency), "lp/mm", f"at {_four(distance)} mm; {note}"
 
 
 def _distance(value: float) -> tuple[str, str]:
@@ -297,13 +297,13 @@ def _range(limits: tuple[float, float] | None) -> tuple[str, str]:
 
 def _union(ranges: list[tuple[float, float] | None]) -> list[tuple[float, float]]:
     """Join ranges that overlap; nearest first."""
-    joined: list[tuple[float, float]] = []
+    union: list[tuple[float, float]] = []
     for near, far in sorted(limits for limits in ranges if limits is not None):
-        if joined and near <= joined[-1][1]:
-            joined[-1] = joined[-1][0], max(far, joined[-1][1])
+        if union and near <= union[-1][1]:
+            union[-1] = union[-1][0], max(far, union[-1][1])
         else:
-            joined.append((near, far))
-    return joined
+            union.append((near, far))
+    return union
 
 
 def _four(value: float) -> str:
@@ -312,7 +312,7 @@ def _four(value: float) -> str:
 
 
 def _microscope_groups(camera: PlenopticCamera, lens: Objective, wavelength: float | None) -> dict[str, list[_Line]]:
-    """Return the groups of the sheet that tell of the objective, and of what is seen through it."""
+    """Return the groups of the sheet about the objective and the view through it."""
     groups = {"Objective": _objective(camera, lens)}
     groups["Array"] = _fourier(camera, lens) if lens.is_fourier else _image(camera, lens)
     if wavelength is not None:
@@ -380,6 +380,6 @@ def _microscope_diffraction(camera: PlenopticCamera, lens: Objective, wavelength
         shallow, sample = lens.immersion * width**2 / (2 * lens.magnification**2 * wavelength * 1e-6), "lens"
     for depth in (shallow, 2 * shallow, 4 * shallow):
         limit = design.resolution_limit(camera, 1.001 * depth, wavelength)
-        told = f"at depths of {_four(1e3 * depth)} um; {limit.frequency / limit.lenses:.2g} times one sample a {sample}"
-        rows.append(("resolution, deconvolved", _four(limit.frequency), "lp/mm", told))
+        note = f"at depths of {_four(1e3 * depth)} um; {limit.frequency / limit.lenses:.2g} times one sample a {sample}"
+        rows.append(("resolution, deconvolved", _four(limit.frequency), "lp/mm", note))
     return rows

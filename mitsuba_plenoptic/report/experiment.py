@@ -1,4 +1,4 @@
-"""The experiment behind every report: one scene captured by rays and by waves, and refocused in every way."""
+"""The experiment behind every report: one scene captured by rays and by waves, and refocused by every method."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: i
 
 
 def pinhole_image(scene: Any, camera: PlenopticCamera, columns: int, spp: int) -> np.ndarray:
-    """Render the camera's field of view from the centre of its main lens, so many columns wide, everything sharp."""
+    """Render the camera's field of view from the centre of its main lens, `columns` wide, everything sharp."""
     rows = round(columns * camera.bin_count[1] / camera.bin_count[0])
     return _photograph(scene, camera, {"type": "perspective"}, (columns, rows), spp)
 
@@ -97,7 +97,7 @@ OBJECT_COLUMNS = 1024
 
 
 class RefocusMethod(NamedTuple):
-    """A way to refocus: name, title in figures, options of `reconstruct`, and the capture it starts from."""
+    """A method of refocusing: name, title in figures, options of `reconstruct`, and the capture it starts from."""
 
     name: str
     title: str
@@ -122,7 +122,7 @@ SLIDER_METHODS = ("ray", "coherent", "partial")
 
 @dataclass(frozen=True)
 class Settings:
-    """What an experiment is made with."""
+    """Settings of an experiment."""
 
     # A scene file or a built-in name.
     scene: str
@@ -136,7 +136,7 @@ class Settings:
     # Samples per pixel of both captures.
     spp: int = 16
     # Points per lens of another wave capture, point by point, with which the one from signed rays is compared. Default:
-    # there is none.
+    # no such capture.
     points: int | None = None
     # Samples per pixel of the thin lens.
     truth_spp: int = 1024
@@ -148,7 +148,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What came out."""
+    """Results of an experiment."""
 
     settings: Settings
     # The camera, with parabolic lenses.

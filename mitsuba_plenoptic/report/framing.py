@@ -158,7 +158,7 @@ def show_difference(axes: Axes, difference: np.ndarray, bound: float) -> Any:
 
 
 def annotate(axes: Axes, *, title: str = "", side: str = "", foot: str = "") -> None:
-    """Write above, beside and below an image."""
+    """Write above, at the side of and below an image."""
     axes.set_title(title, size=10, color=_INK, loc="left", pad=6)
     axes.set_ylabel(side, size=10, color=_INK, labelpad=6)
     axes.set_xlabel(foot, size=8, color=_FAINT, labelpad=4)

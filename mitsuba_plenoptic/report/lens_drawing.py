@@ -28,7 +28,7 @@ _WIDER = 1.5
 
 @dataclass(frozen=True)
 class FieldFigures:
-    """What a main lens does to the light at one distance from the axis of the microlens array (MLA).
+    """The effect of a main lens on the light at one distance from the axis of the microlens array (MLA).
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class _DrawnRays:
 def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.ndarray, np.ndarray]:
     """Return where rays from the object point of a place's chief ray meet the MLA, as far as they get through.
 
-    By the way back: how far from that point the rays from the place meet the object plane, in its image's size.
+    By tracing back: how far from that point the rays from the position meet the object plane, in its image's size.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[n
     for surface in surfaces:
         vertex += surface.gap
         point, direction, _, _ = sequential.follow([surface], point, direction)
-        # A plane tells a single height.
+        # A plane has a single height.
         z.append(vertex + point[2] + 0.0 * slopes)
         y.append(point[1])
     return lens.scale * np.array(z), lens.scale * np.array(y)

@@ -68,7 +68,7 @@ class Brightness:
 
     # In stops, the same for every picture: the value 2^-exposure becomes white, 1 at 0.
     exposure: float | None = None
-    # Instead, a value that so many percent of the bins or pixels do not surpass, above 0 and up to 100. Default: 99.5
+    # Instead, the percentage of the bins or pixels that do not surpass the value, above 0 and up to 100. Default: 99.5
     # where there is no exposure. If it is black, the brightest becomes white.
     percentile: float | None = None
 
@@ -179,8 +179,8 @@ def write_depth(path: str | Path, found: xr.Dataset, brightness: Brightness = _A
     parts = {str(name): np.asarray(values) for name, values in found.items()}
     # Even steps of disparity are what the eye would see.
     low, high = float(parts["disparity"].min()), float(parts["disparity"].max())
-    nearness = (high - parts["disparity"]) / ((high - low) or 1)
-    maps = [parts["image"] / brightness.white([parts["image"]]), nearness, parts["confidence"]]
+    closeness = (high - parts["disparity"]) / ((high - low) or 1)
+    maps = [parts["image"] / brightness.white([parts["image"]]), closeness, parts["confidence"]]
     if parts["image"].ndim == 3:
         maps = [entry if entry.ndim == 3 else np.repeat(entry[..., None], 3, axis=2) for entry in maps]
     _write(path, "depth", found, _images(**parts), _enlarged(np.concatenate(maps, axis=1)), 1.0)

@@ -35,7 +35,7 @@ _EXPLANATIONS = {
 
 @dataclass(frozen=True)
 class Report:
-    """What a report shows."""
+    """The content of a report."""
 
     # Headline and the sentence under it.
     title: str
@@ -201,10 +201,14 @@ def reconstructions(experiment: Experiment, numbers: dict[str, Any], window: Win
     peak = common_peak([experiment.truths[distance] for distance in distances], window)
     facts: dict[str, dict[str, list[list[str]]]] = {}
     for row in numbers["reconstructions"]:
-        told = [["PSNR", f"{row['psnr']:.1f} dB"], ["SSIM", ssim_text(row["ssim"])], ["Energy", f"{row['energy']:.3f}"]]
+        metrics = [
+            ["PSNR", f"{row['psnr']:.1f} dB"],
+            ["SSIM", ssim_text(row["ssim"])],
+            ["Energy", f"{row['energy']:.3f}"],
+        ]
         if "interference" in row:
-            told.append(["Interference", f"{row['interference']:.1%}"])
-        facts.setdefault(row["method"], {})[f"{row['distance']:g}"] = told
+            metrics.append(["Interference", f"{row['interference']:.1%}"])
+        facts.setdefault(row["method"], {})[f"{row['distance']:g}"] = metrics
     return {
         "distances": [float(f"{distance:g}") for distance in distances],
         "images": {

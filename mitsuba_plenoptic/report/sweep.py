@@ -94,7 +94,7 @@ def _number(name: str, value: Any) -> float:
 
 @dataclass(frozen=True)
 class SweepSettings:
-    """What all points of a sweep have in common.
+    """Settings that all points of a sweep have in common.
 
     Attributes
     ----------
@@ -301,7 +301,7 @@ def sweep(
 ) -> xr.Dataset:
     """Render, and reconstruct where distances are given, every point of a grid.
 
-    Each point is kept in a folder beside the output, ``out.points`` for ``out.nc``: a sweep that was stopped, or
+    Each point is stored in a folder next to the output, ``out.points`` for ``out.nc``: a sweep that was stopped, or
     whose grid has grown, computes only what is missing. The dataset is written point by point, so that memory does
     not grow with the grid.
 

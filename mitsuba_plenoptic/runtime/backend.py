@@ -1,4 +1,4 @@
-"""Which libraries to compute with, outside of Mitsuba's plugins: Dr.Jit beside NumPy and SciPy, or beside CuPy.
+"""Which libraries to compute with, outside of Mitsuba's plugins: Dr.Jit with NumPy and SciPy, or with CuPy.
 
 The active variant of Mitsuba chooses. The same code runs on both: it takes its modules from here, and arrays that it
 made on a CUDA device stay there until `Backend.to_host` fetches what is finished. Dr.Jit and CuPy share the memory of

@@ -1,4 +1,4 @@
-"""Long sums: who computes their batches, who is told of the progress, and where what is done is kept."""
+"""Long sums: who computes their batches, who is notified of the progress, and where partial results are stored."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class SumTask:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Several sums under way."""
+    """Several sums in progress."""
 
     sums: int
     # Their images, added up; (rows, columns, channels).
@@ -68,10 +68,10 @@ class Snapshot:
 
 
 class CheckpointStore(Protocol):
-    """Keeps what is done of a job, so that it can go on after a crash: see `io.checkpoints.Checkpoint`."""
+    """Stores the partial result of a job, so that it can resume after a crash: see `io.checkpoints.Checkpoint`."""
 
     def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:
-        """Return what is kept of the job with these facts, None if nothing is; refuse another job's."""
+        """Return the stored partial result of the job with these facts or None; refuse that of another job."""
 
     def save(self, snapshot: Snapshot) -> None:
         """Keep a snapshot, if it is time to."""
@@ -120,7 +120,8 @@ class Job:
         items : int
             Items of all sums.
         facts : callable
-            Returns what the job is computed from, in plain JSON values, by which a kept one is known as the same.
+            Returns what the job is computed from, in plain JSON values, by which a stored one is recognised as the
+            same.
 
         Returns
         -------
@@ -161,7 +162,7 @@ class Job:
         return work.image(total)
 
     def each(self, batches: Iterable[Batch], items: Sequence[int], done: int, total: int) -> Generator[Any, None, None]:
-        """Compute batches of so many items each, and yield their results in order.
+        """Compute batches of `size` items each, and yield their results in order.
 
         Parameters
         ----------

@@ -51,7 +51,7 @@ def open_light_field(
     camera : PlenopticCamera, optional
         The camera of a raw picture, or another one than a capture's. With it distances are in millimetres.
     truth : path or bool
-        Ground truth of a capture, for `decode`. True: what the capture names, if it lies beside it.
+        Ground truth of a capture, for `decode`. True: what the capture names, if it lies in the same folder.
 
     Raises
     ------
@@ -153,7 +153,7 @@ def save_light_field(path: str | Path, lf: xr.DataArray) -> None:
 
 
 def require_light_field_path(path: str | Path) -> Path:
-    """Check, before a long computation, that a light field can be written there, in a format that the name tells.
+    """Check, before a long computation, that a light field can be written there, in the format of its suffix.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> Gro
 
 
 def _white_capture(path: str | Path, linear: bool) -> Capture | np.ndarray:
-    """Read a white capture with its camera, or a picture, which tells none."""
+    """Read a white capture with its camera, or a picture, which has no camera."""
     return read_capture(path) if Path(path).suffix.lower() == ".exr" else read_picture(path, linear=linear)
 
 
@@ -245,7 +245,7 @@ def read_labelled(path: str | Path) -> xr.DataArray:
     Raises
     ------
     InputError
-        If there is none, or the file is damaged or something else.
+        If there is no such file, or it is damaged or something else.
     """
     path = Path(path)
     try:

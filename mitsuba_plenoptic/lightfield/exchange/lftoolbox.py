@@ -39,7 +39,7 @@ _HEADER, _PACKED, _PIECE = 128, 15, 2**20
 # What is read of a lens grid.
 _MODEL = ("HSpacing", "VSpacing", "HOffset", "VOffset", "Rot", "UMax", "VMax", "FirstPosShiftRow", "Orientation")
 
-# MATLAB's version 5 files hold at most so many bytes in one variable.
+# MATLAB's version 5 files hold at most this number of bytes in one variable.
 _MAX_BYTES = 2**31 - 1
 
 # MATLAB's names of the arrays that a light field may be.
