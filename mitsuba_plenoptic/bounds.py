@@ -1,4 +1,4 @@
-"""Bounds of a camera's numbers, and the checks that refuse what is beyond them, with an `InputError`."""
+"""Bounds of a camera's parameters, and the checks that refuse what is beyond them, with an `InputError`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .errors import InputError, require_count, require_number, require_pair, sho
 SHORTEST, LONGEST = 1e-9, 1e9
 """Bounds of every length in scene units: a picometre and a thousand kilometres in millimetres.
 
-Between them no product or quotient of a camera's numbers leaves what a float holds.
+Between them no product or quotient of a camera's parameters leaves what a float holds.
 """
 
 MOST_PIXELS = 2**20
@@ -47,7 +47,7 @@ MOST_STRETCH = 10.0
 """One pitch over the other, at most."""
 
 MOST_JITTER = 0.1
-"""Standard deviation of lenses' places, over the pitch, and of their focal lengths, over these, at most."""
+"""Standard deviation of lenses' positions, over the pitch, and of their focal lengths, over these, at most."""
 
 MOST_SEED = 2**32 - 1
 """Seed of an array's irregularities at most."""
@@ -93,7 +93,7 @@ def require_pixels(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
 
 
 def require_place(name: str, value: Any) -> tuple[float, float]:
-    """Return a place in the plane of the microlenses, a pair of numbers within 1e9 of the axis."""
+    """Return a position in the plane of the microlenses, a pair of numbers within 1e9 of the axis."""
     pair = require_pair(name, value, "(x, y)")
     x, y = (require_number(name, number, minimum=-LONGEST, maximum=LONGEST) for number in pair)
     return x, y

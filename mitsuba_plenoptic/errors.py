@@ -198,7 +198,7 @@ def require_flag(name: str, value: Any) -> bool:
 
 
 def require_count(name: str, value: Any, *, minimum: int = 1, maximum: int | None = None) -> int:
-    """Return a whole number within bounds as an int."""
+    """Return an integer within bounds as an int."""
     number = require_number(name, value)
     if number != int(number):
         raise InputError(f"{name} = {short_repr(value)}: it must be a whole number")

@@ -52,7 +52,7 @@ class Objective:
     Raises
     ------
     InputError
-        If a number is out of range, the aperture is not less than the immersion's index, or NA / M is above 0.1.
+        If a value is out of range, the aperture is not less than the immersion's index, or NA / M is above 0.1.
     """
 
     magnification: float

@@ -1,6 +1,6 @@
-"""Least squares for one camera and many poses of a board (bundle adjustment), with what the data say of each number.
+"""Least squares for one camera and many poses of a board (bundle adjustment), with what the data say of each parameter.
 
-Levenberg and Marquardt's method with exact derivatives. Each pose's own six numbers are eliminated by an orthogonal
+Levenberg and Marquardt's method with exact derivatives. Each pose's own six parameters are eliminated by an orthogonal
 (QR) step before the camera's are solved for, so that normal equations, which square the condition, are never formed
 (B. Triggs et al., "Bundle adjustment - a modern synthesis", 2000, section 6).
 """
@@ -178,7 +178,7 @@ def adjust(
     *,
     most_steps: int = _MOST_STEPS,
 ) -> Adjusted:
-    """Minimise the weighted sum of squares over some of the camera's numbers and all poses.
+    """Minimise the weighted sum of squares over some of the camera's parameters and all poses.
 
     Shapes: `weights` (n,).
     """
@@ -252,7 +252,7 @@ def _solve(
 
 
 def information(problem: Problem, solution: Adjusted, free: Sequence[str], weights: np.ndarray) -> np.ndarray:
-    """Return R with R^T R the information (inverse covariance for unit deviations) on the free numbers.
+    """Return R with R^T R the information (inverse covariance for unit deviations) on the free parameters.
 
     The poses are not held: what they leave undecided is not counted.
     """

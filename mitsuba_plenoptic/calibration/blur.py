@@ -27,7 +27,7 @@ from .adjustment import Adjusted
 from .model import AT, Observations
 from .observations import placed
 
-# The part of the radii's variance that may be left, and the least part of that which curves in place of lines leave:
+# The part of the radii's variance that may be left, and the least part of that which curves instead of lines leave:
 # radii without a sign are bent where they are in focus.
 _LEFT = 0.1
 _STRAIGHT = 0.5
@@ -43,7 +43,7 @@ class Blur:
     Attributes
     ----------
     focal_lengths, deviations : tuple of float
-        Of each type of lenses in mm, and their standard deviations, with those of the camera's numbers.
+        Of each type of lenses in mm, and their standard deviations, with those of the camera's parameters.
     scale : float
         Radius in pixels, in the terms of the data, for each unit of :math:`1 - z/f + z/a`: half of a lens's diameter if
         they mean the whole disc.
@@ -111,7 +111,7 @@ def fit_blur(
     camera = ((np.array(others).reshape(-1, types) - z / over) ** 2).sum(0)
     deviations = []
     for number in range(types):
-        # Of z/f = 1 - place / slope.
+        # Of z/f = 1 - position / slope.
         slope = np.zeros(types + 1)
         slope[number], slope[-1] = -1 / scale, line[number] / scale**2
         own = slope @ covariance @ slope * (z / over[number] ** 2) ** 2
@@ -127,7 +127,7 @@ def image_ratios(seen: Observations, numbers: np.ndarray, poses: np.ndarray) -> 
     return ratios
 
 
-# Points of a lens along each axis, places of a micro-image along each axis, and how far beyond its rim these reach.
+# Points of a lens along each axis, positions of a micro-image along each axis, and how far beyond its rim these reach.
 _POINTS = 42
 _PLACES = 65
 _BEYOND = 1.25

@@ -2,8 +2,8 @@ r"""Corners of checkerboards in raw pictures: a sharp view of a focused camera's
 
 With C the centre of a micro-image, a point is seen in it at :math:`p = C + \sigma (C - Q)`: Q is where the point would
 be seen through a lens on the line to the main lens's centre, and :math:`\sigma` its disparity, the same for all points
-of one depth. Both are in pixels of the raw picture and ask for no number of the camera. A view takes each place Q from
-the nearest lenses.
+of one depth. Both are in pixels of the raw picture and ask for no number of the camera. A view takes each position Q
+from the nearest lenses.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _LEAST, _MOST, _COUNT = 0.04, 0.6, 28
 _TRIED = 30_000
 _LOOKED_AT = 6
 
-# Lenses of which a place of the view is the mean.
+# Lenses of which a position of the view is the mean.
 _LENSES = 3
 
 
@@ -71,9 +71,9 @@ def find_board(picture: Picture, board: Board) -> BoardView:
     tree = cKDTree(picture.centre)
     for disparity in _disparities(picture, tree)[:_LOOKED_AT]:
         step = max(1.0, 0.6 / abs(disparity))
-        places = _places(picture, step)
-        flat = places.reshape(-1, 2)
-        view = _seen(picture, flat, tree.query(flat, k=_LENSES)[1], disparity)[0].reshape(places.shape[:2])
+        positions = _places(picture, step)
+        flat = positions.reshape(-1, 2)
+        view = _seen(picture, flat, tree.query(flat, k=_LENSES)[1], disparity)[0].reshape(positions.shape[:2])
         if not np.isfinite(view).any():
             continue
         low, high = np.percentile(view[np.isfinite(view)], [2, 98])
@@ -103,11 +103,11 @@ def _disparities(picture: Picture, tree: cKDTree) -> np.ndarray:
     """Return disparities, the one first at which neighbouring lenses agree best about what they see."""
     sizes = np.geomspace(_LEAST, _MOST, _COUNT)
     disparities = np.concatenate([sizes, -sizes])
-    place = _places(picture, max(picture.radius, np.sqrt(picture.image.size / _TRIED))).reshape(-1, 2)
-    _, lens = tree.query(place, k=_LENSES)
+    position = _places(picture, max(picture.radius, np.sqrt(picture.image.size / _TRIED))).reshape(-1, 2)
+    _, lens = tree.query(position, k=_LENSES)
     errors = []
     for disparity in disparities:
-        view, spread = _seen(picture, place, lens, disparity)
+        view, spread = _seen(picture, position, lens, disparity)
         known = np.isfinite(spread)
         total = np.var(view[known]) if known.sum() > 0.1 * known.size else 0.0
         errors.append(float(spread[known].mean() / total) if total > 0 else np.inf)
@@ -120,13 +120,13 @@ def _places(picture: Picture, step: float) -> np.ndarray:
     return np.stack(np.meshgrid(np.arange(0, columns, step), np.arange(0, rows, step)), axis=-1)
 
 
-def _seen(picture: Picture, place: np.ndarray, lens: np.ndarray, disparity: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return what lenses show of places: the mean, and the variance between them where several see the place, or NaN.
+def _seen(picture: Picture, position: np.ndarray, lens: np.ndarray, disparity: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean of the lenses' views of positions, and the variance where several see one, else NaN.
 
-    `place` is (n, 2), `lens` (n, lenses).
+    `position` is (n, 2), `lens` (n, lenses).
     """
     centre = picture.centre[lens]
-    arm = disparity * (centre - place[:, None])
+    arm = disparity * (centre - position[:, None])
     at = (centre + arm)[:, :, ::-1].transpose(2, 0, 1)
     weight = map_coordinates(picture.weight, at, order=1, mode="constant")
     weight *= np.hypot(*arm.transpose(2, 0, 1)) < picture.radius - 0.5
@@ -153,8 +153,8 @@ def board_scene(
     board : Board
         The board. It has a square more than corners along each axis, and a white margin of one square.
     pose : (6,) array
-        Rotation vector in radians and place of its first inner corner in mm, from the board's to the camera frame, as
-        `Calibration` gives them. The board's front is towards -z in its own frame.
+        Rotation vector in radians and position of its first inner corner in mm, from the board's to the camera frame,
+        as `Calibration` gives them. The board's front is towards -z in its own frame.
     camera : PlenopticCamera
         The camera, at the origin.
     dark, light : float
@@ -226,8 +226,8 @@ class Saddles:
     """Candidates for corners: arrays with one row each."""
 
     # Column and row; the centre of the first pixel is 0; (n, 2).
-    place: np.ndarray
-    # Standard deviation of the place along its worse direction, from what the fit leaves; (n,).
+    position: np.ndarray
+    # Standard deviation of the position along its worse direction, from what the fit leaves; (n,).
     deviation: np.ndarray
     # Half the difference between light and dark squares; (n,).
     contrast: np.ndarray
@@ -238,7 +238,7 @@ class Saddles:
 def find_saddles(
     image: np.ndarray,
     weight: np.ndarray,
-    place: np.ndarray,
+    position: np.ndarray,
     angles: np.ndarray,
     centre: np.ndarray,
     *,
@@ -248,55 +248,55 @@ def find_saddles(
 ) -> Saddles:
     """Refine corners, each within a window of its micro-image.
 
-    Shapes: `image`, `weight` (rows, columns), `place` (n, 2), `angles` (n, 2), `centre` (n, 2).
+    Shapes: `image`, `weight` (rows, columns), `position` (n, 2), `angles` (n, 2), `centre` (n, 2).
     """
-    blocks = np.array_split(np.arange(len(place)), max(1, -(-len(place) // _BLOCK)))
+    blocks = np.array_split(np.arange(len(position)), max(1, -(-len(position) // _BLOCK)))
     parts = []
     for rows in blocks:
         shift = None if seen is None else partial(seen, rows)
-        parts.append(_fit(image, weight, place[rows], angles[rows], centre[rows], radius, even, shift))
+        parts.append(_fit(image, weight, position[rows], angles[rows], centre[rows], radius, even, shift))
     return Saddles(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
 def _fit(
     image: np.ndarray,
     weight: np.ndarray,
-    place: np.ndarray,
+    position: np.ndarray,
     angles: np.ndarray,
     centre: np.ndarray,
     radius: float,
     even: float,
     seen: Callable[[np.ndarray], np.ndarray] | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    n = len(place)
+    n = len(position)
     # Cut off at the rim of the micro-image alone, a window would draw the corner to one side.
-    reach = (radius - np.hypot(*(place - centre).T)).clip(_LEAST_WINDOW, _WINDOW * radius)[:, None]
+    reach = (radius - np.hypot(*(position - centre).T)).clip(_LEAST_WINDOW, _WINDOW * radius)[:, None]
     half = int(np.ceil(_WINDOW * radius))
     steps = np.stack(np.meshgrid(*[np.arange(-half, half + 1)] * 2), axis=-1).reshape(-1, 2)
-    pixel = np.round(place).astype(int)[:, None] + steps
+    pixel = np.round(position).astype(int)[:, None] + steps
     x, y = (pixel[:, :, axis].clip(0, image.shape[1 - axis] - 1) for axis in (0, 1))
     arm = pixel - centre[:, None]
     shown = pixel if seen is None else pixel + seen(arm)
     # A window with a soft rim that is symmetrical about the corner, without what is beyond the evenly lit part.
-    distance = np.hypot(*np.moveaxis(shown - place[:, None], 2, 0))
+    distance = np.hypot(*np.moveaxis(shown - position[:, None], 2, 0))
     w = weight[y, x] * (reach + 0.5 - distance).clip(0, 1)
     w *= np.hypot(*np.moveaxis(arm, 2, 0)) < even
     w *= (pixel == np.stack([x, y], axis=-1)).all(2)
     value = image[y, x]
     enough = w.sum(1) > 12
-    p = np.concatenate([place, angles, np.full((n, 1), np.log(_BLUR))], axis=1)
-    p, linear, square, information = _descend(shown, value, w, p, place)
+    p = np.concatenate([position, angles, np.full((n, 1), np.log(_BLUR))], axis=1)
+    p, linear, square, information = _descend(shown, value, w, p, position)
     degrees = np.maximum(w.sum(1) - 7, 1)
     covariance = np.linalg.pinv(information[:, :2, :2]) * (square / degrees)[:, None, None]
     deviation = np.sqrt(np.linalg.eigvalsh(covariance)[:, 1].clip(0))
-    deviation = np.where(enough & (np.hypot(*(p[:, :2] - place).T) < _FARTHEST), deviation, np.inf)
+    deviation = np.where(enough & (np.hypot(*(p[:, :2] - position).T) < _FARTHEST), deviation, np.inf)
     return p[:, :2], deviation, np.abs(linear[:, 1]), np.exp(p[:, 4])
 
 
 def _descend(
-    pixel: np.ndarray, value: np.ndarray, w: np.ndarray, p: np.ndarray, place: np.ndarray
+    pixel: np.ndarray, value: np.ndarray, w: np.ndarray, p: np.ndarray, position: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Minimise over place, angles and blur; level and contrast follow from them at each step (variable projection)."""
+    """Minimise over position, angles and blur; level and contrast follow at each step (variable projection)."""
     linear, square, jacobian, left = _model(pixel, value, w, p)
     damping = np.full(len(p), 1e-2)
     low, high = np.log([_LEAST_BLUR, _MOST_BLUR])
@@ -307,7 +307,7 @@ def _descend(
         damped = matrix + (damping[:, None] * scale)[:, :, None] * np.eye(5)
         step = np.linalg.solve(damped, slope[:, :, None])[:, :, 0]
         new = p + step.clip(-1, 1)
-        new[:, :2] = place + (new[:, :2] - place).clip(-_FARTHEST, _FARTHEST)
+        new[:, :2] = position + (new[:, :2] - position).clip(-_FARTHEST, _FARTHEST)
         new[:, 4] = new[:, 4].clip(low, high)
         tried = _model(pixel, value, w, new)
         better = tried[1] < square
@@ -324,7 +324,7 @@ def _descend(
 def _model(
     pixel: np.ndarray, value: np.ndarray, w: np.ndarray, p: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return level and contrast, the weighted sum of squares, derivatives by the numbers p, and what is left."""
+    """Return level and contrast, the weighted sum of squares, derivatives by the parameters p, and what is left."""
     arm = pixel - p[:, None, :2]
     blur = np.exp(p[:, 4])[:, None]
     edges = []

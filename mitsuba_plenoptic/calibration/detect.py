@@ -101,7 +101,7 @@ def detect_corners(
         f"{name}: a board of {board.columns}x{board.rows} is seen in it, but none of its corners sharply",
     )
     columns = {index: centres[index][lens] for index in ("k", "l")}
-    columns |= {"u": saddles.place[:, 0], "v": saddles.place[:, 1]}
+    columns |= {"u": saddles.position[:, 0], "v": saddles.position[:, 1]}
     columns |= {"cluster": corner, "frame": np.full(len(corner), frame)}
     return Table(name, {column: columns[column] for column in CORNER_COLUMNS})
 
@@ -194,13 +194,13 @@ def _grey(name: str, image: np.ndarray) -> np.ndarray:
 def _refined(
     picture: Picture, found: BoardView, camera: PlenopticCamera | None
 ) -> tuple[np.ndarray, np.ndarray, Saddles]:
-    """Return of each corner that is seen through a lens the corner, the lens and the place."""
+    """Return of each corner that is seen through a lens the corner, the lens and the position."""
     cut = None if camera is None else CutBlur(camera)
     kind = None if camera is None else lens_types(camera, picture.centre + 0.5)
-    place, angles = found.corners.reshape(-1, 2), _directions(found.corners)
-    disparity = np.full(len(place), found.disparity)
+    position, angles = found.corners.reshape(-1, 2), _directions(found.corners)
+    disparity = np.full(len(position), found.disparity)
     for _ in range(_PASSES):
-        corner, lens, expected = _expected(picture, place, disparity)
+        corner, lens, expected = _expected(picture, position, disparity)
         # A micro-image shows the directions as they are, or turned by half a turn.
         saddles = find_saddles(
             picture.image,
@@ -216,9 +216,11 @@ def _refined(
         if good.any():
             good &= saddles.contrast > _CONTRAST * np.median(saddles.contrast[good])
         corner, lens = corner[good], lens[good]
-        saddles = Saddles(saddles.place[good], saddles.deviation[good], saddles.contrast[good], saddles.blur[good])
-        place, disparity, agreed = _agreed(picture, corner, lens, saddles.place, place, disparity)
-    saddles = Saddles(saddles.place[agreed], saddles.deviation[agreed], saddles.contrast[agreed], saddles.blur[agreed])
+        saddles = Saddles(saddles.position[good], saddles.deviation[good], saddles.contrast[good], saddles.blur[good])
+        position, disparity, agreed = _agreed(picture, corner, lens, saddles.position, position, disparity)
+    saddles = Saddles(
+        saddles.position[agreed], saddles.deviation[agreed], saddles.contrast[agreed], saddles.blur[agreed]
+    )
     return corner[agreed], lens[agreed], saddles
 
 
@@ -234,14 +236,16 @@ def _directions(corners: np.ndarray) -> np.ndarray:
     return np.stack([np.arctan2(step[..., 1], step[..., 0]).ravel() for step in steps], axis=-1)
 
 
-def _expected(picture: Picture, place: np.ndarray, disparity: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _expected(
+    picture: Picture, position: np.ndarray, disparity: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return which corners should be seen through which lenses, and where."""
     reach = (picture.radius - _RIM) / np.abs(disparity)
-    lenses = cKDTree(picture.centre).query_ball_point(place, reach)
-    corner = np.repeat(np.arange(len(place)), [len(some) for some in lenses])
+    lenses = cKDTree(picture.centre).query_ball_point(position, reach)
+    corner = np.repeat(np.arange(len(position)), [len(some) for some in lenses])
     lens = np.concatenate([np.array(some, dtype=int) for some in lenses])
     centre = picture.centre[lens]
-    return corner, lens, centre + disparity[corner, None] * (centre - place[corner])
+    return corner, lens, centre + disparity[corner, None] * (centre - position[corner])
 
 
 def _agreed(
@@ -249,13 +253,13 @@ def _agreed(
     corner: np.ndarray,
     lens: np.ndarray,
     seen: np.ndarray,
-    place: np.ndarray,
+    position: np.ndarray,
     disparity: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return place and disparity of each corner anew, and which of what is seen agrees with them."""
-    place, disparity = place.copy(), disparity.copy()
+    """Return position and disparity of each corner anew, and which of what is seen agrees with them."""
+    position, disparity = position.copy(), disparity.copy()
     agreed = np.zeros(len(seen), dtype=bool)
-    for number in range(len(place)):
+    for number in range(len(position)):
         mine = np.flatnonzero(corner == number)
         centre = picture.centre[lens[mine]]
         chosen = np.ones(len(mine), dtype=bool)
@@ -274,9 +278,9 @@ def _agreed(
             miss = np.hypot(*(shift + slope * (centre - about) - (seen[mine] - centre)).T)
             chosen = miss < max(_NEAR, _OUTLIER * np.median(miss[chosen]) / 1.17741)
         else:
-            disparity[number], place[number] = slope, about - shift / slope
+            disparity[number], position[number] = slope, about - shift / slope
             agreed[mine[chosen]] = True
-    return place, disparity, agreed
+    return position, disparity, agreed
 
 
 def write_corners(path: str | Path, corners: Table) -> None:

@@ -64,7 +64,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         The board.
     start : PlenopticCamera
         Provides what the data do not determine: detector, lattice, f-number, focal lengths of the microlenses, models.
-        All other numbers are found from the data alone.
+        All other parameters are found from the data alone.
     centres : Table, optional
         Centres of micro-images, fitted jointly: without them pitch and focal length are strongly correlated.
 

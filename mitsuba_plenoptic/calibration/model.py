@@ -43,8 +43,8 @@ UNITS = {
     "p1": "mm^-1",
     "p2": "mm^-1",
 }
-"""The camera's numbers that are fitted, with their units: those of `PlenopticCamera`, except the offset, which is the
-place of the centre of lens (0, 0), and the principal point, the pixel on the axis."""
+"""The fitted parameters of the camera and their units: those of `PlenopticCamera`, except the offset, which is the
+position of the centre of lens (0, 0), and the principal point, the pixel on the axis."""
 
 NAMES = tuple(UNITS)
 """Their names, in the order of a vector of them."""
@@ -123,7 +123,7 @@ def _lenses(
 
 
 def _pixels(numbers: np.ndarray, p: np.ndarray, p_by: np.ndarray, pixel_size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Turn places on the detector and their derivatives into pixels."""
+    """Turn positions on the detector and their derivatives into pixels."""
     by_numbers = p_by / pixel_size
     principal = [AT["principal_u"], AT["principal_v"]]
     by_numbers[:, [0, 1], principal] += 1

@@ -2,7 +2,7 @@
 
 Files are CSV tables with a header. Corners have the columns ``k, l`` (indices of the lens along its row and of the
 row), ``u, v`` (column and row of the corner in pixels; the centre of the first pixel is 0), ``cluster`` (number of the
-corner, row by row along the board's columns, from 0) and ``frame`` (number of the picture, one for each pose of the
+corner, row by row along the board's columns, from 0) and ``frame`` (index of the picture, one for each pose of the
 board). They may have the column ``rho``: the radius of the corner's blur in pixels, of one sign in front of focus and
 of the other behind it. Centres have ``k, l, u, v``, and may have ``doubtful``: 1 for those that dust or a defect
 displaces, as `white` finds them; a fit leaves these out. Other columns are ignored.
@@ -75,7 +75,7 @@ class Board:
         return cls(int(columns), int(rows), square)
 
     def places(self, corner: np.ndarray) -> np.ndarray:
-        """Return the places (n, 2) of corners on the board in mm."""
+        """Return the positions (n, 2) of corners on the board in mm."""
         return np.stack([corner % self.columns, corner // self.columns], axis=-1) * self.square
 
 
@@ -98,7 +98,7 @@ class LensIndex:
     first: tuple[int, int]
 
     def unit(self, k: np.ndarray, l: np.ndarray) -> np.ndarray:  # noqa: E741
-        """Return places (n, 2) from lens (0, 0), in pitches along the rows and rows across them."""
+        """Return positions (n, 2) from lens (0, 0), in pitches along the rows and rows across them."""
         k0, l0 = self.first
         return np.stack([k - k0 + self.odd_rows * (l % 2 - l0 % 2), self.row_sign * (l - l0)], axis=-1).astype(float)
 
@@ -239,14 +239,14 @@ def require_on_detector(table: Table, size: tuple[int, int]) -> None:
 
 
 def observations(corners: Table, board: Board, index: LensIndex) -> tuple[Observations, np.ndarray]:
-    """Return what a fit compares with, and the frame numbers of its poses."""
+    """Return what a fit compares with, and the frame indices of its poses."""
     frames, pose = np.unique(corners["frame"], return_inverse=True)
     places = board.places(corners["cluster"])
     return Observations(index.unit(corners["k"], corners["l"]), corners.pixel, places, pose), frames
 
 
 def placed(places: np.ndarray, poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Return places (n, 2) on boards, each in its own of some poses, in the camera frame, (n, 3)."""
+    """Return positions (n, 2) on boards, each in its own of some poses, in the camera frame, (n, 3)."""
     flat = np.concatenate([places, np.zeros((len(places), 1))], axis=1)
     turned: np.ndarray = Rotation.from_rotvec(poses[pose, :3]).apply(flat)
     return turned + poses[pose, 3:]

@@ -33,11 +33,11 @@ class Evaluation:
     residuals : (n, 2) array
         Predicted minus observed pixels, in the order of the file.
     frames : (poses,) int array
-        Numbers of the poses' frames.
+        Indices of the poses' frames.
     pose : (n,) int array
         Which of them each row belongs to.
     poses : (poses, 6) array
-        Rotation vector (radians) and place of the board's first corner in mm, from the board's to the camera frame.
+        Rotation vector (radians) and position of the board's first corner in mm, from the board's to the camera frame.
     """
 
     residuals: np.ndarray
@@ -47,7 +47,7 @@ class Evaluation:
 
     @property
     def error(self) -> float:
-        """RMS of the distances between predicted and observed places in pixels."""
+        """RMS of the distances between predicted and observed positions in pixels."""
         return float(np.sqrt((self.residuals**2).sum(1).mean()))
 
     @property
@@ -86,9 +86,9 @@ class Calibration:
     evaluation : Evaluation
         Residuals and poses.
     numbers, deviations : dict
-        The camera's numbers by the names of `model.NAMES`, and their standard deviations.
+        The camera's parameters by the names of `model.NAMES`, and their standard deviations.
     correlation : (17, 17) array
-        Of the numbers' errors.
+        Of the parameters' errors.
     centre_residuals : (n, 2) array
         Of the centres that were given.
     steps : int
@@ -96,7 +96,7 @@ class Calibration:
     blur : Blur, optional
         The microlenses' focal lengths from blur radii, where the corners have them.
     disagreement : float
-        By how much the frames disagree about the numbers, over what their residuals' scatter explains.
+        By how much the frames disagree about the parameters, over what their residuals' scatter explains.
     by_frames : bool
         Whether that is more than chance allows, so that the deviations are those of leaving out frames.
     centre_outliers : (m,) int array
@@ -134,8 +134,8 @@ class Calibration:
         Returns
         -------
         list of (float, dict)
-            Deviation of the combination over that of numbers that were independent, greatest first; and by how many of
-            its deviations each number changes, those that matter.
+            Deviation of the combination over that of parameters that were independent, greatest first; and by how many
+            of its deviations each parameter changes, those that matter.
         """
         values, vectors = np.linalg.eigh(self.correlation)
         return [
@@ -162,7 +162,7 @@ class ResidualMap:
     count : (groups,) int array
         Observations in it.
     mean : (groups, 2) array
-        Mean of observed minus predicted places, in pixels.
+        Mean of observed minus predicted positions, in pixels.
     error : (groups,) array
         RMS of the distances between them, in pixels.
     """
@@ -220,7 +220,7 @@ def residual_map(calibration: Calibration, board: Board, corners: Table, by: str
 
 
 def field_cells(pixel: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the middles of the squares of this side, in pixels, that places (n, 2) are in, and which each is in."""
+    """Return the middles of the squares of this side, in pixels, that positions (n, 2) are in, and which each is in."""
     cell, group = np.unique(np.floor((pixel + 0.5) / side), axis=0, return_inverse=True)
     return (cell + 0.5) * side - 0.5, group.ravel()
 
@@ -240,11 +240,11 @@ _MANY = 100
 
 @dataclass(frozen=True)
 class Deviations:
-    """How well the numbers are known."""
+    """How well the parameters are known."""
 
-    # Of the numbers' errors; (17, 17).
+    # Of the parameters' errors; (17, 17).
     covariance: np.ndarray
-    # By how much the frames disagree about the numbers, over what their residuals' scatter explains.
+    # By how much the frames disagree about the parameters, over what their residuals' scatter explains.
     disagreement: float
     # Whether that is more than chance allows, so that the covariance is that of leaving out frames.
     by_frames: bool
@@ -256,7 +256,7 @@ class Deviations:
 
 
 def deviations(problem: Problem, found: Adjusted, weights: np.ndarray) -> Deviations:
-    """Return how well a fit's numbers are known, all of them free.
+    """Return how well a fit's parameters are known, all of them free.
 
     Shapes: `weights` (n,).
     """
@@ -273,7 +273,8 @@ def deviations(problem: Problem, found: Adjusted, weights: np.ndarray) -> Deviat
     frames = len(used)
     moved, freedom = 0.0, -count
     for part, values in zip(parts, used, strict=False):
-        # The triangle's last column: what the numbers can take of the frame's residuals, and what is left of them.
+        # The triangle's last column: what the parameters can explain of the frame's residuals, and what is left of
+        # them.
         own = int(values) - found.poses.shape[1] - count
         if own > 0:
             scatter = float(part[count, -1] ** 2) / own
@@ -294,9 +295,9 @@ def deviations(problem: Problem, found: Adjusted, weights: np.ndarray) -> Deviat
 
 
 def moved_solutions(problem: Problem, found: Adjusted, weights: np.ndarray, covariance: np.ndarray) -> list[Adjusted]:
-    """Return solutions a standard deviation away along each independent combination of numbers, the poses refitted.
+    """Return solutions a standard deviation away along each independent combination of parameters, the poses refitted.
 
-    The squared changes of anything else that follows from numbers and poses add up to its variance.
+    The squared changes of anything else that follows from parameters and poses add up to its variance.
     """
     heads, _ = problem.blocks(found.numbers, found.poses, weights, np.arange(len(NAMES)))
     scale = np.sqrt(np.diag(covariance))

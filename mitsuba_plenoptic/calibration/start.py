@@ -179,8 +179,8 @@ def _agreeing(
 def _board_fit(board: np.ndarray, centre: np.ndarray, pixel: np.ndarray) -> tuple[bool, np.ndarray]:
     """Return whether a flat board explains where corners are seen, and the rows that agree with it.
 
-    Over a tilted board z/a changes linearly, and with it z q/a in squares of the board's places. Lenses that see a
-    corner lie about its place; one far from there, as a wrong corner's does, would by its distance alone bend z/a.
+    Over a tilted board z/a changes linearly, and with it z q/a in squares of the board's positions. Lenses that see a
+    corner lie about its position; one far from there, as a wrong corner's does, would by its distance alone bend z/a.
     """
     x, y = (board / max(np.abs(board).max(), 1e-9)).T
     one = np.ones(len(x))

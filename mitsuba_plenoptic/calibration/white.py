@@ -51,7 +51,7 @@ class Centres:
     residuals : (n, 2) array
         Centres minus those of the grid in pixels: lenses that are displaced, tilt and distortion.
     doubtful : (n,) bool array
-        Centres that dust or a defect may have displaced: their place or their light differs from that of their
+        Centres that dust or a defect may have displaced: their position or their light differs from that of their
         neighbours by more than six deviations.
     """
 
@@ -135,7 +135,7 @@ def _centred(image: np.ndarray, centre: np.ndarray, radius: float) -> tuple[np.n
 
 
 def _plain_grid(grid: LensGrid, lens: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Return the places of the affine grid that fits the centres best."""
+    """Return the positions of the affine grid that fits the centres best."""
     k, l = lens.T.astype(np.float64)  # noqa: E741
     if grid.shifted_rows is not None:
         k = k + 0.5 * (l % 2 == grid.shifted_rows)
@@ -145,7 +145,7 @@ def _plain_grid(grid: LensGrid, lens: np.ndarray, centre: np.ndarray) -> np.ndar
 
 
 def _doubtful(lens: np.ndarray, residuals: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """Return which centres differ from their neighbours, in place or in light, by more than neighbours do."""
+    """Return which centres differ from their neighbours, in position or in light, by more than neighbours do."""
     values = np.concatenate([residuals, np.log(light)[:, None]], axis=1)
     differs = values - _local_medians(lens, values)
     sizes = np.stack([np.hypot(*differs[:, :2].T) / 1.17741, np.abs(differs[:, 2]) / 0.67449], axis=-1)

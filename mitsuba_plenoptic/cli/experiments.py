@@ -47,7 +47,7 @@ def compare(
 ) -> None:
     """Capture a scene by rays and by waves, refocus it by every method, and compare.
 
-    Writes figures, captures and reconstructions, all numbers and report.html,
+    Writes figures, captures and reconstructions, all results and report.html,
     which shows them in a browser. The ray capture has parabolic lenses, so that
     diffraction is its only difference from the wave capture. A run that was
     stopped resumes where it was.
@@ -215,7 +215,7 @@ def reproduce(
 ) -> None:
     """Compute the paper's figures, timing and conclusions again.
 
-    Writes figures, captures and reconstructions, all numbers and report.html,
+    Writes figures, captures and reconstructions, all results and report.html,
     which shows them in a browser. Valid results that the folder already
     holds are reused: a run that was stopped resumes where it was, even within
     the wave capture.

@@ -69,7 +69,7 @@ def fit(
     ] = False,
     define: Definitions = None,
 ) -> None:
-    """Fit a camera's numbers to captures of known scenes, by waves or by rays.
+    """Fit a camera's parameters to captures of known scenes, by waves or by rays.
 
     It starts from the captures' own camera, or from --camera. Noise and
     saturation of captures that 'expose' made are those of their detector.

@@ -59,7 +59,7 @@ def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamer
 
 
 def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, black_level: float = 0) -> Capture:
-    """Read a capture, or a raw picture of a known camera; the camera that is given takes the place of a capture's.
+    """Read a capture, or a raw picture of a known camera; the camera that is given replaces a capture's.
 
     A raw picture that states its camera and detector, as `write_raw` writes it, needs nothing else.
     """

@@ -50,10 +50,10 @@ def views(
     exposure: options.Exposure = None,
     percentile: options.Percentile = None,
 ) -> None:
-    """Show the scene from many places on the main lens.
+    """Show the scene from many positions on the main lens.
 
     Each view is an image with one pixel a lens, as a camera with a small
-    aperture at that place would take it. The mosaic shows the views as they
+    aperture at that position would take it. The mosaic shows the views as they
     lie on the pupil, the upper left first, seen from behind the camera.
 
     [bold]Examples:[/bold]

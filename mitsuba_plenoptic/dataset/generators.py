@@ -99,7 +99,7 @@ class SceneGenerator(Protocol):
 
 @dataclass(frozen=True)
 class Shapes:
-    """Textured shapes at random places, turned at random, before a textured wall.
+    """Textured shapes at random positions, turned at random, before a textured wall.
 
     Depths are drawn evenly in disparity, so that near and far are equally frequent in what a light field measures.
     """

@@ -42,7 +42,7 @@ class SampleTask:
         return 2**62
 
     def prepare(self) -> Callable[[], int]:
-        """Return the function that does it, and returns the sample's number."""
+        """Return the function that does it, and returns the sample's index."""
         return partial(_make, self.recipe, self.index, self.path)
 
 

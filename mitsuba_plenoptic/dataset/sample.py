@@ -31,7 +31,7 @@ class Sample:
     Attributes
     ----------
     index : int
-        Its number in the data set.
+        Its index in the data set.
     arrays : dict
         Float32 arrays by name: captures (rows, columns[, 3]) ``ray``, ``wave``, ``ray_exposed``, ``wave_exposed``;
         ground truth of the pixels such as ``depth`` and ``normal`` (rows, columns[, 3]); and of the decoded views such
@@ -92,7 +92,7 @@ def open_sample(recipe: Recipe, plan: SamplePlan) -> Any:
 
 
 def make_sample(recipe: Recipe, index: int) -> Sample:
-    """Render a sample; its bits depend on the recipe and its number alone.
+    """Render a sample; its bits depend on the recipe and its index alone.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Samples in HDF5 files: a group for each, of the sample's number in six digits, with its arrays and its facts.
+"""Samples in HDF5 files: a group for each, of the sample's index in six digits, with its arrays and its facts.
 
 Its ``digests``, JSON by the names of the others, are compared whenever an array is read, so that a damaged sample is
 never taken for a whole one. The same samples give the same bytes.
@@ -143,7 +143,7 @@ class DataSet:
         return self._layout.count
 
     def __getitem__(self, index: int) -> Sample:
-        """Read a sample by its number."""
+        """Read a sample by its index."""
         if index >= len(self):
             raise IndexError(f"sample {index}: there are {len(self)}")
         index = require_count("sample", index, minimum=0)

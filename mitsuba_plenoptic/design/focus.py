@@ -12,10 +12,10 @@ lens, as far as the second is below that, which is Ng's range of refocusing (200
 section 3.4). For a focused one at :math:`v_0` only the second is left, :math:`1 / |v_0|` of the detector's resolution
 along an axis: the effective resolution of Perwass and Wietzke (2012, "Single lens 3D-camera with extended
 depth-of-field", section 2) and of Georgiev and Lumsdaine (2010, "Reducing plenoptic camera artifacts"). A spot of
-diffraction wider than a pixel takes the pixel's place.
+diffraction wider than a pixel replaces the pixel.
 
 Widths are projected through the main lens's centre onto the MLA, as the bins of a reconstruction are. There, with the
-defocus s of the object and :math:`\kappa = 1 + b/z - b/f_2`, how fast the place on the pupil moves with that on the
+defocus s of the object and :math:`\kappa = 1 + b/z - b/f_2`, how fast the position on the pupil moves with that on the
 lens, they read :math:`w |1 - s \kappa|` and :math:`p |s| b / z`.
 """
 

@@ -88,7 +88,7 @@ def parallax(camera: PlenopticCamera, place: float) -> float:
     ----------
     camera : PlenopticCamera
         A microscope in the Fourier arrangement.
-    place : float
+    position : float
         Distance c in millimetres.
 
     Raises

@@ -1,4 +1,4 @@
-"""Fitting a camera's numbers to captures of known light, by waves or by rays."""
+"""Fitting a camera's parameters to captures of known light, by waves or by rays."""
 
 from .approach import coarse_fit, lattice_from_white
 from .fit import fit

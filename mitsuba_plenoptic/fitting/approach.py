@@ -49,7 +49,7 @@ def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
 
 
 def _fitted(camera: PlenopticCamera, place: NDArray[np.float64]) -> PlenopticCamera:
-    """Return the camera whose nearest lenses are at these places."""
+    """Return the camera whose nearest lenses are at these positions."""
     lattice = camera.lattice
     i, j = lattice.cell(*place.T)
     u, v = (np.asarray(part, np.float64) for part in lattice.unit_centre(i, j))
@@ -89,7 +89,7 @@ _MOST_STEPS = 15
 """Cameras that are tried with each."""
 
 _AT_BOUND = 1e-3
-"""A number is at a bound if it is nearer than this part of what lies between its bounds."""
+"""A parameter is at a bound if it is nearer than this part of what lies between its bounds."""
 
 
 def coarse_fit(
@@ -119,7 +119,7 @@ def coarse_fit(
     wavelength : float
         In nanometres.
     bounds : mapping, optional
-        As of `fit`, and as there by default. A number that ends at one is warned of.
+        As of `fit`, and as there by default. A parameter that ends at one is warned of.
     progress : callable, optional
         Called with the cameras that have been tried and the most that are.
 

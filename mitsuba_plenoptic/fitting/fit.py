@@ -1,4 +1,4 @@
-"""Fitting numbers of a camera to captures of known light: least squares with the captures' own derivatives."""
+"""Fitting parameters of a camera to captures of known light: least squares with the captures' own derivatives."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _ROUNDS = 2
 _MOST_STEPS = 30
 
 _DONE = 1e-7
-"""Relative change of the numbers, or of the sum of squares, that ends a round."""
+"""Relative change of the parameters, or of the sum of squares, that ends a round."""
 
 
 @suggest_keywords
@@ -48,7 +48,7 @@ def fit(
     progress: Callable[[int, int], None] | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> Fit:
-    r"""Find the numbers of a camera that explain captures of known light best, by waves or by rays.
+    r"""Find the parameters of a camera that explain captures of known light best, by waves or by rays.
 
     Least squares of the pixels over their deviations (a trust region method: ``scipy.optimize.least_squares``), by
     waves with the derivatives of `CaptureOperator`, by rays with differences of captures whose rays are held. The light
@@ -63,7 +63,7 @@ def fit(
     Parameters
     ----------
     camera : PlenopticCamera
-        Where to start; the numbers that are not fitted are right. It must be near: spots of the model that do not
+        Where to start; the parameters that are not fitted are right. It must be near: spots of the model that do not
         overlap those of a capture by more than their width do not find them. `lattice_from_white` brings a lattice
         near.
     views : View, or sequence of View
@@ -195,7 +195,7 @@ class _Trials:
         self._slopes: NDArray[np.float64] | None = None
 
     def expected(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what a camera of these numbers records."""
+        """Return the captures of a camera of these parameters."""
         if self._x is None or not np.array_equal(x, self._x):
             self._model = self._model_of(changed(self._camera, self._numbers, x))
             self._images, self._slopes, self._x = self._model.images(), None, x.copy()
@@ -214,7 +214,7 @@ class _Trials:
         return self._slopes
 
     def go_on(self, checkpoint: Checkpoint, start: NDArray[np.float64], **facts: Any) -> NDArray[np.float64]:
-        """Keep the numbers in a checkpoint, and return those that it has of the same fit, or the start."""
+        """Save the parameters in a checkpoint, and return those that it has of the same fit, or the start."""
         self._checkpoint = checkpoint
         arrays = checkpoint.begin_arrays(**facts)
         if arrays is None:

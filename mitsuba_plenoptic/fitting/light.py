@@ -143,7 +143,7 @@ def known_view(
     image : array (rows, columns)
         The capture.
     scene : mitsuba.Scene
-        What it shows, matte and emitting surfaces, with the camera's place as that of the first sensor; of a variant
+        What it shows, matte and emitting surfaces, with the camera's position as that of the first sensor; of a variant
         of one channel.
     camera : PlenopticCamera
         A camera near enough to the true one, from which rays start.

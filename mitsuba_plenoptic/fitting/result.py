@@ -17,7 +17,7 @@ _FAR = 5.0
 """Standard deviations of chi-square by which it may differ from 1."""
 
 _AT_BOUND, _OF_RANGE = 1e-2, 1e-6
-"""A number is at a bound if it is nearer than this part of its deviation, or of what lies between its bounds."""
+"""A parameter is at a bound if it is nearer than this part of its deviation, or of what lies between its bounds."""
 
 _BRIGHTER = 3.0
 """Factor between the light of captures and model above which their units are doubted."""
@@ -35,7 +35,7 @@ class Direction:
     deviation : float
         Standard deviation along it, in the units of `Fit.scales`.
     parts : dict
-        By number, its part in the direction; their squares add to 1.
+        By parameter, its part in the direction; their squares add to 1.
     """
 
     deviation: float
@@ -51,18 +51,19 @@ class Fit:
     camera : PlenopticCamera
         The camera.
     values, deviations : dict
-        By name the fitted numbers and their standard deviations; those of a parameter with several are named with what
-        place they have, from 1: ``mla_offset.1``.
+        By name the fitted parameters and their standard deviations; the values of a parameter with several are
+        numbered from 1: ``mla_offset.1``.
     covariance : float64 array (numbers, numbers)
-        Of the numbers, in their order in `values`, from the captures' derivatives: the inverse of Fisher's information
-        where all pixels are weighted by their variance. Of a number at a bound, the square of its deviation alone.
+        Of the parameters, in their order in `values`, from the captures' derivatives: the inverse of Fisher's
+        information where all pixels are weighted by their variance. Of a parameter at a bound, the square of its deviation
+        alone.
     scales : dict
-        The unit of each number in `directions`: a hundredth of it, a degree, a pitch, a wave.
+        The unit of each parameter in `directions`: a hundredth of it, a degree, a pitch, a wave.
     directions : tuple of Direction
         Directions from the worst determined on: parameters with large parts in a direction of a large deviation cannot
         be separated.
     at_bounds : dict
-        Numbers that lie at a bound, nearer than a hundredth of their deviation: by name "lowest" or "highest". Their
+        Parameters that lie at a bound, nearer than a hundredth of their deviation: by name "lowest" or "highest". Their
         deviations are one-sided: how far inside the bound the sum of the weighted squares is larger by 1, with the
         others fitted anew. Those of the others hold them at the bound.
     chi_square, chi_square_deviation : float
@@ -148,7 +149,7 @@ def summary(
 
 
 def _one_sided(rows: NDArray[np.float64], slope: NDArray[np.float64], which: Sequence[int]) -> NDArray[np.float64]:
-    """Return by how much numbers move away from a bound, against the slope, until the sum of squares is larger by 1."""
+    """Return how far parameters move from a bound, against the slope, until the sum of squares is larger by 1."""
     information = np.linalg.pinv(rows.T @ rows)
     steep = np.abs(slope[list(which)])
     return np.asarray(1 / (steep + np.sqrt(steep**2 + 1 / np.diag(information)[list(which)])))

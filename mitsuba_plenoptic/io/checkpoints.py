@@ -236,7 +236,7 @@ def _write_archive(path: Path, run: dict[str, Any], header: dict[str, Any], arra
     with path.open("wb") as file:
         np.savez(file, header=json.dumps({"format": FORMAT, "run": run, **header}), **arrays)
         file.flush()
-        # On the disk before it takes the place of the one of before.
+        # On the disk before it replaces the one of before.
         os.fsync(file.fileno())
 
 

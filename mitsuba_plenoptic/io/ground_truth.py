@@ -17,7 +17,7 @@ QUANTITIES = {"depth": "Z", "position": "XYZ", "normal": "XYZ", "albedo": "RGB",
 """Quantities of the point that a ray meets, with their channels."""
 
 SUFFIX = ".truth.exr"
-"""In the place of a capture's ``.exr``."""
+"""Suffix that replaces a capture's ``.exr``."""
 
 NAME = "ground_truth"
 """Key of the file in the metadata of its capture."""
@@ -38,7 +38,7 @@ class GroundTruth:
 
     ``depth`` is the distance from the main lens along the camera's axis, in scene units, taken as millimetres: infinite
     where a ray meets nothing. ``position`` and ``normal`` (of shading) are in the world's frame, ``albedo`` is the
-    diffuse reflectance, and these are NaN where nothing is met. ``shape_index`` is a whole number, 0 where nothing is
+    diffuse reflectance, and these are NaN where nothing is met. ``shape_index`` is an integer, 0 where nothing is
     met. Where the main lens lets no such ray through, all but the index are NaN. None is an average: each is of one
     ray.
 

@@ -2,10 +2,9 @@ r"""Microlens lattices: which lens a point belongs to, where its centre is, and 
 
 Everything that has to do with the arrangement of microlenses is asked of a `Lattice`, which `PlenopticCamera.lattice`
 makes. It covers the whole plane and does not end with the detector. Points are given in the camera frame, in the
-plane of the microlens array (MLA), as floats, NumPy arrays or Dr.Jit arrays; so may the lattice's own numbers be.
+plane of the microlens array (MLA), as floats, NumPy arrays or Dr.Jit arrays; so may the lattice's own parameters be.
 
-A lens is named by two whole numbers (i, j), its steps along the two lattice vectors. Its place is decided in three
-frames:
+A lens is named by two integers (i, j), its steps along the two lattice vectors. It is found in three frames:
 
 - In the *unit frame* lengths along the rows count in pitches and lengths across them in row distances. Each lattice
   says there which cell holds a point and where its centre is.
@@ -82,7 +81,7 @@ class Lattice(abc.ABC):
     @staticmethod
     @abc.abstractmethod
     def unit_cell(u: Any, v: Any) -> tuple[Any, Any]:
-        """Find the cell that holds a point of the unit frame: its indices, whole numbers as floats."""
+        """Find the cell that holds a point of the unit frame: its indices, integers as floats."""
 
     @staticmethod
     @abc.abstractmethod
@@ -199,7 +198,7 @@ class Lattice(abc.ABC):
 
     @property
     def axis_aligned(self) -> bool:
-        """Whether cells are rectangles along x and y, by plain numbers: an index along x follows from x alone."""
+        """Whether cells are rectangles along x and y, for plain floats: an index along x follows from x alone."""
         return self.rectangular and self.stagger == 1 and is_zero(self.rotation)
 
     @property
@@ -210,7 +209,7 @@ class Lattice(abc.ABC):
     # -- cells ---------------------------------------------------------------------------------------
 
     def cell(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Find the cell that holds a point: its indices, whole numbers as floats."""
+        """Find the cell that holds a point: its indices, integers as floats."""
         u, v = self.to_frame(x - self.offset[0], y - self.offset[1])
         return self.unit_cell(u / self.pitches[0], v / self.row_distance)
 
@@ -283,7 +282,7 @@ class Lattice(abc.ABC):
         counts = inside.reshape(2 * half + 1, _POINTS, 2 * half + 1, _POINTS).sum(axis=(1, 3), dtype=np.float64)
         return counts / counts.sum()
 
-    # -- sets of lenses, for lattices of plain numbers -----------------------------------------------
+    # -- sets of lenses, for lattices of plain floats -----------------------------------------------
 
     def cell_corners(self) -> np.ndarray:
         """Return the corners of a cell from its centre, in the order of their angles.

@@ -34,7 +34,7 @@ def decode(
 ) -> xr.DataArray:
     """Turn a capture into a light field with one sample a pixel across the pupil and one a lens across the field.
 
-    Micro-images are not a whole number of pixels apart. Each is resampled about its own centre by linear
+    Micro-images are not an integer of pixels apart. Each is resampled about its own centre by linear
     interpolation, which for a step of one pixel is the mean over a pixel-sized square, so that no light is lost. The
     capture and the white image are sampled alike and then divided. A lattice that is not upright and square is
     resampled to one that is, linearly along its rows and between them.

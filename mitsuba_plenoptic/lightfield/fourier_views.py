@@ -42,7 +42,7 @@ class LensViews:
     across: NDArray[np.float64]
     down: NDArray[np.float64]
     # What a lens there records of an even object, over what all the stop lets through evenly; 0 where there is no lens,
-    # as at every second place of a hexagonal array, or where it lies beyond the image of the stop; (rows, columns).
+    # as at every second position of a hexagonal array, or where it lies beyond the image of the stop; (rows, columns).
     fraction: NDArray[np.float32]
     # Pixels of its picture on either side of the one in the middle, along x and y; (int, int).
     half: tuple[int, int]
@@ -125,7 +125,7 @@ def _room(camera: PlenopticCamera) -> tuple[float, float]:
 def _in_stop(
     camera: PlenopticCamera, lens: Objective, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """Return for lenses at some places the light that their apertures get, over that of an even stop."""
+    """Return for lenses at some positions the light that their apertures get, over that of an even stop."""
     lattice, stop = camera.lattice, TelecentricLens(lens)
     reach = lattice.cell_reach
     step = 2 * reach / _PLACES
@@ -145,7 +145,7 @@ def _in_stop(
 
 
 def _lines(places: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the distinct places, rising, and the number of each one's."""
+    """Return the distinct positions, rising, and the number of each one's."""
     order = np.argsort(places)
     number = np.cumsum(np.diff(places[order], prepend=-np.inf) > tolerance) - 1
     result = np.empty(len(places), np.int64)

@@ -180,7 +180,7 @@ def require_light_field(lf: Any) -> xr.DataArray:
 
 
 def view_steps(lf: xr.DataArray, axis: str) -> np.ndarray:
-    """Return the place of each view along ``u`` or ``v`` in views from the pupil's centre, rising with the index."""
+    """Return the position of each view along ``u`` or ``v`` in views from the pupil's centre, rising with the index."""
     coordinate = np.asarray(lf[axis].values, dtype=np.float64)
     return -coordinate / _camera_behind_a_lens(lf).pupil_step if lf.attrs.get("camera") else coordinate
 

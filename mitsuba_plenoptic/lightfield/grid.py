@@ -1,4 +1,4 @@
-"""Where the micro-images lie on the detector: the one place that knows the microlens lattice.
+"""Positions of the micro-images on the detector: the only module here that depends on the microlens lattice.
 
 Everything that decodes a capture asks here for the centres of the micro-images, in the pixels of the recorded
 image, and for the lenses they belong to. Whatever the lattice is, only this module changes with it.
@@ -48,7 +48,7 @@ class LensGrid:
     ------
     InputError
         If a number is not finite, a spacing is not from 1e-3 to 1e6 pixels, an offset is beyond 1e9 pixels, a
-        rotation is beyond a full turn, or a count is not a whole number from 1 to 1048576.
+        rotation is beyond a full turn, or a count is not an integer from 1 to 1048576.
     """
 
     spacing: tuple[float, float]

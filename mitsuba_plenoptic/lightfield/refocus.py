@@ -36,7 +36,7 @@ def shift_and_add(lf: xr.DataArray, disparity: float) -> xr.DataArray:
     Returns
     -------
     xarray.DataArray
-        Dimensions t, s[, c]; 0 where no view sees the place.
+        Dimensions t, s[, c]; 0 where no view sees the position.
 
     Raises
     ------

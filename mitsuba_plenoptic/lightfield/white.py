@@ -46,7 +46,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     """Compute what a camera records of a scene of uniform radiance 1.
 
     The value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds. Each lens of a tilted
-    array has its own distances; distortion changes nothing, as rays keep their place on the pupil.
+    array has its own distances; distortion changes nothing, as rays keep their position on the pupil.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ class _Fractions:
         return np.asarray(lens @ self._slopes)
 
     def __call__(self, lens_type: np.ndarray, height: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the fractions (n, rows, columns) of lenses at places x (n, columns) and y (n, rows) of the pupil."""
+        """Return the fractions (n, rows, columns) of lenses at pupil positions x (n, columns), y (n, rows)."""
         fraction = np.zeros((len(x), y.shape[1], x.shape[1]), dtype=np.float32)
         kinds, which = np.unique(np.stack([lens_type, np.round(height / self._step)]), axis=1, return_inverse=True)
         for number, (kind, level) in enumerate(kinds.T.astype(int)):

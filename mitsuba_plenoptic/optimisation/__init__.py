@@ -1,4 +1,4 @@
-"""Designing cameras: numbers by which a stated figure of their wave captures is best."""
+"""Designing cameras: parameters by which a stated figure of their wave captures is best."""
 
 from .figures import DepthInformation, RefocusedContrast
 from .search import Design, Figure, maximise

@@ -32,7 +32,7 @@ class Spreads:
         self._accuracy, self._method = check_accuracy(accuracy), method
 
     def images(self, camera: PlenopticCamera, points: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
-        """Return the spreads (n, rows, columns) of the points, or of others in their place."""
+        """Return the spreads (n, rows, columns) of the points, or of others instead."""
         # One by one: points so near each other must not share a spread.
         return np.stack([operator.forward([1.0]) for operator in self._operators(camera, points)]).astype(np.float64)
 
@@ -43,7 +43,7 @@ class Spreads:
         names: Iterable[str],
         points: NDArray[np.float64] | None = None,
     ) -> Gradient:
-        """Take the gradient by the spreads (n, rows, columns) back to numbers of the camera."""
+        """Take the gradient by the spreads (n, rows, columns) back to parameters of the camera."""
         total: Gradient = {}
         for operator, image in zip(self._operators(camera, points), images, strict=True):
             found = operator.gradient([1.0], image.astype(np.float32), tuple(names))
@@ -58,7 +58,7 @@ class Spreads:
 
 
 def require_held(camera: PlenopticCamera, other: PlenopticCamera, held: Iterable[str]) -> None:
-    """Refuse a camera of which numbers differ that a figure holds."""
+    """Refuse a camera with other parameters that a figure holds."""
     mine, its = camera.to_dict(), other.to_dict()
     for name in held:
         if mine[name] != its[name]:
@@ -127,7 +127,7 @@ class RefocusedContrast:
         return self._contrast(self._images(camera))[0]
 
     def gradient(self, camera: PlenopticCamera, names: Iterable[str]) -> tuple[float, Gradient]:
-        """Return the mean contrast, and its derivatives by numbers of the camera, by name.
+        """Return the mean contrast, and its derivatives by parameters of the camera, by name.
 
         Parameters
         ----------
@@ -139,7 +139,7 @@ class RefocusedContrast:
         Raises
         ------
         InputError
-            If refocusing depends on a number.
+            If refocusing depends on a parameter.
         """
         names = tuple(names)
         for name in names:
@@ -188,7 +188,7 @@ _WAVES = 0.01
 
 @dataclass(frozen=True)
 class _Move:
-    """Two places of every point, (n, 3), and by what the difference of their spreads is a derivative, (n, 1, 1)."""
+    """Two positions of every point, (n, 3), and by what the difference of their spreads is a derivative, (n, 1, 1)."""
 
     there: NDArray[np.float64]
     back: NDArray[np.float64]
@@ -196,9 +196,9 @@ class _Move:
 
 
 class DepthInformation:
-    r"""How precisely noisy captures determine the depths of points whose other numbers are unknown, too.
+    r"""How precisely noisy captures determine the depths of points whose other coordinates are unknown, too.
 
-    Of each point the place (X, Y, g) and the brightness w are unknown. With the expected counts of photons I and the
+    Of each point the position (X, Y, g) and the brightness w are unknown. With the expected counts of photons I and the
     background B of each pixel Fisher's information is
 
     .. math:: F_{ab} = \sum_p \frac{\partial_a I_p \, \partial_b I_p}{I_p + B}, \qquad
@@ -206,8 +206,8 @@ class DepthInformation:
 
     the least standard deviation of an estimate of the depth without bias (Kay, "Fundamentals of statistical signal
     processing: estimation theory", 1993, chapter 3). The figure is the mean of :math:`-\ln \sigma_g` over the points:
-    0.69 more halves all deviations. Derivatives by the place are central differences, sideways and along the chief ray,
-    there of the vergence 1/g, to both sides by a hundredth of a wave of path at the rim of the pupil.
+    0.69 more halves all deviations. Derivatives by the position are central differences, sideways and along the chief
+    ray, there of the vergence 1/g, to both sides by a hundredth of a wave of path at the rim of the pupil.
 
     Parameters
     ----------
@@ -262,7 +262,7 @@ class DepthInformation:
         return [photons * self._spreads.images(camera), *slopes]
 
     def gradient(self, camera: PlenopticCamera, names: Iterable[str]) -> tuple[float, Gradient]:
-        """Return the figure, and its derivatives by numbers of the camera, by name."""
+        """Return the figure, and its derivatives by parameters of the camera, by name."""
         names, expected = tuple(names), self.expected(camera)
         count = len(expected[0])
         cotangents = [np.zeros_like(part) for part in expected]

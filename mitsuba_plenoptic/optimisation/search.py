@@ -1,4 +1,4 @@
-"""The search for the numbers of a camera by which a figure is best."""
+"""The search for the parameters of a camera by which a figure is best."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Figure(Protocol):
         """Return it for a camera."""
 
     def gradient(self, camera: PlenopticCamera, names: Iterable[str]) -> tuple[float, Gradient]:
-        """Return it, and its derivatives by numbers of the camera, as `CaptureOperator.gradient` has them."""
+        """Return it, and its derivatives by parameters of the camera, as `CaptureOperator.gradient` has them."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Design:
     figure : float
         Its figure.
     values : dict
-        By name the numbers that varied.
+        By name the parameters that varied.
     tried : int
         Cameras that were tried.
     reason : str
@@ -61,7 +61,7 @@ def maximise(
     steps: int = 30,
     progress: Callable[[int, float, PlenopticCamera], None] | None = None,
 ) -> Design:
-    """Find numbers of a camera by which a figure is best, near where they start.
+    """Find parameters of a camera by which a figure is best, near where they start.
 
     By SciPy's L-BFGS-B with the figure's own gradient: a local search, several starts of which show whether there are
     other optima.
@@ -71,11 +71,11 @@ def maximise(
     figure : Figure
         What is maximised, such as `RefocusedContrast` or `DepthInformation`.
     camera : PlenopticCamera
-        Where to start; the numbers that are not named are held.
+        Where to start; the parameters that are not named are held.
     bounds : mapping
-        By name the lowest and the highest value of what varies: names of `CaptureOperator.derivative`, with what place
-        a number has where there are several, from 1, as ``wavefront.11``; the name alone means all of them, of a
-        wavefront all but the piston.
+        By name the lowest and the highest value of what varies: names of `CaptureOperator.derivative`, with
+        an index from 1 where there are several, as ``wavefront.11``; the name alone means all of them, of
+        a wavefront all but the piston.
     steps : int
         Steps of the search at most; each takes one or two gradients.
     progress : callable, optional
@@ -131,7 +131,7 @@ def maximise(
 def _numbers(
     camera: PlenopticCamera, bounds: Mapping[str, tuple[float, float]]
 ) -> tuple[list[Number], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the numbers that vary, and their bounds."""
+    """Return the parameters that vary, and their bounds."""
     numbers, limits = [], []
     for name, pair in bounds.items():
         if np.shape(pair) != (2,) or not pair[0] < pair[1]:

@@ -172,7 +172,7 @@ class Glass:
         Raises
         ------
         InputError
-            If it is not one of these, a number is out of range, or no catalogue has the name.
+            If it is not one of these, a value is out of range, or no catalogue has the name.
         """
         if isinstance(value, str):
             return catalogue_glass(value, where)

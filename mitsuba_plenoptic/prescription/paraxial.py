@@ -19,7 +19,7 @@ from .data import Prescription
 
 @dataclass(frozen=True)
 class Paraxial:
-    """Numbers of paraxial optics, in millimetres; places are counted along the axis towards the array.
+    """Numbers of paraxial optics, in millimetres; positions are counted along the axis towards the array.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class Paraxial:
 
 @functools.lru_cache(maxsize=256)
 def paraxial(prescription: Prescription, wavelength: float | None = None) -> Paraxial:
-    """Return the paraxial numbers of a lens.
+    """Return the paraxial quantities of a lens.
 
     Parameters
     ----------

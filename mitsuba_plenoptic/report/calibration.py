@@ -1,4 +1,4 @@
-"""The report on a calibration: one HTML file with its numbers, residuals and poses."""
+"""The report on a calibration: one HTML file with its parameters, residuals and poses."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def _arrows(middle: np.ndarray, mean: np.ndarray, size: Sequence[int]) -> list[t
 
 
 def _lenses(lens: ResidualMap, size: Sequence[int]) -> list[tuple[float, float, float]]:
-    """Return place and darkness of each lens's mark: its error over the greatest that a twentieth of them exceed."""
+    """Return position and darkness of each lens's mark: its error over the greatest that a twentieth of them exceed."""
     place = (lens.key[:, 2:] + 0.5) * (_WIDTH / size[0])
     dark = (lens.error / max(float(np.quantile(lens.error, 0.95)), 1e-12)).clip(0.05, 1)
     return [tuple(mark) for mark in np.column_stack([place.round(1), dark.round(2)]).tolist()]

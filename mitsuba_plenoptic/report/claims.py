@@ -1,4 +1,4 @@
-"""The paper's conclusions, each with a verdict computed from our numbers."""
+"""The paper's conclusions, each with a verdict computed from our results."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
 
 
 def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
-    """Paraxial numbers of a real main lens, and what it does to the light over the field."""
+    """Paraxial quantities of a real main lens, and what it does to the light over the field."""
     numbers = paraxial(lens)
     scale = camera.focal_length / numbers.focal_length
     wanted = f"at {lens.wavelength:g} nm"

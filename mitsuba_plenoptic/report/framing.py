@@ -41,7 +41,7 @@ class Window(NamedTuple):
 
 
 class Zoom(NamedTuple):
-    """A place on the detector to look at closely: a title, and a window of whole pixels."""
+    """A position on the detector to look at closely: a title, and a window of whole pixels."""
 
     title: str
     rows: slice

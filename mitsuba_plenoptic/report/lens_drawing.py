@@ -49,7 +49,7 @@ class FieldFigures:
 
 
 class _DrawnRays:
-    """Bundles of rays from places on the MLA to the object plane in focus, at one wavelength."""
+    """Bundles of rays from positions on the MLA to the object plane in focus, at one wavelength."""
 
     def __init__(self, camera: PlenopticCamera, wavelength: float | None) -> None:
         self.lens = LensSystem.of(camera, wavelength)
@@ -79,7 +79,7 @@ class _DrawnRays:
 
 
 def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return where rays from the object point of a place's chief ray meet the MLA, as far as they get through.
+    """Return where rays from the object point of a position's chief ray meet the MLA, as far as they get through.
 
     By tracing back: how far from that point the rays from the position meet the object plane, in its image's size.
 
@@ -88,7 +88,7 @@ def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.
     camera : PlenopticCamera
         A camera with a real main lens.
     height : float
-        Distance of the place from the axis in millimetres.
+        Distance of the position from the axis in millimetres.
     wavelength : float
         Wavelength in nanometres; the object point is that of the chief ray at the prescription's own.
 
@@ -115,26 +115,26 @@ def lateral_colour(camera: PlenopticCamera, height: float, wavelengths: tuple[fl
         Wavelengths in nanometres.
     """
     first, second = (_DrawnRays(camera, wavelength).chief(height) for wavelength in wavelengths)
-    # What is seen farther out from the same place is imaged nearer to the axis.
+    # What is seen farther out from the same position is imaged nearer to the axis.
     return camera.mla_distance * (second - first)
 
 
 def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[np.ndarray, np.ndarray]:
-    """Follow rays in the plane of the axis from a place on the MLA, surface by surface, to before the lens.
+    """Follow rays in the plane of the axis from a position on the MLA, surface by surface, to before the lens.
 
     Parameters
     ----------
     camera : PlenopticCamera
         A camera with a real main lens.
     height : float
-        Distance of the place from the axis in millimetres.
+        Distance of the position from the axis in millimetres.
     count : int
         Rays, evenly over what the lens lets through.
 
     Returns
     -------
     z, y : float64 arrays (surfaces + 1, count)
-        Their places in the camera frame, on the MLA and on each surface.
+        Their positions in the camera frame, on the MLA and on each surface.
     """
     lens = LensSystem.of(camera)
     tried = np.linspace(-_WIDER, _WIDER, _ACROSS) * camera.pupil_radius

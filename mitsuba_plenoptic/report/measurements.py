@@ -137,7 +137,7 @@ class Difference:
     noise_alone: bool | None
 
     def to_dict(self) -> dict[str, float | bool | None]:
-        """Return the numbers by name, rounded to what they mean."""
+        """Return the values by name, rounded to what they mean."""
         return {name: round(value, 5) if isinstance(value, float) else value for name, value in asdict(self).items()}
 
 

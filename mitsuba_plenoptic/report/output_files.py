@@ -140,7 +140,7 @@ def write_reconstructions(
 
 
 def write_views(path: str | Path, lf: xr.DataArray, brightness: Brightness = _AUTOMATIC) -> None:
-    """Write the views of a light field: a part each named by its place on the pupil, or a mosaic as PNG.
+    """Write the views of a light field: a part each named by its position on the pupil, or a mosaic as PNG.
 
     Ground truth that the light field has is in each part, too, in the channels of its own file.
     """
@@ -214,7 +214,7 @@ def _enlarged(image: np.ndarray) -> np.ndarray:
 
 
 def _tiled(images: list[np.ndarray]) -> np.ndarray:
-    """Lay images of one size out in rows, as near to a square as can be; empty places stay black."""
+    """Lay images of one size out in rows, as near to a square as can be; empty positions stay black."""
     columns = int(np.ceil(np.sqrt(len(images))))
     empty = [np.zeros_like(images[0])] * (-len(images) % columns)
     every = images + empty

@@ -1,4 +1,4 @@
-"""The report: all numbers as JSON, and one HTML file with everything in it, to be opened from anywhere."""
+"""The report: all results as JSON, and one HTML file with everything in it, to be opened from anywhere."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ def captures(experiment: Experiment, window: Window) -> dict[str, str]:
 
 
 def geometry(experiment: Experiment, zooms: Sequence[Zoom], window: Window) -> dict[str, Any]:
-    """Return the size of the capture's cut-out, and the places to zoom to in fractions of it."""
+    """Return the size of the capture's cut-out, and the positions to zoom to in fractions of it."""
     rows, columns = experiment.wave.image.shape
     height, width = window.of(experiment.wave.image).shape
     top, left = round(window.top * rows), round(window.left * columns)

@@ -2,7 +2,7 @@
 
 Dr.Jit loads LLVM when it is first imported, from where ``DRJIT_LIBLLVM_PATH`` says or else from a few folders
 that it searches itself, and it takes what it finds: 14 is refused, and with 15 and 16 the process aborts at
-the first kernel that needs a minimum or maximum. So `choose` looks in more places and names a usable library
+the first kernel that needs a minimum or maximum. So `choose` looks in more folders and names a usable library
 before Dr.Jit loads, and `require` explains what to do where there is no library, before a kernel is compiled.
 
 Only the standard library is imported here, so that ``tools/ensure_llvm.py`` can load this file on its own.

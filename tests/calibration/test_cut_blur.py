@@ -60,7 +60,7 @@ def test_corners_are_met_in_spite_of_the_rim(kind, ratio):
         found = find_saddles(image / np.maximum(white, 1e-9), *given, radius=RADIUS, even=RADIUS, seen=seen)
         good = np.isfinite(found.deviation)
         assert good.sum() > 0.7 * COUNT
-        miss = (found.place - centre - place)[good]
+        miss = (found.position - centre - place)[good]
         outwards.append(float(((miss * place[good]).sum(1) / arm[good]).mean()))
     plain, mended = outwards
     assert abs(plain) > 0.15

@@ -41,7 +41,7 @@ def test_saddles_and_their_deviations_are_true(blur):
     start = true + shift + generator.uniform(-0.7, 0.7, (count, 2))
     centre = np.full((count, 2), side // 2) + shift
     found = find_saddles(strip, np.ones_like(strip), start, angles + 0.1, centre, radius=9.0, even=9.0)
-    error = found.place - true - shift
+    error = found.position - true - shift
     assert np.abs(error.mean(0)).max() < 4 * np.sqrt((error**2).mean() / count)
     assert np.sqrt((error**2).sum(1).mean()) < 0.06 + 0.06 * blur
     # The deviation is that along the worse axis.

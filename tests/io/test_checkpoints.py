@@ -258,7 +258,7 @@ def test_a_ray_capture_leaves_a_checkpoint_alone(tmp_path, capfd):
     kept.write_bytes(b"days of work")
     words = ["letters", "-o", str(tmp_path / "raw.exr"), "-D", "resolution=64"]
     assert main(["render", *words, "--model", "wave"]) == 2
-    assert "go on from it with --resume, or remove the file" in capfd.readouterr().err
+    assert "resume from it with --resume, or remove the file" in capfd.readouterr().err
     assert main(["render", *words, "--resume"]) == 2
     assert "--resume: a ray capture does not take it" in capfd.readouterr().err
     assert main(["render", *words]) == 0
@@ -285,7 +285,7 @@ def test_killed_captures_end_with_the_bits_of_the_clean_one(tmp_path, clean):
     process = start_command(*WAVE, "-o", output, "--resume")
     told.append(process.communicate(timeout=300)[1])
     assert process.returncode == 0, told
-    assert "going on from there" in "".join(told)
+    assert "resuming from there" in "".join(told)
     np.testing.assert_array_equal(read_capture(output).image, clean)
     assert [item.name for item in tmp_path.iterdir()] == ["raw.exr"]
 

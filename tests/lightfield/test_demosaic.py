@@ -108,7 +108,7 @@ def test_white_of_its_own():
     [
         (lambda: Detector(mosaic="RGBG"), "mosaic = 'RGBG': it must be one of RGGB"),
         (lambda: demosaic(coloured(CAMERA), mosaic="RGGB"), "capture of 3 channels: a mosaic has one"),
-        (lambda: demosaic(mosaicked(coloured(CAMERA))), "mosaic = None: the capture tells none"),
+        (lambda: demosaic(mosaicked(coloured(CAMERA))), "mosaic = None: the capture does not state it"),
         (lambda: demosaic(mosaicked(coloured(CAMERA)), mosaic="X"), "mosaic = 'X': it must be one of"),
         (
             lambda: expose(mosaicked(coloured(CAMERA)), Detector(mosaic="RGGB"), photons=9),

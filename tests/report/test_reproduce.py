@@ -36,7 +36,7 @@ def files(folder):
 def test_reproduce_writes_everything_and_then_keeps_it(quick_waves, tiny, tmp_path, capsys):
     assert main(["reproduce", "-o", str(tmp_path)]) == 0
     told = capsys.readouterr()
-    assert "capture wave " in told.err and "partial 280 " in told.err and "kept" not in told.err
+    assert "capture wave " in told.err and "partial 280 " in told.err and "reused" not in told.err
     assert "by construction Reconstructions by rays and by waves have the same number of pixels." in told.out
     assert told.out.rstrip().endswith("report.html: open it in a browser")
     figures = {"fig2.png", "fig4.png", "methods.png", "interference.png", "captures.png"}

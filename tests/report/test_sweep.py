@@ -230,6 +230,6 @@ def test_a_full_disk_leaves_what_was_there(tmp_path):
     _, errors = run.communicate(timeout=300)
     assert run.returncode == 2, errors
     assert errors.splitlines()[-1].endswith("out.nc: it cannot be written: File too large")
-    assert "Traceback" not in errors and "kept" in errors
+    assert "Traceback" not in errors and "reused" in errors
     assert (tmp_path / "out.nc").read_bytes() == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out.nc", "out.points"]

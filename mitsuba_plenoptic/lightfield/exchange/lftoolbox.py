@@ -6,7 +6,7 @@ manual calls the first four axes t, s, v, u, with the letters of pupil and field
 
 ``LensletGridModel`` describes the micro-image centres: spacings, the offset of the first centre, rotation, counts, and
 ``FirstPosShiftRow``, the first (1 or 2) of the rows that are shifted by half a spacing. Its pixels are counted from
-1 and centred on whole numbers, ours cover [k, k + 1), so that offsets differ by a half.
+1 and centred on integers, ours cover [k, k + 1), so that offsets differ by a half.
 """
 
 from __future__ import annotations
