@@ -78,7 +78,7 @@ def lenses_across_stop(camera: PlenopticCamera) -> float:
     return _fourier(camera).blur_diameter(0) / camera.mla_pitch
 
 
-def parallax(camera: PlenopticCamera, place: float) -> float:
+def parallax(camera: PlenopticCamera, position: float) -> float:
     r"""Return how far a lens's picture of a point moves on the detector for each millimetre of depth.
 
     :math:`-(z M / f_F) \tan\theta` along the line to the lens, with :math:`n \sin\theta = M c / f_F` for the lens whose
@@ -98,10 +98,10 @@ def parallax(camera: PlenopticCamera, place: float) -> float:
     """
     lens = _fourier(camera)
     growth = lens.magnification / lens.last_focal_length
-    sine = growth * place / lens.immersion
+    sine = growth * position / lens.immersion
     if abs(sine) > math.sin(lens.half_angle):
         raise InputError(
-            f"place = {place:g}: it must lie in the image of the stop, within {lens.blur_diameter(0) / 2:g}"
+            f"position = {position:g}: it must lie in the image of the stop, within {lens.blur_diameter(0) / 2:g}"
         )
     return -camera.detector_distance * growth * math.tan(math.asin(sine))
 

@@ -55,8 +55,8 @@ class Fit:
         numbered from 1: ``mla_offset.1``.
     covariance : float64 array (numbers, numbers)
         Of the parameters, in their order in `values`, from the captures' derivatives: the inverse of Fisher's
-        information where all pixels are weighted by their variance. Of a parameter at a bound, the square of its deviation
-        alone.
+        information where all pixels are weighted by their variance. Of a parameter at a bound, the square of its
+        deviation alone.
     scales : dict
         The unit of each parameter in `directions`: a hundredth of it, a degree, a pitch, a wave.
     directions : tuple of Direction

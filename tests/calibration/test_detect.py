@@ -8,8 +8,15 @@ import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, render_capture, write_capture
-from mitsuba_plenoptic.calibration import Board, calibrate, camera_centres, detect_corners, find_centres, read_corners
-from mitsuba_plenoptic.calibration import boards as board_scene
+from mitsuba_plenoptic.calibration import (
+    Board,
+    board_scene,
+    calibrate,
+    camera_centres,
+    detect_corners,
+    find_centres,
+    read_corners,
+)
 from mitsuba_plenoptic.calibration.boards import find_saddles
 from mitsuba_plenoptic.calibration.detect import evenly_lit
 from mitsuba_plenoptic.calibration.model import NAMES, Observations, predict

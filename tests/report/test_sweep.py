@@ -135,14 +135,14 @@ def test_the_command_takes_yaml_and_words(tmp_path, capsys):
 def test_the_dataset_does_not_grow_in_memory(tmp_path, monkeypatch):
     """Only one point's images are held at a time."""
     held = []
-    put = sweeps.Layout.put
+    put = sweeps.SweepFile.put
 
     def watched(layout, index, capture, images):
         held.append(weakref.ref(capture))
         put(layout, index, capture, images)
         assert sum(reference() is not None for reference in held) <= 2
 
-    monkeypatch.setattr(sweeps.Layout, "put", watched)
+    monkeypatch.setattr(sweeps.SweepFile, "put", watched)
     sweep(RAYS, {"aperture_radius": [2, 3, 4, 5]}, tmp_path / "out.nc").close()
     assert len(held) == 4
 
