@@ -44,8 +44,8 @@ from verdict import Verdict
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.fitting import Fit, PixelNoise, View, coarse_fit, lattice_from_white
+from mitsuba_plenoptic.fitting.light import Pixels
 from mitsuba_plenoptic.fitting.model import Model, changed, limits_of, numbers_of, scales, values
-from mitsuba_plenoptic.fitting.noise import Pixels
 from mitsuba_plenoptic.fitting.result import summary
 from mitsuba_plenoptic.operator.units import brightness_of
 

@@ -15,8 +15,7 @@ from ..io.captures import read_capture
 from ..io.files import require_apart, require_different, require_writable
 from ..lightfield import white_image
 from ..lightfield.exchange import read_picture
-from .inputs import load_camera
-from .options import CameraFile, Linear, White, number, output_option
+from .inputs import CameraFile, Linear, White, load_camera, number, output_option
 
 if TYPE_CHECKING:
     from ..calibration import Board, Evaluation

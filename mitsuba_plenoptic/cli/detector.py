@@ -13,8 +13,17 @@ from ..errors import InputError
 from ..io.captures import read_capture, write_capture
 from ..io.files import require_apart, require_writable
 from ..io.raw import RAW_SUFFIXES, write_raw
-from .inputs import named_camera, read_recorded, require_linear
-from .options import CameraFile, CaptureFile, CaptureOutput, Linear, RawOutput, number
+from .inputs import (
+    CameraFile,
+    CaptureFile,
+    CaptureOutput,
+    Linear,
+    RawOutput,
+    named_camera,
+    number,
+    read_recorded,
+    require_linear,
+)
 
 
 def expose(

@@ -14,8 +14,7 @@ from ..capture.render import MOST_SAMPLES
 from ..errors import InputError, require_count, require_number
 from ..runtime.progress import progress_bar
 from ..runtime.variant import DEFAULT_VARIANT
-from .inputs import batches_on, parse_definitions
-from .options import (
+from .inputs import (
     Definitions,
     Distances,
     Model,
@@ -27,8 +26,10 @@ from .options import (
     Seed,
     Variant,
     Workers,
+    batches_on,
     number,
     output_option,
+    parse_definitions,
 )
 from .terminal import stage_lines
 

@@ -15,8 +15,7 @@ from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import atomic_output, require_apart, require_writable
 from ..runtime.progress import progress_bar
 from ..runtime.variant import DEFAULT_VARIANT
-from .inputs import named_camera, parse_definitions
-from .options import CameraFile, Definitions, number, output_option
+from .inputs import CameraFile, Definitions, named_camera, number, output_option, parse_definitions
 from .terminal import stopped_by_hand
 
 if TYPE_CHECKING:

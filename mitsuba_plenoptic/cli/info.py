@@ -19,8 +19,7 @@ from ..io.captures import Capture, read_capture
 from ..presets import PRESETS
 from ..report.design_sheet import Row, design_sheet
 from ..report.installation import inspect_installation
-from .inputs import load_camera, parse_definitions
-from .options import Definitions, number
+from .inputs import Definitions, load_camera, number, parse_definitions
 
 
 def info(

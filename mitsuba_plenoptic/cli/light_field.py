@@ -16,9 +16,7 @@ from ..lightfield.refocus import METHODS
 from ..lightfield.views import AXES
 from ..report.output_files import require_picture_path, write_depth, write_epipolar_image, write_stack, write_views
 from ..runtime.progress import progress_bar
-from . import options
-from .inputs import brightness_of, named_camera
-from .options import (
+from .inputs import (
     CameraFile,
     Distances,
     Exposure,
@@ -28,27 +26,29 @@ from .options import (
     Truth,
     ViewCount,
     White,
+    brightness_of,
+    named_camera,
     number,
     output_option,
 )
 
 
 def views(
-    source: options.LightFieldSource,
+    source: LightFieldSource,
     output: Annotated[
         Path,
-        options.output_option(
+        output_option(
             "FILE", "File to write: OpenEXR with a part for each view if it ends in .exr, a mosaic if in .png."
         ),
     ],
-    count: Annotated[int | None, options.number("Write N x N views, evenly spread over the pupil.", "all")] = None,
-    white: options.White = None,
-    view_count: options.ViewCount = None,
-    linear: options.Linear = False,
-    camera: options.CameraFile = None,
-    truth: options.Truth = None,
-    exposure: options.Exposure = None,
-    percentile: options.Percentile = None,
+    count: Annotated[int | None, number("Write N x N views, evenly spread over the pupil.", "all")] = None,
+    white: White = None,
+    view_count: ViewCount = None,
+    linear: Linear = False,
+    camera: CameraFile = None,
+    truth: Truth = None,
+    exposure: Exposure = None,
+    percentile: Percentile = None,
 ) -> None:
     """Show the scene from many positions on the main lens.
 

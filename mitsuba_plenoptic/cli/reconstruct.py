@@ -18,8 +18,22 @@ from ..reconstruction.volume import SUFFIXES, require_volume_path
 from ..report.output_files import Brightness, reconstruction_paths, write_reconstructions
 from ..runtime.progress import progress_bar
 from ..runtime.variant import set_variant
-from .inputs import batches_on, brightness_of, named_camera, read_recorded, require_linear
-from .options import CameraFile, CaptureFile, Distances, Exposure, Linear, Percentile, Variant, number, output_option
+from .inputs import (
+    CameraFile,
+    CaptureFile,
+    Distances,
+    Exposure,
+    Linear,
+    Percentile,
+    Variant,
+    batches_on,
+    brightness_of,
+    named_camera,
+    number,
+    output_option,
+    read_recorded,
+    require_linear,
+)
 from .terminal import stopped_by_hand
 
 

@@ -17,8 +17,7 @@ from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import remove_leftovers, require_different, require_writable
 from ..io.ground_truth import NAME, QUANTITIES, require_quantities, truth_path, write_ground_truth
 from ..runtime.progress import progress_bar
-from .inputs import batches_on, open_scene, parse_definitions
-from .options import (
+from .inputs import (
     CameraFile,
     Definitions,
     Model,
@@ -28,8 +27,11 @@ from .options import (
     Scheduler,
     Seed,
     Workers,
+    batches_on,
     number,
+    open_scene,
     output_option,
+    parse_definitions,
 )
 from .terminal import stopped_by_hand
 

@@ -2,8 +2,7 @@
 
 from .approach import coarse_fit, lattice_from_white
 from .fit import fit
-from .light import View, known_view
-from .noise import PixelNoise, kept_noise
+from .light import PixelNoise, View, kept_noise, known_view
 from .result import Direction, Fit
 
 __all__ = [

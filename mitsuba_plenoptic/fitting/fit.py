@@ -17,9 +17,8 @@ from ..errors import InputError, refuse_if, require_choice, require_number, sugg
 from ..io.checkpoints import Checkpoint, digest
 from ..operator.accuracy import check_accuracy
 from ..operator.pupil_weights import PupilWeights
-from .light import View, check_views
+from .light import PixelNoise, Pixels, View, by_model, check_views
 from .model import Model, Number, changed, limits_of, numbers_of, scales, values
-from .noise import PixelNoise, Pixels, by_model
 from .ray_model import RayModels, check_numbers
 from .result import Fit, doubts, summary
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
-from .light import View
-from .noise import Pixels
+from .light import Pixels, View
 
 _FAR = 5.0
 """Standard deviations of chi-square by which it may differ from 1."""
