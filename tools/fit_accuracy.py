@@ -2,7 +2,7 @@
 
     python tools/fit_accuracy.py
     python tools/fit_accuracy.py --lenses 16 --seeds 40 --numbers mla_pitch,mla_offset,detector_distance
-    python tools/fit_accuracy.py --method rays --lenses 16 --points 400
+    python tools/fit_accuracy.py --model ray --lenses 16 --points 400
 
 Points at several distances, of which the brightest pixel gets so many photons, are recorded by a small camera at the
 given accuracy. Each fit starts off by the given part of the lengths. Printed and written, for each number: the mean of
@@ -38,7 +38,7 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=6, help="points before the camera")
     parser.add_argument("--seeds", type=int, default=40, help="captures with noise that are fitted")
     parser.add_argument("--photons", type=float, default=2000.0, help="photons of the brightest pixel")
-    parser.add_argument("--method", default="waves", choices=("waves", "rays"), help="of captures and fits")
+    parser.add_argument("--model", default="wave", choices=("wave", "ray"), help="of captures and fits")
     parser.add_argument("--accuracy", type=float, default=0.0, help="of captures and fits")
     parser.add_argument("--off", type=float, default=0.005, help="by what part of itself the pitch starts off")
     parser.add_argument("--numbers", default="mla_pitch,mla_offset,detector_distance", help="what is fitted")
@@ -56,7 +56,7 @@ def main() -> None:
     rng = np.random.default_rng(0)
     g = rng.uniform(112, 128, options.points)
     points = np.column_stack([rng.uniform(-0.4, 0.4, (options.points, 2)) * side * -g[:, None] / 60, g])
-    if options.method == "rays":
+    if options.model == "ray":
         image = PointRays(camera, points, WAVELENGTH).image(camera, np.ones(options.points))
     else:
         operator = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=options.accuracy)
@@ -66,7 +66,7 @@ def main() -> None:
     image /= image.max()
     names = options.numbers.split(",")
     common = {"wavelength": WAVELENGTH, "photons": options.photons, "accuracy": options.accuracy}
-    common |= {"method": options.method}
+    common |= {"model": options.model}
     # What the true camera's derivatives tell: a fit of what it records without noise ends there.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that chi-square is 0

@@ -45,7 +45,7 @@ class Picture:
     image: np.ndarray
     # How much light white gives, at most 1; 0 where that is too little; (rows, columns).
     weight: np.ndarray
-    # Centres of micro-images, column and row; (n, 2).
+    # Column and row of the micro-images' centres, (n, 2).
     centre: np.ndarray
     # Of the micro-images in pixels.
     radius: float
@@ -225,7 +225,7 @@ _FARTHEST = 3.0
 class Saddles:
     """Candidates for corners: arrays with one row each."""
 
-    # Column and row; the centre of the first pixel is 0; (n, 2).
+    # Column and row of the corner, 0 at the centre of the first pixel, (n, 2).
     position: np.ndarray
     # Standard deviation of the position along its worse direction, from what the fit leaves; (n,).
     deviation: np.ndarray

@@ -10,7 +10,7 @@ import typer
 
 from ..capture.scene import load_scene
 from ..errors import InputError, require_number
-from ..io.captures import Capture, read_capture
+from ..io.captures import MODELS, Capture, read_capture
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import atomic_output, require_apart, require_writable
 from ..runtime.progress import progress_bar
@@ -34,7 +34,8 @@ def fit(
         list[str], typer.Option("--scene", help="What each capture shows, in their order: a file or a built-in scene.")
     ],
     names: Annotated[
-        list[str], typer.Option("--number", metavar="NAME", help="What is fitted, such as mla_pitch; one or several.")
+        list[str],
+        typer.Option("--parameter", metavar="NAME", help="Parameter to fit, such as mla_pitch; repeat for several."),
     ],
     photons: Annotated[
         float | None, number("Photons counted in a pixel of value 1, for their noise.", "the noise that 'expose' keeps")
@@ -59,16 +60,16 @@ def fit(
         bool,
         typer.Option("--from-afar", help="Come near first, by rays with blurred captures: lengths some percent off."),
     ] = False,
-    method: Annotated[
-        str, typer.Option(metavar="waves|rays", help="How light goes through the camera; rays know no diffraction.")
-    ] = "waves",
-    accuracy: Annotated[float, number("Error that is allowed for speed, by waves; 0: none.")] = 0.0,
+    model: Annotated[
+        str, typer.Option(metavar="|".join(MODELS), help="How light propagates; the ray model has no diffraction.")
+    ] = "wave",
+    accuracy: Annotated[float, number("Tolerated error of the wave model, for speed; 0: none.")] = 0.0,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on from the checkpoint of a fit that was stopped.")
     ] = False,
     define: Definitions = None,
 ) -> None:
-    """Fit a camera's parameters to captures of known scenes, by waves or by rays.
+    """Fit a camera's parameters to captures of known scenes, by the wave or the ray model.
 
     It starts from the captures' own camera, or from --camera. Noise and
     saturation of captures that 'expose' made are those of their detector.
@@ -77,7 +78,7 @@ def fit(
 
     [bold]Example:[/bold]
 
-      mitsuba-plenoptic fit raw.exr --scene letters --photons 2000 --number mla_pitch -o camera.json
+      mitsuba-plenoptic fit raw.exr --scene letters --photons 2000 --parameter mla_pitch -o camera.json
     """
     from .. import fitting
     from ..lightfield.exchange import read_picture
@@ -130,7 +131,7 @@ def fit(
                 names,
                 wavelength=known,
                 photons=photons,
-                method=method,
+                model=model,
                 accuracy=accuracy,
                 progress=progress,
                 checkpoint=steps,

@@ -119,7 +119,7 @@ def coarse_fit(
     wavelength : float
         In nanometres.
     bounds : mapping, optional
-        As of `fit`, and as there by default. A parameter that ends at one is warned of.
+        As for `fit`, and as there by default. A parameter that ends at one is warned of.
     progress : callable, optional
         Called with the cameras that have been tried and the most that are.
 

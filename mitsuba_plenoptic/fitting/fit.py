@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if, require_choice, require_number, suggest_keywords
+from ..io.captures import MODELS
 from ..io.checkpoints import Checkpoint, digest
 from ..operator.accuracy import check_accuracy
 from ..operator.pupil_weights import PupilWeights
@@ -21,8 +22,6 @@ from .light import PixelNoise, Pixels, View, by_model, check_views
 from .model import Model, Number, changed, limits_of, numbers_of, scales, values
 from .ray_model import RayModels, check_numbers
 from .result import Fit, doubts, summary
-
-METHODS = ("waves", "rays")
 
 _ROUNDS = 2
 """How often the noise is taken from the model anew, where it depends on it."""
@@ -42,12 +41,12 @@ def fit(
     wavelength: float = 633.0,
     photons: float | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
-    method: str = "waves",
+    model: str = "wave",
     accuracy: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> Fit:
-    r"""Find the parameters of a camera that explain captures of known light best, by waves or by rays.
+    r"""Find the parameters of a camera that explain captures of known light best, by the wave model or the ray model.
 
     Least squares of the pixels over their deviations (a trust region method: ``scipy.optimize.least_squares``), by
     waves with the derivatives of `CaptureOperator`, by rays with differences of captures whose rays are held. The light
@@ -78,10 +77,10 @@ def fit(
         By name, as in `Fit.values`, the lowest and the highest value. Default: what keeps lengths within half of where
         they start, angles within 50 degrees, and ``mla_fill`` at most 1. A number that ends there is warned of, and
         its deviation is one-sided, see `Fit`.
-    method : {"waves", "rays"}
+    model : {"ray", "wave"}
         How the light of the points goes through the camera. Rays are quicker and know no diffraction.
     accuracy : float
-        As of `CaptureOperator`, for waves. Above 0 shared point spreads make the model jump a little.
+        As for `CaptureOperator`, for the wave model. Above 0 shared point spreads make the model jump a little.
     progress : callable, optional
         Called with the cameras that have been tried and the most that are.
     checkpoint : Checkpoint, optional
@@ -105,15 +104,15 @@ def fit(
     start = values(camera, numbers)
     unit = scales(camera, numbers)
     limits = limits_of(camera, numbers, bounds)
-    if method == "rays":
+    if model == "ray":
         check_numbers(numbers)
     check_views(camera, given, default)
     images = np.stack([view.image for view in given]).astype(np.float64)
-    model = _model_of(method, camera, given, require_wavelength(wavelength), check_accuracy(accuracy))
-    trial = _Trials(camera, numbers, model, progress)
+    model_of = _model_of(model, camera, given, require_wavelength(wavelength), check_accuracy(accuracy))
+    trial = _Trials(camera, numbers, model_of, progress)
     x = start
     if checkpoint:
-        asked = {"method": method, "wavelength": wavelength, "photons": photons, "accuracy": accuracy}
+        asked = {"model": model, "wavelength": wavelength, "photons": photons, "accuracy": accuracy}
         # A fit may continue from its last camera as well as from the first.
         sought = {number.name for number in numbers}
         held = {name: value for name, value in camera.to_dict().items() if name not in sought}
@@ -167,12 +166,12 @@ class _Model(Protocol):
 
 
 def _model_of(
-    method: str, camera: PlenopticCamera, views: list[View], wavelength: float, accuracy: float
+    model: str, camera: PlenopticCamera, views: list[View], wavelength: float, accuracy: float
 ) -> Callable[[PlenopticCamera], _Model]:
     """Return what makes the model of a camera near the first."""
-    if require_choice("method", method, METHODS) == "waves":
+    if require_choice("model", model, MODELS) == "wave":
         return partial(Model, views=views, wavelength=wavelength, accuracy=accuracy)
-    refuse_if(accuracy, f"accuracy = {accuracy:g}: it is for fits by waves; leave it out")
+    refuse_if(accuracy, f"accuracy = {accuracy:g}: it is for fits by the wave model; leave it out")
     return RayModels(camera, views, wavelength).at
 
 

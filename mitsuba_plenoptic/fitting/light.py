@@ -181,7 +181,7 @@ class View:
         That of counted electrons, as `kept_noise` has it of a capture that was exposed, or the standard deviation of
         each pixel. Default: that of the photons that `fit` is given.
     pupil_weights, virtual : optional
-        As of `CaptureOperator`.
+        As for `CaptureOperator`.
     mask : bool array (rows, columns), optional
         True where a pixel does not count, as in NumPy's masked arrays.
     saturation : float, optional
@@ -291,7 +291,7 @@ def known_view(
     seed : int
         Of their pattern.
     noise, mask, saturation
-        As of `View`.
+        As for `View`.
 
     Raises
     ------

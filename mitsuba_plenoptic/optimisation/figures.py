@@ -91,7 +91,7 @@ class RefocusedContrast:
     oversample : int
         Bins per lens along each axis.
     accuracy, method
-        As of `CaptureOperator`.
+        As for `CaptureOperator`.
 
     Raises
     ------
@@ -219,7 +219,7 @@ class DepthInformation:
         Variance of each pixel without light, in photons; it must not be zero, or dark pixels would determine
         everything.
     wavelength, accuracy, method
-        As of `CaptureOperator`.
+        As for `CaptureOperator`.
 
     Raises
     ------

@@ -261,6 +261,7 @@ BUNDLED = ("cooke_triplet", "double_gauss", "singlet", "tessar")
 """Their names."""
 
 
+# The bundled files do not change, and prescriptions are immutable.
 @functools.cache
 def bundled_prescription(name: str) -> Prescription:
     """Return a bundled lens.

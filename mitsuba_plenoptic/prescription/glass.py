@@ -264,6 +264,7 @@ class _Entry(NamedTuple):
         return Glass("table", tuple(pairs), name)
 
 
+# A list of files that are installed; reading it takes long, and every glass by name needs it.
 @functools.cache
 def _catalogued() -> tuple[_Entry, ...]:
     """Return all materials of Optiland's catalogues.

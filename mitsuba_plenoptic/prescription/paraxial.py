@@ -48,6 +48,7 @@ class Paraxial:
     exit_radius: float
 
 
+# Checks, pupils and distances of cameras of one prescription ask for it again and again; a result is a few floats.
 @functools.lru_cache(maxsize=256)
 def paraxial(prescription: Prescription, wavelength: float | None = None) -> Paraxial:
     """Return the paraxial quantities of a lens.

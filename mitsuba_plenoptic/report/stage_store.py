@@ -143,6 +143,7 @@ def scene_fingerprint(scene: str | Path, parameters: Mapping[str, str]) -> str:
     return _hash({"files": _content(path, dict(parameters)), "parameters": dict(parameters)})
 
 
+# The source text is read once: it does not change while a process runs.
 @cache
 def software() -> dict[str, str]:
     """Return the versions that stages depend on, our own by the source text."""

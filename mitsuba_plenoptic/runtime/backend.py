@@ -125,11 +125,13 @@ def array_module() -> Any:
     return dr.llvm
 
 
+# One for the process: it holds no data of a camera.
 @functools.cache
 def _processor() -> Backend:
     return Backend(dr.llvm, np, scipy.fft, scipy.sparse, is_cuda=False)
 
 
+# One for the process, as importing CuPy and asking for the device take long.
 @functools.cache
 def _cuda() -> Backend:
     try:

@@ -66,6 +66,7 @@ def largest_fitting(estimate: Callable[[int], float], limit: float, highest: int
     return low
 
 
+# The memory of a machine does not change.
 @cache
 def _machine_memory() -> float:
     """Bytes of memory of the machine or of the container, whichever has less."""
@@ -91,6 +92,7 @@ def _gib(size: float) -> str:
 _SHOWING = {"report", "cli"}
 
 
+# The versions are those of the loaded modules.
 @cache
 def software() -> dict[str, str]:
     """Return the versions that results depend on, our own by its source text."""

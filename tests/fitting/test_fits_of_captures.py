@@ -80,7 +80,7 @@ def test_numbers_are_found_by_rays():
     seen = np.random.default_rng(5).poisson(image * PHOTONS) / PHOTONS
     start = true.replace(mla_pitch=0.0646, mla_offset=(0.004, -0.003), focal_length=1.01 * true.focal_length)
     view = View(seen, points, weights)
-    found = fit(start, view, ["mla_pitch", "mla_offset", "focal_length"], photons=PHOTONS, method="rays")
+    found = fit(start, view, ["mla_pitch", "mla_offset", "focal_length"], photons=PHOTONS, model="ray")
     errors = np.array(list(found.values.values())) - (0.064, 0.0, 0.0, true.focal_length)
     # Chi-squared of four numbers: a hundredth lies beyond 13.3.
     assert errors @ np.linalg.solve(found.covariance, errors) < 13.3
@@ -98,7 +98,7 @@ def test_a_fit_goes_on_where_it_was_stopped(tmp_path, monkeypatch):
     def fitted(existing, progress, **changes):
         with checkpoints.Checkpoint(tmp_path / "kept", existing) as kept:
             given = {"wavelength": WAVELENGTH} | changes
-            return fit(start, view, "mla_pitch", method="rays", checkpoint=kept, progress=progress, **given)
+            return fit(start, view, "mla_pitch", model="ray", checkpoint=kept, progress=progress, **given)
 
     def stop(tried, total):
         if tried == 3:
@@ -128,7 +128,7 @@ def test_a_camera_is_found_from_afar():
     start = true.replace(**{name: factor * getattr(true, name) for name, factor in off.items()})
     names = [*off, "mla_offset"]
     near = coarse_fit(start, view, names)
-    found = fit(near, view, names, photons=PHOTONS, method="rays")
+    found = fit(near, view, names, photons=PHOTONS, model="ray")
     for name in off:
         assert getattr(near, name) == pytest.approx(getattr(true, name), rel=0.005)
         assert getattr(found.camera, name) == pytest.approx(getattr(true, name), abs=4 * found.deviations[name])
@@ -159,7 +159,7 @@ def recorded():
 def quickly(camera, view, names="mla_pitch", **options):
     """Fit by rays, from near."""
     start = camera.replace(mla_pitch=0.06402)
-    return fit(start, view, names, wavelength=WAVELENGTH, method="rays", **({"photons": PHOTONS} | options))
+    return fit(start, view, names, wavelength=WAVELENGTH, model="ray", **({"photons": PHOTONS} | options))
 
 
 @pytest.mark.parametrize("photons", [20.0, 200.0, 2000.0, 20000.0])
@@ -328,9 +328,9 @@ def test_lattice_from_white(numbers):
         ("f_number", {}, "f_number"),
         ("wavefront", {}, "wavefront: the camera has no coefficients"),
         ((), {}, "names = .*: name at least one"),
-        ("mla_fill", {"method": "rays"}, "mla_fill: rays from points know no gaps"),
-        ("mla_pitch", {"method": "light"}, "method = 'light': it must be one of waves, rays"),
-        ("mla_pitch", {"method": "rays", "accuracy": 0.1}, "accuracy = 0.1: it is for fits by waves"),
+        ("mla_fill", {"model": "ray"}, "mla_fill: rays from points know no gaps"),
+        ("mla_pitch", {"model": "light"}, "model = 'light': it must be one of ray, wave"),
+        ("mla_pitch", {"model": "ray", "accuracy": 0.1}, "accuracy = 0.1: it is for fits by the wave model"),
         ("mla_pitch", {"photons": None}, "photons: give them, or the noise"),
         ("mla_pitch", {"photons": -1}, "photons"),
         ("mla_pitch", {"bounds": {"mla_pitch": (0.07, 0.08)}}, "bounds: mla_pitch starts at 0.064: it must lie from"),
