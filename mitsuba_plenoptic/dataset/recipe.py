@@ -147,17 +147,17 @@ class Recipe:
         }
         drawn["scene"] = draw(source.values, self.seed, index, f"scenes.{number}")
         numbers = dict(drawn["camera"])
-        with _within("camera"):
+        with naming("camera"):
             camera = PlenopticCamera.from_json(json.dumps(PRESETS[numbers.pop("preset", "paper")] | numbers))
         maker, parameters = None, {}
         if source.generator:
-            with _within(f"scenes: generator {source.generator}"):
+            with naming(f"scenes: generator {source.generator}"):
                 maker = GENERATORS[source.generator](**drawn["scene"])
         else:
             parameters = {name: str(value) for name, value in drawn["scene"].items()}
         detector = photons = None
         if self.noise is not None:
-            with _within("noise"):
+            with naming("noise"):
                 settings = dict(drawn["noise"])
                 photons = require_number("photons", settings.pop("photons"), minimum=1e-9, maximum=1e9)
                 detector = Detector(**settings)
@@ -168,10 +168,8 @@ class Recipe:
     def check(self) -> None:
         """Draw the first thousand samples, and refuse values that are out of range before anything is rendered."""
         for index in range(min(self.count, _CHECKED)):
-            try:
+            with naming(f"sample {index}"):
                 plan = self.plan(index)
-            except InputError as error:
-                raise InputError(f"sample {index}: {error}") from None
             for model, options in plan.options.items():
                 require_count(f"sample {index}: {model}: spp", options["spp"], maximum=MOST_SAMPLES)
 
@@ -270,7 +268,7 @@ def _source(number: int, entry: Any, folder: Path) -> Source:
     if not isinstance(values, Mapping):
         raise InputError(f"{name}: parameters = {short_repr(values)}: they must be values by name")
     scene = str(entry["scene"])
-    with _within(name):
+    with naming(name):
         path = folder / scene if (folder / scene).is_file() else scene_path(scene)
     parsed = {str(key): parse(f"{name}: {key}", value) for key, value in values.items()}
     return Source(None, str(path.resolve()), share, parsed)
@@ -289,13 +287,6 @@ def _require_names(name: str, values: Mapping[Any, Any], known: tuple[str, ...],
     require_known(f"{name}: ", values, known)
     for key in needed:
         refuse_if(key not in values, f"{name}: {key} is missing")
-
-
-@contextlib.contextmanager
-def _within(what: str) -> Iterator[None]:
-    """Say in a message what it is about."""
-    with naming(what):
-        yield
 
 
 _SCALES = ("linear", "log")
