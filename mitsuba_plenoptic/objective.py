@@ -86,8 +86,7 @@ class Objective:
         require_choice("main_lens: arrangement", self.arrangement, ARRANGEMENTS)
         name, given = "main_lens: fourier_focal_length", self.fourier_focal_length
         if self.arrangement == "fourier":
-            if given is None:
-                raise InputError(f"{name}: it is missing; arrangement = fourier needs the lens before the array")
+            refuse_if(given is None, f"{name}: it is missing; arrangement = fourier needs the lens before the array")
             put("fourier_focal_length", require_length(name, given))
         elif given is not None:
             raise InputError(f"{name} = {short_repr(given)}: it is for arrangement = fourier; leave it out")
@@ -171,8 +170,7 @@ class Objective:
             If a name is unknown or missing, or a value is out of range.
         """
         known = [field.name for field in fields(cls)]
-        if not isinstance(value, dict):
-            raise InputError(f"main_lens = {short_repr(value)}: an objective has {', '.join(known)}")
+        refuse_if(not isinstance(value, dict), f"main_lens = {short_repr(value)}: an objective has {', '.join(known)}")
         require_known("main_lens: ", value, known)
         for name in known[:2]:
             refuse_if(name not in value, f"main_lens: {name}: it is missing from the objective")

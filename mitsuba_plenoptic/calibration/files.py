@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, naming, require_count, require_number, short_repr
+from ..errors import InputError, naming, refuse_if, require_count, require_number, short_repr
 from ..io.files import atomic_output, read_text
 from ..lenses.distortion import undistort
 from ..presets import PRESETS
@@ -117,8 +117,10 @@ def _index(values: dict[str, Any]) -> LensIndex | None:
         raise InputError(
             f"calibration = {short_repr(record)}: it has no lens_index of odd_rows, row_sign and first"
         ) from None
-    if odd_rows not in (-0.5, 0, 0.5) or row_sign not in (-1, 1):
-        raise InputError(f"lens_index = {short_repr(given)}: odd_rows is -0.5, 0 or 0.5 and row_sign is -1 or 1")
+    refuse_if(
+        odd_rows not in (-0.5, 0, 0.5) or row_sign not in (-1, 1),
+        f"lens_index = {short_repr(given)}: odd_rows is -0.5, 0 or 0.5 and row_sign is -1 or 1",
+    )
     first = require_count("first", k, minimum=-(2**20)), require_count("first", l, minimum=-(2**20))
     return LensIndex(float(odd_rows), int(row_sign), first)
 

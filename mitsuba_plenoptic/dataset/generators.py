@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from ..camera import PlenopticCamera
 from ..design import depth_ranges
-from ..errors import InputError, refuse_if, require_count, require_number, short_repr
+from ..errors import refuse_if, require_count, require_number, short_repr
 
 _TEXELS = (64, 512)
 """Texels along an edge, at least and at most."""
@@ -126,8 +126,10 @@ class Shapes:
         require_number("size", self.size, minimum=0.01, maximum=1)
         require_number("plain", self.plain, minimum=0, maximum=1)
         require_number("tilt", self.tilt, minimum=0, maximum=80)
-        if not isinstance(self.kinds, (list, tuple)) or not self.kinds or not set(self.kinds) <= set(KINDS):
-            raise InputError(f"kinds = {short_repr(self.kinds)}: it must be a list of some of {', '.join(KINDS)}")
+        refuse_if(
+            not isinstance(self.kinds, (list, tuple)) or not self.kinds or not set(self.kinds) <= set(KINDS),
+            f"kinds = {short_repr(self.kinds)}: it must be a list of some of {', '.join(KINDS)}",
+        )
 
     def between(self, camera: PlenopticCamera) -> tuple[float, float]:
         """Return the nearest and the farthest distance of objects before a camera."""

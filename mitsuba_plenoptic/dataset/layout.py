@@ -79,10 +79,10 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         numbers = [content["count"], content["samples_per_shard"]]
     except (ValueError, KeyError, TypeError, RecursionError):
         raise InputError(f"{path}: it is not the manifest of a data set") from None
-    if not all(isinstance(number, int) and number > 0 for number in numbers):
-        raise InputError(
-            f"{path}: count, samples_per_shard = {short_repr(numbers)}: they must be whole numbers above 0"
-        )
+    refuse_if(
+        not all(isinstance(number, int) and number > 0 for number in numbers),
+        f"{path}: count, samples_per_shard = {short_repr(numbers)}: they must be whole numbers above 0",
+    )
     return dict(content)
 
 

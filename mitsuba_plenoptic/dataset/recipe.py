@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -189,8 +188,10 @@ def read_recipe(path: str | Path) -> Recipe:
     """
     path = Path(path)
     content = read_yaml(path)
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: a recipe must be a mapping of names, with 'count', 'camera' and 'scenes'")
+    refuse_if(
+        not isinstance(content, dict),
+        f"{path}: a recipe must be a mapping of names, with 'count', 'camera' and 'scenes'",
+    )
     with naming(path):
         return parse_recipe({"name": path.stem, **content}, path.parent)
 
@@ -212,25 +213,34 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
     """
     _require_names("recipe", content, _KEYS, needed=("count", "camera", "scenes"))
     models = content.get("models", list(MODELS))
-    if not isinstance(models, list) or not models or len(set(map(str, models))) < len(models):
-        raise InputError(f"models = {short_repr(models)}: it must be a list of some of {', '.join(MODELS)}")
+    refuse_if(
+        not isinstance(models, list) or not models or len(set(map(str, models))) < len(models),
+        f"models = {short_repr(models)}: it must be a list of some of {', '.join(MODELS)}",
+    )
     for model in models:
         require_choice("models", model, MODELS)
     for section in MODELS:
-        if section in content and section not in models:
-            raise InputError(f"{section}: models = {short_repr(models)} has no {section} captures; leave it out")
+        refuse_if(
+            section in content and section not in models,
+            f"{section}: models = {short_repr(models)} has no {section} captures; leave it out",
+        )
     camera = _section("camera", content, (*PlenopticCamera().to_dict(), "focus_distance", "preset"))
     if "preset" in camera:
         require_choice("camera: preset", camera["preset"], tuple(PRESETS))
     noise = _section("noise", content, ("photons", *(f.name for f in fields(Detector)))) if "noise" in content else None
-    if noise is not None and "photons" not in noise:
-        raise InputError("noise: photons is missing: photons that hit a pixel of value 1")
+    refuse_if(
+        noise is not None and "photons" not in noise, "noise: photons is missing: photons that hit a pixel of value 1"
+    )
     scenes = content["scenes"]
-    if not isinstance(scenes, list) or not scenes:
-        raise InputError(f"scenes = {short_repr(scenes)}: it must be a list of scenes and generators")
+    refuse_if(
+        not isinstance(scenes, list) or not scenes,
+        f"scenes = {short_repr(scenes)}: it must be a list of scenes and generators",
+    )
     truth = content.get("truth", ["depth", "normal"])
-    if not isinstance(truth, list):
-        raise InputError(f"truth = {short_repr(truth)}: it must be a list of some of {', '.join(QUANTITIES)}")
+    refuse_if(
+        not isinstance(truth, list),
+        f"truth = {short_repr(truth)}: it must be a list of some of {', '.join(QUANTITIES)}",
+    )
     recipe = Recipe(
         name=str(content.get("name", "dataset")),
         count=require_count("count", content["count"], maximum=MOST_COUNT),
@@ -254,8 +264,10 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
 def _source(number: int, entry: Any, folder: Path) -> Source:
     """Make one entry of the list of scenes."""
     name = f"scenes: entry {number + 1}"
-    if not isinstance(entry, Mapping) or ("generator" in entry) == ("scene" in entry):
-        raise InputError(f"{name} = {short_repr(entry)}: it must have either 'generator' or 'scene'")
+    refuse_if(
+        not isinstance(entry, Mapping) or ("generator" in entry) == ("scene" in entry),
+        f"{name} = {short_repr(entry)}: it must have either 'generator' or 'scene'",
+    )
     share = require_number(f"{name}: share", entry.get("share", 1), positive=True, maximum=1e9)
     if "generator" in entry:
         kind = require_choice(f"{name}: generator", entry["generator"], tuple(GENERATORS))
@@ -265,8 +277,9 @@ def _source(number: int, entry: Any, folder: Path) -> Source:
         return Source(kind, None, share, {key: parse(f"{name}: {key}", value) for key, value in values.items()})
     _require_names(name, entry, ("scene", "share", "parameters"))
     values = entry.get("parameters", {})
-    if not isinstance(values, Mapping):
-        raise InputError(f"{name}: parameters = {short_repr(values)}: they must be values by name")
+    refuse_if(
+        not isinstance(values, Mapping), f"{name}: parameters = {short_repr(values)}: they must be values by name"
+    )
     scene = str(entry["scene"])
     with naming(name):
         path = folder / scene if (folder / scene).is_file() else scene_path(scene)
@@ -277,8 +290,7 @@ def _source(number: int, entry: Any, folder: Path) -> Source:
 def _section(name: str, content: Mapping[str, Any], known: tuple[str, ...]) -> dict[str, Any]:
     """Parse a section whose names are known."""
     section = content.get(name, {})
-    if not isinstance(section, Mapping):
-        raise InputError(f"{name} = {short_repr(section)}: it must be values by name")
+    refuse_if(not isinstance(section, Mapping), f"{name} = {short_repr(section)}: it must be values by name")
     _require_names(name, section, known)
     return {key: parse(f"{name}: {key}", value) for key, value in section.items()}
 
@@ -335,8 +347,10 @@ def parse(name: str, value: Any) -> Any:
         return value
     if set(value) == {"one_of"}:
         choices = value["one_of"]
-        if not isinstance(choices, list) or not choices:
-            raise InputError(f"{name}: one_of = {short_repr(choices)}: it must be a list of values")
+        refuse_if(
+            not isinstance(choices, list) or not choices,
+            f"{name}: one_of = {short_repr(choices)}: it must be a list of values",
+        )
         return OneOf(tuple(choices))
     require_known(f"{name}: ", value, ("from", "to", "scale", "step", "one_of"))
     if "one_of" in value or not {"from", "to"} <= set(value):

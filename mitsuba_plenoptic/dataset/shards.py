@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, require_count
+from ..errors import InputError, refuse_if, require_count
 from ..io.checkpoints import digest
 from ..io.files import atomic_output, read_text, require_file
 from ..io.plain_data import h5py_module, stored_array
@@ -67,14 +67,12 @@ def read_sample(file: Any, path: Path, index: int, names: Collection[str] | None
     """Read a sample from an open file."""
     h5py = h5py_module("a data set")
     try:
-        if not isinstance(file.get(group_name(index), getlink=True), h5py.HardLink):
-            raise InputError(f"it has no sample {index}")
+        refuse_if(not isinstance(file.get(group_name(index), getlink=True), h5py.HardLink), f"it has no sample {index}")
         group = file[group_name(index)]
 
         def read(name: str) -> NDArray[Any]:
             stored = stored_array(group, name)
-            if stored is None:
-                raise InputError(f"sample {index}: it has no {name}; it has {', '.join(group)}")
+            refuse_if(stored is None, f"sample {index}: it has no {name}; it has {', '.join(group)}")
             require_memory(float(stored.size) * stored.dtype.itemsize, f"{name} of sample {index}")
             return np.asarray(stored[()])
 

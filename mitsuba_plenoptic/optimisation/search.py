@@ -134,10 +134,10 @@ def _numbers(
     """Return the parameters that vary, and their bounds."""
     numbers, limits = [], []
     for name, pair in bounds.items():
-        if np.shape(pair) != (2,) or not pair[0] < pair[1]:
-            raise InputError(
-                f"bounds: {short_repr(name)} = {short_repr(pair)}: it must be the lowest and the highest value"
-            )
+        refuse_if(
+            np.shape(pair) != (2,) or not pair[0] < pair[1],
+            f"bounds: {short_repr(name)} = {short_repr(pair)}: it must be the lowest and the highest value",
+        )
         found = numbers_of(camera, str(name).split(".", 1)[0])
         chosen = [number for number in found if name in (number.name, number.label)]
         if not chosen:

@@ -97,8 +97,9 @@ class Surface:
         InputError
             If a name is unknown, a value out of range, or the surface ends within its semi-aperture.
         """
-        if not isinstance(value, dict):
-            raise InputError(f"{where} = {short_repr(value)}: it must be numbers by name, such as radius")
+        refuse_if(
+            not isinstance(value, dict), f"{where} = {short_repr(value)}: it must be numbers by name, such as radius"
+        )
         require_known(f"{where}: ", value, sorted(_NAMES))
         refuse_if(
             "semi_aperture" not in value,
@@ -107,10 +108,10 @@ class Surface:
         radius = require_number(f"{where}: radius", value.get("radius", math.inf), finite=False)
         refuse_if(abs(radius) < SHORTEST, f"{where}: radius = {radius:g}: it must not be 0; a plane has no radius")
         asphere = value.get("asphere", ())
-        if not isinstance(asphere, (list, tuple)) or len(asphere) > MOST_COEFFICIENTS:
-            raise InputError(
-                f"{where}: asphere = {short_repr(asphere)}: it must be at most {MOST_COEFFICIENTS} numbers"
-            )
+        refuse_if(
+            not isinstance(asphere, (list, tuple)) or len(asphere) > MOST_COEFFICIENTS,
+            f"{where}: asphere = {short_repr(asphere)}: it must be at most {MOST_COEFFICIENTS} numbers",
+        )
         made = cls(
             radius=radius,
             thickness=require_number(f"{where}: thickness", value.get("thickness", 0.0), minimum=0, maximum=LONGEST),
@@ -177,13 +178,15 @@ class Prescription:
         """
         if isinstance(value, dict):
             require_known("main_lens: ", value, ("surfaces", "name", "source", "wavelength"))
-        if not isinstance(value, dict) or "surfaces" not in value:
-            raise InputError(
-                f"main_lens = {short_repr(value)}: it must have surfaces, and may have name, source, wavelength"
-            )
+        refuse_if(
+            not isinstance(value, dict) or "surfaces" not in value,
+            f"main_lens = {short_repr(value)}: it must have surfaces, and may have name, source, wavelength",
+        )
         listed = value["surfaces"]
-        if not isinstance(listed, (list, tuple)) or not 1 <= len(listed) <= MOST_SURFACES:
-            raise InputError(f"main_lens: surfaces = {short_repr(listed)}: it must be a list of 1 to {MOST_SURFACES}")
+        refuse_if(
+            not isinstance(listed, (list, tuple)) or not 1 <= len(listed) <= MOST_SURFACES,
+            f"main_lens: surfaces = {short_repr(listed)}: it must be a list of 1 to {MOST_SURFACES}",
+        )
         surfaces = tuple(
             Surface.from_plain(surface, f"main_lens: surface {number}")
             for number, surface in enumerate(listed, start=1)
@@ -201,8 +204,7 @@ class Prescription:
             raise InputError(f"main_lens: surface {len(surfaces)}: glass: air must follow the last surface")
         texts = {name: value.get(name, "") for name in ("name", "source")}
         for name, text in texts.items():
-            if not isinstance(text, str):
-                raise InputError(f"main_lens: {name} = {short_repr(text)}: it must be text")
+            refuse_if(not isinstance(text, str), f"main_lens: {name} = {short_repr(text)}: it must be text")
         made = cls(
             surfaces,
             stops[0],

@@ -56,15 +56,17 @@ class Glass:
 
     def __post_init__(self) -> None:
         count = _COUNTS[self.form]
-        if count is not None and len(self.numbers) != count:
-            raise InputError(f"glass: {self.form} = {short_repr(self.numbers)}: it must be {count} numbers")
+        refuse_if(
+            count is not None and len(self.numbers) != count,
+            f"glass: {self.form} = {short_repr(self.numbers)}: it must be {count} numbers",
+        )
         if self.form == "table":
             wavelengths = self.numbers[::2]
-            if len(self.numbers) % 2 or len(wavelengths) < 2 or np.any(np.diff(wavelengths) <= 0):
-                raise InputError(
-                    f"glass: table = {short_repr(self.numbers)}: it must be two or more pairs of "
-                    "wavelength and index, by rising wavelength"
-                )
+            refuse_if(
+                len(self.numbers) % 2 or len(wavelengths) < 2 or np.any(np.diff(wavelengths) <= 0),
+                f"glass: table = {short_repr(self.numbers)}: it must be two or more pairs of "
+                "wavelength and index, by rising wavelength",
+            )
         if self.form == "abbe" and self.numbers[1] <= 0:
             raise InputError(f"glass: abbe = {self.numbers[1]:g}: it must be greater than 0")
 
@@ -181,23 +183,29 @@ class Glass:
         name = value.get("name", "")
         forms = {key: entry for key, entry in value.items() if key != "name"}
         require_known(f"{where}: ", forms, (*_COUNTS, "name"))
-        if not isinstance(name, str) or set(forms) not in (
-            *({form} for form in _COUNTS if form != "abbe"),
-            {"index", "abbe"},
-        ):
-            raise InputError(
-                f"{where} = {short_repr(value)}: it must have index, index and abbe, sellmeier, schott or "
-                "table, and may have name"
-            )
+        refuse_if(
+            not isinstance(name, str)
+            or set(forms)
+            not in (
+                *({form} for form in _COUNTS if form != "abbe"),
+                {"index", "abbe"},
+            ),
+            f"{where} = {short_repr(value)}: it must have index, index and abbe, sellmeier, schott or "
+            "table, and may have name",
+        )
         form = "abbe" if "abbe" in forms else next(iter(forms))
         entries = [forms["index"], forms["abbe"]] if form == "abbe" else forms[form]
         if form == "index":
             entries = [entries]
-        if not isinstance(entries, (list, tuple)):
-            raise InputError(f"{where}: {form} = {short_repr(entries)}: it must be a list of numbers")
+        refuse_if(
+            not isinstance(entries, (list, tuple)),
+            f"{where}: {form} = {short_repr(entries)}: it must be a list of numbers",
+        )
         if form == "table":
-            if not all(isinstance(pair, (list, tuple)) and len(pair) == 2 for pair in entries):
-                raise InputError(f"{where}: table = {short_repr(entries)}: it must be pairs of wavelength and index")
+            refuse_if(
+                not all(isinstance(pair, (list, tuple)) and len(pair) == 2 for pair in entries),
+                f"{where}: table = {short_repr(entries)}: it must be pairs of wavelength and index",
+            )
             entries = [number for pair in entries for number in pair]
         return cls(form, tuple(require_number(f"{where}: {form}", entry) for entry in entries), name)
 
