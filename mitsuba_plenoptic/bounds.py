@@ -75,7 +75,7 @@ def require_length(name: str, value: Any, *, finite: bool = True) -> float:
 
 
 def require_lengths(name: str, value: Any, counts: Collection[int], rule: str) -> tuple[float, ...]:
-    """Return one length or several as a tuple; `counts` has the numbers of them that there may be, `rule` the words."""
+    """Return one length or several as a tuple; `counts` are the allowed lengths of it, `rule` their description."""
     value = _plain(value)
     lengths = tuple(require_length(name, number) for number in (value if isinstance(value, (tuple, list)) else [value]))
     if len(lengths) not in counts:
@@ -84,7 +84,7 @@ def require_lengths(name: str, value: Any, counts: Collection[int], rule: str) -
 
 
 def require_pixels(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
-    """Return a pair of numbers of pixels, whole ones from `minimum` to 1048576."""
+    """Return a pair of counts of pixels, integers from `minimum` to 1048576."""
     columns, rows = (
         require_count(name, count, minimum=minimum, maximum=MOST_PIXELS)
         for count in require_pair(name, value, "(columns, rows)")
@@ -93,7 +93,7 @@ def require_pixels(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
 
 
 def require_place(name: str, value: Any) -> tuple[float, float]:
-    """Return a position in the plane of the microlenses, a pair of numbers within 1e9 of the axis."""
+    """Return a position in the plane of the microlenses, a pair of coordinates within 1e9 of the axis."""
     pair = require_pair(name, value, "(x, y)")
     x, y = (require_number(name, number, minimum=-LONGEST, maximum=LONGEST) for number in pair)
     return x, y
@@ -108,7 +108,7 @@ def require_wavefront(value: Any, name: str = "wavefront") -> tuple[float, ...]:
 
 
 def require_response(value: Any, name: str = "pixel_response") -> tuple[float, ...]:
-    """Return pairs of an angle in degrees, rising from 0, and a response from 0 to 1, as one tuple of numbers."""
+    """Return pairs of an angle in degrees, rising from 0, and a response from 0 to 1, as one tuple of floats."""
     value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) % 2 or len(value) == 2:
         raise InputError(
@@ -124,7 +124,7 @@ def require_response(value: Any, name: str = "pixel_response") -> tuple[float, .
 
 
 def require_numbers(name: str, value: Any, count: int, largest: float) -> tuple[float, ...]:
-    """Return a tuple of `count` numbers, none larger in magnitude than `largest`."""
+    """Return a tuple of `count` floats, none larger in magnitude than `largest`."""
     value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) != count:
         raise InputError(f"{name} = {short_repr(value)}: it must be {count} numbers")

@@ -77,7 +77,7 @@ def short_repr(value: Any) -> str:
     return printable(" ".join(text.split()), _LONGEST_VALUE)
 
 
-# The name in rooms that have not been renamed yet.
+# The former name, for modules that still import it.
 shown = short_repr
 
 

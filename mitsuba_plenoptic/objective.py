@@ -151,7 +151,7 @@ class Objective:
         return 2 * self.magnification * abs(distance) * math.tan(self.half_angle)
 
     def to_plain(self) -> dict[str, Any]:
-        """Return it as numbers and words by name, for `from_plain`, files and headers."""
+        """Return it as plain values by name, for `from_plain`, files and headers."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {name: value for name, value in values.items() if value is not None}
 

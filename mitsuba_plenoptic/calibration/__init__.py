@@ -1,4 +1,4 @@
-"""Calibration of a real camera: its numbers from corners of a board, its micro-images' centres from white images."""
+"""Calibration of a real camera: its parameters from corners of a board, its micro-images' centres from white images."""
 
 from .blur import Blur
 from .boards import board_scene

@@ -115,7 +115,9 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     try:
         camera = camera_of(final.numbers, start)
     except InputError as error:
-        raise InputError(f"corners: the numbers that fit them best are no camera; cover more of it: {error}") from None
+        raise InputError(
+            f"corners: the parameters that fit them best are no camera; cover more of it: {error}"
+        ) from None
     centre_residuals, centre_outliers = np.zeros((0, 2)), np.zeros(0, dtype=int)
     if centres:
         every = _with_centres(problem, centres, np.ones(len(used), dtype=bool), index, weight)

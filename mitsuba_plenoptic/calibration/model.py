@@ -171,7 +171,7 @@ def predict(
         X_by[mine, :, :3] = (arm - arm.transpose(0, 2, 1)) @ _left_jacobian(pose[:3])
         X_by[mine, :, 3:] = np.eye(3)
     g = X[:, 2]
-    # Nearer than the focal length there is no image: the caller sees numbers that are not finite.
+    # Nearer than the focal length there is no image: the caller sees values that are not finite.
     beyond = np.where(g > f, g - f, np.nan)
     q = -X[:, :2] * (f / beyond)[:, None]
     gamma = g * f / (beyond * b)

@@ -103,7 +103,7 @@ class LensIndex:
         return np.stack([k - k0 + self.odd_rows * (l % 2 - l0 % 2), self.row_sign * (l - l0)], axis=-1).astype(float)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return its numbers by name."""
+        """Return its fields by name."""
         return asdict(self)
 
 
@@ -160,7 +160,7 @@ def read_table(path: str | Path, names: tuple[str, ...], optional: tuple[str, ..
 
 
 def _checked(path: Path, columns: dict[str, np.ndarray], header: int) -> Table:
-    """Return columns as a table, the first row in line 1 + `header` of the file, if their numbers can be."""
+    """Return columns as a table, the first row in line 1 + `header` of the file, if their values are valid."""
     for name, values in columns.items():
         wrong = ~np.isfinite(values) | (np.abs(values) > _LARGEST)
         if name in _WHOLE:

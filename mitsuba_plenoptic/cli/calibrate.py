@@ -56,7 +56,7 @@ def calibrate(
         typer.Option(metavar="CORNERS.csv", help="Hold the camera, refit the poses, and print how far off it is."),
     ] = None,
     report: Annotated[
-        Path | None, typer.Option(metavar="FILE.html", help="Write a page with numbers, poses and residuals, too.")
+        Path | None, typer.Option(metavar="FILE.html", help="Also write a page with parameters, poses and residuals.")
     ] = None,
     white: White = None,
     linear: Linear = False,

@@ -31,7 +31,7 @@ def info(
         ),
     ],
     wavelength: Annotated[
-        float | None, number("Wavelength in nanometres at which to judge diffraction.", "the capture's", unit="NM")
+        float | None, number("Wavelength in nanometres of the diffraction figures.", "the capture's", unit="NM")
     ] = None,
     drawing: Annotated[
         Path | None,

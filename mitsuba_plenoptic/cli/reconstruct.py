@@ -230,7 +230,7 @@ def reconstruct(
 
 
 def _period(interleave: str | None) -> int | str | None:
-    """Return a number of lenses as such; other words are judged where they are used."""
+    """Return a period in lenses as an integer; other words are checked where they are used."""
     return int(interleave) if interleave and interleave.isdecimal() and len(interleave) < 10 else interleave
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from ..errors import InputError
+from ..errors import naming
 from ..io.files import atomic_output, remove_leftovers
 from ..report.output_files import shrink, write_png
 from ..runtime.batches import BatchMap
@@ -138,10 +138,8 @@ def _as_recorded(layout: Layout, number: int, recorded: Mapping[str, str]) -> bo
 
 
 def _make(recipe: Recipe, index: int, path: Path) -> int:
-    try:
+    with naming(f"sample {index}"):
         write_samples(path, [make_sample(recipe, index)])
-    except InputError as error:
-        raise InputError(f"sample {index}: {error}") from None
     return index
 
 

@@ -36,7 +36,7 @@ from .generators import GENERATORS, Illumination, SceneGenerator
 MOST_COUNT = 10**6
 
 _CHECKED = 1000
-"""Samples whose numbers are drawn and checked before the first is rendered."""
+"""Samples whose parameters are drawn and checked before the first is rendered."""
 
 _KEYS = (
     "name", "count", "seed", "models", "variant", "camera", "scenes", "light", "noise", "ray", "wave", "truth",
@@ -311,7 +311,7 @@ def generator(seed: int, index: int, name: str) -> np.random.Generator:
 
 @dataclass(frozen=True)
 class Between:
-    """A number between two, evenly or evenly in its logarithm; with a step one of those that it reaches."""
+    """A uniform or log-uniform value between two bounds; with a step, a multiple of it above the lower bound."""
 
     low: float
     high: float

@@ -90,7 +90,7 @@ def read_sample(file: Any, path: Path, index: int, names: Collection[str] | None
 
 
 def whole_samples(path: Path) -> set[int]:
-    """Return the numbers of the undamaged samples in a file, if there is one, and name the damaged ones in the log."""
+    """Return the indices of the undamaged samples in a file, if there is one, and name the damaged ones in the log."""
     if not path.exists():
         return set()
     found = set()

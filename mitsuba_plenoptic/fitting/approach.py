@@ -154,7 +154,7 @@ def coarse_fit(
     if stuck.any():
         named = ", ".join(f"{numbers[one].label} = {x[one]:.6g}" for one in np.flatnonzero(stuck))
         warnings.warn(
-            f"coarse_fit: at a bound: {named}: start nearer, give other bounds, or seek fewer numbers", stacklevel=2
+            f"coarse_fit: at a bound: {named}: start nearer, give other bounds, or fit fewer parameters", stacklevel=2
         )
     return found
 

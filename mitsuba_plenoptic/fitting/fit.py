@@ -147,7 +147,7 @@ def fit(
     )
     if result.status == 0:
         warnings.warn(
-            f"fit: it ended after {trial.count} cameras before it had settled: start nearer, or fit fewer numbers",
+            f"fit: it ended after {trial.count} cameras before it had settled: start nearer, or fit fewer parameters",
             stacklevel=2,
         )
     for doubt in doubts(found, given, trial.expected(x)):
@@ -162,7 +162,7 @@ class _Model(Protocol):
         """Return the expected pixels of all views, (views, rows, columns)."""
 
     def derivatives(self, numbers: list[Number], images: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the derivatives of these, (numbers, views, rows, columns)."""
+        """Return the derivatives of the captures, (parameters, views, rows, columns)."""
 
 
 def _model_of(

@@ -131,7 +131,9 @@ def summary(
         return dict(zip(labels, given.tolist(), strict=True))
 
     expected = float(pixels.share.sum()) - effective
-    refuse_if(expected <= 0, f"photons: too few are expected in the pixels that count to fit {len(x)} numbers to them")
+    refuse_if(
+        expected <= 0, f"photons: too few are expected in the pixels that count to fit {len(x)} parameters to them"
+    )
     return Fit(
         camera,
         by_label(x),

@@ -21,7 +21,7 @@ What the stop lets through is written as its aperture.
 """
 
 _OF_A_SURFACE = "SLB SPH CON ASP CCY THC THM CUM GLC KC AC BC CC DC EC FC GC HC JC"
-"""The same of a surface: labels, and which of its numbers a design program may change."""
+"""The same of a surface: labels, and which of its values a design program may change."""
 
 _WITHOUT_EFFECT = frozenset(f"{_OF_THE_FILE} {_OF_A_SURFACE}".split())
 

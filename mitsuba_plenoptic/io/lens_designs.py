@@ -54,7 +54,7 @@ class Line:
         return value
 
     def require_zero(self, rule: str, first: int = 1) -> None:
-        """Refuse the command unless all its numbers are 0."""
+        """Refuse the command unless all its values are 0."""
         self.refuse_if(any(self.value(index) for index in range(first, len(self.words))), rule)
 
 

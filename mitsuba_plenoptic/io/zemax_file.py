@@ -20,7 +20,7 @@ What the stop lets through is written as its semi-diameter.
 """
 
 _OF_A_SURFACE = "COMM HIDE MIRR SLAB POPS FIMP COAT MEMA OEMA SSID SCOL MAZH PZUP VDSZ VPAR PPAR XDAT"
-"""The same of a surface: drawing, labels, coatings, manufacture, and how its numbers, which are written, were found."""
+"""The same of a surface: drawing, labels, coatings, manufacture, and how its values, which are given, were found."""
 
 _WITHOUT_EFFECT = frozenset(f"{_OF_THE_FILE} {_OF_A_SURFACE}".split())
 
@@ -108,7 +108,7 @@ class ZemaxReader:
         for number, line in self.glasses.items():
             self.surfaces[number].glass = self._glass(line)
         for surface, kind, lines in zip(self.surfaces, self.kinds, self.parameters, strict=True):
-            # Other types leave numbers behind that the type STANDARD does not use.
+            # Other types leave values behind that the type STANDARD does not use.
             surface.asphere = self._asphere(lines) if kind == "EVENASPH" else []
         first, *lens, image = self.surfaces
         if first.glass is not None:

@@ -195,7 +195,7 @@ def lens_types(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
 
 
 def lens_numbers(camera: PlenopticCamera) -> NDArray[np.int64]:
-    """Return a number for each recorded pixel: that of the lens of its chief ray."""
+    """Return the index of the lens of each recorded pixel's chief ray."""
     x, y = (
         rays.chief_point(camera.pixel_coordinates(axis), camera.pupil_distance, camera.detector_distance)
         for axis in (0, 1)

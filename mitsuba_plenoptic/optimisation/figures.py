@@ -145,7 +145,7 @@ class RefocusedContrast:
         for name in names:
             if name not in VARYING:
                 raise InputError(
-                    f"{name}: refocusing is held, of numbers that vary: {', '.join(VARYING)}"
+                    f"{name}: refocusing does not follow it; parameters that may vary: {', '.join(VARYING)}"
                     f"{did_you_mean(name, VARYING)}"
                 )
         value, slopes = self._contrast(self._images(camera))

@@ -145,7 +145,7 @@ def _numbers(
             raise InputError(f"bounds: {short_repr(name)}: the camera has {labels}")
         numbers += chosen
         limits += [pair] * len(chosen)
-    refuse_if(not numbers, "bounds: name at least one number that varies")
-    refuse_if(len({number.label for number in numbers}) < len(numbers), "bounds: a number has two of them")
+    refuse_if(not numbers, "bounds: name at least one parameter that varies")
+    refuse_if(len({number.label for number in numbers}) < len(numbers), "bounds: a parameter has two of them")
     low, high = np.array(limits, np.float64).T
     return numbers, low, high

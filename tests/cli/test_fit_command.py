@@ -32,7 +32,7 @@ def test_a_camera_from_a_capture(tmp_path, capsys):
     # The points are those of another camera, by half a micrometre.
     assert np.abs(found["mla_offset"]).max() < 2e-4
     printed = capsys.readouterr().out
-    assert "mla_offset.1 = " in printed and " +- " in printed and "told to " in printed
+    assert "mla_offset.1 = " in printed and " +- " in printed and "determined to " in printed
 
 
 def test_noise_and_saturation_are_those_that_expose_keeps(tmp_path, run, complaint):
