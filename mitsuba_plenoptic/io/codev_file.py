@@ -49,7 +49,7 @@ def read_codev(path: str | Path) -> Prescription:
         not known, naming file, line and rule.
     """
     path, text = read_text(path)
-    reader = CodevReader(path)
+    reader = _CodevReader(path)
     for line in _commands(path, text):
         reader.take(line)
     return reader.prescription()
@@ -79,7 +79,7 @@ def _commands(path: Path, text: str) -> list[Line]:
     return found
 
 
-class CodevReader:
+class _CodevReader:
     """The lens of a file, as far as its commands have been read."""
 
     def __init__(self, path: Path) -> None:

@@ -45,7 +45,7 @@ def read_zemax(path: str | Path) -> Prescription:
         not known, naming file, line and rule.
     """
     path, text = read_text(path)
-    reader = ZemaxReader(path)
+    reader = _ZemaxReader(path)
     lines = [
         Line(path, number, tuple(line.split()))
         for number, line in enumerate(text.splitlines(), start=1)
@@ -57,7 +57,7 @@ def read_zemax(path: str | Path) -> Prescription:
     return reader.prescription()
 
 
-class ZemaxReader:
+class _ZemaxReader:
     """The lens of a file, as far as its lines have been read."""
 
     def __init__(self, path: Path) -> None:

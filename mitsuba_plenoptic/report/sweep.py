@@ -31,6 +31,8 @@ from ..thin_lens import image_distance
 from .experiment import load_with_sensor, refocused
 from .stage_store import Progress, StageOptions, StageStore, scene_fingerprint, software
 
+__all__ = ["SweepSettings", "check_grid", "merge_grids", "parse_grid", "read_grid", "sweep"]
+
 # Names that are not parameters of the scene.
 WAVELENGTH, DISTANCE = "wavelength", "distance"
 
